@@ -23,15 +23,15 @@ import _env  # noqa: F401  (first: continues in the checkout's environment)
 import depthcli
 from depthcli import testing
 from depthcli.api.config import COMMANDS
-from depthcli.batch.presets import find_config, list_presets
 from depthcli.cli import _COMMON
 from depthcli.commands import grouped_commands, help_of, load_command
 from depthcli.commands.help import METHOD_PACKAGES, TOPICS
 from depthcli.core.method import Family
 from depthcli.core.option import Option, OptionGroup
-from depthcli.data.layouts import layouts
 from depthcli.evaluation import protocols
+from depthcli.io.layouts import layouts
 from depthcli.methods.registration.search import MEASURES
+from depthcli.run.presets import find_config, list_presets
 
 CONFIGS: dict[str, Any] = {command: getattr(depthcli, name) for name, command in COMMANDS.items()}
 """Command -> class of its config."""

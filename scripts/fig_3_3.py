@@ -22,9 +22,9 @@ from pathlib import Path
 import _env  # (first: continues in the checkout's environment)
 import numpy as np
 
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number, Table
+from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight

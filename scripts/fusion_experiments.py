@@ -22,23 +22,23 @@ from typing import Any
 import _env  # (first: continues in the checkout's environment)
 import numpy as np
 
-from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.data.generated.arrays.infrared import cross_modal_pair
-from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.plots import Line, line_plot
 from depthcli.evaluation.protocols import load
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import compare
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps, measures
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.local import Local
+from depthcli.run.presets import find_config, find_preset
+from depthcli.simulate.arrays.infrared import cross_modal_pair
 
 V2 = "middlebury_v2"
 SETS = (V2, "middlebury_2001", "middlebury_2005", "middlebury_2006")

@@ -24,16 +24,16 @@ import yaml
 from numpy.typing import NDArray
 
 from depthcli.api.judging import fusion_of, judge_of, networks
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.calibration import HiddenPixels, Reliability, reliability
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.statistics import mean_of_known
+from depthcli.io.walk import discover_scenes
 from depthcli.methods.stereo.config import StereoConfig
+from depthcli.run.presets import find_config
 
 GROUPS = Path(__file__).resolve().parent / "stereo_groups.yaml"
 METHODS = ("opencv-sgbm", "segments", "ad-census", "fast", "accurate", "opencv-sgbm-wls")

@@ -33,20 +33,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.batch.presets import find_config, list_presets
 from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, color8
-from depthcli.data.formats.images import read_image
-from depthcli.data.generated.arrays.depth_sensor import KinectSample, Sensor, simulate_kinect
-from depthcli.data.generated.arrays.kinect_scenes import SEQUENCE_KINDS, make_kinect_sequence
-from depthcli.data.scenes.rgbd import RgbdScene
-from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.render import Number, Table
+from depthcli.io.formats.images import read_image
+from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.walk import discover_scenes
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.disparity import nearest_fill
+from depthcli.run.presets import find_config, list_presets
+from depthcli.simulate.arrays.depth_sensor import KinectSample, Sensor, simulate_kinect
+from depthcli.simulate.arrays.kinect_scenes import SEQUENCE_KINDS, make_kinect_sequence
 
 SETS = ("middlebury_v2", "middlebury_2005", "middlebury_2006")
 PATTERNS = 5
@@ -261,7 +261,7 @@ def _psnr(left: NDArray[np.uint8], right: NDArray[np.uint8], disparity: NDArray[
 
 def speed(methods: dict[str, Refine | None]) -> None:
     """Print a row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
-    from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene
+    from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene
 
     frame = simulate_kinect(*make_kinect_scene("foreground", 0, 640, 480), 0).frame()
     hole = np.isnan(frame.depth).astype(np.uint8)

@@ -19,9 +19,9 @@ import cv2
 import matplotlib
 import numpy as np
 
-from depthcli.data.formats.disparity import read_disparity
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
+from depthcli.io.formats.disparity import read_disparity
+from depthcli.io.walk import discover_scenes
 
 OUTPUT = _env.ROOT / "docs" / "static" / "overview.png"
 WIDTH, HEIGHT = 320, 240

@@ -23,7 +23,7 @@ from typing import Any
 import _env  # (first: continues in the checkout's environment)
 import numpy as np
 
-from depthcli.data.formats.volumes import simple_itk
+from depthcli.io.formats.volumes import simple_itk
 
 ROOT = Path(__file__).resolve().parent.parent
 LIVER = (("dataset18", "cyc_1_10"), ("dataset18", "cyc_3_10"), ("dataset19", "cyc_1_6"), ("dataset19", "cyc_1_9"))

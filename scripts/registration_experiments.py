@@ -27,21 +27,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.resampling import resample, trilinear
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.volumes import RegisteredPair
-from depthcli.data.formats.volumes import simple_itk
-from depthcli.data.generated.arrays.deformed_volumes import smooth_noise
-from depthcli.data.scenes.volume_pair import VolumePairScene
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
+from depthcli.io.formats.volumes import simple_itk
+from depthcli.io.scenes.volume_pair import VolumePairScene
+from depthcli.io.walk import discover_scenes
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.pipeline import RegistrationResult
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.methods.registration.search import SURER_IF_LARGER, search
 from depthcli.methods.registration.smoothing import gaussian
+from depthcli.run.presets import find_config
+from depthcli.simulate.arrays.deformed_volumes import smooth_noise
 
 Values = NDArray[np.floating[Any]]
 
@@ -188,7 +188,7 @@ def parameters(scenes: list[VolumePairScene]) -> list[Table]:
 
 
 def baselines(scenes: list[VolumePairScene], data: Path | None) -> list[Table]:
-    from depthcli.data.formats.fields import in_millimeters, read_field
+    from depthcli.io.formats.fields import in_millimeters, read_field
 
     rows = []
     for scene in scenes:

@@ -17,16 +17,16 @@ from pathlib import Path
 import _env  # noqa: F401  (first: continues in the checkout's environment)
 import numpy as np
 
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.data.generated.arrays.stereo_scenes import make_scene
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import average_ranks
+from depthcli.io.walk import discover_scenes
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline import StereoPipeline
+from depthcli.run.presets import find_config
+from depthcli.simulate.arrays.stereo_scenes import make_scene
 
 SCENES = ("Tsukuba", "Venus", "Teddy", "Cones")
 MASKS = ("nonocc", "all", "disc")

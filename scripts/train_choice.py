@@ -33,19 +33,19 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.networks import TrainedNetwork
-from depthcli.data.formats.networks import write_network
-from depthcli.data.generated.arrays.stereo_scenes import KINDS, Radiometry, make_scene
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
+from depthcli.io.formats.networks import write_network
+from depthcli.io.walk import discover_scenes
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.choice._inputs import NetworkInputs, input_names
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.pipeline import Fusion
+from depthcli.run.presets import find_config
+from depthcli.simulate.arrays.stereo_scenes import KINDS, Radiometry, make_scene
 
 GROUPS = Path(__file__).resolve().parent / "stereo_groups.yaml"
 VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5, "dark": 0.3}

@@ -32,14 +32,13 @@ from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.algorithms.segmentation.felzenszwalb import Felzenszwalb
 from depthcli.api.matching import with_network
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
-from depthcli.data.formats.networks import write_network
 from depthcli.evaluation.curves import sparsification
+from depthcli.io.formats.networks import write_network
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, judged_maps
 from depthcli.methods.given_maps._evidence import Evidence
@@ -48,6 +47,7 @@ from depthcli.methods.given_maps._shape import ONE_VIEW
 from depthcli.methods.given_maps.measures import Judged
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.refinement.background_fill import fill_background
+from depthcli.run.presets import find_config
 
 METHODS = (
     "opencv-sgbm", "ad-census", "opencv-bm", "thesis/cross", "opencv-sgbm-wls", "fast", "accurate", "fuse accurate",

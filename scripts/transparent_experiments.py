@@ -30,19 +30,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
-from depthcli.batch.presets import find_config
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
 from depthcli.core.result import Clock
-from depthcli.data.generated.arrays.transparent_scenes import glass_of_pair, sparse_samples
-from depthcli.data.scenes.rgbd import RgbdScene
-from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.walk import discover_scenes
+from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.modality import GREY, learned_weights, mix_channels
+from depthcli.run.presets import find_config
+from depthcli.simulate.arrays.transparent_scenes import glass_of_pair, sparse_samples
 
 PRESETS = ("nearest", "joint-bilateral", "textbook", "crf", "sparse")
 CASES: dict[str, dict[str, Any]] = {

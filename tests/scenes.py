@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
-from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.walk import discover_scenes
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 V2 = "middlebury_v2"

@@ -13,15 +13,15 @@ import docs_reference
 import pytest
 
 import depthcli
-from depthcli.batch.command import EXIT_CODES
-from depthcli.batch.presets import list_presets
 from depthcli.commands import command_names, load_command
 from depthcli.commands.help import METHOD_PACKAGES, TOPICS
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
-from depthcli.data.layouts import layouts
 from depthcli.evaluation import protocols
+from depthcli.io.layouts import layouts
 from depthcli.methods.registration.search import MEASURES
+from depthcli.run.command import EXIT_CODES
+from depthcli.run.presets import list_presets
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

@@ -17,7 +17,7 @@ import pytest
 
 from depthcli import testing
 from depthcli.core.registry import registry_of
-from depthcli.data.formats.images import write_png
+from depthcli.io.formats.images import write_png
 from depthcli.testing.inputs import shifted_pair
 
 ROOT = Path(__file__).resolve().parent.parent

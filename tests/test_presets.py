@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.batch.presets import find_config, find_preset, list_presets, preset_folder
 from depthcli.cli import main
 from depthcli.commands import load_command
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.config_file import dump_config, load_config, parse_config
-from depthcli.data.formats.disparity import read_pfm
+from depthcli.io.formats.disparity import read_pfm
 from depthcli.kernels.jit import set_threads
+from depthcli.run.presets import find_config, find_preset, list_presets, preset_folder
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]
 
@@ -115,7 +115,7 @@ def test_same_bytes_at_any_number_of_threads(made, tmp_path: Path, monkeypatch, 
             set_threads(kernels)
             cv2.setNumThreads(opencv)
 
-        monkeypatch.setattr("depthcli.batch.processes.use_threads", use)
+        monkeypatch.setattr("depthcli.run.processes.use_threads", use)
         output = tmp_path / str(opencv)
         arguments = [command, name, "-i", str(made(command)), "-o", str(output), "-q", *QUICK.get(command, [])]
         assert main(arguments) == 0

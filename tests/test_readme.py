@@ -17,10 +17,10 @@ import pytest
 import readme_tables
 import typer
 
-from depthcli.batch.presets import find_config
 from depthcli.cli import app, main
 from depthcli.core.method import Family
 from depthcli.methods.stereo import cost
+from depthcli.run.presets import find_config
 from tests.methods.stereo._pairs import shifted_pair
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.arrays import as_color8, as_depth, as_image
-from depthcli.batch.resources import available_memory, check_memory
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.color_and_depth import Place, registered
 from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import RgbdFrame, RgbIrFrame, infrared_image
-from depthcli.data.formats.depth import MILLIMETERS
-from depthcli.data.formats.files import naming, warn
-from depthcli.data.formats.plain_text import numbers
-from depthcli.data.formats.rigs import read_color_infrared_rig
+from depthcli.io.formats.depth import MILLIMETERS
+from depthcli.io.formats.files import naming, warn
+from depthcli.io.formats.plain_text import numbers
+from depthcli.io.formats.rigs import read_color_infrared_rig
 from depthcli.methods.kinect.config import RefineKinectConfig
+from depthcli.run.resources import available_memory, check_memory
 
 Image = NDArray[Any]
 

@@ -12,8 +12,8 @@ from depthcli.algorithms.body import body_of_volume
 from depthcli.algorithms.resampling import block_means, resample
 from depthcli.core.errors import InputError
 from depthcli.core.region_columns import ERROR, MEAN, QUANTILE, VOLUME, region_column
-from depthcli.data.registered_volumes import LoadedPair
-from depthcli.data.scenes.volume_pair import VolumePairScene
+from depthcli.io.registered_volumes import LoadedPair
+from depthcli.io.scenes.volume_pair import VolumePairScene
 from depthcli.methods.registration.pipeline import RegistrationResult
 
 _WRONG_MM = 3.0  # expected errors above it are located

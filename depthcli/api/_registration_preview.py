@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from depthcli.algorithms.body import body
 from depthcli.algorithms.resampling import resample
 from depthcli.core.volumes import ENDS, PLANES, side_and_distance
-from depthcli.data.formats.pictures import draw_text, preview
-from depthcli.data.registered_volumes import LoadedPair
+from depthcli.io.formats.pictures import draw_text, preview
+from depthcli.io.registered_volumes import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
 _TITLES = ("fixed", "moving, registered", "expected error")

@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.batch.json_csv import to_csv
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import OutputError
 from depthcli.core.result import RefinedDepth, Result
-from depthcli.data.formats.depth import write_depth_png, write_ply
-from depthcli.data.formats.disparity import write_disparity_png, write_pfm
-from depthcli.data.formats.files import write_text
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.pictures import (
+from depthcli.io.formats.depth import write_depth_png, write_ply
+from depthcli.io.formats.disparity import write_disparity_png, write_pfm
+from depthcli.io.formats.files import write_text
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.pictures import (
     DEPTH_STATUS_PALETTE,
     STATUS_PALETTE,
     Palette,
@@ -26,6 +25,7 @@ from depthcli.data.formats.pictures import (
     write_status,
 )
 from depthcli.methods.stereo.volume import StereoResult
+from depthcli.run.json_csv import to_csv
 
 
 def share(pixels: NDArray[np.bool_]) -> float:

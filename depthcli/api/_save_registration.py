@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.resampling import resample, trilinear
 from depthcli.api._registration_preview import registration_preview
-from depthcli.batch.json_csv import Row, to_csv
 from depthcli.core.errors import InputError
-from depthcli.data.formats.files import write_text
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.volumes import Slab, write_volume
-from depthcli.data.registered_volumes import LoadedPair
+from depthcli.io.formats.files import write_text
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.volumes import Slab, write_volume
+from depthcli.io.registered_volumes import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
+from depthcli.run.json_csv import Row, to_csv
 
 _POINTS = {"x": 4, "y": 4, "z": 4, "confidence": 5, "expected_error": 4}
 """Columns of the table of landmarks, and their decimals."""

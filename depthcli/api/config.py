@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from depthcli.api.wording import worded
-from depthcli.batch.presets import find_config, find_preset
 from depthcli.core import config_file
 from depthcli.core.config_file import ConfigData
+from depthcli.run.presets import find_config, find_preset
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 

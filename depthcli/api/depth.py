@@ -17,18 +17,18 @@ from depthcli.api.masks import masked
 from depthcli.api.results import RefinedDepth
 from depthcli.api.running import computing
 from depthcli.api.wording import worded
-from depthcli.batch.resources import available_memory, check_memory
 from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, Result
 from depthcli.core.result import RefinedDepth as RefinedDepthDetails
-from depthcli.data.formats.depth import MILLIMETERS
+from depthcli.io.formats.depth import MILLIMETERS
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import frame_by_frame
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.cross_modal import CrossModal
+from depthcli.run.resources import available_memory, check_memory
 
 Image = NDArray[Any]
 

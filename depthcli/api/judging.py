@@ -17,8 +17,8 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.text import show_bytes
-from depthcli.data.formats.images import png_bytes
-from depthcli.data.formats.networks import network_path, read_network
+from depthcli.io.formats.images import png_bytes
+from depthcli.io.formats.networks import network_path, read_network
 from depthcli.methods.given_maps import MapJudge, MapJudgment, Networks, map_measures
 from depthcli.methods.given_maps.fusion import MAX_MAPS, GivenMapsFusion
 from depthcli.methods.given_maps.several_baselines import with_agreed_values

@@ -13,10 +13,10 @@ from depthcli.api.judging import MapConfidence, check_baselines, fused, fusion_o
 from depthcli.api.results import Disparity
 from depthcli.api.running import computing
 from depthcli.api.wording import worded
-from depthcli.batch.resources import available_memory
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
-from depthcli.data.formats.stereo_images import pair_of
+from depthcli.io.formats.stereo_images import pair_of
+from depthcli.run.resources import available_memory
 
 
 @worded

@@ -16,8 +16,8 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
-from depthcli.data.formats.networks import network_path, read_network
 from depthcli.device import Device, DeviceError
+from depthcli.io.formats.networks import network_path, read_network
 from depthcli.methods.stereo.config import PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.networks import networks_in

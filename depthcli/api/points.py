@@ -13,7 +13,7 @@ from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, color8
 from depthcli.core.maps import DepthMap, MatchedMap
-from depthcli.data.formats.depth import write_points
+from depthcli.io.formats.depth import write_points
 
 
 @dataclass(frozen=True, eq=False, repr=False)

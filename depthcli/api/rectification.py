@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.rig import RectifiedRig, Rig
-from depthcli.data.formats import rigs
+from depthcli.io.formats import rigs
 from depthcli.methods.stereo.config import Calibration
 
 

@@ -20,15 +20,15 @@ from depthcli.api.arrays import as_volume
 from depthcli.api.config import Overrides, load_config
 from depthcli.api.running import computing
 from depthcli.api.wording import worded
-from depthcli.batch.resources import available_memory, check_memory
 from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
 from depthcli.core.volumes import Grid
-from depthcli.data.formats.images import png_bytes
-from depthcli.data.formats.volumes import simple_itk
-from depthcli.data.registered_volumes import LoadedPair, blocks_of, joined, usable
+from depthcli.io.formats.images import png_bytes
+from depthcli.io.formats.volumes import simple_itk
+from depthcli.io.registered_volumes import LoadedPair, blocks_of, joined, usable
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult
+from depthcli.run.resources import available_memory, check_memory
 
 _MAX_BORDER_SHARE = 0.2  # of best matches on the border of the search; above it errors exceed its range
 

@@ -18,10 +18,10 @@ from depthcli.core.errors import ConfigError
 from depthcli.core.frames import Image
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
 from depthcli.core.result import RefinedDepth as RefinedDepthDetails
-from depthcli.data.formats.depth import MILLIMETERS
-from depthcli.data.formats.images import png_bytes, write_png
-from depthcli.data.formats.pair_geometry import read_geometry, write_geometry
-from depthcli.data.formats.pictures import preview_depth
+from depthcli.io.formats.depth import MILLIMETERS
+from depthcli.io.formats.images import png_bytes, write_png
+from depthcli.io.formats.pair_geometry import read_geometry, write_geometry
+from depthcli.io.formats.pictures import preview_depth
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
 

@@ -15,13 +15,13 @@ from depthcli.api.results import Depth, Disparity, RefinedDepth
 from depthcli.api.wording import worded
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
-from depthcli.data.formats.images import png_bytes
-from depthcli.data.scenes.rgbd import RgbdScene, RgbdTruth
-from depthcli.data.scenes.stereo import StereoScene, StereoTruth
-from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairScene
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.scores import Score, find_score
+from depthcli.io.formats.images import png_bytes
+from depthcli.io.scenes.rgbd import RgbdScene, RgbdTruth
+from depthcli.io.scenes.stereo import StereoScene, StereoTruth
+from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
 
 _TRUTH_FOLDER = Path("truth")  # of a truth in memory, for messages
 

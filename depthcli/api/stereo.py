@@ -20,15 +20,15 @@ from depthcli.api.rectification import rectified_rig
 from depthcli.api.results import Disparity
 from depthcli.api.running import computing
 from depthcli.api.wording import worded
-from depthcli.batch.resources import available_memory
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
-from depthcli.data.formats.stereo_images import pair_of
+from depthcli.io.formats.stereo_images import pair_of
 from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.stages import Matcher as Method
 from depthcli.programs.program import ProgramRun
+from depthcli.run.resources import available_memory
 
 End = int | Literal["auto"] | None
 """An end of the search range: pixels, "auto": from matched key points, or None: what the config says."""

@@ -22,13 +22,13 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from depthcli.batch.command import SOME_FAILED, Command
-from depthcli.batch.console import Reporter, silence_warnings
 from depthcli.cli.help_text import write_command_help, write_main_help
 from depthcli.commands import REGISTRY, command_names, find_command, help_of, load_command
 from depthcli.core.errors import ConfigError, DepthcliError, IncompleteError
 from depthcli.core.option import Option
 from depthcli.core.plugins import load_file
+from depthcli.run.command import SOME_FAILED, Command
+from depthcli.run.console import Reporter, silence_warnings
 
 PLUGIN = Option(
     "plugin", Path, "Python file with methods, layouts, protocols or commands of your own; repeatable.", "FILE.py",

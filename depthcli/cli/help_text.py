@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
-from depthcli.batch.command import Command
 from depthcli.commands import grouped_commands, help_of
 from depthcli.core.option import Option, OptionGroup
+from depthcli.run.command import Command
 
 DOCUMENTATION = "docs/{page}.md of depthcli's repository"
 """Where a page of the documentation is, as the last line of every help text names it."""

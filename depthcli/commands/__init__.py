@@ -1,12 +1,12 @@
 """The sub-commands, one file each; the only place where files meet algorithms.
 
 A public module here is a command: its name is the module's, its help the first paragraph of the module's docstring,
-and ``COMMAND`` the object that does it, a :class:`depthcli.batch.command.Command`, whose ``run(values, reporter)`` gets
+and ``COMMAND`` the object that does it, a :class:`depthcli.run.command.Command`, whose ``run(values, reporter)`` gets
 the values of all options and returns the exit code. Nothing heavy is imported before a command runs.
 
 Commands that make a run folder of scenes are a ``BatchCommand`` (of module ``_batch``, imported from here). Their
 ``run`` checks the options, makes the config (``_options``, presets, ``--set``), finds the scenes (``_scenes``) and
-hands both to ``run_on``, which has ``depthcli.batch.runner`` call ``compute(config, scene, folder, memory)`` for each
+hands both to ``run_on``, which has ``depthcli.run.runner`` call ``compute(config, scene, folder, memory)`` for each
 scene, writes the legend, runs ``--evaluate`` and prints the table. A ``ConfigCommand`` is one with a CONFIG argument.
 What ``compute`` does:
 
@@ -55,8 +55,8 @@ from depthcli import programs  # noqa: F401  adds pipelines to the families of m
 from depthcli.core.registry import Registry, plugin_of
 
 if TYPE_CHECKING:
-    from depthcli.batch.command import Command
     from depthcli.commands._batch import BatchCommand, ConfigCommand
+    from depthcli.run.command import Command
 
 __all__ = [
     "REGISTRY", "BatchCommand", "ConfigCommand", "command_names", "find_command", "grouped_commands", "help_of",
@@ -90,16 +90,16 @@ _GROUPS = {
 
 
 def _command_of(value: object) -> Command:
-    from depthcli.batch.command import Command
+    from depthcli.run.command import Command
 
     command = value() if isinstance(value, type) else value
     if not isinstance(command, Command):
-        raise TypeError(f"want a class derived from depthcli.batch.command.Command, got {value!r}")
+        raise TypeError(f"want a class derived from depthcli.run.command.Command, got {value!r}")
     return command
 
 
 REGISTRY: Registry[Command] = Registry(
-    __name__, lambda module: _command_of(module.COMMAND), _command_of, ("depthcli.batch.command",)
+    __name__, lambda module: _command_of(module.COMMAND), _command_of, ("depthcli.run.command",)
 )
 """Our own commands, and those of plug-ins."""
 

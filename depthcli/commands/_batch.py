@@ -8,9 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Generic
 
-from depthcli.batch.command import Command, ConfigT, ModelT, Outcome, SceneT, Values
-from depthcli.batch.console import Column, Reporter, run_table
-from depthcli.batch.json_csv import Row, to_json
 from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_table, flags_of
 from depthcli.commands._options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
 from depthcli.commands._page import PAGE_BUDGET, PAGE_FILE, new_page, write_page
@@ -21,14 +18,17 @@ from depthcli.core.flags import Flags
 from depthcli.core.method import used_files
 from depthcli.core.option import Option
 from depthcli.core.text import one_line
-from depthcli.data.scenes import Scene
+from depthcli.io.scenes import Scene
+from depthcli.run.command import Command, ConfigT, ModelT, Outcome, SceneT, Values
+from depthcli.run.console import Column, Reporter, run_table
+from depthcli.run.json_csv import Row, to_json
 
 if TYPE_CHECKING:
-    from depthcli.batch.task import RunOptions
     from depthcli.core.conditions import Condition
-    from depthcli.data.formats.pictures import Palette
     from depthcli.evaluation.comparison import EvaluationReport
+    from depthcli.io.formats.pictures import Palette
     from depthcli.report.run_without_truth import RunWithoutTruth
+    from depthcli.run.task import RunOptions
 
 DEPTH_RESULTS = ("depth.*", "sigma.pfm", "status.png", "preview.png", "confidence_*", "points.ply")
 """Shell patterns of the files that commands write for a map of depth."""
@@ -98,12 +98,12 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         if values.get("dry_run") or values["list_scenes"]:
             self._list(config, scenes, values, options, reporter)
             return 0
-        from depthcli.batch.presets import preset_of
-        from depthcli.batch.reports import report_document
-        from depthcli.batch.run_folder import LEGEND_FILE
-        from depthcli.batch.runner import run_scenes
-        from depthcli.batch.task import BUG
-        from depthcli.data.formats.pictures import write_legend
+        from depthcli.io.formats.pictures import write_legend
+        from depthcli.run.presets import preset_of
+        from depthcli.run.reports import report_document
+        from depthcli.run.run_folder import LEGEND_FILE
+        from depthcli.run.runner import run_scenes
+        from depthcli.run.task import BUG
 
         if options.shard is not None:
             reporter.info(f"shard {options.shard} of {len(scenes)} scenes")
@@ -141,7 +141,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
     def _list(
         self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
     ) -> None:
-        from depthcli.batch.plan import plan_document, plan_text, scenes_of_shard
+        from depthcli.run.plan import plan_document, plan_text, scenes_of_shard
 
         if values.get("dry_run"):
             document = plan_document(self, config, scenes, values["output"], self.memory_of, options)
@@ -165,7 +165,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         """
         if not (values.get("evaluate") or values.get("html")):
             return None, None, flags_of(conditions, rows, reporter)
-        from depthcli.data import storage
+        from depthcli.io import storage
 
         output, truth = values["output"] / "evaluation", values.get("input")
         in_folder = truth is not None and not storage.is_file(truth)  # pairs of a table have no truth
@@ -197,9 +197,9 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
 
     def _without_truth(self, scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path) -> RunWithoutTruth:
         """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
-        from depthcli.data.scenes.rgbd_sequence import SequenceScene
         from depthcli.evaluation.comparison import run_names
         from depthcli.evaluation.protocols import load
+        from depthcli.io.scenes.rgbd_sequence import SequenceScene
         from depthcli.report.run_without_truth import RunWithoutTruth
 
         by_name, shown, row_of = {str(row["scene"]): row for row in rows}, list[Scene](), dict[str, Row]()
@@ -248,8 +248,8 @@ class ConfigCommand(BatchCommand[ModelT, SceneT]):
 
     def config(self, values: Values) -> ModelT:
         """Return the config with all overrides; ConfigError with all that is wrong."""
-        from depthcli.batch.presets import find_config, find_preset
         from depthcli.core.config_file import load_config
+        from depthcli.run.presets import find_config, find_preset
 
         settings: list[str | tuple[str, str]] = list(values["set"] or [])
         for option in self.options:

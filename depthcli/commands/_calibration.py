@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.calibration.boards import Board, Chessboard, Corners, largest_chessboard
 from depthcli.algorithms.calibration.solver import MIN_PHOTOS, MIN_TILT, CameraFit, RigFit, Size, fit_camera, fit_rig
-from depthcli.batch.console import Reporter
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.errors import InputError
 from depthcli.core.frames import color8, luma
-from depthcli.data.calibration_photos import Photos
-from depthcli.data.formats.images import read_image
+from depthcli.io.calibration_photos import Photos
+from depthcli.io.formats.images import read_image
+from depthcli.run.console import Reporter
 
 SIDES = ("left", "right")
 

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.calibration.boards import Board, CharucoBoard
 from depthcli.algorithms.calibration.solver import CameraFit
-from depthcli.batch.console import aligned
-from depthcli.batch.json_csv import Row
 from depthcli.commands._calibration import SIDES, Calibration
-from depthcli.data.formats.pictures import draw_text
+from depthcli.io.formats.pictures import draw_text
+from depthcli.run.console import aligned
+from depthcli.run.json_csv import Row
 
 _WIDTH = 640  # of a camera's picture
 _TITLE = 24

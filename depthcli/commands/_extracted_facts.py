@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.data.formats.ros_cameras import CameraInfo
+    from depthcli.io.formats.ros_cameras import CameraInfo
 
 _MIN_TURN = 1e-9  # of a rotation matrix's entries; less is none
 _MAX_TURN = 1e-3  # of those of the cameras of a rectified pair
@@ -69,8 +69,8 @@ def _no_info(topics: FrameTopics, missing: list[str]) -> str:
 def _of_pair(found: Survey, topics: FrameTopics, infos: dict[str, CameraInfo], folder: Path) -> Calibration:
     import numpy as np
 
-    from depthcli.data.formats.pair_geometry import write_geometry
-    from depthcli.data.formats.ros_cameras import rectified_geometry, write_raw_pair
+    from depthcli.io.formats.pair_geometry import write_geometry
+    from depthcli.io.formats.ros_cameras import rectified_geometry, write_raw_pair
 
     left, right = infos["left"], infos["right"]
     says = [is_rectified(topics.images[role]) for role in ("left", "right")]
@@ -158,8 +158,8 @@ def poses_of(
     """Return number of a frame -> where the camera of the first topic was, of those where it is known; and warnings."""
     import numpy as np
 
-    from depthcli.data.formats.poses import MAX_SINGLE_DELAY
-    from depthcli.data.formats.ros_poses import MAX_DELAY
+    from depthcli.io.formats.poses import MAX_SINGLE_DELAY
+    from depthcli.io.formats.ros_poses import MAX_DELAY
 
     role, name = next(iter(topics.images.items()))
     stream, notes, inside = found.streams[role], list[str](), np.eye(4)
@@ -190,8 +190,8 @@ def poses_of(
 
 def write_poses(poses: dict[int, NDArray[np.float64]], folder: Path) -> None:
     """Write ``poses.txt``, number of a frame and its pose, unless there is none."""
-    from depthcli.data.formats.files import write_text
-    from depthcli.data.formats.ros_poses import pose_line
+    from depthcli.io.formats.files import write_text
+    from depthcli.io.formats.ros_poses import pose_line
 
     if poses:
         lines = [pose_line(number, matrix) for number, matrix in poses.items()]
@@ -200,7 +200,7 @@ def write_poses(poses: dict[int, NDArray[np.float64]], folder: Path) -> None:
 
 def write_times(frames: list[Frame], folder: Path) -> None:
     """Write ``times.csv``: the time of every frame, and how much later its second image is."""
-    from depthcli.data.formats.files import write_text
+    from depthcli.io.formats.files import write_text
 
     lines = ["frame,seconds,offset_ms"]
     for frame in frames:
@@ -211,7 +211,7 @@ def write_times(frames: list[Frame], folder: Path) -> None:
 
 def write_meta(meta: dict[str, Any], topics: FrameTopics, source: str, folder: Path) -> None:
     """Write ``meta.json`` into ``folder``."""
-    from depthcli.data.formats.files import write_text
+    from depthcli.io.formats.files import write_text
 
     of = ", ".join(topics.images.values())
     text = json.dumps({"source": f"extracted by depthcli from {source}: {of}", **meta}, indent=1) + "\n"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.data.formats.recordings import Message, Recording
+    from depthcli.io.formats.recordings import Message, Recording
 
 _MIN_DIGITS = 6  # of the number of a frame
 
@@ -142,7 +142,7 @@ def write_images(
     InputError
         None of them can be read.
     """
-    from depthcli.data.formats.files import write_bytes
+    from depthcli.io.formats.files import write_bytes
 
     digits = max(_MIN_DIGITS, len(str(frames[-1].number)))
     roles = {name: role for role, name in topics.images.items()}
@@ -193,9 +193,9 @@ def _image(recording: Recording, message: Message, role: str) -> tuple[bytes, st
     """Return the bytes, the ending and the (height, width) of the file of an image."""
     import numpy as np
 
-    from depthcli.data.formats.disparity import encode_pfm
-    from depthcli.data.formats.images import png_bytes
-    from depthcli.data.formats.ros_images import depth_of, stored_image
+    from depthcli.io.formats.disparity import encode_pfm
+    from depthcli.io.formats.images import png_bytes
+    from depthcli.io.formats.ros_images import depth_of, stored_image
 
     if role != "depth":
         return recording.read(message, stored_image)

@@ -6,11 +6,11 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import FLAGGED, SOME_FAILED, Values
-from depthcli.batch.console import Reporter, aligned
-from depthcli.batch.json_csv import Row
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
+from depthcli.run.command import FLAGGED, SOME_FAILED, Values
+from depthcli.run.console import Reporter, aligned
+from depthcli.run.json_csv import Row
 
 if TYPE_CHECKING:
     from depthcli.core.conditions import Condition
@@ -32,9 +32,9 @@ def conditions_of(values: Values) -> tuple[Condition, ...]:
         if values.get("fail_flagged"):
             raise ConfigError("nothing is flagged without a condition: give one, such as 'measured<0.6'")
         return ()
-    from depthcli.batch import columns as report
     from depthcli.core.conditions import parse_conditions
     from depthcli.evaluation import columns as evaluation
+    from depthcli.run import columns as report
 
     return parse_conditions(values["flag"], (*report.OF_RUNS, *evaluation.METRICS))
 

@@ -6,22 +6,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.batch.command import ConfigT, Values
-from depthcli.batch.console import Reporter
 from depthcli.commands._batch import BatchCommand
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
-from depthcli.data import storage
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.given_maps import GivenMap, MapsScene
-from depthcli.data.scenes.stereo import StereoScene
+from depthcli.io import storage
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.given_maps import GivenMap, MapsScene
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.run.command import ConfigT, Values
+from depthcli.run.console import Reporter
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.data.formats.pictures import Palette
     from depthcli.evaluation.map_files import MapFiles, MapOptions
+    from depthcli.io.formats.pictures import Palette
     from depthcli.methods.given_maps import UsesNetworks
 
 PAIR_OPTIONS = (
@@ -54,7 +54,7 @@ class MapsCommand(BatchCommand[ConfigT, MapsScene]):
         return {"max_disparity": str(scene.max_disparity), "coding": coding}
 
     def palette(self) -> Palette:
-        from depthcli.data.formats.pictures import STATUS_PALETTE
+        from depthcli.io.formats.pictures import STATUS_PALETTE
 
         return STATUS_PALETTE
 
@@ -158,11 +158,11 @@ def _recognized(
     reporter: Reporter,
 ) -> MapOptions:
     # The options with the pattern of the maps of a run that holds none under a usual name.
-    from depthcli.batch.reports import read_report
     from depthcli.commands._runs import recognized
-    from depthcli.data.formats.files import collected_warnings
-    from depthcli.data.formats.headers import image_size
     from depthcli.evaluation import protocols
+    from depthcli.io.formats.files import collected_warnings
+    from depthcli.io.formats.headers import image_size
+    from depthcli.run.reports import read_report
 
     if not storage.is_dir(place) or read_report(place):
         return options
@@ -185,7 +185,7 @@ def _recognized(
 
 def memory_for(method: UsesNetworks, scene: MapsScene, max_disparity: int | None) -> int | None:
     """Estimate the memory for a scene by the left image's size; None where the maps give the range."""
-    from depthcli.data.formats.headers import image_size
+    from depthcli.io.formats.headers import image_size
 
     top = max_disparity or scene.max_disparity
     return None if top is None else method.peak_bytes(image_size(scene.left)[:2], top, len(scene.maps))

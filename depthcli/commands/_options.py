@@ -6,12 +6,12 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import Values
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
+from depthcli.run.command import Values
 
 if TYPE_CHECKING:
-    from depthcli.batch.task import RunOptions
+    from depthcli.run.task import RunOptions
 
 CONFIG = Option("config", str, "YAML file, or the name of a preset.", "CONFIG", required=True)
 INPUT = Option("input", Path, "Folder, archive or URL of scenes, or CSV of pairs.", "DIR", short="-i", group="Input")
@@ -41,9 +41,9 @@ RUN = (
 
 def run_options(values: Values) -> RunOptions:
     """Return how a run is carried out; ConfigError for a wrong size or shard, or options that exclude each other."""
-    from depthcli.batch.resources import parse_bytes
-    from depthcli.batch.sharing import parse_shard
-    from depthcli.batch.task import RunOptions
+    from depthcli.run.resources import parse_bytes
+    from depthcli.run.sharing import parse_shard
+    from depthcli.run.task import RunOptions
 
     memory = parse_bytes(values["max_memory"]) if values["max_memory"] else None
     shard = parse_shard(values["shard"], os.environ)

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from depthcli import __version__
-from depthcli.batch.command import Values
-from depthcli.batch.console import Reporter
 from depthcli.core.errors import ConfigError, DepthcliError
 from depthcli.core.option import Option
+from depthcli.run.command import Values
+from depthcli.run.console import Reporter
 
 if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport
@@ -28,8 +28,8 @@ _RUN = "run"  # the key of run.yaml that is not one of the config
 
 def check_other_tools(values: Values) -> None:
     """Raise ConfigError where what the options ``OTHER_TOOLS`` request cannot be written."""
-    from depthcli.batch.json_lines import check_lines
     from depthcli.evaluation.parquet import check_parquet
+    from depthcli.run.json_lines import check_lines
 
     if values["parquet"]:
         if values["output"] is None:
@@ -51,8 +51,8 @@ def scores_parquet(report: EvaluationReport, runs: Mapping[str, Path]) -> bytes:
 
 def log_runs(report: EvaluationReport, runs: Mapping[str, Path], file: Path, reporter: Reporter) -> None:
     """Append the line of every run to a file, where it is not there yet."""
-    from depthcli.batch.json_csv import to_json_line
-    from depthcli.batch.json_lines import add_lines
+    from depthcli.run.json_csv import to_json_line
+    from depthcli.run.json_lines import add_lines
 
     lines = [to_json_line(run_line(report, name, place)) for name, place in runs.items()]
     added = add_lines(file, lines, reporter.info)
@@ -91,8 +91,8 @@ def run_line(report: EvaluationReport, run: str, place: Path) -> dict[str, Any]:
 
 def config_digest(place: Path) -> str:
     """Return the digest of a run's ``run.yaml``, the identity in the records of its scenes; empty without one."""
-    from depthcli.batch.records import digest
-    from depthcli.batch.run_folder import saved_config
+    from depthcli.run.records import digest
+    from depthcli.run.run_folder import saved_config
 
     text = saved_config(place)
     return digest(text.encode()) if text else ""
@@ -100,8 +100,8 @@ def config_digest(place: Path) -> str:
 
 def _run_file(place: Path) -> tuple[str, dict[str, Any] | None, dict[str, str]]:
     """Command, config and versions by the ``run.yaml`` of a run; empty and None where it has none that can be read."""
-    from depthcli.batch.run_folder import saved_config
     from depthcli.core.config_file import parse_config
+    from depthcli.run.run_folder import saved_config
 
     text = saved_config(place)
     with contextlib.suppress(ConfigError):
@@ -129,9 +129,9 @@ def _changes(flat: Mapping[str, Any], preset: Mapping[str, Any]) -> dict[str, An
 @cache
 def _presets(command: str) -> dict[str, dict[str, Any]]:
     """Preset of a command -> its resolved config, flat."""
-    from depthcli.batch.presets import find_preset, presets
     from depthcli.commands import find_command
     from depthcli.core.config_file import dump_config, load_config, parse_config
+    from depthcli.run.presets import find_preset, presets
 
     # Commands without a config have no such method; the class of those with one imports the evaluation.
     model: Any = getattr(find_command(command) if command else None, "config_model", None)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import Command, Values
-from depthcli.batch.console import Reporter
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
+from depthcli.run.command import Command, Values
+from depthcli.run.console import Reporter
 
 if TYPE_CHECKING:
     from depthcli.report.page import Page
@@ -41,8 +41,8 @@ def write_page(page: Page, reporter: Reporter) -> None:
     OutputError
         The page cannot be written.
     """
-    from depthcli.batch.install import staging_folder
-    from depthcli.batch.run_folder import saved_config
+    from depthcli.run.install import staging_folder
+    from depthcli.run.run_folder import saved_config
 
     assert page.run is not None
     with staging_folder(page.folder, "evaluate", RESULTS, reporter.info) as folder:
@@ -56,7 +56,7 @@ def new_page(command: Command, values: Values, output: Path | None) -> Page | No
         return None
     if output is None:
         raise ConfigError("--html wants --output, the folder to write the page into")
-    from depthcli.batch.resources import parse_bytes
     from depthcli.report.page import Page
+    from depthcli.run.resources import parse_bytes
 
     return Page(output, command.line(values), parse_bytes(values["html_budget"], "--html-budget"))

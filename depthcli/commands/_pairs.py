@@ -9,19 +9,19 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
-from depthcli.batch.command import Outcome, Values
-from depthcli.batch.console import SIZE, Column, Reporter, percent
-from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import ConfigCommand
 from depthcli.commands._rectified import UNIT, check_unit
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.stereo import StereoScene
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.run.command import Outcome, Values
+from depthcli.run.console import SIZE, Column, Reporter, percent
+from depthcli.run.json_csv import Row
 
 if TYPE_CHECKING:
-    from depthcli.data.formats.pictures import Palette
     from depthcli.device import Device
+    from depthcli.io.formats.pictures import Palette
     from depthcli.methods.stereo.config import PairConfig
     from depthcli.methods.stereo.matching import Limits
     from depthcli.methods.stereo.stages import Matcher
@@ -78,7 +78,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     def memory_of(self, config: PairConfigT, scene: StereoScene) -> int | None:
         """Estimate by the left image's size; None where key points give the range."""
-        from depthcli.data.formats.headers import image_size
+        from depthcli.io.formats.headers import image_size
         from depthcli.methods.stereo.matching import host_bytes
 
         min_disparity, max_disparity = given_range(config, scene)
@@ -90,7 +90,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     def effort(self, config: PairConfigT, scene: StereoScene) -> int | None:
         """Return pixels times disparities, from the beginning of the left image's file."""
-        from depthcli.data.formats.headers import peeked_size
+        from depthcli.io.formats.headers import peeked_size
 
         size = peeked_size(scene.left)
         if size is None:
@@ -107,7 +107,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         return (SIZE, Column("density", percent("density")), Column("measured", percent("measured")))
 
     def palette(self) -> Palette:
-        from depthcli.data.formats.pictures import STATUS_PALETTE
+        from depthcli.io.formats.pictures import STATUS_PALETTE
 
         return STATUS_PALETTE
 

@@ -11,7 +11,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.text import one_line
 
 if TYPE_CHECKING:
-    from depthcli.data.formats.recordings import Topic
+    from depthcli.io.formats.recordings import Topic
 
 _IMAGES = ("Image", "CompressedImage")
 _TRANSPORTS = ("/compressed", "/compressedDepth")
@@ -74,7 +74,7 @@ def choose_topics(topics: Mapping[str, Topic], given: Mapping[str, str | None]) 
     InputError
         A topic is not there, is none of images or poses, or holds no message; or it is not clear which to take.
     """
-    from depthcli.data.formats.ros_poses import POSE_KINDS
+    from depthcli.io.formats.ros_poses import POSE_KINDS
 
     for role, name in given.items():
         if name:

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.data.formats.recordings import Message, Recording
-    from depthcli.data.formats.ros_cameras import CameraInfo
-    from depthcli.data.formats.ros_poses import Track, Transforms
+    from depthcli.io.formats.recordings import Message, Recording
+    from depthcli.io.formats.ros_cameras import CameraInfo
+    from depthcli.io.formats.ros_poses import Track, Transforms
 
 _FIXED = "/tf_static"
 _MAX_PROBLEMS = 3  # damaged messages that warnings describe
@@ -80,7 +80,7 @@ def survey(recording: Recording, topics: FrameTopics) -> Survey:
 
     A recording that is damaged somewhere is read up to there.
     """
-    from depthcli.data.formats.ros_poses import Transforms
+    from depthcli.io.formats.ros_poses import Transforms
 
     found = Survey({role: Stream() for role in topics.images}, Transforms())
     readers: dict[str, list[Callable[[Message], None]]] = {}
@@ -113,7 +113,7 @@ def survey(recording: Recording, topics: FrameTopics) -> Survey:
 
 
 def _read_stamp(recording: Recording, stream: Stream, message: Message) -> None:
-    from depthcli.data.formats.ros_poses import nanoseconds
+    from depthcli.io.formats.ros_poses import nanoseconds
 
     stream.recorded.append(message.time)
     stream.stamps.append(None)
@@ -122,7 +122,7 @@ def _read_stamp(recording: Recording, stream: Stream, message: Message) -> None:
 
 
 def _read_info(recording: Recording, stream: Stream, message: Message) -> None:
-    from depthcli.data.formats.ros_cameras import camera_info
+    from depthcli.io.formats.ros_cameras import camera_info
 
     info = recording.read(message, camera_info)
     if stream.info is None:
@@ -132,7 +132,7 @@ def _read_info(recording: Recording, stream: Stream, message: Message) -> None:
 
 
 def _read_poses(recording: Recording, found: Survey, message: Message) -> None:
-    from depthcli.data.formats.ros_poses import Track, poses_in
+    from depthcli.io.formats.ros_poses import Track, poses_in
 
     kind = message.kind.rpartition("/")[2]
     poses = recording.read(message, partial(poses_in, kind=kind))
@@ -148,14 +148,14 @@ def _read_poses(recording: Recording, found: Survey, message: Message) -> None:
 
 
 def _read_place(recording: Recording, found: Survey, role: str, message: Message) -> None:
-    from depthcli.data.formats.ros_poses import transform_matrix
+    from depthcli.io.formats.ros_poses import transform_matrix
 
     found.places.setdefault(role, recording.read(message, transform_matrix))
 
 
 def _constant_reader(name: str, recording: Recording, found: Survey) -> Callable[[Message], None] | None:
     """Return what reads a topic that all recordings may have: fixed transforms, and librealsense's options."""
-    from depthcli.data.formats.ros_poses import poses_in
+    from depthcli.io.formats.ros_poses import poses_in
 
     if name == _FIXED:
         fixed = partial(poses_in, kind="TFMessage")

@@ -7,9 +7,9 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from depthcli.batch.json_csv import Row
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
+from depthcli.run.json_csv import Row
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from depthcli.core.cameras.rig import RectifiedRig
     from depthcli.core.frames import StereoPair
-    from depthcli.data.scenes.stereo import StereoScene
+    from depthcli.io.scenes.stereo import StereoScene
     from depthcli.methods.stereo.config import Calibration
     from depthcli.methods.stereo.rectification import Points, RectifyingHomographies
     from depthcli.methods.stereo.search_range import KeyPointRange
@@ -107,7 +107,7 @@ def _pair_of(
     rig: RectifiedRig, scene: StereoScene, left: NDArray[np.generic], right: NDArray[np.generic]
 ) -> tuple[StereoPair, NDArray[np.generic]]:
     """Return the rectified pair, and its left image with the colors that the scene's has."""
-    from depthcli.data.formats.stereo_images import pair_of
+    from depthcli.io.formats.stereo_images import pair_of
 
     views = rig.images(left, right)
     assert scene.right is not None  # it was loaded
@@ -122,8 +122,8 @@ def save_views(
 ) -> None:
     """Write each view as ``<name>.png`` and, where ``rig`` has metric depth, ``calib.txt`` with the search range."""
     from depthcli.core.cameras.rig import RectifiedRig
-    from depthcli.data.formats.images import write_png
-    from depthcli.data.formats.pair_geometry import write_geometry
+    from depthcli.io.formats.images import write_png
+    from depthcli.io.formats.pair_geometry import write_geometry
 
     for name, view in views.items():
         write_png(folder / f"{name}.png", view)

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
-from depthcli.batch.command import Values
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.data import storage
-from depthcli.data.formats.files import shown
-from depthcli.data.storage.patterns import entered, stem
 from depthcli.evaluation.comparison import run_names
 from depthcli.evaluation.map_files import MapOptions, found_patterns, map_paths
 from depthcli.evaluation.protocols import AnyProtocol
+from depthcli.io import storage
+from depthcli.io.formats.files import shown
+from depthcli.io.storage.patterns import entered, stem
+from depthcli.run.command import Values
 
 ValueT = TypeVar("ValueT")
 

@@ -8,18 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from depthcli.batch.command import SceneT, Values
-from depthcli.batch.console import Reporter
-from depthcli.batch.records import is_inside
-from depthcli.batch.reports import read_report
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.data import storage
-from depthcli.data.pairs import TABLE_SUFFIXES
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.disparity_map import DisparityScene
-from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.storage.patterns import entered
-from depthcli.data.walk import NoScenesError, chosen_scenes, discover_scenes, matches_any, scenes_with_files
+from depthcli.io import storage
+from depthcli.io.pairs import TABLE_SUFFIXES
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.disparity_map import DisparityScene
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.storage.patterns import entered
+from depthcli.io.walk import NoScenesError, chosen_scenes, discover_scenes, matches_any, scenes_with_files
+from depthcli.run.command import SceneT, Values
+from depthcli.run.console import Reporter
+from depthcli.run.records import is_inside
+from depthcli.run.reports import read_report
 
 _MAP = "disp_left.pfm"
 _MIN_SCENES_TO_FREEZE = 1000  # scenes, whose objects take long to look through
@@ -33,7 +33,7 @@ def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Repor
     ConfigError
         Neither or both are given, or an option that does not go with them.
     InputError
-        As :func:`depthcli.data.walk.discover_scenes`.
+        As :func:`depthcli.io.walk.discover_scenes`.
     """
     place, name, patterns = values["input"], values["name"], values["scenes"] or ["*"]
     evaluates = values.get("evaluate")

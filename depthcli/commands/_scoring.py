@@ -10,22 +10,22 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.json_csv import Row, to_csv
-from depthcli.batch.reports import read_report
 from depthcli.commands._runs import names_in_run, recognized
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.text import without_secrets
-from depthcli.data import storage
-from depthcli.data.formats.files import collected_warnings, write_text
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.pictures import read_status
-from depthcli.data.scenes import Scene
 from depthcli.evaluation.calibration import HiddenPixels
 from depthcli.evaluation.map_files import MapOptions
 from depthcli.evaluation.plots import curve_plot
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load
 from depthcli.evaluation.results import MapResult
+from depthcli.io import storage
+from depthcli.io.formats.files import collected_warnings, write_text
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.pictures import read_status
+from depthcli.io.scenes import Scene
 from depthcli.report.contact_sheet import ContactSheet
+from depthcli.run.json_csv import Row, to_csv
+from depthcli.run.reports import read_report
 
 if TYPE_CHECKING:
     from depthcli.report.page import Page

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from depthcli.batch.command import FLAGGED, SOME_FAILED, Values
-from depthcli.batch.console import Reporter
 from depthcli.commands._baselines import baselines_of
 from depthcli.commands._flags import conditions_of
 from depthcli.core.errors import ConfigError
+from depthcli.run.command import FLAGGED, SOME_FAILED, Values
+from depthcli.run.console import Reporter
 
 if TYPE_CHECKING:
     from depthcli.commands._batch import ConfigCommand
-    from depthcli.data.scenes.stereo import StereoScene
+    from depthcli.io.scenes.stereo import StereoScene
     from depthcli.methods.stereo.config import PairConfig
 
 PAIRS = "pairs"

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import Values
-from depthcli.batch.console import Reporter
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
+from depthcli.run.command import Values
+from depthcli.run.console import Reporter
 
 if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport

@@ -11,10 +11,10 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import SOME_FAILED, Command, Values
-from depthcli.batch.console import Reporter
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
+from depthcli.run.command import SOME_FAILED, Command, Values
+from depthcli.run.console import Reporter
 
 if TYPE_CHECKING:
     from depthcli.algorithms.calibration.boards import Board
@@ -63,13 +63,13 @@ class CalibrateCommand(Command):
         InputError
             There are no photos, or the board is in too few of them.
         """
-        from depthcli.batch.json_csv import to_json
         from depthcli.commands import _calibration_report as report
         from depthcli.commands._calibration import calibrated
-        from depthcli.data.calibration_photos import find_photos
-        from depthcli.data.formats.files import remove_temporaries, write_text
-        from depthcli.data.formats.images import write_png
-        from depthcli.data.formats.rigs import write_calibration
+        from depthcli.io.calibration_photos import find_photos
+        from depthcli.io.formats.files import remove_temporaries, write_text
+        from depthcli.io.formats.images import write_png
+        from depthcli.io.formats.rigs import write_calibration
+        from depthcli.run.json_csv import to_json
 
         board = _board(values)
         if len(values["photos"]) > 2:

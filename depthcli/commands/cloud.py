@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import SOME_FAILED, Command, Values
-from depthcli.batch.console import Reporter, aligned
-from depthcli.batch.json_csv import Row, to_json
 from depthcli.commands._options import LAYOUT, SCENES
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
+from depthcli.run.command import SOME_FAILED, Command, Values
+from depthcli.run.console import Reporter, aligned
+from depthcli.run.json_csv import Row, to_json
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,8 +51,8 @@ class CloudCommand(Command):
         import numpy as np
 
         from depthcli.algorithms.voxel_grid import VoxelGrid
-        from depthcli.data.formats.depth import read_points, write_points
-        from depthcli.data.formats.files import remove_temporaries
+        from depthcli.io.formats.depth import read_points, write_points
+        from depthcli.io.formats.files import remove_temporaries
 
         target: Path = values["output"]
         if os.path.lexists(target) and not values["overwrite"]:
@@ -98,7 +98,7 @@ class CloudCommand(Command):
 
 def _clouds(run: Path, patterns: Sequence[str]) -> dict[str, Path]:
     """Return name of a frame -> its cloud, in the order of names."""
-    from depthcli.data.walk import matches_any
+    from depthcli.io.walk import matches_any
 
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such run folder")
@@ -124,7 +124,7 @@ def _clouds(run: Path, patterns: Sequence[str]) -> dict[str, Path]:
 
 def _rectified_for_maps(run: Path) -> set[str]:
     """Return the frames of a run of ``depth`` whose maps lie beside an image that was rectified for them."""
-    from depthcli.batch.reports import read_report
+    from depthcli.run.reports import read_report
 
     places = {name: Path(str(row["source"])).parent for name, row in read_report(run).items() if row.get("source")}
     return {
@@ -136,9 +136,9 @@ def _rectified_for_maps(run: Path) -> set[str]:
 
 def _poses(values: Values, reporter: Reporter) -> dict[str, tuple[float, ...] | None]:
     """Return name of a frame -> its pose."""
-    from depthcli.data.scenes.rgbd import RgbdScene
-    from depthcli.data.scenes.stereo import StereoScene
-    from depthcli.data.walk import discover_scenes
+    from depthcli.io.scenes.rgbd import RgbdScene
+    from depthcli.io.scenes.stereo import StereoScene
+    from depthcli.io.walk import discover_scenes
 
     scenes = discover_scenes(values["input"], (StereoScene, RgbdScene), values["layout"], warn=reporter.info)
     poses = {scene.name: scene.pose for scene in scenes if isinstance(scene, StereoScene | RgbdScene)}

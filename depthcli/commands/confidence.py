@@ -8,8 +8,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar, TypedDict
 
-from depthcli.batch.command import Outcome, Values
-from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.commands._flags import FLAGS
 from depthcli.commands._given_maps import (
     CODING,
@@ -24,7 +22,9 @@ from depthcli.commands._given_maps import (
 from depthcli.commands._options import DRY_RUN, EVALUATE, HTML_FLAG, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes.given_maps import MapsScene
+from depthcli.io.scenes.given_maps import MapsScene
+from depthcli.run.command import Outcome, Values
+from depthcli.run.console import SIZE, Column, Reporter, percent
 
 
 class ConfidenceOptions(TypedDict):
@@ -117,7 +117,7 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
         from depthcli.api.judging import judge, judge_by_one_view, judge_of
         from depthcli.core.maps import Status
         from depthcli.core.result import Clock
-        from depthcli.data.formats.images import read_image
+        from depthcli.io.formats.images import read_image
 
         clock = Clock()
         clock.start("load")

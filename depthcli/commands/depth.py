@@ -11,9 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypedDict
 
-from depthcli.batch.command import Outcome, Values
-from depthcli.batch.console import SIZE, Column, Reporter, percent
-from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import DEPTH_RESULTS, BatchCommand
 from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.commands._flags import FLAGS
@@ -21,14 +18,17 @@ from depthcli.commands._options import DRY_RUN, HTML_FLAG, LAYOUT, OUTPUT, RUN, 
 from depthcli.commands._scenes import find_maps
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes.disparity_map import DisparityScene
+from depthcli.io.scenes.disparity_map import DisparityScene
+from depthcli.run.command import Outcome, Values
+from depthcli.run.console import SIZE, Column, Reporter, percent
+from depthcli.run.json_csv import Row
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from depthcli.core.cameras.triangulation import PairGeometry
-    from depthcli.data.formats.pictures import Palette
+    from depthcli.io.formats.pictures import Palette
 
 
 class DepthOptions(TypedDict):
@@ -121,7 +121,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
                 number("baseline", "m"))  # fmt: skip
 
     def palette(self) -> Palette:
-        from depthcli.data.formats.pictures import STATUS_PALETTE
+        from depthcli.io.formats.pictures import STATUS_PALETTE
 
         return STATUS_PALETTE
 
@@ -138,9 +138,9 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         from depthcli.api._save import save_metric_depth
         from depthcli.core.frames import color8
         from depthcli.core.result import Clock
-        from depthcli.data.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
-        from depthcli.data.formats.images import read_image
-        from depthcli.data.formats.pictures import read_status
+        from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
+        from depthcli.io.formats.images import read_image
+        from depthcli.io.formats.pictures import read_status
 
         clock = Clock()
         clock.start("load")
@@ -191,7 +191,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
 def _geometry(config: DepthOptions, scene: DisparityScene) -> PairGeometry:
     from depthcli.core.cameras.camera import Intrinsics
     from depthcli.core.cameras.triangulation import PairGeometry
-    from depthcli.data.formats.pair_geometry import read_geometry
+    from depthcli.io.formats.pair_geometry import read_geometry
 
     if config["focal"] is not None and config["baseline"] is not None:
         height, width = scene.load().shape
@@ -214,7 +214,7 @@ def _mask(
 
     from depthcli.api.masks import masked
     from depthcli.core.maps import Status
-    from depthcli.data.formats.disparity import read_pfm
+    from depthcli.io.formats.disparity import read_pfm
 
     def read(file: Path) -> NDArray[np.float32]:
         confidence = read_pfm(file)

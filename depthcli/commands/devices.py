@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from depthcli.batch.command import Command, Values
-from depthcli.batch.console import Reporter, aligned
-from depthcli.batch.json_csv import Row, to_json
+from depthcli.run.command import Command, Values
+from depthcli.run.console import Reporter, aligned
+from depthcli.run.json_csv import Row, to_json
 
 
 class DevicesCommand(Command):

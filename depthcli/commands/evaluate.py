@@ -13,9 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import Command, Values
-from depthcli.batch.console import Reporter
-from depthcli.batch.json_csv import Row, to_csv, to_json
 from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_table, flags_of_scores
 from depthcli.commands._options import LAYOUT, SCENES
 from depthcli.commands._other_tools import OTHER_TOOLS, check_other_tools, log_runs, scores_parquet
@@ -26,15 +23,18 @@ from depthcli.core.option import Option
 from depthcli.core.plugins import Plugin
 from depthcli.core.registry import plugin_of, versions_here
 from depthcli.core.text import without_secrets
+from depthcli.run.command import Command, Values
+from depthcli.run.console import Reporter
+from depthcli.run.json_csv import Row, to_csv, to_json
 
 if TYPE_CHECKING:
     from depthcli.commands._scoring import Scoring
     from depthcli.core.conditions import Condition
-    from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.map_files import MapOptions
     from depthcli.evaluation.protocols import AnyProtocol, Settings
     from depthcli.evaluation.results import MapResult
+    from depthcli.io.scenes import Scene
     from depthcli.report.page import Page
 
 _DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's folder, without --protocol
@@ -157,11 +157,11 @@ def evaluate(
     OutputError
         The results cannot be written.
     """
-    from depthcli.batch.install import staging_folder
     from depthcli.commands._runs import find_runs
     from depthcli.commands._scoring import Scoring
-    from depthcli.data import storage
     from depthcli.evaluation.protocols import Settings, load
+    from depthcli.io import storage
+    from depthcli.run.install import staging_folder
 
     reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), Path(truth)
     places = find_runs(runs)
@@ -224,8 +224,8 @@ def _scored(
 
 def _report_of(place: Path, scenes: Sequence[Scene]) -> dict[str, Row]:
     """Return scene -> row of a run's report, of those of the scenes that it has."""
-    from depthcli.batch.reports import read_report
-    from depthcli.data import storage
+    from depthcli.io import storage
+    from depthcli.run.reports import read_report
 
     rows = read_report(place) if storage.is_dir(place) else {}
     return {scene.name: rows[scene.name] for scene in scenes if scene.name in rows}
@@ -233,8 +233,8 @@ def _report_of(place: Path, scenes: Sequence[Scene]) -> dict[str, Row]:
 
 def _plugins(scoring: Scoring, scenes: Sequence[Scene]) -> set[Plugin]:
     """The plug-ins that found the scenes, read their truth and the maps of the runs, or scored them."""
-    from depthcli.data.formats.map_format import format_plugins
-    from depthcli.data.layouts import layout_plugins
+    from depthcli.io.formats.map_format import format_plugins
+    from depthcli.io.layouts import layout_plugins
 
     files = {value for scene in scenes for value in vars(scene).values() if isinstance(value, Path)}
     own = {plugin for protocol in scoring.protocols.values() if (plugin := plugin_of(type(protocol))) is not None}
@@ -259,9 +259,9 @@ def _find_truth(
     reporter: Reporter,
 ) -> list[Scene]:
     """All scenes with ground truth, and those that cannot be used; of a file, the scene whose truth it is."""
-    from depthcli.data import storage
-    from depthcli.data.walk import discover_scenes, scene_with_file
     from depthcli.evaluation.protocols import load
+    from depthcli.io import storage
+    from depthcli.io.walk import discover_scenes, scene_with_file
 
     if storage.is_file(truth) and not storage.is_dir(truth):  # a server may give a folder as a file, too
         holding = scene_with_file(truth)
@@ -278,9 +278,9 @@ def _find_truth(
 
 
 def _write(report: EvaluationReport, scoring: Scoring, reporter: Reporter) -> None:
-    from depthcli.batch.run_folder import saved_config
-    from depthcli.data.formats.files import write_bytes, write_text
     from depthcli.evaluation.printing import report_markdown
+    from depthcli.io.formats.files import write_bytes, write_text
+    from depthcli.run.run_folder import saved_config
 
     scores = to_json(report.to_dict())
     if scoring.output is not None:

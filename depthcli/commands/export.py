@@ -11,11 +11,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import Command, Values
-from depthcli.batch.console import Reporter
-from depthcli.batch.json_csv import Row, to_json
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
+from depthcli.run.command import Command, Values
+from depthcli.run.console import Reporter
+from depthcli.run.json_csv import Row, to_json
 
 if TYPE_CHECKING:
     from depthcli.evaluation.benchmarks import Benchmark, Entry
@@ -53,9 +53,9 @@ class ExportCommand(Command):
         ConfigError
             The benchmark would not take the maps: all reasons, one per line.
         """
-        from depthcli.data.formats.disparity import read_disparity
-        from depthcli.data.formats.files import collected_warnings, remove_temporaries
         from depthcli.evaluation.benchmarks import Submission, benchmark
+        from depthcli.io.formats.disparity import read_disparity
+        from depthcli.io.formats.files import collected_warnings, remove_temporaries
 
         target, bench = values["output"], benchmark(values["for_"])
         if os.path.exists(target) and not values["overwrite"]:
@@ -103,8 +103,8 @@ def _find_maps(
     run: Path, bench: Benchmark, splits: Sequence[str], seconds: float | None
 ) -> tuple[list[Entry], list[str]]:
     """The maps of the benchmark's scenes, and what is wrong: a split of which one scene is there must be complete."""
-    from depthcli.batch.reports import read_report
     from depthcli.evaluation.protocols import load
+    from depthcli.run.reports import read_report
 
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such folder")
@@ -135,8 +135,8 @@ def _find_maps(
 
 
 def _entry(scene: str, split: str, path: Path, row: Row, seconds: float | None) -> Entry:
-    from depthcli.data.formats.headers import image_size
     from depthcli.evaluation.benchmarks import Entry
+    from depthcli.io.formats.headers import image_size
 
     measured = sum(row.get("seconds", {}).values()) if seconds is None else seconds
     image = Path(row["source"]) if row.get("source") else None
@@ -156,7 +156,7 @@ def _write_archive(target: Path, maps: Iterable[dict[str, bytes]]) -> list[str]:
     """Write the files of all maps without times or owners, so that the same maps give the same bytes."""
     import zipfile
 
-    from depthcli.data.formats.files import atomic_path
+    from depthcli.io.formats.files import atomic_path
 
     names: list[str] = []
     with atomic_path(target) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:

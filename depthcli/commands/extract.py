@@ -10,14 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, TypedDict
 
-from depthcli.batch.command import SOME_FAILED, Outcome, Values
-from depthcli.batch.console import SIZE, Column, Reporter, aligned
-from depthcli.batch.json_csv import Row, to_json
 from depthcli.commands._batch import BatchCommand
 from depthcli.commands._options import DRY_RUN, RUN, SCENES
 from depthcli.core.errors import ConfigError, DepthcliError
 from depthcli.core.option import Option
-from depthcli.data.scenes.recording import RecordingScene, recording_scenes
+from depthcli.io.scenes.recording import RecordingScene, recording_scenes
+from depthcli.run.command import SOME_FAILED, Outcome, Values
+from depthcli.run.console import SIZE, Column, Reporter, aligned
+from depthcli.run.json_csv import Row, to_json
 
 _ROLES = ("left", "right", "color", "depth", "pose")
 # Milliseconds: the views of a pair are triggered together; color and depth of a sensor at 30 Hz need not be.
@@ -83,8 +83,8 @@ class ExtractCommand(BatchCommand[ExtractOptions, RecordingScene]):
     def run(self, values: Values, reporter: Reporter) -> int:
         """Extract the frames of every recording, or list topics; return the exit code."""
         from depthcli.commands._recorded_topics import check_roles
-        from depthcli.data.formats.recordings import check_library
-        from depthcli.data.walk import chosen_scenes
+        from depthcli.io.formats.recordings import check_library
+        from depthcli.io.walk import chosen_scenes
 
         check_library()
         check_roles({role: values[f"{role}_topic"] for role in _ROLES})
@@ -141,7 +141,7 @@ class ExtractCommand(BatchCommand[ExtractOptions, RecordingScene]):
         from depthcli.commands._recorded_topics import choose_topics
         from depthcli.commands._recording_survey import survey
         from depthcli.core.result import Clock
-        from depthcli.data.formats.recordings import open_recording
+        from depthcli.io.formats.recordings import open_recording
 
         scene.check()
         clock = Clock()
@@ -195,7 +195,7 @@ class ExtractCommand(BatchCommand[ExtractOptions, RecordingScene]):
 
 def _list_topics(scenes: Sequence[RecordingScene], values: Values, reporter: Reporter) -> int:
     """Print the topics of every recording; one that cannot be read is said, and the others are listed."""
-    from depthcli.data.formats.recordings import open_recording
+    from depthcli.io.formats.recordings import open_recording
 
     lines: list[tuple[str, ...]] = [("recording", "topic", "type", "messages", "rate")]
     rows: list[Row] = []

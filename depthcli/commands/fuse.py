@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import Values
 from depthcli.commands._pairs import PairCommand, given_range
 from depthcli.core.errors import InputError
-from depthcli.data.scenes.stereo import StereoScene
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.run.command import Values
 
 if TYPE_CHECKING:
     from depthcli.methods.fusion.config import FuseConfig
@@ -37,7 +37,7 @@ class FuseCommand(PairCommand["FuseConfig"]):
 
     def files(self, config: FuseConfig, scene: StereoScene) -> dict[str, Path]:
         """Return the files of the pair, the volumes made elsewhere, and the network that chooses among maps."""
-        from depthcli.data.formats.networks import network_path
+        from depthcli.io.formats.networks import network_path
 
         name = config.network_name
         network = {} if name is None else {"network": network_path(name)}
@@ -45,7 +45,7 @@ class FuseCommand(PairCommand["FuseConfig"]):
 
     def matcher(self, config: FuseConfig, scene: StereoScene) -> Matcher:
         """Return fusion; volumes made elsewhere are read when the pair is matched."""
-        from depthcli.data.formats.npy import map_npy
+        from depthcli.io.formats.npy import map_npy
         from depthcli.methods.fusion.config import FusionWithVolumes
 
         files = self._volumes(config, scene)

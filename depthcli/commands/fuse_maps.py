@@ -11,8 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypedDict
 
-from depthcli.batch.command import Outcome, Values
-from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.commands._baselines import baselines_of
 from depthcli.commands._flags import FLAGS
 from depthcli.commands._given_maps import (
@@ -28,7 +26,9 @@ from depthcli.commands._given_maps import (
 from depthcli.commands._options import DRY_RUN, EVALUATE, HTML_FLAG, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.data.scenes.given_maps import MapsScene
+from depthcli.io.scenes.given_maps import MapsScene
+from depthcli.run.command import Outcome, Values
+from depthcli.run.console import SIZE, Column, Reporter, percent
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,12 +6,12 @@ import textwrap
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, TypeAlias
 
-from depthcli.batch.command import EXIT_CODES, Command, Values
-from depthcli.batch.console import Reporter
-from depthcli.batch.json_csv import to_json
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.core.registry import with_package
+from depthcli.run.command import EXIT_CODES, Command, Values
+from depthcli.run.console import Reporter
+from depthcli.run.json_csv import to_json
 
 if TYPE_CHECKING:
     from depthcli.core.columns import ColumnHelp
@@ -72,8 +72,8 @@ def _text(heading: str, rows: Iterable[tuple[str, str]]) -> str:
 
 def _columns() -> Page:
     """Return every column of every table: name, unit and meaning."""
-    from depthcli.batch import columns as report
     from depthcli.evaluation import columns as evaluation
+    from depthcli.run import columns as report
 
     return {
         "Metrics (evaluate)": _rows(evaluation.METRICS),
@@ -100,7 +100,7 @@ def _rows(columns: Iterable[ColumnHelp]) -> list[tuple[str, str]]:
 
 def _layouts() -> Page:
     """Return the layouts of folders that are recognized, and the files of each."""
-    from depthcli.data.layouts import layouts
+    from depthcli.io.layouts import layouts
 
     rows = [(each.name, with_package(type(each), each.wants.replace("`", ""))) for each in layouts()]
     return {"Layouts (--layout NAME)": rows}
@@ -108,7 +108,7 @@ def _layouts() -> Page:
 
 def _presets() -> Page:
     """Return the presets of every command."""
-    from depthcli.batch.presets import list_presets
+    from depthcli.run.presets import list_presets
 
     page: Page = {}
     for command, preset, about in list_presets():
@@ -118,11 +118,11 @@ def _presets() -> Page:
 
 def _outputs() -> Page:
     """Return the files that every command writes."""
-    from depthcli.batch.records import RUN_FILE
-    from depthcli.batch.reports import REPORT_FILES
     from depthcli.commands import command_names, load_command
     from depthcli.commands._batch import BatchCommand
     from depthcli.commands._page import RESULTS
+    from depthcli.run.records import RUN_FILE
+    from depthcli.run.reports import REPORT_FILES
 
     commands = [(name, load_command(name)) for name in command_names()]
     scenes = [
@@ -163,10 +163,10 @@ def _protocols() -> Page:
 
 def _formats() -> Page:
     """Return the kinds of files that are read."""
-    from depthcli.data.formats.images import IMAGE_SUFFIXES
-    from depthcli.data.formats.map_format import MAP_SUFFIXES, map_formats
-    from depthcli.data.formats.volumes import VOLUME_SUFFIXES
     from depthcli.evaluation.protocols import load, names
+    from depthcli.io.formats.images import IMAGE_SUFFIXES
+    from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
+    from depthcli.io.formats.volumes import VOLUME_SUFFIXES
 
     others = [(suffix, with_package(type(of), _first_paragraph(type(of)))) for suffix, of in map_formats().items()]
     maps: dict[str, list[str]] = {}

@@ -8,12 +8,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from depthcli.batch.command import SOME_FAILED, Command, Values
-from depthcli.batch.console import Column, Reporter, run_table
-from depthcli.batch.json_csv import Row, to_json
 from depthcli.commands._batch import BatchCommand
 from depthcli.core.errors import InputError
 from depthcli.core.option import Option
+from depthcli.run.command import SOME_FAILED, Command, Values
+from depthcli.run.console import Column, Reporter, run_table
+from depthcli.run.json_csv import Row, to_json
 
 _MAX_NAMED = 10  # shards, and scenes, that a message names
 
@@ -27,11 +27,11 @@ class MergeCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Write report.json and report.csv again; return the exit code, 3 where a scene failed or is missing."""
-        from depthcli.batch.records import RECORD_FILE
-        from depthcli.batch.report_parts import drop_joined_parts, joined_rows, missing_parts
-        from depthcli.batch.reports import report_document, write_report
-        from depthcli.batch.run_folder import opened_run
-        from depthcli.batch.sharing import FolderLock
+        from depthcli.run.records import RECORD_FILE
+        from depthcli.run.report_parts import drop_joined_parts, joined_rows, missing_parts
+        from depthcli.run.reports import report_document, write_report
+        from depthcli.run.run_folder import opened_run
+        from depthcli.run.sharing import FolderLock
 
         place: Path = values["run"]
         if not os.path.isdir(place):

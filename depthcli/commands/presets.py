@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from depthcli.batch.command import Command, Values
-from depthcli.batch.console import Reporter
-from depthcli.batch.json_csv import to_json
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
+from depthcli.run.command import Command, Values
+from depthcli.run.console import Reporter
+from depthcli.run.json_csv import to_json
 
 
 class PresetsCommand(Command):
@@ -21,7 +21,7 @@ class PresetsCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list or the preset; return the exit code."""
-        from depthcli.batch.presets import THESIS, list_presets
+        from depthcli.run.presets import THESIS, list_presets
 
         if values["action"] == "show" and values["preset"]:
             reporter.data(_show(values["preset"]))
@@ -41,10 +41,10 @@ class PresetsCommand(Command):
 
 def _show(name: str) -> str:
     """Return a preset as YAML with every field and its description; ``name`` may be ``command/name``."""
-    from depthcli.batch.presets import describe, find_preset, leading_comment, presets
     from depthcli.commands import find_command
     from depthcli.commands._batch import ConfigCommand
     from depthcli.core.config_file import load_config
+    from depthcli.run.presets import describe, find_preset, leading_comment, presets
 
     found = [p for p in presets() if p.is_called(name.removeprefix(f"{p.command}/"))]
     if not found:

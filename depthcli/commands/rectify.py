@@ -11,9 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal, TypedDict
 
-from depthcli.batch.command import Outcome, Values
-from depthcli.batch.console import SIZE, Column, Reporter, percent
-from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import BatchCommand
 from depthcli.commands._flags import FLAGS
 from depthcli.commands._options import DRY_RUN, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
@@ -21,7 +18,10 @@ from depthcli.commands._rectified import UNIT, check_unit
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes.stereo import StereoScene
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.run.command import Outcome, Values
+from depthcli.run.console import SIZE, Column, Reporter, percent
+from depthcli.run.json_csv import Row
 
 if TYPE_CHECKING:
     import numpy as np
@@ -104,7 +104,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
     def memory_of(self, config: RectifyOptions, scene: StereoScene) -> None:
         """Return None, since it is little more than the images; InputError where the calibration cannot be read."""
         if not config["uncalibrated"]:
-            from depthcli.data.formats.rigs import read_rig
+            from depthcli.io.formats.rigs import read_rig
 
             how = self._calibrated(config)
             read_rig(self._calibration, how.unit, how.fisheye, how.cameras)
@@ -134,7 +134,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         from depthcli.core.cameras.rig import RectifiedRig
         from depthcli.core.frames import StereoPair
         from depthcli.core.result import Clock
-        from depthcli.data.formats.files import write_text
+        from depthcli.io.formats.files import write_text
         from depthcli.methods.stereo.search_range import range_of_key_points
 
         clock = Clock()

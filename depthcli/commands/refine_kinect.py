@@ -10,24 +10,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.batch.command import Outcome, Values
-from depthcli.batch.console import SIZE, Column, Reporter, percent
-from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.core.yaml_source import short
-from depthcli.data.layouts import Folder
-from depthcli.data.layouts.rgbd import cameras
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.rgbd import RgbdScene
-from depthcli.data.scenes.rgbd_sequence import SequenceScene, sequences
+from depthcli.io.layouts import Folder
+from depthcli.io.layouts.rgbd import cameras
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.scenes.rgbd_sequence import SequenceScene, sequences
+from depthcli.run.command import Outcome, Values
+from depthcli.run.console import SIZE, Column, Reporter, percent
+from depthcli.run.json_csv import Row
 
 if TYPE_CHECKING:
     from depthcli.core.frames import RgbdFrame
     from depthcli.core.result import RefinedDepth
-    from depthcli.data.formats.pictures import Palette
+    from depthcli.io.formats.pictures import Palette
     from depthcli.methods.kinect.config import RefineKinectConfig
 
 
@@ -120,7 +120,7 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         return (SIZE, *(Column(name, percent(name)) for name in ("known", "kept", "filled", "corrected")))
 
     def palette(self) -> Palette:
-        from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
+        from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 
         return DEPTH_STATUS_PALETTE
 
@@ -201,10 +201,10 @@ def _refine_frame(
 
     from depthcli.api._save import share
     from depthcli.api.depth import refined_frame
-    from depthcli.batch.resources import check_memory
     from depthcli.core.maps import DepthStatus
     from depthcli.core.result import Clock
-    from depthcli.data.formats.depth import beyond_png
+    from depthcli.io.formats.depth import beyond_png
+    from depthcli.run.resources import check_memory
 
     clock = Clock()
     clock.start("load")
@@ -249,9 +249,9 @@ def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
     """Return a warning where no such sensor sees the depths, with the scale that would make them plausible."""
     import numpy as np
 
-    from depthcli.data.formats.depth import SENSOR, implausible_depth
-    from depthcli.data.formats.disparity import read_plane
-    from depthcli.data.formats.images import IMAGE_SUFFIXES
+    from depthcli.io.formats.depth import SENSOR, implausible_depth
+    from depthcli.io.formats.disparity import read_plane
+    from depthcli.io.formats.images import IMAGE_SUFFIXES
 
     if not scene.rotated and scene.depth.suffix.lower() in IMAGE_SUFFIXES:
         codes = read_plane(scene.depth)

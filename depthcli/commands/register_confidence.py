@@ -8,14 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.batch.command import Outcome, Values
-from depthcli.batch.console import Column, Reporter, percent
-from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.option import Option
 from depthcli.core.region_columns import ERROR, VOLUME, region_column
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.volume_pair import VolumePairScene
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.volume_pair import VolumePairScene
+from depthcli.run.command import Outcome, Values
+from depthcli.run.console import Column, Reporter, percent
+from depthcli.run.json_csv import Row
 
 if TYPE_CHECKING:
     from depthcli.methods.registration.config import RegisterConfidenceConfig
@@ -121,7 +121,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         from depthcli.api._registration_figures import region_figures
         from depthcli.api.registration import check_voxels, measured_pair
         from depthcli.core.result import Clock
-        from depthcli.data.formats.volumes import written_suffix
+        from depthcli.io.formats.volumes import written_suffix
 
         clock = Clock()
         clock.start("load")

@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
-from depthcli.batch.command import Outcome, Values
-from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.commands._batch import BatchCommand
 from depthcli.commands._options import DRY_RUN, OUTPUT, RUN
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.core.registry import with_package
-from depthcli.data.generated.samples import SampleScene, samples
+from depthcli.run.command import Outcome, Values
+from depthcli.run.console import SIZE, Column, Reporter, percent
+from depthcli.simulate.samples import SampleScene, samples
 
 
 class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import Values
 from depthcli.commands._pairs import PairCommand
 from depthcli.core.option import Option
-from depthcli.data.scenes.stereo import StereoScene
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.run.command import Values
 
 if TYPE_CHECKING:
     from depthcli.device import Device

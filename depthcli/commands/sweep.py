@@ -12,22 +12,22 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import SOME_FAILED, Command, Values
-from depthcli.batch.console import Reporter, aligned
-from depthcli.batch.json_csv import Row, to_csv, to_json
 from depthcli.commands._batch import ConfigCommand
 from depthcli.commands._options import CONFIG, LAYOUT, OUTPUT, RUN, SCENES, run_options
 from depthcli.commands._page import HTML, PAGE_FILE, new_page
 from depthcli.commands.evaluate import evaluate
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
+from depthcli.run.command import SOME_FAILED, Command, Values
+from depthcli.run.console import Reporter, aligned
+from depthcli.run.json_csv import Row, to_csv, to_json
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from depthcli.batch.combinations import Axis, Combination, Effect
-    from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport, Section
+    from depthcli.io.scenes import Scene
+    from depthcli.run.combinations import Axis, Combination, Effect
 
 _RUNS = "runs"  # the folder with one run folder per combination
 _OWN = "own-values"  # name of the run of the config as it is
@@ -67,7 +67,7 @@ class SweepCommand(Command):
         ConfigError
             A config, key or value is wrong; nothing was computed.
         """
-        from depthcli.batch.combinations import combinations, folder_names, parse_axis, value_text
+        from depthcli.run.combinations import combinations, folder_names, parse_axis, value_text
 
         command, own_run = _command(values["command"]), ""
         axes = [parse_axis(text) for text in values["over"]]
@@ -132,7 +132,7 @@ def _print_plan(
     values: Values,
     reporter: Reporter,
 ) -> int:
-    from depthcli.batch.plan import DONE, plan_document
+    from depthcli.run.plan import DONE, plan_document
 
     rows = []
     for name, own in each.items():
@@ -152,7 +152,7 @@ def _print_plan(
 
 
 def _evaluate(sweep: SweepCommand, values: Values, names: Sequence[str], reporter: Reporter) -> EvaluationReport | None:
-    from depthcli.data.walk import discover_scenes
+    from depthcli.io.walk import discover_scenes
 
     scenes = discover_scenes(values["input"], None, values["layout"], values["scenes"] or ["*"])
     if not any(scene.has_truth for scene in scenes):
@@ -181,9 +181,9 @@ def _print_result(
     tried : run -> its value of every key
     own_run : the run that has the config's own values, or empty
     """
-    from depthcli.batch.combinations import document_of, effects
-    from depthcli.data.formats.files import remove_temporaries, write_text
     from depthcli.evaluation.statistics import mean_of_known
+    from depthcli.io.formats.files import remove_temporaries, write_text
+    from depthcli.run.combinations import document_of, effects
 
     rows: list[Row] = []
     documents, texts = [], []

@@ -6,17 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.batch.command import Outcome
-from depthcli.batch.console import SIZE, Column, percent
 from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.core.errors import InputError
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.rgbd import RgbdScene
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.run.command import Outcome
+from depthcli.run.console import SIZE, Column, percent
 
 if TYPE_CHECKING:
     from depthcli.core.frames import SparseFrame
     from depthcli.core.result import Clock, Result
-    from depthcli.data.formats.pictures import Palette
+    from depthcli.io.formats.pictures import Palette
     from depthcli.methods.transparent.config import TransparentConfig
 
 
@@ -57,7 +57,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         return (SIZE, *(Column(name, percent(name)) for name in names))
 
     def palette(self) -> Palette:
-        from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
+        from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 
         return DEPTH_STATUS_PALETTE
 
@@ -82,7 +82,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         from depthcli.api.depth import completed_frame
         from depthcli.core.maps import DepthStatus
         from depthcli.core.result import Clock
-        from depthcli.data.formats.depth import beyond_png
+        from depthcli.io.formats.depth import beyond_png
 
         clock = Clock()
         clock.start("load")
@@ -111,9 +111,9 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
 def _load_frame(config: TransparentConfig, scene: RgbdScene, memory: int, clock: Clock) -> tuple[SparseFrame, Result]:
     """Return the frame with its sparse depth, and what is written of the matching that this comes from, if any."""
     from depthcli.api.depth import sparse_by_stereo
-    from depthcli.batch.resources import check_memory
     from depthcli.core.result import Result
-    from depthcli.data.scenes.rgb_ir import RgbIrScene
+    from depthcli.io.scenes.rgb_ir import RgbIrScene
+    from depthcli.run.resources import check_memory
 
     if config.stereo is None:
         frame = scene.load_sparse()

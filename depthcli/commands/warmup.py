@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import SOME_FAILED, Command, Values
-from depthcli.batch.console import Reporter, aligned
-from depthcli.batch.json_csv import to_json
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
+from depthcli.run.command import SOME_FAILED, Command, Values
+from depthcli.run.console import Reporter, aligned
+from depthcli.run.json_csv import to_json
 
 if TYPE_CHECKING:
     from depthcli.kernels.calls import KernelCall
@@ -34,9 +34,9 @@ class WarmupCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Compile or list; return the exit code."""
-        from depthcli.batch.resources import cores
         from depthcli.kernels.calls import recorded_calls
         from depthcli.kernels.jit import cache_folder
+        from depthcli.run.resources import cores
 
         presets = _chosen(values["presets"] or [], values["all"] or (values["list"] and not values["presets"]))
         calls = recorded_calls(presets)
@@ -63,8 +63,8 @@ class WarmupCommand(Command):
 
 def _chosen(words: list[str], every: bool) -> list[str]:
     """Return the presets, as ``command/name``, and the commands without presets, that the words name."""
-    from depthcli.batch.presets import list_presets, preset_of
     from depthcli.kernels.calls import recorded_presets
+    from depthcli.run.presets import list_presets, preset_of
 
     without = [name for name in recorded_presets() if "/" not in name]
     chosen = [*(f"{command}/{name}" for command, name, _ in list_presets()), *without] if every else []

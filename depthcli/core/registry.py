@@ -18,7 +18,7 @@ from depthcli.core.plugins import Plugin, PluginWarning, declare, groups_of, plu
 T = TypeVar("T")
 
 # Rooms of the package, which the names of groups leave out.
-_ROOMS = ("methods", "algorithms", "data", "generated", "evaluation")
+_ROOMS = ("methods", "algorithms", "io", "simulate", "evaluation")
 
 _registries: dict[str, Registry[Any]] = {}  # by group
 _provided: dict[str, dict[str, str]] = {}  # package -> name -> module elsewhere

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError, OutputError
-from depthcli.data.formats.disparity import KITTI_SCALE, encode_disparity_png, encode_pfm
+from depthcli.io.formats.disparity import KITTI_SCALE, encode_disparity_png, encode_pfm
 
 TRAINING, TEST = "training", "test"
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.data import storage
-from depthcli.data.formats.map_format import MAP_SUFFIXES, map_formats
+from depthcli.io import storage
+from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 
 _MAX_LISTED = 50_000  # files of a run folder that are looked at
 # Words in the names of files that are no maps of the left view.

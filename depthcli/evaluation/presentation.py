@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import color8
-from depthcli.data.formats.images import read_image
-from depthcli.data.formats.pictures import Palette
-from depthcli.data.scenes import Scene
 from depthcli.evaluation.render import Table
+from depthcli.io.formats.images import read_image
+from depthcli.io.formats.pictures import Palette
+from depthcli.io.scenes import Scene
 
 UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
 """Kinds of pixel; ``HIDDEN``: occluded in the other view, ``EMPTY``: without a value."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from depthcli.data.formats.files import short_path
 from depthcli.evaluation.calibration import HiddenPixels, Reliability
 from depthcli.evaluation.curves import Sparsification
 from depthcli.evaluation.scores import Key, Metric, Score, find_score
+from depthcli.io.formats.files import short_path
 
 MEAN, COMMON_MEAN = "*mean", "*common mean"
 """Scenes of the records that hold means: over all scenes, and over those of which every run has a map."""

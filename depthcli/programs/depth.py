@@ -11,8 +11,8 @@ from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
-from depthcli.data.formats.depth import MILLIMETERS, write_depth_png
-from depthcli.data.formats.disparity import write_pfm
+from depthcli.io.formats.depth import MILLIMETERS, write_depth_png
+from depthcli.io.formats.disparity import write_pfm
 from depthcli.programs.maps import MapProgram, write_input
 from depthcli.programs.process import ProgramError
 from depthcli.programs.program import scratch_folder

@@ -12,9 +12,9 @@ from pydantic import Field
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image
-from depthcli.data.formats.disparity import read_plane
-from depthcli.data.formats.files import write_bytes
-from depthcli.data.formats.images import write_png
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.files import write_bytes
+from depthcli.io.formats.images import write_png
 from depthcli.programs.process import ProgramError
 from depthcli.programs.program import Number, Program, check_written
 

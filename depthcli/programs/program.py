@@ -19,7 +19,7 @@ from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.result import Clock
-from depthcli.data.formats.files import write_text
+from depthcli.io.formats.files import write_text
 from depthcli.kernels.jit import n_threads
 from depthcli.programs.process import ProgramError, run_program
 from depthcli.programs.scene import current_scene

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.pictures import draw_text
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.pictures import draw_text
 from depthcli.report.colors import map_picture
 
 Picture: TypeAlias = NDArray[np.uint8]

@@ -15,8 +15,6 @@ from typing import Any
 from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.core.flags import Flags
 from depthcli.core.text import without_secrets
-from depthcli.data.formats.files import write_text
-from depthcli.data.scenes import Scene
 from depthcli.evaluation import tables
 from depthcli.evaluation.columns import heading_help
 from depthcli.evaluation.comparison import EvaluationReport, Section
@@ -25,6 +23,8 @@ from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.wide_tables import wide_by_scene
+from depthcli.io.formats.files import write_text
+from depthcli.io.scenes import Scene
 from depthcli.report import colors
 from depthcli.report.run_without_truth import RunTable, RunWithoutTruth
 from depthcli.report.scene_view import SceneView, smaller

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.images import read_image
-from depthcli.data.formats.pictures import Palette, confidence_picture
-from depthcli.data.scenes import Scene
 from depthcli.evaluation.presentation import ShownMap
 from depthcli.evaluation.protocols import AnyProtocol
+from depthcli.io.formats.images import read_image
+from depthcli.io.formats.pictures import Palette, confidence_picture
+from depthcli.io.scenes import Scene
 from depthcli.report import colors
 from depthcli.report.packing import pack, pack_bytes
 from depthcli.report.scene_view import SceneView, jpeg, pack_confidence, png, range_of, step_of

@@ -7,15 +7,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from depthcli.batch.console import Column
-from depthcli.batch.json_csv import Row
 from depthcli.core.errors import InputError
-from depthcli.data.formats.files import collected_warnings
-from depthcli.data.formats.pictures import Palette
-from depthcli.data.scenes import Scene
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.render import Number
+from depthcli.io.formats.files import collected_warnings
+from depthcli.io.formats.pictures import Palette
+from depthcli.io.scenes import Scene
 from depthcli.report.run_view import RunView
+from depthcli.run.console import Column
+from depthcli.run.json_csv import Row
 
 _MAX_SHOWN = 300  # scenes with pictures; more would make the page slow
 _DOUBTS = {"inside_mean": 1, "mean_error": 1, "measured": -1, "density": -1}

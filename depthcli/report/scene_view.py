@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import side_and_distance
-from depthcli.data.formats.pictures import Palette, read_status, status_color, status_words
-from depthcli.data.scenes import Scene
 from depthcli.evaluation.presentation import UNKNOWN, Axis, ShownMap, pixel_kinds
 from depthcli.evaluation.protocols import AnyProtocol
+from depthcli.io.formats.pictures import Palette, read_status, status_color, status_words
+from depthcli.io.scenes import Scene
 from depthcli.report import colors
 from depthcli.report.packing import Packed, Slice, pack, pack_bytes, slices, thinned
 

@@ -7,11 +7,11 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from depthcli.batch.command import Command
-from depthcli.batch.records import RECORD_FILE
-from depthcli.batch.reports import REPORT_FILES
 from depthcli.cli import main
 from depthcli.commands._batch import BatchCommand
+from depthcli.run.command import Command
+from depthcli.run.records import RECORD_FILE
+from depthcli.run.reports import REPORT_FILES
 
 _WIDTH = 79
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.map_format import MapFormat
+from depthcli.io.formats.map_format import MapFormat
 
 
 def check_format(map_format: MapFormat, file: Path, expected: NDArray[Any]) -> None:

@@ -6,8 +6,8 @@ import tempfile
 from pathlib import Path
 
 from depthcli.core.text import one_line
-from depthcli.data.layouts import Folder, Layout, own_layouts
-from depthcli.data.scenes import Scene
+from depthcli.io.layouts import Folder, Layout, own_layouts
+from depthcli.io.scenes import Scene
 
 
 def check_layout(layout: Layout, folder: Path) -> None:

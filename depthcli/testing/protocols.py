@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from depthcli.data.scenes import Scene
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.results import MapResult
+from depthcli.io.scenes import Scene
 
 
 def check_protocol(protocol: AnyProtocol, scene: Scene, best: Path) -> None:

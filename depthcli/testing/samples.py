@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from depthcli.data.generated.samples import Sample
-from depthcli.data.walk import discover_scenes
+from depthcli.io.walk import discover_scenes
+from depthcli.simulate.samples import Sample
 
 
 def check_sample(sample: Sample, folder: Path, **values: Any) -> None:

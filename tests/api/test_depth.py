@@ -10,8 +10,8 @@ import pytest
 
 import depthcli
 from depthcli.cli import main
-from depthcli.data.formats.disparity import read_pfm
-from depthcli.data.formats.images import read_image
+from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.images import read_image
 from tests.api.test_stereo import assert_same_files
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import depthcli
 from depthcli.cli import main
-from depthcli.data.formats.volumes import read_volume
+from depthcli.io.formats.volumes import read_volume
 from tests.api.test_stereo import assert_same_files
 
 

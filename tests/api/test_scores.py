@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 import depthcli
 from depthcli.cli import main
-from depthcli.data.formats.disparity import read_pfm
-from depthcli.data.formats.images import read_grey
-from depthcli.data.formats.volumes import read_volume
+from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.images import read_grey
+from depthcli.io.formats.volumes import read_volume
 
 Capture = pytest.CaptureFixture[str]
 

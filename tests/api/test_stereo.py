@@ -20,7 +20,7 @@ from depthcli.algorithms.filters import single_thread
 from depthcli.api.wording import in_python
 from depthcli.cli import main
 from depthcli.core import memory
-from depthcli.data.formats.images import read_image
+from depthcli.io.formats.images import read_image
 from depthcli.kernels import jit
 from tests.commands.test_messages import texts
 

@@ -12,12 +12,12 @@ import depthcli
 from depthcli.cli import main
 from depthcli.commands._several_cameras import _range as search_range
 from depthcli.core.maps import Status
-from depthcli.data.formats.disparity import read_pfm, write_pfm
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.pictures import read_status
-from depthcli.data.generated.arrays.rendering import light_maps, render, trace
-from depthcli.data.generated.arrays.room import Room
-from depthcli.data.generated.arrays.stereo_kinds import FURNISH
+from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.pictures import read_status
+from depthcli.simulate.arrays.rendering import light_maps, render, trace
+from depthcli.simulate.arrays.room import Room
+from depthcli.simulate.arrays.stereo_kinds import FURNISH
 
 BASELINES = (2.5, 1.0)  # the longest first, in units of the other
 TOP = 14  # disparity of the short baseline, pixels

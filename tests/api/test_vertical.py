@@ -11,8 +11,8 @@ import yaml
 
 import depthcli
 from depthcli.cli import main
-from depthcli.data.formats.disparity import read_pfm, write_pfm
-from depthcli.data.formats.images import read_image, write_png
+from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.images import read_image, write_png
 
 
 @pytest.fixture(scope="module")

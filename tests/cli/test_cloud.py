@@ -11,12 +11,12 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.cameras.camera import Intrinsics
-from depthcli.data.formats.depth import read_points, write_points
-from depthcli.data.formats.disparity import write_pfm
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.rigs import read_rig
-from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.walk import discover_scenes
+from depthcli.io.formats.depth import read_points, write_points
+from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.rigs import read_rig
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.walk import discover_scenes
 
 SIZE = (64, 48)
 CAMERA = Intrinsics(60.0, 60.0, 31.5, 23.5)

@@ -20,9 +20,9 @@ import yaml
 from depthcli.cli import main
 from depthcli.commands import load_command
 from depthcli.commands._batch import BatchCommand
-from depthcli.data.formats.disparity import read_disparity, read_pfm
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.pictures import read_status
+from depthcli.io.formats.disparity import read_disparity, read_pfm
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.pictures import read_status
 
 FAST = "opencv-bm"
 """The quickest preset; the tests here are about what is around the matching."""
@@ -216,7 +216,7 @@ def test_a_scene_that_would_not_fit_fails_before_it_starts(made_scenes, tmp_path
 
 
 def test_a_bug_is_exit_1_with_a_traceback(monkeypatch, capsys, tmp_path: Path):
-    monkeypatch.setattr("depthcli.batch.presets.find_config", lambda *a: 1 / 0)
+    monkeypatch.setattr("depthcli.run.presets.find_config", lambda *a: 1 / 0)
     assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == 1
     err = capsys.readouterr().err
     assert "ZeroDivisionError" in err
@@ -227,7 +227,7 @@ def test_ctrl_c_is_exit_130(monkeypatch, capsys, tmp_path: Path):
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("depthcli.batch.presets.find_config", interrupted)
+    monkeypatch.setattr("depthcli.run.presets.find_config", interrupted)
     assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == 130
     assert "interrupted" in capsys.readouterr().err
 

@@ -19,13 +19,13 @@ pytest.importorskip("rosbags", reason="no rosbags, which reads recordings")
 
 from depthcli.cli import main
 from depthcli.commands._extraction import nearest_pairs
-from depthcli.data.formats.disparity import read_pfm
-from depthcli.data.formats.images import png_bytes, read_image
-from depthcli.data.formats.pair_geometry import read_geometry
-from depthcli.data.formats.poses import read_poses
-from depthcli.data.formats.rigs import read_rig
-from depthcli.data.scenes.rgbd import RgbdScene
-from depthcli.data.walk import discover_scenes
+from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.images import png_bytes, read_image
+from depthcli.io.formats.pair_geometry import read_geometry
+from depthcli.io.formats.poses import read_poses
+from depthcli.io.formats.rigs import read_rig
+from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.walk import discover_scenes
 from tests.recordings import FORMATS, START, Messages, Record, write_recording
 from tests.scenes import DATA
 

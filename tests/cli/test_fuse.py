@@ -9,9 +9,9 @@ import yaml
 
 from depthcli.cli import main
 from depthcli.core.frames import StereoPair
-from depthcli.data.formats.disparity import read_pfm
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.networks import network_path
+from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.networks import network_path
 from depthcli.methods.stereo.cost.census import Census
 
 

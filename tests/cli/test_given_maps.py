@@ -13,9 +13,9 @@ import pytest
 import depthcli
 from depthcli.cli import main
 from depthcli.core.maps import Status
-from depthcli.data.formats.disparity import read_pfm, write_disparity_png, write_pfm
-from depthcli.data.formats.images import read_image
-from depthcli.data.formats.pictures import read_status
+from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_pfm
+from depthcli.io.formats.images import read_image
+from depthcli.io.formats.pictures import read_status
 
 
 def run(*arguments: str | Path) -> int:

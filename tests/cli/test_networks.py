@@ -13,8 +13,8 @@ import yaml
 import depthcli
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError
-from depthcli.data.formats.disparity import read_pfm
-from depthcli.data.formats.images import write_png
+from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.images import write_png
 from tests.methods.stereo._networks import block_matcher, has_onnx, local_features
 from tests.methods.stereo._pairs import shifted_pair
 

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from depthcli.core.frames import StereoPair
-from depthcli.data.formats.disparity import read_pfm, write_pfm
-from depthcli.data.formats.images import write_png
+from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.images import write_png
 from tests.methods.stereo._pairs import shifted_pair
 
 ROOT = Path(__file__).parents[2]
@@ -46,7 +46,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(NEW, root / "depthcli", dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
     command = (TEMPLATE / "command.py").read_text("utf-8")
     (root / "depthcli" / "commands" / "constant.py").write_text(f"{command}\n\nCOMMAND = ConstantCommand()\n")
-    shutil.copy(TEMPLATE / "layout.py", root / "depthcli" / "data" / "layouts" / "two_files.py")
+    shutil.copy(TEMPLATE / "layout.py", root / "depthcli" / "io" / "layouts" / "two_files.py")
     shutil.copytree(TEMPLATE / "presets" / "constant", root / "configs" / "constant")
     (cost,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "CONTRIBUTING.md").read_text("utf-8"), re.M | re.S)
     (root / "depthcli" / "methods" / "stereo" / "cost" / "squared_difference.py").write_text(cost)

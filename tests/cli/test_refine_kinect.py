@@ -13,10 +13,10 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.maps import DepthStatus
-from depthcli.data.formats.depth import read_codes, read_depth
-from depthcli.data.formats.disparity import read_pfm, write_pfm
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.pictures import read_status
+from depthcli.io.formats.depth import read_codes, read_depth
+from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.pictures import read_status
 from tests.rendered import (
     COLOR,
     COLOR_SHAPE,

@@ -13,10 +13,10 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError
 from depthcli.core.volumes import Grid
-from depthcli.data.formats.images import read_image
-from depthcli.data.formats.volumes import read_volume, write_array
-from depthcli.data.scenes.volume_pair import VolumePairScene
-from depthcli.data.walk import discover_scenes
+from depthcli.io.formats.images import read_image
+from depthcli.io.formats.volumes import read_volume, write_array
+from depthcli.io.scenes.volume_pair import VolumePairScene
+from depthcli.io.walk import discover_scenes
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.data.formats.disparity import write_pfm
+from depthcli.io.formats.disparity import write_pfm
 
 PRESET = "opencv-bm"
 Damage = Callable[[random.Random, Path], None]
@@ -68,7 +68,7 @@ def wrong_kind(rng: random.Random, scene: Path) -> None:
 
 
 def wrong_size(rng: random.Random, scene: Path) -> None:
-    from depthcli.data.formats.images import write_png
+    from depthcli.io.formats.images import write_png
 
     shape = rng.choice([(1, 1), (64, 95), (63, 96), (96, 64), (1, 96), (64, 96, 3)])
     kind = rng.choice([np.uint8, np.uint16])
@@ -77,7 +77,7 @@ def wrong_size(rng: random.Random, scene: Path) -> None:
 
 def tiny_pair(rng: random.Random, scene: Path) -> None:
     """A pair that agrees, but is smaller than any window."""
-    from depthcli.data.formats.images import write_png
+    from depthcli.io.formats.images import write_png
 
     shape = (rng.randint(1, 6), rng.randint(1, 6))
     for name in ("left.png", "right.png"):
@@ -120,7 +120,7 @@ def bad_truth(rng: random.Random, scene: Path) -> None:
 
 
 def bad_mask(rng: random.Random, scene: Path) -> None:
-    from depthcli.data.formats.images import write_png
+    from depthcli.io.formats.images import write_png
 
     file = scene / rng.choice(["mask_nonocc.png", "mask_all.png", "mask_disc.png"])
     rng.choice(

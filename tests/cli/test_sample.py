@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.data.formats.images import read_image
-from depthcli.data.generated.arrays.stereo_scenes import Radiometry, make_scene
-from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.walk import discover_scenes
+from depthcli.io.formats.images import read_image
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.walk import discover_scenes
+from depthcli.simulate.arrays.stereo_scenes import Radiometry, make_scene
 
 SMALL = ("--width", "64", "--height", "48", "--max-disparity", "10")
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from depthcli.batch.presets import find_config
 from depthcli.cli import main
 from depthcli.core.config_file import read_config
 from depthcli.methods.stereo.config import StereoConfig
+from depthcli.run.presets import find_config
 
 
 @pytest.fixture(scope="module")

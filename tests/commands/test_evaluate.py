@@ -15,14 +15,9 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.batch.console import Reporter
-from depthcli.batch.records import Record, write_record
 from depthcli.cli import main
 from depthcli.commands.evaluate import COMMAND, evaluate
 from depthcli.core.errors import ConfigError, InputError, OutputError
-from depthcli.data.formats.disparity import read_disparity, write_disparity_png, write_pfm
-from depthcli.data.formats.images import read_image, write_png
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.printing import chosen_text
@@ -30,6 +25,11 @@ from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.tables import report_tables
+from depthcli.io.formats.disparity import read_disparity, write_disparity_png, write_pfm
+from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.walk import discover_scenes
+from depthcli.run.console import Reporter
+from depthcli.run.records import Record, write_record
 from tests.scenes import DATA, needs_data
 
 SHAPE = (24, 32)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.data.formats.disparity import read_disparity, write_pfm
 from depthcli.evaluation.benchmarks import BENCHMARKS, TEST, TRAINING, MiddleburyV3Benchmark
+from depthcli.io.formats.disparity import read_disparity, write_pfm
 
 V3, ETH, K12, K15 = (BENCHMARKS[name]() for name in ("middlebury-v3", "eth3d", "kitti-2012", "kitti-2015"))
 

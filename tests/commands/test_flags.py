@@ -10,8 +10,8 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.volumes import Grid
-from depthcli.data.formats.disparity import write_pfm
-from depthcli.data.formats.volumes import read_volume, write_array
+from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.volumes import read_volume, write_array
 
 
 @pytest.fixture(scope="module")

@@ -31,22 +31,22 @@ CALLERS = {
     "depthcli.api.judging": GIVEN,
     "depthcli.api.maps": GIVEN,
     "depthcli.api.wording": {"stereo", "fuse"},  # options that Python's messages go without
-    "depthcli.batch": BATCH,
-    "depthcli.batch.columns": {"stereo"},  # of the column of the device
+    "depthcli.run": BATCH,
+    "depthcli.run.columns": {"stereo"},  # of the column of the device
     "depthcli.commands._page": {"evaluate"},  # of --html-budget; a page of other commands is where --html was given
     "depthcli.api.masks": {"depth", "refine-kinect"},
-    "depthcli.batch.combinations": {"sweep"},
+    "depthcli.run.combinations": {"sweep"},
     "depthcli.commands._options": SCENES - {"depth", "rectify"},  # where --evaluate was given, and of all options here
     "depthcli.commands._tables": {"evaluate"},
     "depthcli.commands._scenes": SCENES - {"depth", "rectify"},  # where --evaluate or --name was given
     "depthcli.core.config_file": {"stereo", "fuse", "sweep"},  # where --set was given
-    "depthcli.data.formats.rigs": {"stereo", "fuse", "rectify"},
-    "depthcli.data.generated": {"sample"},
-    "depthcli.data.layouts": SCENES,
-    "depthcli.data.scenes.rgbd": {"refine-kinect", "transparent"},
-    "depthcli.data.scenes.stereo": {"stereo", "fuse", "rectify"},
-    "depthcli.data.scenes.volume_pair": {"register-confidence"},
-    "depthcli.data.walk": SCENES | {"evaluate", "sweep"},
+    "depthcli.io.formats.rigs": {"stereo", "fuse", "rectify"},
+    "depthcli.simulate": {"sample"},
+    "depthcli.io.layouts": SCENES,
+    "depthcli.io.scenes.rgbd": {"refine-kinect", "transparent"},
+    "depthcli.io.scenes.stereo": {"stereo", "fuse", "rectify"},
+    "depthcli.io.scenes.volume_pair": {"register-confidence"},
+    "depthcli.io.walk": SCENES | {"evaluate", "sweep"},
     "depthcli.device": {"stereo"},
     "depthcli.evaluation.protocols": SCENES - {"depth", "rectify"} | {"evaluate"},
     "depthcli.evaluation.printing": {"evaluate"},

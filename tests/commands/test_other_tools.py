@@ -13,17 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.batch.json_lines import add_lines, check_lines
-from depthcli.batch.presets import find_preset
-from depthcli.batch.records import digest
-from depthcli.batch.run_folder import run_text
 from depthcli.cli import main
 from depthcli.commands.evaluate import evaluate
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import ConfigError, InputError, OutputError
-from depthcli.data.formats.disparity import write_pfm
-from depthcli.data.formats.images import write_png
+from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.images import write_png
 from depthcli.methods.stereo.config import StereoConfig
+from depthcli.run.json_lines import add_lines, check_lines
+from depthcli.run.presets import find_preset
+from depthcli.run.records import digest
+from depthcli.run.run_folder import run_text
 
 SHAPE = (24, 32)
 
@@ -199,7 +199,7 @@ def test_lines_of_several_processes_and_of_killed_ones(tmp_path: Path):
 _KILLED_AT_EACH_STEP = """
 import os, signal, sys
 from pathlib import Path
-from depthcli.batch.json_lines import add_lines
+from depthcli.run.json_lines import add_lines
 
 file, old = Path(sys.argv[1]), '{"old": 1}\\n'
 for step in range(1, 200):

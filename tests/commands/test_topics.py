@@ -9,18 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from depthcli.batch import columns as report_columns
 from depthcli.cli import main
 from depthcli.commands import command_names, load_command
 from depthcli.commands._batch import BatchCommand
 from depthcli.commands.evaluate import evaluate
 from depthcli.commands.help import TOPICS
 from depthcli.core.columns import ColumnHelp, find_column
-from depthcli.data.layouts import layouts
 from depthcli.evaluation import columns as evaluation_columns
 from depthcli.evaluation.protocols import names
 from depthcli.evaluation.tables import report_tables
 from depthcli.evaluation.wide_tables import wide_tables
+from depthcli.io.layouts import layouts
+from depthcli.run import columns as report_columns
 
 REPORTS = {
     "stereo": report_columns.MAPS,

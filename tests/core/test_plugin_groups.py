@@ -18,9 +18,9 @@ from depthcli.core.errors import InputError
 from depthcli.core.method import Family, used_plugins
 from depthcli.core.plugins import load_file
 from depthcli.core.registry import groups
-from depthcli.data.formats.depth import read_depth
-from depthcli.data.formats.disparity import read_disparity, read_pfm, read_plane, write_pfm
-from depthcli.data.formats.map_format import map_suffixes
+from depthcli.io.formats.depth import read_depth
+from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane, write_pfm
+from depthcli.io.formats.map_format import map_suffixes
 
 pytestmark = [pytest.mark.usefixtures("forget_plugins"), pytest.mark.slow]
 
@@ -31,10 +31,10 @@ import numpy as np
 
 from depthcli.algorithms.keypoints.surf import Surf
 from depthcli.algorithms.segmentation.slic import Slic
-from depthcli.data.formats.map_format import MapFormat
-from depthcli.data.generated.samples.stereo import StereoSample
-from depthcli.data.layouts import Folder
-from depthcli.data.layouts.scenes import Scenes
+from depthcli.io.formats.map_format import MapFormat
+from depthcli.simulate.samples.stereo import StereoSample
+from depthcli.io.layouts import Folder
+from depthcli.io.layouts.scenes import Scenes
 from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
 from depthcli.methods.confidence import ConfidenceMeasure
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice

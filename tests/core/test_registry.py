@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from depthcli.batch import presets
 from depthcli.cli import main
 from depthcli.core import plugins, registry
 from depthcli.core.config_file import dump_config, load_config, parse_config
 from depthcli.core.errors import ConfigError
 from depthcli.core.method import Family, used_plugins
-from depthcli.data import layouts
-from depthcli.data.walk import discover_scenes
+from depthcli.io import layouts
+from depthcli.io.walk import discover_scenes
 from depthcli.methods.stereo.config import StereoConfig
+from depthcli.run import presets
 
 pytestmark = pytest.mark.usefixtures("forget_plugins")
 COSTS = Family.of("depthcli.methods.stereo.cost")
@@ -26,9 +26,9 @@ from pathlib import Path
 
 from pydantic import Field
 
-from depthcli.batch.command import Command
-from depthcli.data.layouts import Folder, Layout
-from depthcli.data.scenes.stereo import StereoScene
+from depthcli.run.command import Command
+from depthcli.io.layouts import Folder, Layout
+from depthcli.io.scenes.stereo import StereoScene
 from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
 from depthcli.methods.stereo.cost.census import Census
 
@@ -228,7 +228,7 @@ def test_a_package_without_its_presets(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_an_object_of_another_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     install(tmp_path, monkeypatch, "strange-int", "[depthcli.layouts]\nodd = strange_int:x\n", "x = 3\n")
-    with pytest.warns(plugins.PluginWarning, match="want a class derived from depthcli.data.layouts.Layout, got 3"):
+    with pytest.warns(plugins.PluginWarning, match="want a class derived from depthcli.io.layouts.Layout, got 3"):
         layouts.layouts()
 
 

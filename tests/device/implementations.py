@@ -7,11 +7,9 @@ import importlib
 import numpy as np
 import pytest
 
-from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Family, device_implementation_of
-from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.device import Kernels, open_device
 from depthcli.methods.stereo.aggregation import _device as aggregations
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
@@ -34,6 +32,8 @@ from depthcli.methods.stereo.refinement.median import Median
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
+from depthcli.run.presets import find_config, find_preset
+from depthcli.simulate.arrays.stereo_scenes import make_scene
 from depthcli.testing.refinement import noisy_case
 from tests.methods.stereo._pairs import TINY, blocky_pair, methods, random_volume, texture
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.data.formats.disparity import write_pfm
-from depthcli.data.formats.images import read_grey, write_png
 from depthcli.evaluation.calibration import N_BINS, HiddenPixels, Reliability, reliability
+from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.images import read_grey, write_png
 
 
 def test_expected_calibration_error_by_hand():

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from depthcli.commands.evaluate import evaluate
-from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.plots import Line, curve_plot, line_plot
 from depthcli.evaluation.protocols import Settings, load, names
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
+from depthcli.io.scenes.stereo import StereoScene, StereoTruth
 
 
 def test_a_plot_is_well_formed_and_escapes():

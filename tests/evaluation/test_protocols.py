@@ -13,16 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.data.formats.disparity import read_disparity, write_pfm
-from depthcli.data.formats.files import collected_warnings
-from depthcli.data.scenes.stereo import StereoScene, StereoTruth
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, invalid_value, scale_warning
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, find_score
+from depthcli.io.formats.disparity import read_disparity, write_pfm
+from depthcli.io.formats.files import collected_warnings
+from depthcli.io.scenes.stereo import StereoScene, StereoTruth
+from depthcli.io.walk import discover_scenes
 from tests.naive import metrics as naive
 from tests.scenes import DATA, needs_data
 

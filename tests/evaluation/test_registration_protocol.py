@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from depthcli.core.volumes import Grid
-from depthcli.data.scenes.volume_pair import RegistrationTruth
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.protocols import registration
 from depthcli.evaluation.protocols._registration import error_classes
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
+from depthcli.io.scenes.volume_pair import RegistrationTruth
 
 
 def test_ranks_share_ties():

@@ -9,8 +9,8 @@ import re
 
 import pytest
 
-from depthcli.batch.json_csv import to_csv
 from depthcli.evaluation.render import Number, Table
+from depthcli.run.json_csv import to_csv
 
 NAN = math.nan
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from depthcli.core.volumes import Grid
-from depthcli.data.formats.nifti import encode_header
-from depthcli.data.formats.volumes import write_array
+from depthcli.io.formats.nifti import encode_header
+from depthcli.io.formats.volumes import write_array
 
 SHAPE = (9, 12, 14)  # slices, rows, columns of the volumes
 GRID = Grid(SHAPE[::-1], (1.0, 1.5, 2.0), (-3.0, 4.0, 5.0))
@@ -42,7 +42,7 @@ def odd_json(text: str, rng: np.random.Generator) -> tuple[str, str]:
 
 def network() -> str:
     """Return the text of the network of the package."""
-    return (ROOT / "depthcli" / "data" / "networks" / "accurate.json").read_text("utf-8")
+    return (ROOT / "depthcli" / "io" / "networks" / "accurate.json").read_text("utf-8")
 
 
 def blob(seed: int, vector: bool = False) -> np.ndarray:

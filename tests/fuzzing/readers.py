@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 
 from depthcli.core.errors import InputError
-from depthcli.data import pairs
-from depthcli.data.formats import depth, disparity, fields, pictures, rigs, transforms, volumes
-from depthcli.data.formats.files import read_bytes, shown
-from depthcli.data.formats.headers import image_size
-from depthcli.data.formats.images import read_grey, read_image
-from depthcli.data.formats.landmarks import read_landmarks
-from depthcli.data.formats.networks import read_network
-from depthcli.data.formats.npy import map_npy
-from depthcli.data.formats.pair_geometry import read_geometry
-from depthcli.data.formats.stereo_images import read_pair
+from depthcli.io import pairs
+from depthcli.io.formats import depth, disparity, fields, pictures, rigs, transforms, volumes
+from depthcli.io.formats.files import read_bytes, shown
+from depthcli.io.formats.headers import image_size
+from depthcli.io.formats.images import read_grey, read_image
+from depthcli.io.formats.landmarks import read_landmarks
+from depthcli.io.formats.networks import read_network
+from depthcli.io.formats.npy import map_npy
+from depthcli.io.formats.pair_geometry import read_geometry
+from depthcli.io.formats.stereo_images import read_pair
 from tests.damage import NAMES, bomb, damaged, originals, put_special
 from tests.fuzzing.common import Fault
 from tests.fuzzing.inputs import GRID, odd_json, others, write_behind

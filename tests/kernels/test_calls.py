@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numba import typeof
 
-from depthcli.batch.presets import list_presets
 from depthcli.kernels.calls import describe_type, missing_calls, parse_type, recorded_calls, recorded_presets
+from depthcli.run.presets import list_presets
 
 
 class Parts(NamedTuple):

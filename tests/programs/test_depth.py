@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.data.formats.depth import read_depth
+from depthcli.io.formats.depth import read_depth
 
 # Fills gaps with the median; where it gets sparse depth, that replaces the sensor's.
 FILL = """

@@ -12,7 +12,7 @@ import pytest
 import depthcli
 from depthcli.cli import main
 from depthcli.core.volumes import Grid
-from depthcli.data.formats.volumes import read_volume, write_array
+from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from tests.programs._runs import assert_one_failed, rows

@@ -13,8 +13,8 @@ import pytest
 
 import depthcli
 from depthcli.cli import main
-from depthcli.data.formats.disparity import read_pfm
-from depthcli.data.formats.images import read_image
+from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.images import read_image
 from depthcli.methods.stereo.config import StereoConfig
 from tests.programs._runs import assert_one_failed, rows
 
@@ -197,8 +197,8 @@ COPY = "import shutil, sys; shutil.copy(*sys.argv[1:])"
 
 @pytest.mark.slow
 def test_formats_scales_and_values_that_mean_none(here: Path):
-    from depthcli.data.formats.disparity import write_disparity_png, write_pfm
-    from depthcli.data.formats.images import write_png
+    from depthcli.io.formats.disparity import write_disparity_png, write_pfm
+    from depthcli.io.formats.images import write_png
 
     values = np.full((20, 30), 4.5, np.float32)
     values[0, :3] = (-10, np.nan, 40)

@@ -10,9 +10,9 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.maps import Status
-from depthcli.data.formats.disparity import write_pfm
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.pictures import STATUS_PALETTE, write_status
+from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.pictures import STATUS_PALETTE, write_status
 
 SHAPE = (36, 48)
 ODD = """<script>alert("1")<&'x"""

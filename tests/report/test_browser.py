@@ -14,8 +14,8 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.commands.evaluate import evaluate
-from depthcli.data.formats.disparity import read_disparity, read_plane
-from depthcli.data.formats.volumes import read_volume, write_array
+from depthcli.io.formats.disparity import read_disparity, read_plane
+from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.report.packing import unpack
 from depthcli.report.page import Page
 from tests.report.conftest import ODD, SHAPE, truth_of

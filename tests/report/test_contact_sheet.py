@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from depthcli.data.formats.images import read_image
+from depthcli.io.formats.images import read_image
 from depthcli.report.colors import map_colors
 from depthcli.report.contact_sheet import ContactSheet
 

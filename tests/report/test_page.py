@@ -18,11 +18,6 @@ import pytest
 from depthcli.cli import main
 from depthcli.commands.evaluate import evaluate
 from depthcli.core.volumes import Grid
-from depthcli.data.formats.disparity import read_disparity
-from depthcli.data.formats.volumes import read_volume
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.volume_pair import RegistrationTruth
-from depthcli.data.walk import BrokenScene
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.presentation import RIGHT, WRONG, Presentation, pixel_kinds
@@ -30,6 +25,11 @@ from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.scores import Metric, Score
+from depthcli.io.formats.disparity import read_disparity
+from depthcli.io.formats.volumes import read_volume
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.volume_pair import RegistrationTruth
+from depthcli.io.walk import BrokenScene
 from depthcli.report import colors
 from depthcli.report.packing import pack, pack_bytes, slices, thinned, unpack
 from depthcli.report.page import Page

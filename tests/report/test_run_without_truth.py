@@ -12,12 +12,12 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.maps import Status
-from depthcli.data.formats.disparity import read_pfm, write_pfm
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.pictures import read_status
-from depthcli.data.formats.volumes import read_volume
-from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairScene
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
+from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.pictures import read_status
+from depthcli.io.formats.volumes import read_volume
+from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
 from depthcli.report.packing import unpack
 from depthcli.report.scene_view import SceneView
 from tests.report.conftest import ODD, truth_of

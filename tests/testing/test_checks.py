@@ -9,10 +9,10 @@ import pytest
 
 from depthcli.commands.rectify import COMMAND as RECTIFY
 from depthcli.commands.stereo import COMMAND as STEREO
-from depthcli.data.formats.map_format import MapFormat
-from depthcli.data.layouts.scenes import Scenes
-from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols import Protocol, load
+from depthcli.io.formats.map_format import MapFormat
+from depthcli.io.layouts.scenes import Scenes
+from depthcli.io.walk import discover_scenes
 from depthcli.testing import check_command, check_format, check_layout, check_protocol
 
 STEREO_PROTOCOLS = ("middlebury-v2", "eth3d", "kitti-2012", "kitti-2015")

@@ -12,12 +12,12 @@ import pytest
 
 from depthcli.algorithms.keypoints.sift import Sift
 from depthcli.core.method import Family
-from depthcli.data.generated.samples import samples
 from depthcli.methods.fusion.choice import ChosenMap
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.registration.feature.intensity import Intensity
 from depthcli.methods.stereo.pipeline.opencv_bm import OpencvBm
+from depthcli.simulate.samples import samples
 from depthcli.testing import (
     check_choice,
     check_keypoint_detector,

@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.registry import Registry, registered_name
-from depthcli.data.formats.disparity import read_plane
-from depthcli.data.scenes import Scene
 from depthcli.evaluation.calibration import HiddenPixels, reliability
 from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.map_files import MapFiles
@@ -32,6 +30,8 @@ from depthcli.evaluation.pooling import Pooling
 from depthcli.evaluation.presentation import Presentation, ShownMap, error_picture, pixel_kinds
 from depthcli.evaluation.results import ConfidenceCurve
 from depthcli.evaluation.scores import Metric, Score
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.scenes import Scene
 
 Estimate = TypeVar("Estimate")
 Truth = TypeVar("Truth")

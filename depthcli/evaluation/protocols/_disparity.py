@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
-from depthcli.data import storage
-from depthcli.data.formats.disparity import lone_constant, read_disparity, read_plane
-from depthcli.data.formats.files import shown, warn
-from depthcli.data.formats.pictures import STATUS_PALETTE, read_status
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.evaluation.calibration import HiddenPixels
 from depthcli.evaluation.map_files import DisparityFiles
 from depthcli.evaluation.presentation import Presentation, ShownMap
 from depthcli.evaluation.protocols import Protocol, Settings
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally
+from depthcli.io import storage
+from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
+from depthcli.io.formats.files import shown, warn
+from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.stereo import StereoScene, StereoTruth
 
 Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]

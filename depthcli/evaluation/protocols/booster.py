@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.protocols._disparity import PRESENTATION, DisparityProtocol, Masks
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
+from depthcli.io.scenes.stereo import StereoTruth
 
 
 class BoosterProtocol(MiddleburyV2Protocol):

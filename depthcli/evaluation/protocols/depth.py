@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
-from depthcli.data import storage
-from depthcli.data.formats.depth import read_depth
-from depthcli.data.formats.disparity import read_plane
-from depthcli.data.formats.map_format import map_formats
-from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.rgbd import RgbdScene, RgbdTruth
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.presentation import Presentation, ShownMap
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
+from depthcli.io import storage
+from depthcli.io.formats.depth import read_depth
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.map_format import map_formats
+from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.rgbd import RgbdScene, RgbdTruth
 
 Depth = NDArray[np.float32]
 

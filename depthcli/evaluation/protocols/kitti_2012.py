@@ -10,8 +10,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.data.formats.disparity import KITTI_SCALE
-from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.protocols._disparity import (
     PRESENTATION,
     Disparity,
@@ -21,6 +19,8 @@ from depthcli.evaluation.protocols._disparity import (
     difference,
 )
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, float_sum
+from depthcli.io.formats.disparity import KITTI_SCALE
+from depthcli.io.scenes.stereo import StereoTruth
 
 INTERPOLATED = "background-interpolated"
 NOTHING_ESTIMATED = 0.0

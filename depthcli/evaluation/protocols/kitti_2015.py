@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.pooling import pool_pixels
 from depthcli.evaluation.protocols._disparity import (
     PRESENTATION,
@@ -19,6 +18,7 @@ from depthcli.evaluation.protocols._disparity import (
 )
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, NOTHING_ESTIMATED, Kitti2012Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
+from depthcli.io.scenes.stereo import StereoTruth
 
 
 class Kitti2015Protocol(Kitti2012Protocol):

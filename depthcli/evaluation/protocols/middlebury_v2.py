@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import discontinuity_mask
-from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks
 from depthcli.evaluation.scores import Score
+from depthcli.io.scenes.stereo import StereoTruth
 
 
 class MiddleburyV2Protocol(DisparityProtocol):

@@ -9,9 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.data.formats.disparity import read_plane
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.benchmarks import TRAINING, MiddleburyV3Benchmark
 from depthcli.evaluation.protocols._disparity import (
     PRESENTATION,
@@ -23,6 +20,9 @@ from depthcli.evaluation.protocols._disparity import (
 )
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Metric, Score, Tally, float_sum
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.stereo import StereoTruth
 
 QUANTILES = (50, 90, 95, 99)  # percent, as printed by the SDK
 # The site's average weighs the hard scenes with 4 % and the other ten with 8 %.

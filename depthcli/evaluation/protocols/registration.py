@@ -15,10 +15,6 @@ from depthcli.algorithms.body import body_of_volume, grey_levels
 from depthcli.algorithms.resampling import trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import ENDS, PLANES, Grid
-from depthcli.data import storage
-from depthcli.data.formats.volumes import read_volume
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairScene
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.presentation import Axis, Presentation, ShownMap
@@ -27,6 +23,10 @@ from depthcli.evaluation.protocols._registration import HEADLINE, LIMITS_MM, Err
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.results import ConfidenceCurve, MapResult
 from depthcli.evaluation.scores import Score
+from depthcli.io import storage
+from depthcli.io.formats.volumes import read_volume
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
 
 _MAX_POOLED = 8_000_000  # points of several pairs; of more, which take minutes, so many are drawn
 _DRAWING_SEED = 0  # of the points that are drawn, any number: the same for all runs

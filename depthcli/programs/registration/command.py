@@ -13,7 +13,7 @@ from pydantic import Field
 from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
 from depthcli.core.volumes import Grid, RegisteredPair
-from depthcli.data.formats.volumes import read_volume, write_array
+from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.methods.registration.pipeline import RegistrationPipeline, RegistrationResult
 from depthcli.programs.process import ProgramError
 from depthcli.programs.program import Program, check_written, scratch_folder

@@ -13,7 +13,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
-from depthcli.data.formats.disparity import KITTI_SCALE
+from depthcli.io.formats.disparity import KITTI_SCALE
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.programs.maps import MapProgram, write_input

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
-from depthcli.data.formats.disparity import KITTI_SCALE
+from depthcli.io.formats.disparity import KITTI_SCALE
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.programs.maps import read_map, write_input

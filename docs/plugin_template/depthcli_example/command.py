@@ -8,13 +8,13 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from depthcli.batch.command import Outcome
-from depthcli.batch.console import SIZE, Column
 from depthcli.commands import ConfigCommand
 from depthcli.core.method import RootConfig
-from depthcli.data.formats.disparity import write_pfm
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.stereo import StereoScene
+from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.run.command import Outcome
+from depthcli.run.console import SIZE, Column
 
 
 class ConstantConfig(RootConfig):

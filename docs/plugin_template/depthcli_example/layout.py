@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from depthcli.data.formats.images import IMAGE_SUFFIXES
-from depthcli.data.formats.map_format import map_suffixes
-from depthcli.data.layouts import Folder, Layout
-from depthcli.data.scenes import Scene
-from depthcli.data.scenes.stereo import StereoScene
+from depthcli.io.formats.images import IMAGE_SUFFIXES
+from depthcli.io.formats.map_format import map_suffixes
+from depthcli.io.layouts import Folder, Layout
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.stereo import StereoScene
 
 
 class TwoFiles(Layout):

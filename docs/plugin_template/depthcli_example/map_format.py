@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.data.formats.map_format import MapFormat
+from depthcli.io.formats.map_format import MapFormat
 
 
 class Table(MapFormat):

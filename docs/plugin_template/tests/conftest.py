@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.data.formats.images import write_png
+from depthcli.io.formats.images import write_png
 from depthcli.testing.inputs import shifted_pair
 
 

@@ -11,7 +11,7 @@ from depthcli_example.layout import TwoFiles
 from depthcli_example.map_format import Table
 from depthcli_example.protocol import EighthPixel
 
-from depthcli.data.layouts import Folder
+from depthcli.io.layouts import Folder
 from depthcli.testing import check_command, check_cost_measure, check_format, check_layout, check_protocol
 
 

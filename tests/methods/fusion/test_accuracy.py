@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from depthcli.api.matching import with_network
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.evaluation.curves import sparsification
 from depthcli.kernels.winners import winners
@@ -15,6 +14,7 @@ from depthcli.methods.fusion import Fusion
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.cost.census import Census
+from depthcli.run.presets import find_config
 from tests.scenes import rates, real_scenes
 
 MEASURES = ["absolute_difference", "gradient", "rank", "census"]

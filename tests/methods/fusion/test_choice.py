@@ -11,19 +11,19 @@ from pydantic import ValidationError
 
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.api.matching import with_network
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.networks import TrainedNetwork
-from depthcli.data.formats.networks import network_path, read_network, write_network
-from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.evaluation.curves import sparsification
+from depthcli.io.formats.networks import network_path, read_network, write_network
 from depthcli.methods.fusion.choice._inputs import PIXEL_PLANES, PROPOSAL_PLANES, RELATIVE, NetworkInputs, input_names
 from depthcli.methods.fusion.choice.network import NetworkChoice, log_odds_of
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.map_costs import matching_costs
 from depthcli.methods.fusion.support import ColorSupport
+from depthcli.run.presets import find_config
+from depthcli.simulate.arrays.stereo_scenes import make_scene
 from depthcli.testing.choices import CHOICE_CHECKS, KINDS, random_proposals
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import choice as naive

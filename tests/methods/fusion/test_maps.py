@@ -11,12 +11,12 @@ from pydantic import ValidationError
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.fusion.choice.energy import ScoredMap, Smoothness
 from depthcli.methods.fusion.map_costs import agreement, contradictions, disagreements, matching_costs
 from depthcli.methods.fusion.maps import _largest_agreement
 from depthcli.methods.stereo.volume import CostVolume
+from depthcli.simulate.arrays.stereo_scenes import make_scene
 from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
 from tests.naive import maps as naive
 

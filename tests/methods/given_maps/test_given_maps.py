@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from depthcli.api.judging import fusion_of, judge_of, networks
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
-from depthcli.data.generated.arrays.stereo_scenes import SyntheticScene, make_scene
 from depthcli.methods.given_maps import Networks, judged_maps, map_measures, odds_of, offsets
 from depthcli.methods.given_maps._evidence import _COST, _OPTIMIZATION, _REFINEMENT, Evidence
 from depthcli.methods.given_maps._planes import OTHERS, hidden_by_map
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.local import Local
+from depthcli.run.presets import find_config
+from depthcli.simulate.arrays.stereo_scenes import SyntheticScene, make_scene
 
 
 @pytest.fixture(scope="module")

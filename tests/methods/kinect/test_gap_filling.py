@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from depthcli.core.frames import RgbdFrame
-from depthcli.data.generated.arrays.depth_sensor import simulate_kinect
-from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene
 from depthcli.methods.kinect import gap_filling
 from depthcli.methods.kinect.gap_filling import fill_gaps
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
+from depthcli.simulate.arrays.depth_sensor import simulate_kinect
+from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene
 from tests.naive import kinect as naive
 
 

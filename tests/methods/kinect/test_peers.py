@@ -10,8 +10,6 @@ from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.data.generated.arrays.depth_sensor import simulate_kinect
-from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence
 from depthcli.methods.kinect.disparity import nearest_fill
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother, weighted_smoothing
 from depthcli.methods.kinect.pipeline.guided import Guided
@@ -22,6 +20,8 @@ from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
 from depthcli.methods.kinect.shadow_limits import shadow_background
 from depthcli.methods.kinect.shadows import Shadow, Shadows
+from depthcli.simulate.arrays.depth_sensor import simulate_kinect
+from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence
 
 METHODS = [
     FastGlobalSmoother(), Guided(), Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateralFill(), NearestFill(),

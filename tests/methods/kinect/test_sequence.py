@@ -14,11 +14,11 @@ from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.data.generated.arrays.depth_sensor import KinectSample
-from depthcli.data.generated.arrays.kinect_scenes import make_kinect_sequence
 from depthcli.methods.kinect.camera_motion import displacement, view_after
 from depthcli.methods.kinect.layers import Layer, Measurement
 from depthcli.methods.kinect.pipeline.sequence import carried_labels, still_pixels
+from depthcli.simulate.arrays.depth_sensor import KinectSample
+from depthcli.simulate.arrays.kinect_scenes import make_kinect_sequence
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.methods.kinect.test_dsrm import preset
 from tests.methods.kinect.test_surfaces import labels_of, noisy

@@ -8,10 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
@@ -21,6 +19,8 @@ from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.stereo.cost.combined import Combined
 from depthcli.methods.stereo.pipeline.opencv_bm import OpencvBm
 from depthcli.methods.stereo.pipeline.opencv_sgbm import OpencvSgbm
+from depthcli.run.presets import find_config
+from depthcli.simulate.arrays.stereo_scenes import make_scene
 from tests.scenes import V2, rates, real_scenes
 
 pytestmark = pytest.mark.slow

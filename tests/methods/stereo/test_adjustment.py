@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.adjustment import adjusted, light, reduction_factor
 from depthcli.methods.stereo.adjustment import rows as row_alignment
@@ -22,6 +20,8 @@ from depthcli.methods.stereo.adjustment.resampling import CELL, resample
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES
+from depthcli.run.presets import find_config
+from depthcli.simulate.arrays.stereo_scenes import make_scene
 from tests.methods.stereo._pairs import PARAMETERS, texture, threads
 from tests.naive import adjustment as naive
 

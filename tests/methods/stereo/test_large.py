@@ -11,13 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.batch.presets import find_config, find_preset
 from depthcli.cli import main
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
@@ -41,6 +39,8 @@ from depthcli.methods.stereo.tiling import coarse_to_fine, tile_by_tile
 from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Tile
 from depthcli.methods.stereo.tiling.winners import TiledWinners
 from depthcli.methods.stereo.volume import StereoResult
+from depthcli.run.presets import find_config, find_preset
+from depthcli.simulate.arrays.stereo_scenes import make_scene
 from tests.methods.stereo._pairs import PARAMETERS, TINY, blocky_pair, random_volume, texture, threads
 from tests.naive import stereo as naive
 

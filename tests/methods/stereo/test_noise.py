@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.stereo.adjustment import adjusted, noise
 from depthcli.methods.stereo.config import StereoConfig
+from depthcli.run.presets import find_config
+from depthcli.simulate.arrays.stereo_scenes import make_scene
 from tests.methods.stereo._pairs import threads
 from tests.scenes import real_scenes
 

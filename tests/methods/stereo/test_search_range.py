@@ -13,13 +13,13 @@ from depthcli.cli import main
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.data.formats.disparity import read_disparity, read_pfm, write_pfm
-from depthcli.data.formats.images import write_png
-from depthcli.data.formats.pictures import read_status
-from depthcli.data.generated.arrays.stereo_scenes import make_scene
+from depthcli.io.formats.disparity import read_disparity, read_pfm, write_pfm
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.pictures import read_status
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.search_range import SearchRange, range_of_key_points
 from depthcli.methods.stereo.volume import StereoResult
+from depthcli.simulate.arrays.stereo_scenes import make_scene
 
 
 def run(*arguments: str | Path) -> int:

@@ -9,11 +9,9 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
 from depthcli.algorithms.regions import RegionPixels, region_graph
-from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
 from depthcli.methods.stereo.pipeline.segments import Segments
@@ -22,6 +20,8 @@ from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selec
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges, search_ranges, search_zones
 from depthcli.methods.stereo.segments.segmented_image import Split
 from depthcli.methods.stereo.volume import CostVolume
+from depthcli.run.presets import find_config
+from depthcli.simulate.arrays.stereo_scenes import make_scene
 from tests.naive import segments as naive
 
 FIT = SegmentPlaneFit(tolerance=0.5, trials=200, max_slope=1.0, flatness=1.0, seed=0)

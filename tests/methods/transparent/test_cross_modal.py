@@ -13,12 +13,12 @@ from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of
 from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbIrFrame
 from depthcli.core.result import Clock
-from depthcli.data.generated.arrays.transparent_scenes import glass_of_pair, make_transparent_scene
-from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.walk import discover_scenes
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.walk import discover_scenes
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.transparent.cross_modal import CrossModal, MatchSelection
 from depthcli.methods.transparent.modality import GREY, learned_weights, mix_channels, solve_nnls
+from depthcli.simulate.arrays.transparent_scenes import glass_of_pair, make_transparent_scene
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.scenes import DATA
 
@@ -193,9 +193,9 @@ class TestRealScenes:
 
     @pytest.mark.slow
     def test_the_preset_kinect_replaces_the_object_and_little_else(self, scenes):
-        from depthcli.batch.presets import find_config
         from depthcli.core.config_file import load_config
         from depthcli.methods.transparent.config import TransparentConfig
+        from depthcli.run.presets import find_config
 
         config = load_config(TransparentConfig, find_config("transparent", "kinect"), [])
         for scene, _, stereo_scene in scenes.values():

@@ -10,14 +10,14 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes
 from depthcli.algorithms.plane_fitting.samples import Samples
-from depthcli.batch.presets import find_config, list_presets
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import SparseFrame
-from depthcli.data.generated.arrays.transparent_scenes import sparse_samples
-from depthcli.data.scenes.rgbd import RgbdScene
-from depthcli.data.walk import discover_scenes
+from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.walk import discover_scenes
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
+from depthcli.run.presets import find_config, list_presets
+from depthcli.simulate.arrays.transparent_scenes import sparse_samples
 from depthcli.testing import pipelines
 from depthcli.testing.frames import NOISE, glass
 from tests.scenes import DATA

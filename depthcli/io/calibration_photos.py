@@ -1,0 +1,128 @@
+"""Photos of a calibration board: which camera took them, and which of two cameras belong together."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from depthcli.core.errors import InputError
+from depthcli.io.formats.files import shown
+from depthcli.io.formats.images import IMAGE_SUFFIXES
+
+# Words of a name that say which camera it is; "cam0" and "cam1" only where both are there.
+_WORDS = (
+    re.compile(r"(?<![a-z])(?:(left|l)|(right|r))(?![a-z])", re.IGNORECASE),
+    re.compile(r"(?<![a-z])(?:cam(?:era)?|image|img)[-_]?0?(?:(0)|(1))(?![0-9a-z])", re.IGNORECASE),
+)
+_MAX_DEPTH = 2  # folders below the given one
+
+
+@dataclass(frozen=True)
+class Photos:
+    """The photos of one position of the board.
+
+    Attributes
+    ----------
+    name : of the position, from what the names have in common
+    left, right : the files; one of them is None where it has no partner, ``right`` for a single camera
+    """
+
+    name: str
+    left: Path | None
+    right: Path | None
+
+
+def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
+    """Return the photos of one or two cameras, sorted by name, and files whose name does not say which camera's.
+
+    Of two folders the first is the left camera's. In one folder, names of files or of folders in it say which camera's
+    a photo is (left, right, l, r, cam0, cam1). Photos belong together whose names are the same without that word.
+    Where none has such a word, all are of one camera.
+
+    Raises
+    ------
+    InputError
+        No such folder, one for both cameras, no photo, two of one name, or names of two cameras of which none agree.
+    """
+    found = [_images(folder) for folder in folders]
+    place = " and ".join(map(shown, folders))
+    if len(folders) == 2:
+        if os.path.samefile(*folders):
+            raise InputError(f"{shown(folders[0])}: given for both cameras; give one of each, left first")
+        for word in (None, *_WORDS):  # the folders may hold left01.png and right01.png
+            left, right = (_keyed(files.items(), word, place) for files in found)
+            if set(left) & set(right):
+                break
+        return _paired(left, right, place), []
+    files = found[0]
+    for word in _WORDS:
+        matches = {name: _last(word, name) for name in files}
+        left, right = (
+            _keyed([(name, files[name]) for name, match in matches.items() if match and match[side]], word, place)
+            for side in (1, 2)
+        )
+        without = [files[name] for name, match in matches.items() if match is None]
+        # Of img0, img1, img2 and so on, the numbers are those of photos.
+        are_photo_numbers = word is _WORDS[1] and 2 * len(without) > len(files)
+        if left and right and not are_photo_numbers:
+            return _paired(left, right, place), without
+    return [Photos(name, file, None) for name, file in files.items()], []
+
+
+def _keyed(files: Iterable[tuple[str, Path]], word: re.Pattern[str] | None, place: str) -> dict[str, Path]:
+    """Return name without what ``word`` matches -> file."""
+    keyed: dict[str, Path] = {}
+    for name, file in files:
+        other = keyed.setdefault(key := _key(name, word), file)
+        if other is not file:
+            raise InputError(f"{place}: {other.name} and {file.name} of one camera are both called {key}")
+    return keyed
+
+
+def _last(word: re.Pattern[str], name: str) -> re.Match[str] | None:
+    matches = list(word.finditer(name))
+    return matches[-1] if matches else None
+
+
+def _paired(left: dict[str, Path], right: dict[str, Path], place: str) -> list[Photos]:
+    if not set(left) & set(right):
+        one, other = (next(iter(side.values())).name for side in (left, right))
+        raise InputError(f"{place}: no photos of the two cameras have the same name ({one}, {other})")
+    return [Photos(name, left.get(name), right.get(name)) for name in sorted(set(left) | set(right))]
+
+
+def _key(name: str, word: re.Pattern[str] | None) -> str:
+    """Return the name of a file without its ending, and without what ``word`` matches."""
+    stem = os.path.splitext(name)[0]
+    parts = (word.sub("", stem) if word else stem).split("/")
+    plain = (re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in parts)
+    return "/".join(part for part in plain if part) or "photo"
+
+
+def _images(folder: Path) -> dict[str, Path]:
+    """Return name below the folder -> image, sorted; hidden files and folders are passed over."""
+    if not os.path.isdir(folder):
+        raise InputError(f"{shown(folder)}: no such folder")
+    found: dict[str, Path] = {}
+    places = [("", folder)]
+    for _ in range(_MAX_DEPTH + 1):
+        below = []
+        for start, place in places:
+            try:
+                entries = sorted(os.listdir(place))
+            except OSError as error:
+                raise InputError(f"{shown(place)}: cannot be read ({error.strerror})") from error
+            for entry in entries:
+                if entry.startswith("."):
+                    continue
+                if os.path.isdir(place / entry):
+                    below.append((f"{start}{entry}/", place / entry))
+                elif Path(entry).suffix.lower() in IMAGE_SUFFIXES:
+                    found[f"{start}{entry}"] = place / entry
+        places = below
+    if not found:
+        raise InputError(f"{shown(folder)}: no photos ({', '.join(IMAGE_SUFFIXES)})")
+    return dict(sorted(found.items()))

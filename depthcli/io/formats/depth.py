@@ -1,0 +1,243 @@
+"""Depth maps as files: codes of sensors and data sets, meters, and colored point clouds."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.errors import InputError
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.files import read_bytes, shown, warn, write_bytes
+from depthcli.io.formats.images import write_png
+
+MILLIMETERS = 1000.0
+"""Codes per meter of Kinect, NYU and ROS (``16UC1``, REP 118); TUM RGB-D has 5000, KITTI 256."""
+
+SENSOR = (0.35, 5.0)
+"""Median depths that are plausible for an indoor depth sensor, such as the Kinect, meters."""
+
+_LARGEST_CODE = 65535
+_MAX_SHARE_BEYOND = 0.01  # of the depths that codes cannot hold, without a warning
+_MAX_SENSOR_DEPTH = 10.0  # meters, of 95 % of its pixels; the first Kinect's last code is at 9.7 m
+_ROOM = (0.2, 20.0)  # median depths that are plausible for a room, meters
+
+MIN_DEPTH, MAX_DEPTH = 0.01, 100.0
+"""Median depths that are plausible at all, meters: from a macro lens to a street."""
+
+_AXES, _CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
+_VERTEX = np.dtype([(name, "<f4") for name in _AXES] + [(name, "u1") for name in _CHANNELS])
+
+# Codes per meter of common files: millimeters, TUM RGB-D, eighths and tenths of millimeters, KITTI, centimeters.
+_COMMON_SCALES = (1000.0, 5000.0, 8000.0, 10_000.0, 256.0, 100.0)
+
+
+def read_codes(path: Path | str) -> NDArray[np.uint16]:
+    """Read (H, W) 16-bit codes: depth, or the raw disparity of a Kinect, of a PNG, PGM, TIFF or integer npy.
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, or not one channel of codes from 0 to 65535; one line that names the file.
+    """
+    return _codes(read_plane(path), path)
+
+
+def _codes(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
+    if values.dtype.kind not in "iu" or (values.dtype.itemsize > 1 and (values.min() < 0 or values.max() > 65535)):
+        raise InputError(f"{shown(path)}: want codes from 0 to 65535, got {values.dtype}")
+    return values.astype(np.uint16)
+
+
+def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) -> NDArray[np.float32]:
+    """Read a depth map in meters.
+
+    Codes (PNG, PGM, TIFF, integer npy) are divided by ``scale``; 0 is unknown. PFM, float npy and TIFF hold meters
+    unless a ``scale`` is given; what is not a positive number (NaN, +-inf, 0 or less) is unknown.
+
+    Parameters
+    ----------
+    path : the file; its kind is found by its content
+    scale : codes per meter; None: 1000 for 16-bit codes, 1 for floats
+    rotate : codes are rotated right by so many bits first (SUN RGB-D: 3)
+
+    Returns
+    -------
+    (H, W) float32, meters, NaN = unknown
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
+    """
+    values = read_plane(path)
+    if values.dtype.kind == "b":
+        raise InputError(f"{shown(path)}: true or false, want depths")
+    if values.dtype.kind in "iu":
+        if scale is None and values.dtype.itemsize == 1:
+            raise InputError(f"{shown(path)}: 8-bit depth needs a scale (codes per meter)")
+        values, scale = _codes(values, path), scale or MILLIMETERS
+        if rotate:
+            values = (values >> np.uint16(rotate)) | (values << np.uint16(16 - rotate))
+    with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
+        depth = (values / np.float64(scale or 1)).astype(np.float32)
+    depth[~((depth > 0) & np.isfinite(depth))] = np.nan
+    if text := implausible_depth(path, depth, scale or 1.0):
+        warn(text)
+    return depth
+
+
+def implausible_depth(
+    path: Path | str, depth: NDArray[np.float32], scale: float, limits: tuple[float, float] = (MIN_DEPTH, MAX_DEPTH)
+) -> str:
+    """Return a warning where the median depth is not within ``limits`` (meters), else an empty text.
+
+    With the limits ``SENSOR``, 5 % of depths beyond 10 m are a reason, too.
+
+    Parameters
+    ----------
+    path : the file, named in the warning
+    depth : (H, W) float32, meters, NaN = unknown
+    scale : codes per meter that it was read with; another that would make it fit a room is named
+    """
+    known = depth[np.isfinite(depth)]
+    median = float(np.median(known)) if known.size else math.nan
+    far = float(np.quantile(known, 0.95)) if known.size and limits == SENSOR else 0.0
+    if not known.size or (limits[0] <= median <= limits[1] and far <= _MAX_SENSOR_DEPTH):
+        return ""
+    others = [s for s in _COMMON_SCALES if s != scale]
+    fitting = [
+        *(s for s in others if _within(median * scale / s, SENSOR) and far * scale / s <= _MAX_SENSOR_DEPTH),
+        *(s for s in others if limits != SENSOR and _within(median * scale / s, _ROOM)),
+    ]
+    hint = f"; a depth scale of {fitting[0]:g} would fit" if fitting else ""
+    beyond = f", and 5 % are beyond {far:.3g} m," if _within(median, limits) else ""
+    return f"{shown(path)}: the median depth is {median:.3g} m{beyond} at {scale:g} codes per meter{hint}"
+
+
+def _within(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= value <= limits[1]
+
+
+def check_fb(path: Path | str, fb: float, depth: NDArray[np.float32]) -> None:
+    """Warn where ``fb``, pixel meters, makes the median disparity of (H, W) meters wider than the image."""
+    known = depth[np.isfinite(depth)]
+    disparity, width = fb / float(np.median(known)) if known.size else 0.0, depth.shape[1]
+    if disparity > width:
+        warn(
+            f"{shown(path)}: fb {fb:g} makes the median disparity {disparity:.4g} px, wider than the image of {width} "
+            "px; want focal length x baseline in pixels x meters"
+        )
+
+
+def write_depth_png(
+    path: Path | str, depth: NDArray[np.floating[Any]], scale: float = MILLIMETERS, rotate: int = 0
+) -> None:
+    """Write (H, W) meters as 16-bit codes, ``depth x scale`` rounded, atomically; 0 = unknown.
+
+    Depths beyond the largest code are written as unknown: a nearer surface would be invented otherwise. A positive
+    depth below the smallest code gets that code. The codes are rotated left by ``rotate`` bits (SUN RGB-D: 3).
+
+    Raises
+    ------
+    ValueError
+        Not two-dimensional.
+    OutputError
+        The file cannot be written.
+    """
+    if depth.ndim != 2:
+        raise ValueError(f"want (H, W), got {depth.shape}")
+    codes = np.zeros(depth.shape, np.uint16)
+    with np.errstate(all="ignore"):
+        exact = np.rint(depth.astype(np.float64) * scale)
+    known = (depth > 0) & (exact <= _LARGEST_CODE)
+    codes[known] = np.maximum(exact[known], 1).astype(np.uint16)
+    if rotate:
+        codes = (codes << np.uint16(rotate)) | (codes >> np.uint16(16 - rotate))
+    write_png(path, codes)
+
+
+def beyond_png(depth: NDArray[np.floating[Any]], scale: float) -> tuple[float, str]:
+    """Return the share of the depths (meters) that 16-bit codes cannot hold, and a warning where it is large."""
+    known = depth[np.isfinite(depth)]
+    share = float(np.mean(known * scale >= _LARGEST_CODE + 0.5)) if known.size else 0.0
+    if share <= _MAX_SHARE_BEYOND:
+        return share, ""
+    return share, (
+        f"{100 * share:.0f} % of the depths are beyond the {_LARGEST_CODE / scale:.4g} m that depth.png can hold: 0 "
+        "there, depth.pfm has them"
+    )
+
+
+def write_ply(
+    path: Path | str,
+    depth: NDArray[np.float32],
+    intrinsics: Intrinsics,
+    color: NDArray[np.uint8],
+    mask: NDArray[np.bool_] | None = None,
+) -> None:
+    """Write a depth map as a point cloud: PLY, binary little endian, one colored vertex a pixel with depth.
+
+    Vertices are in the camera's frame, meters: x right, y down, z forward.
+
+    Parameters
+    ----------
+    path : the file
+    depth : (H, W) float32, meters, NaN = unknown
+    intrinsics : of the camera whose pixels these are
+    color : (H, W, 3) uint8 RGB
+    mask : (H, W) bool, True = write the pixel (measured ones, for instance); None: all with depth
+
+    Raises
+    ------
+    ValueError
+        Arrays of different sizes.
+    OutputError
+        The file cannot be written.
+    """
+    if color.shape != (*depth.shape, 3) or (mask is not None and mask.shape != depth.shape):
+        raise ValueError(f"depth {depth.shape}, color {color.shape} and mask must have one size")
+    chosen = np.isfinite(depth) if mask is None else np.isfinite(depth) & mask
+    write_points(path, intrinsics.points(depth, chosen), color[chosen])
+
+
+def write_points(path: Path | str, points: NDArray[np.float32], color: NDArray[np.uint8]) -> None:
+    """Write points (N, 3) with colors (N, 3) RGB as PLY, binary little endian; OutputError where that cannot be."""
+    vertices = np.empty(len(points), _VERTEX)
+    for names, values in ((_AXES, points), (_CHANNELS, color)):
+        for k, name in enumerate(names):
+            vertices[name] = values[:, k]
+    write_bytes(path, _ply_header(len(points)).encode("ascii") + vertices.tobytes())
+
+
+def _ply_header(count: int) -> str:
+    types = {"f": "float", "u": "uchar"}
+    properties = [f"property {types[_VERTEX[name].kind]} {name}" for name in (*_AXES, *_CHANNELS)]
+    return "\n".join(
+        ["ply", "format binary_little_endian 1.0", f"element vertex {count}", *properties, "end_header", ""]
+    )
+
+
+def read_points(path: Path | str) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Read points (N, 3) and colors (N, 3) RGB of a PLY file as :func:`write_points` writes it.
+
+    Raises
+    ------
+    InputError
+        Not readable, truncated, or another kind of PLY; one line that names the file.
+    """
+    data = read_bytes(path)
+    head, mark, body = data.partition(b"end_header\n")
+    count = re.search(rb"^element vertex (\d{1,12})$", head, re.MULTILINE)
+    if not mark or count is None or head + mark != _ply_header(int(count[1])).encode("ascii"):
+        raise InputError(f"{shown(path)}: no point cloud of depthcli (binary PLY with x, y, z, red, green, blue)")
+    if len(body) != int(count[1]) * _VERTEX.itemsize:
+        raise InputError(f"{shown(path)}: damaged: {len(body)} bytes, want {int(count[1]) * _VERTEX.itemsize}")
+    vertices = np.frombuffer(body, _VERTEX)
+    points, color = (np.stack([vertices[name] for name in names], axis=1) for names in (_AXES, _CHANNELS))
+    return points, color

@@ -1,0 +1,210 @@
+"""Disparity maps and other float maps as files: PFM, KITTI PNG, scaled 8-bit images, npy, npz."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError, OutputError
+from depthcli.io.formats.files import naming, read_bytes, shown, warn, write_bytes
+from depthcli.io.formats.headers import image_kind, pfm_header
+from depthcli.io.formats.images import decode_floats, decode_grey
+from depthcli.io.formats.map_format import read_by_plugin
+from depthcli.io.formats.npy import NPZ_MAGIC, decode_npy, npy_in_npz
+
+KITTI_SCALE = 256.0
+"""Codes per pixel of 16-bit disparity PNGs (KITTI, DSEC)."""
+
+
+def read_disparity(
+    path: Path | str, scale: float | None = None, scale_8bit: float | None = None
+) -> NDArray[np.float32]:
+    """Return a disparity map in pixels.
+
+    PFM, float npy and float TIFF hold pixels (+-inf and NaN: unknown). Integer codes (PNG, PGM, integer npy) are
+    divided by ``scale``; a code of 0 or less is unknown.
+
+    Parameters
+    ----------
+    path : the file; its kind is found by its content
+    scale : codes per pixel; None: 1 for PFM, float npy and float TIFF, 256 for 16-bit codes (KITTI)
+    scale_8bit : codes per pixel of 8-bit files where ``scale`` is None; such a file has no scale of its own
+
+    Returns
+    -------
+    (H, W) float32, pixels, NaN = unknown
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
+    """
+    values = read_plane(path)
+    codes = values.dtype.kind in "iu"
+    if scale is None and codes:
+        scale = scale_8bit if values.dtype.itemsize == 1 else KITTI_SCALE
+        if scale is None:
+            raise InputError(
+                f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale "
+                "(of maps: evaluate --scale, confidence --scale)"
+            )
+    with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
+        if codes:
+            disparity = (values / np.float64(scale)).astype(np.float32)
+        else:
+            disparity = values.astype(np.float32) / np.float32(scale or 1)
+    disparity[(values <= 0) if codes else ~np.isfinite(disparity)] = np.nan
+    width = disparity.shape[1]
+    with np.errstate(invalid="ignore"):
+        n_beyond = np.count_nonzero(np.abs(disparity) > width)
+    if 2 * n_beyond > np.count_nonzero(~np.isnan(disparity)):
+        median = np.nanmedian(disparity.astype(np.float64))  # float32 could overflow
+        warn(
+            f"{shown(path)}: the median disparity is {median:.4g} px, wider than the image of "
+            f"{width} px; is the scale (codes per pixel) right?"
+        )
+    return disparity
+
+
+_MIN_CONSTANT_SHARE = 0.005  # of the pixels; a constant that fewer have may be measured
+_MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels of it; it stands alone where it is a mark
+
+
+def lone_constant(disparity: NDArray[np.float32]) -> float | None:
+    """Return the constant at or below 0 that may stand for no value in other programs' maps, such as OpenCV's -1.
+
+    It is the smallest value of a share of the pixels, and few others are near it. None: there is no such constant.
+
+    Parameters
+    ----------
+    disparity : (H, W) float32, pixels, NaN = none
+    """
+    known = disparity[np.isfinite(disparity)]
+    lowest = float(known.min(initial=np.inf))
+    n_marked = np.count_nonzero(known == np.float32(lowest))
+    if lowest > 0 or n_marked < _MIN_CONSTANT_SHARE * disparity.size:
+        return None
+    n_near = np.count_nonzero(known <= np.float32(lowest + 1)) - n_marked
+    return None if n_near > _MAX_NEIGHBOR_RATIO * n_marked or n_marked == known.size else lowest
+
+
+def read_pfm(path: Path | str) -> NDArray[np.float32]:
+    """Return the values of a one-channel PFM file of either byte order, top row first.
+
+    Rows are stored bottom to top; a negative scale in the header means little endian, its size is
+    ignored, as by the Middlebury SDK. A colour PFM is accepted where its channels are equal.
+
+    Returns
+    -------
+    (H, W) float32 with the values as stored (+inf: unknown)
+
+    Raises
+    ------
+    InputError
+        Bad header, or fewer data than the header says. Bytes behind them are ignored with a warning, as the
+        benchmarks' programs ignore them.
+    """
+    data = read_bytes(path)
+    with naming(path):
+        return _decode_pfm(data, path)
+
+
+def read_plane(path: Path | str) -> NDArray[Any]:
+    """Return one channel of numbers as stored: a map (PFM, npy, npz, float TIFF) or codes; the content says which.
+
+    A file whose ending belongs to a plug-in's format is read by the plug-in.
+
+    Returns
+    -------
+    (H, W) of any integer or float dtype
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, or not one channel; one line that names the file.
+    """
+    if (plane := read_by_plugin(path)) is not None:
+        return plane
+    data = read_bytes(path)
+    with naming(path):
+        if data.startswith(NPZ_MAGIC):
+            return decode_npy(npy_in_npz(data))
+        kind = image_kind(data)
+        if kind == "pfm":
+            return _decode_pfm(data, path)
+        if kind == "npy":
+            return decode_npy(data)
+        floats = decode_floats(data)
+        return decode_grey(data) if floats is None else floats
+
+
+def _decode_pfm(data: bytes, path: Path | str) -> NDArray[np.float32]:
+    (height, width, channels, _), little, start = pfm_header(data)
+    n_values = width * height * channels
+    want, got = n_values * 4, len(data) - start
+    if want > got:
+        raise InputError(f"damaged PFM ({width} x {height} needs {want} bytes of data, the file has {got})")
+    if want < got:
+        warn(f"{shown(path)}: the PFM has {got - want} bytes more than its {width} x {height} values; they are ignored")
+    values = np.frombuffer(data, "<f4" if little else ">f4", n_values, start).reshape(height, width, channels)[::-1]
+    if channels == 3 and not all(np.array_equal(values[..., 0], values[..., c], equal_nan=True) for c in (1, 2)):
+        raise InputError("a colour PFM, want one channel")
+    plane: NDArray[np.float32] = values[..., 0].astype(np.float32, order="C")
+    return plane
+
+
+def write_pfm(path: Path | str, values: NDArray[np.floating[Any]]) -> None:
+    """Write (H, W) float values as little-endian PFM, atomically; NaN becomes +inf (unknown).
+
+    Raises
+    ------
+    ValueError
+        Not two-dimensional.
+    OutputError
+        The file cannot be written.
+    """
+    write_bytes(path, encode_pfm(values))
+
+
+def encode_pfm(values: NDArray[np.floating[Any]]) -> bytes:
+    """Return the bytes that :func:`write_pfm` writes."""
+    if values.ndim != 2:
+        raise ValueError(f"want (H, W), got {values.shape}")
+    plane = values.astype("<f4")
+    plane[np.isnan(plane)] = np.inf
+    header = f"Pf\n{plane.shape[1]} {plane.shape[0]}\n-1\n".encode()
+    return header + plane[::-1].tobytes()
+
+
+def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) -> None:
+    """Write a KITTI disparity PNG: uint16, disparity x 256, 0 = unknown, atomically.
+
+    Known values are kept within the codes 1..65535 (1/256 to just under 256 pixels): the format has
+    no code for a disparity of exactly 0.
+
+    Raises
+    ------
+    ValueError
+        Not two-dimensional.
+    OutputError
+        The file cannot be written.
+    """
+    data = encode_disparity_png(disparity)
+    if data is None:
+        raise OutputError(f"{path}: cannot be encoded as PNG")
+    write_bytes(path, data)
+
+
+def encode_disparity_png(disparity: NDArray[np.floating[Any]]) -> bytes | None:
+    """Return the bytes that :func:`write_disparity_png` writes; None where they cannot be made."""
+    if disparity.ndim != 2:
+        raise ValueError(f"want (H, W), got {disparity.shape}")
+    known = np.isfinite(disparity)
+    codes = np.zeros(disparity.shape, np.uint16)
+    codes[known] = np.clip(np.rint(disparity[known].astype(np.float64) * KITTI_SCALE), 1, 65535).astype(np.uint16)
+    done, data = cv2.imencode(".png", codes)
+    return data.tobytes() if done else None

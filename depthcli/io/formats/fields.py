@@ -1,0 +1,207 @@
+"""Transforms and displacement fields of the usual registration programs, all as mm along LPS on the fixed grid.
+
+======================  ==============================================================================
+ITK, elastix            vector MHA, NRRD, NIfTI: displacement, mm, LPS; ``.tfm .txt .h5 .mat`` transforms;
+                        ``TransformParameters.N.txt`` (translation, Euler, affine, B-spline, and chains)
+ANTs                    ``1Warp.nii.gz`` (5-D, intent 1007): displacement, mm, LPS; ``0GenericAffine.mat``
+NiftyReg                5-D, intent name NREG_TRANS, mm, RAS; intent_p1: 0 positions, 1 displacements
+Learn2Reg, VoxelMorph   ``.npz`` or 4-D NIfTI (X, Y, Z, 3): displacement, voxels
+======================  ==============================================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.resampling import nearest
+from depthcli.core.errors import InputError
+from depthcli.core.volumes import Grid, Volume
+from depthcli.io.formats.files import naming, open_regular
+from depthcli.io.formats.nifti import check_whole, read_header
+from depthcli.io.formats.transforms import read_transform
+from depthcli.io.formats.volumes import place, read_image, read_volume, simple_itk, suffix_of
+
+READINGS = {
+    "itk": "displacement in mm, LPS (ITK, elastix, ANTs)",
+    "niftyreg": "displacement in mm, RAS (NiftyReg)",
+    "positions": "positions in mm, RAS (NiftyReg deformation field)",
+    "voxels": "displacement in voxels (Learn2Reg, VoxelMorph)",
+}
+"""What the numbers of a field may mean."""
+
+_MIN_RATIO = 1.1  # mutual information of the better reading over that of the named one, to refuse the named one
+_MIN_GAIN = 0.02  # and by how much it must be more, nats
+_N_SAMPLES = 60_000  # voxels that the readings of a field are compared at
+_N_BINS = 24  # of the histogram of each volume
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field as stored.
+
+    Attributes
+    ----------
+    values : (Z, Y, X, 3) float32, components as in the file: x, y, z
+    grid : where it is
+    named : key of READINGS that the header, or the file's kind, says
+    """
+
+    values: NDArray[np.float32]
+    grid: Grid
+    named: str
+
+
+def read_field(path: Path, fixed: Grid) -> Field:
+    """Return the field of a file, whose kind is found by its ending and header.
+
+    Raises
+    ------
+    InputError
+        Not readable, without three components, or of another size than the fixed volume where it has no grid of its
+        own.
+    """
+    with naming(path):
+        kind, named = suffix_of(path), "itk"
+        if kind == ".npz":
+            return _bare(_npz(path), fixed)
+        if kind in (".nii", ".nii.gz"):
+            header = read_header(path)
+            if len(header["dim"]) == 4 and header["dim"][3] == 3:
+                bad = check_whole(path)
+                values = simple_itk().GetArrayFromImage(read_image(path))
+                values.reshape(-1)[bad] = np.nan  # which SimpleITK made 0
+                return _bare(values.transpose(1, 2, 3, 0), fixed)
+            if header["intent_name"] == "NREG_TRANS":
+                named = "positions" if abs(header["intent_p1"]) < 0.5 else "niftyreg"
+        volume = read_volume(path, vector=True)
+        return Field(volume.values, volume.grid, named)
+
+
+def _npz(path: Path) -> NDArray[Any]:
+    with open_regular(path) as file:
+        try:
+            with np.load(file, allow_pickle=False) as stored:
+                arrays = [stored[name] for name in stored.files]
+        except Exception:  # zipfile, zlib and numpy raise many kinds for damage, MemoryError among them
+            raise InputError("not a readable .npz file") from None
+    fields = [array for array in arrays if array.ndim == 4 and 3 in (array.shape[0], array.shape[3])]
+    if len(fields) != 1:
+        raise InputError("want one array (X, Y, Z, 3) or (3, X, Y, Z) of displacements")
+    return np.transpose(fields[0], (2, 1, 0, 3) if fields[0].shape[3] == 3 else (3, 2, 1, 0))
+
+
+def _bare(values: NDArray[Any], fixed: Grid) -> Field:
+    if values.shape[:3] != fixed.shape:
+        have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
+        raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        return Field(np.ascontiguousarray(values, np.float32), fixed, "voxels")
+
+
+def in_millimeters(field: Field, reading: str) -> NDArray[np.float64]:
+    """Return the displacement, (Z, Y, X, 3) mm, LPS, of a field read as a key of READINGS."""
+    values: NDArray[np.float64] = field.values.astype(np.float64)
+    if reading == "voxels":
+        return np.asarray((values * np.array(field.grid.spacing)) @ field.grid.axes.T, np.float64)
+    if reading != "itk":
+        values *= np.array([-1.0, -1.0, 1.0])  # from RAS
+    if reading == "positions":
+        places = np.ascontiguousarray(np.indices(field.grid.shape, np.float64).reshape(3, -1).T)
+        values -= field.grid.to_point(places).reshape(values.shape)
+    return values
+
+
+def read_moving_transform(
+    transform: Path | None, displacement: Path | None, convention: str, fixed: Volume, moving: Volume | None
+) -> Any:
+    """Return the SimpleITK transform that maps a point of the fixed volume to the moving one.
+
+    With both files, the displacement comes first and the transform after it (ANTs: ``1Warp``, ``0GenericAffine``).
+
+    Parameters
+    ----------
+    convention : auto, itk, ants, niftyreg or voxels. ``auto`` takes what the header says and compares, where the moving
+        volume is there, the warped volumes of all plausible readings
+
+    Raises
+    ------
+    InputError
+        A file cannot be used, or another reading is clearly better than the one its header says.
+    """
+    sitk = simple_itk()
+    after = None if transform is None else read_transform(transform)
+    chain = [] if after is None else [after]
+    if displacement is not None and suffix_of(displacement) in (".h5", ".tfm", ".txt"):
+        chain.append(read_transform(displacement))
+    elif displacement is not None:
+        field = read_field(displacement, fixed.grid)
+        reading = _chosen(field, convention)
+        if bad := int(np.count_nonzero(~np.isfinite(field.values).all(axis=3))):
+            count = int(np.prod(field.grid.shape))
+            raise InputError(
+                f"{displacement}: {bad} of {count} displacements are no numbers; make them 0 where unknown"
+            )
+        if convention == "auto" and moving is not None:
+            with naming(displacement):
+                _check_reading(field, reading, fixed, moving, after)
+        image = sitk.GetImageFromArray(in_millimeters(field, reading), isVector=True)
+        place(image, field.grid)
+        chain.append(sitk.DisplacementFieldTransform(image))
+    if not chain:
+        raise InputError("neither a transform nor a displacement field")
+    return sitk.CompositeTransform(chain)
+
+
+def _chosen(field: Field, convention: str) -> str:
+    if convention == "auto":
+        return field.named
+    if convention == "niftyreg":
+        return field.named if field.named == "positions" else "niftyreg"
+    return "itk" if convention == "ants" else convention
+
+
+def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, after: Any) -> None:
+    """Refuse a field that warps the moving volume clearly better under another reading than the named one."""
+    count = int(np.prod(field.grid.shape))
+    chosen = np.arange(0, count, max(1, count // _N_SAMPLES))
+    places = np.stack(np.unravel_index(chosen, field.grid.shape), axis=1).astype(np.float64)
+    points = field.grid.to_point(places)
+    at = fixed.grid.to_index(points)
+    inside = np.all((at >= 0) & (at <= np.array(fixed.grid.shape) - 1), axis=1)
+    if not inside.any():
+        return
+    target = nearest(fixed.values, at[inside])
+    scores = {}
+    for reading in READINGS:
+        moved = points[inside] + in_millimeters(field, reading).reshape(-1, 3)[chosen[inside]]
+        if after is not None:
+            moved = np.array([after.TransformPoint(point) for point in moved.tolist()])
+        scores[reading] = _information(target, nearest(moving.values, moving.grid.to_index(moved)))
+    best = max(scores, key=lambda reading: scores[reading])
+    if best != named and scores[best] > max(_MIN_RATIO * scores[named], scores[named] + _MIN_GAIN):
+        option = "niftyreg" if best == "positions" else best
+        raise InputError(
+            f"its header says {READINGS[named]}, but read as {READINGS[best]} it fits the volumes clearly better "
+            f"(mutual information {scores[best]:.2f} against {scores[named]:.2f}); see --field {option}, or --field "
+            f"{'itk' if named == 'itk' else 'niftyreg' if named == 'positions' else named} to keep to the header"
+        )
+
+
+def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
+    """Mutual information, nats; what falls outside the moving volume is a value of its own."""
+    low, high = (float(np.nanmin(other)), float(np.nanmax(other))) if np.isfinite(other).any() else (0.0, 1.0)
+    outside = np.isnan(other)
+    second = np.where(outside, 0, (other - low) / max(high - low, 1e-12) * (_N_BINS - 2) + 1).astype(np.int64)
+    span = max(float(one.max() - one.min()), 1e-12)
+    first = np.clip((one - one.min()) / span * _N_BINS, 0, _N_BINS - 1).astype(np.int64)
+    cells = first * _N_BINS + np.clip(second, 0, _N_BINS - 1)
+    joint = np.bincount(cells, minlength=_N_BINS**2).reshape(_N_BINS, _N_BINS)
+    p = joint / joint.sum()
+    a, b = p.sum(axis=1, keepdims=True), p.sum(axis=0, keepdims=True)
+    known = p > 0
+    return float(np.sum(p[known] * np.log(p[known] / (a * b)[known])))

@@ -1,0 +1,117 @@
+"""Formats of maps that plug-ins read, known by the endings of their files."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import DepthcliError, InputError
+from depthcli.core.plugins import Plugin
+from depthcli.core.registry import Registry, registered_name
+from depthcli.io.formats.files import open_regular, shown
+from depthcli.io.formats.images import IMAGE_SUFFIXES
+
+MAP_SUFFIXES = (".pfm", ".npy", ".npz", *IMAGE_SUFFIXES)
+"""File name endings of the maps that this package reads itself, most exact first."""
+
+
+class MapFormat(ABC):
+    """A format of maps of one channel, for files whose endings this package does not read itself."""
+
+    suffixes: ClassVar[tuple[str, ...]]
+    """Endings of the files' names, in lower case, with the dot."""
+
+    @property
+    def name(self) -> str:
+        """Name of the plug-in."""
+        return registered_name(type(self))
+
+    @abstractmethod
+    def read(self, path: Path) -> NDArray[Any]:
+        """Return the map as stored.
+
+        Returns
+        -------
+        (H, W) of a float dtype: disparities in pixels, depths in meters, NaN or infinite = unknown; or of an integer
+        dtype: codes, divided by the scale that the user or the scene gives, 0 = unknown
+
+        Raises
+        ------
+        InputError, ValueError, OSError
+            The file is damaged; the name of the file is put before the message.
+        """
+
+
+def _checked(value: Any) -> MapFormat:
+    if not (isinstance(value, type) and issubclass(value, MapFormat)):
+        raise TypeError(f"want a class derived from depthcli.io.formats.map_format.MapFormat, got {value!r}")
+    suffixes = getattr(value, "suffixes", ())
+    if not (isinstance(suffixes, tuple) and suffixes and all(isinstance(s, str) and s[:1] == "." for s in suffixes)):
+        raise TypeError(f"suffixes: want a tuple of endings such as ('.flo5',), got {suffixes!r}")
+    if taken := [suffix for suffix in suffixes if suffix in MAP_SUFFIXES or suffix != suffix.lower()]:
+        raise ValueError(f"suffixes: {taken[0]} is read by depthcli itself, or not in lower case")
+    return value()
+
+
+class _Formats(Registry[MapFormat]):
+    """The formats of plug-ins; this package's own are no classes."""
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        return ()
+
+
+_REGISTRY = _Formats(__name__, lambda module: module.FORMAT, _checked, group="depthcli.formats")
+
+
+def map_formats() -> dict[str, MapFormat]:
+    """Return ending -> format of plug-ins, in the order of their names; the first that has an ending reads it."""
+    formats = [_REGISTRY.load(name) for name in _REGISTRY.names()] if _REGISTRY.plugins() else []
+    return {suffix: each for each in reversed(formats) for suffix in each.suffixes}
+
+
+def map_suffixes() -> tuple[str, ...]:
+    """Return the endings of all files that may be maps, our own first."""
+    return (*MAP_SUFFIXES, *sorted(map_formats()))
+
+
+def format_plugins(files: Iterable[Path]) -> set[Plugin]:
+    """Return the plug-ins that read any of these files."""
+    plugins = _REGISTRY.plugins()
+    endings = {path.suffix.lower() for path in files} if plugins else set()
+    return {plugins[each.name] for suffix, each in map_formats().items() if suffix in endings} if endings else set()
+
+
+def read_by_plugin(path: Path | str) -> NDArray[Any] | None:
+    """Return the map that a plug-in reads from a file; None where the file's ending is none of theirs.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or what was read from it is no map; one line that names the file.
+    """
+    suffix = Path(path).suffix.lower()
+    reader = None if suffix in MAP_SUFFIXES else map_formats().get(suffix)
+    if reader is None:
+        return None
+    with open_regular(path):  # a regular file that can be opened, whatever the plug-in checks
+        pass
+    try:
+        values = np.asarray(reader.read(Path(path)))
+    except DepthcliError as error:
+        raise InputError(_named(path, str(error))) from error
+    except Exception as error:  # a stranger's code may raise anything
+        why = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(_named(path, f"cannot be read as {reader.name}: {why}")) from error
+    if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
+        raise InputError(_named(path, f"format {reader.name}: want (H, W) numbers, got {values.shape} {values.dtype}"))
+    return values
+
+
+def _named(path: Path | str, text: str) -> str:
+    return text if str(path) in text else f"{shown(path)}: {text}"

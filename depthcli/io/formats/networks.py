@@ -1,0 +1,85 @@
+"""Trained networks as JSON files: four digits a number."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.core.networks import TrainedNetwork
+from depthcli.io.formats.files import atomic_path, naming, read_bytes
+
+_FORMAT = "depthcli choice 1"
+_MAX_BYTES = 1 << 24
+_SHIPPED = Path(__file__).resolve().parent.parent / "networks"
+
+
+def network_path(name: str) -> Path:
+    """Return the file of a network: ``name`` itself where it ends with .json, else that of the package.
+
+    Raises
+    ------
+    InputError
+        The package has no network of this name.
+    """
+    if name.endswith(".json"):
+        return Path(name)
+    shipped = {file.stem: file for file in sorted(_SHIPPED.glob("*.json"))}
+    if name not in shipped:
+        raise InputError(f"no network called {name!r}; want a .json file or one of the package: {', '.join(shipped)}")
+    return shipped[name]
+
+
+def read_network(path: Path) -> TrainedNetwork:
+    """Read a network that :func:`write_network` wrote.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or holds something else, arrays that do not fit each other, or numbers that are not
+        finite.
+    """
+    data = read_bytes(path, _MAX_BYTES)
+    with naming(path):
+        try:
+            content = json.loads(data)
+            if content["format"] != _FORMAT:
+                raise InputError(f"format {str(content['format'])[:40]!r}, want {_FORMAT!r}")
+            with np.errstate(over="ignore"):  # what is infinite is refused
+                return TrainedNetwork(
+                    tuple(map(str, content["maps"])),
+                    tuple(map(str, content["inputs"])),
+                    np.array(content["mean"], np.float32),
+                    np.array(content["scale"], np.float32),
+                    tuple(
+                        (np.array(layer["weights"], np.float32), np.array(layer["offsets"], np.float32))
+                        for layer in content["layers"]
+                    ),
+                    tuple(map(str, content["trained_on"])),
+                )
+        except (LookupError, TypeError, ValueError, OverflowError, RecursionError, AttributeError) as error:
+            raise InputError(f"not a network that depthcli wrote ({str(error)[:200]})") from None
+
+
+def write_network(path: Path, network: TrainedNetwork) -> None:
+    """Write what :func:`read_network` reads."""
+
+    def rounded(array: NDArray[np.float32]) -> Any:
+        return np.vectorize(lambda value: float(f"{value:.4g}"), otypes=[float])(array).tolist()
+
+    content = {
+        "format": _FORMAT,
+        "trained_on": network.trained_on,
+        "maps": network.maps,
+        "inputs": network.inputs,
+        "mean": rounded(network.mean),
+        "scale": rounded(network.scale),
+        "layers": [{"weights": rounded(weights), "offsets": rounded(offsets)} for weights, offsets in network.layers],
+    }
+    text = json.dumps(content, separators=(",", ":"))
+    with atomic_path(path) as temporary:
+        temporary.write_text(text.replace("],[", "],\n[").replace(',"', ',\n"') + "\n", "utf-8")

@@ -1,0 +1,219 @@
+"""Pictures for people: the status of every pixel, confidence, maps in color, a legend."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.core.maps import DepthStatus, Status
+from depthcli.io.formats.files import naming, read_bytes, write_bytes
+from depthcli.io.formats.headers import check_png, check_size, decoding, image_kind, image_size, open_with_pillow
+
+Palette = Mapping[int, tuple[str, tuple[int, int, int]]]
+"""Bit -> (word, RGB color); 0 is a pixel without any. The first of several bits gives the color, others tint it."""
+
+# Colors that the common kinds of color blindness tell apart (Okabe and Ito, 2008). White as a tint makes pale.
+_LIGHT, _PALE, _BLACK, _WHITE = (225, 225, 225), (180, 214, 196), (0, 0, 0), (255, 255, 255)
+_BLUE, _SKY, _YELLOW = (0, 114, 178), (86, 180, 233), (240, 228, 66)
+_ORANGE, _VERMILION, _PURPLE, _GREEN = (230, 159, 0), (213, 94, 0), (204, 121, 167), (0, 158, 115)
+
+STATUS_PALETTE: Palette = {
+    Status.MEASURED: ("measured", _LIGHT),
+    Status.OCCLUDED: ("occluded", _VERMILION),
+    Status.MISMATCH: ("mismatch", _BLUE),
+    Status.OUT_OF_RANGE: ("out of range", _ORANGE),
+    Status.NO_DATA: ("no data", _BLACK),
+    Status.FILLED: ("filled", _WHITE),
+    Status.SMOOTHED: ("smoothed", _PALE),
+}
+DEPTH_STATUS_PALETTE: Palette = {
+    DepthStatus.KEPT: ("kept", _LIGHT),
+    DepthStatus.GAP_FILLED: ("gap filled", _SKY),
+    DepthStatus.CORRECTED: ("corrected", _VERMILION),
+    DepthStatus.FALLBACK: ("filled from around", _YELLOW),
+    DepthStatus.CARRIED: ("carried over", _PURPLE),
+    DepthStatus.EMPTY: ("no value", _BLACK),
+    DepthStatus.SMOOTHED: ("smoothed", _PALE),
+    DepthStatus.SAMPLED: ("from stereo", _GREEN),
+}
+
+_SMOOTHED = int(Status.SMOOTHED)  # the same bit in both
+_TINT = 0.4  # share of every further bit's color
+_ROW, _SWATCH, _MARGIN = 26, 34, 8  # of the legend, pixels
+_TEXT_SCALE = 0.5  # of lines of text in pictures: capitals are 11 pixels high
+
+
+def write_status(path: Path | str, status: NDArray[np.uint8], palette: Palette) -> None:
+    """Write (H, W) uint8 bits as a PNG whose palette shows them in color; :func:`read_status` gives the bits back.
+
+    Raises
+    ------
+    ValueError
+        Another shape or dtype.
+    OutputError
+        The file cannot be written.
+    """
+    from PIL import Image
+
+    if status.ndim != 2 or status.dtype != np.uint8:
+        raise ValueError(f"want (H, W) uint8, got {status.shape} {status.dtype}")
+    picture = Image.frombytes("P", status.shape[::-1], np.ascontiguousarray(status).tobytes())
+    picture.putpalette(_all_colors(tuple(palette.items())))
+    _save(path, picture)
+
+
+def read_status(path: Path | str) -> NDArray[np.uint8]:
+    """Return the bits that :func:`write_status` wrote, (H, W) uint8.
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, or not a PNG of one 8-bit channel.
+    """
+    data = read_bytes(path)
+    with naming(path):
+        if image_kind(data) != "png":
+            raise InputError("want a PNG of status bits")
+        check_size(image_size(data), len(data))
+        picture = open_with_pillow(check_png(data))
+        if picture.mode not in ("P", "L"):
+            raise InputError("want a PNG of status bits, one channel of 8 bit")
+        with decoding("png"):
+            return np.array(picture, np.uint8)
+
+
+def status_color(value: int, palette: Palette) -> tuple[int, int, int]:
+    """Return the RGB color of a pixel with the bits ``value``; black where no bit is in the palette."""
+    # Nearly every pixel is smoothed: that shows only where nothing else is to be said.
+    shown = value if value == _SMOOTHED else value & ~_SMOOTHED
+    colors = [np.array(color, float) for bit, (_, color) in palette.items() if shown & bit]
+    if value == 0:
+        colors = [np.array(palette[0][1], float)]
+    mixed = colors[0] if colors else np.zeros(3)
+    for color in colors[1:]:
+        mixed = mixed + _TINT * (color - mixed)
+    red, green, blue = (int(channel) for channel in np.rint(mixed))
+    return red, green, blue
+
+
+@cache
+def _all_colors(entries: tuple[tuple[int, tuple[str, tuple[int, int, int]]], ...]) -> bytes:
+    """Colors of all 256 values, of a palette's scenes: made once, not for each of many small maps."""
+    palette = dict(entries)
+    return bytes(channel for value in range(256) for channel in status_color(value, palette))
+
+
+def status_words(value: int, palette: Palette) -> str:
+    """Return words for the bits ``value``, such as ``occluded, filled``."""
+    words = [word for bit, (word, _) in palette.items() if (value & bit if value else bit == 0)]
+    return ", ".join(words) or str(value)
+
+
+def write_legend(path: Path | str, palette: Palette, values: Iterable[int] | None = None) -> None:
+    """Write a picture that says which color of a status map means what.
+
+    Parameters
+    ----------
+    path : PNG file
+    palette : of the maps
+    values : the combinations of bits to show; None: no bit, and each bit alone
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    rows = sorted(set(palette if values is None else map(int, values)))
+    font = ImageFont.load_default(size=14)
+    words = [status_words(value, palette) for value in rows]
+    width = round(max((font.getlength(text) for text in words), default=0))
+    picture = Image.new("RGB", (_SWATCH + width + 3 * _MARGIN, _ROW * len(rows) + 2 * _MARGIN), _WHITE)
+    draw = ImageDraw.Draw(picture)
+    for number, (value, text) in enumerate(zip(rows, words, strict=True)):
+        top = _MARGIN + number * _ROW
+        box = (_MARGIN, top + 3, _MARGIN + _SWATCH, top + _ROW - 4)
+        draw.rectangle(box, fill=status_color(value, palette), outline=_BLACK)
+        draw.text((_SWATCH + 2 * _MARGIN, top + 4), text, fill=_BLACK, font=font)
+    _save(path, picture)
+
+
+def confidence_picture(confidence: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+    """Return (H, W) confidences as (H, W) uint8: the 1st to 99th percentile over 0 to 255; NaN is 0."""
+    known = ~np.isnan(confidence)
+    picture = np.zeros(confidence.shape, np.uint8)
+    low, high = _range(confidence[known])
+    share = (np.clip(confidence[known], low, high) - low) / (high - low) if high > low else np.ones(known.sum())
+    picture[known] = np.rint(share * 255).astype(np.uint8)
+    return picture
+
+
+def preview(values: NDArray[np.float32], top: float) -> NDArray[np.uint8]:
+    """Return an (H, W, 3) RGB picture of a map: blue = 0 to red = ``top``, black = no value."""
+    known = ~np.isnan(values)
+    grey = np.zeros(values.shape, np.uint8)
+    with np.errstate(over="ignore"):
+        grey[known] = np.clip(np.rint(values[known] * (255.0 / max(top, 1e-6))), 0, 255).astype(np.uint8)
+    picture: NDArray[Any] = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[..., ::-1].copy()
+    picture[~known] = 0
+    return picture
+
+
+def preview_depth(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """(H, W, 3) RGB picture of (H, W) depths: red = near to blue = far, even in inverse depth, black = no value."""
+    with np.errstate(divide="ignore", over="ignore"):
+        inverse = np.where(depth > 0, 1 / depth, np.float32(np.nan)).astype(np.float32)
+    low, high = _range(inverse[~np.isnan(inverse)])
+    return preview(inverse - np.float32(low), high - low)
+
+
+def draw_text(
+    picture: NDArray[np.uint8],
+    text: str,
+    place: tuple[int, int],
+    ink: tuple[int, int, int],
+    centered: bool = False,
+    max_width: int | None = None,
+) -> None:
+    """Draw a line of text into an (H, W, 3) picture; characters beyond ASCII become question marks.
+
+    Parameters
+    ----------
+    place : x of its left end, or of its middle where it is ``centered``, and y of its middle line
+    ink : RGB
+    max_width : pixels; a wider text is cut and ends in three dots; None: any
+    """
+    shown, font = text.encode("ascii", "replace").decode(), (cv2.FONT_HERSHEY_SIMPLEX, _TEXT_SCALE)
+
+    def size() -> tuple[int, int]:
+        width, height = cv2.getTextSize(shown, *font, 1)[0]
+        return int(width), int(height)
+
+    while max_width is not None and len(shown) > 4 and size()[0] > max_width:
+        shown = shown[:-4] + "..."
+    width, height = size()
+    x = place[0] - width // 2 if centered else place[0]
+    cv2.putText(picture, shown, (x, place[1] + height // 2), *font, ink, 1, cv2.LINE_AA)
+
+
+def _range(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return 0.0, 0.0
+    low, high = np.percentile(finite, (1, 99))
+    return float(low), float(high)
+
+
+def _save(path: Path | str, picture: Any) -> None:
+    file = BytesIO()
+    picture.save(file, "PNG")
+    write_bytes(path, file.getvalue())

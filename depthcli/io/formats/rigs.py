@@ -1,0 +1,267 @@
+"""Calibrations of two cameras, as calibration programs store them, and those of a color and an infrared camera."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.rig import Rig
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.yaml_source import parse_config, short
+from depthcli.io.formats.files import naming, read_bytes, write_text
+from depthcli.io.formats.plain_text import image_sides, json_object, key_values, numbers
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Meters of the units that a translation may be stored in."""
+
+_UNKNOWN = "no calibration of a kind that is known"
+_MAX_BYTES = 1 << 22  # a calibration has a few kilobytes
+_MAX_BASELINE = 20.0  # meters; a longer one is in another unit
+_SENSOR_BASELINES = (1e-4, 10.0)  # meters, of a color and an infrared camera; another one is in another unit
+# What the parts are called in files of OpenCV.
+_NAMES = {
+    "K1": ("K1", "M1", "cameraMatrix1", "camera_matrix_1", "left_camera_matrix", "K_left"),
+    "D1": ("D1", "distCoeffs1", "dist_coeffs_1", "left_distortion_coefficients", "D_left"),
+    "K2": ("K2", "M2", "cameraMatrix2", "camera_matrix_2", "right_camera_matrix", "K_right"),
+    "D2": ("D2", "distCoeffs2", "dist_coeffs_2", "right_distortion_coefficients", "D_right"),
+    "R": ("R", "rotation", "rotation_matrix"),
+    "T": ("T", "t", "translation", "translation_vector"),
+}
+# Distortion models of the programs' files: whether OpenCV's fisheye model is meant.
+_KALIBR = {"radtan": False, "equidistant": True, "equi": True, "none": False}
+_ROS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
+
+
+def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, cameras: tuple[int, int] = (2, 3)) -> Rig:
+    """Return the two cameras of a calibration, whose kind is found by its content.
+
+    Parameters
+    ----------
+    paths : one file, or two that belong together: OpenCV's ``FileStorage`` as YAML, XML or JSON (K1 D1 K2 D2 R T in
+        either), ROS's ``camera_info`` of the left and the right camera, Kalibr's camchain, KITTI's ``calib_cam_to_cam``
+    unit : of OpenCV's translation, a key of ``UNITS``; the others have meters
+    fisheye : the lenses of OpenCV's file follow its fisheye model; the other formats name the model
+    cameras : numbers of the left and the right one, in KITTI's file
+
+    Raises
+    ------
+    InputError
+        Not readable, of no known kind, or a part is missing or wrong; one line that names the file.
+    """
+    texts = [read_bytes(path, _MAX_BYTES).decode("utf-8", "replace") for path in paths]
+    with naming(paths[0]):
+        if re.search(r"^K_0\d:", texts[0], re.MULTILINE):
+            rig = _kitti(key_values(texts[0]), cameras)
+        elif "cam0" in (files := [storage_fields(text) for text in texts])[0]:
+            rig = _kalibr(files[0])
+        elif "camera_matrix" in files[0]:
+            rig = _ros(files)
+        else:
+            rig = _opencv(files, UNITS[unit], fisheye)
+        if rig.baseline > _MAX_BASELINE:
+            raise InputError(f"a baseline of {rig.baseline:g} m; is the translation in millimeters? then say --unit mm")
+        return rig
+
+
+def write_calibration(path: Path, cameras: Sequence[Camera], rig: Rig | None = None) -> None:
+    """Write one camera (K1 D1), or two and their places in meters (K1 D1 K2 D2 R T), as OpenCV's YAML.
+
+    :func:`read_rig` reads the latter.
+    """
+    lines = ["%YAML:1.0", "---"]
+    if len({camera.size for camera in cameras}) == 1 and cameras[0].size is not None:
+        lines += [f"image_width: {cameras[0].size[0]}", f"image_height: {cameras[0].size[1]}"]
+    lines.append(f"distortion_model: {'fisheye' if cameras[0].fisheye else 'plumb_bob'}")
+    parts: dict[str, NDArray[np.float64]] = {}
+    for number, camera in enumerate(cameras, 1):
+        parts |= {f"K{number}": camera.matrix, f"D{number}": camera.coefficients[None]}
+    if rig is not None:
+        parts |= {"R": rig.rotation, "T": rig.translation[:, None]}
+    for name, part in parts.items():
+        numbers_of = ", ".join(repr(float(value)) for value in part.ravel())
+        lines += [f"{name}: !!opencv-matrix", f"   rows: {part.shape[0]}", f"   cols: {part.shape[1]}", "   dt: d",
+                  f"   data: [ {numbers_of} ]"]  # fmt: skip
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_size: tuple[int, int]) -> Rig | float:
+    """Return the calibration of a color and an infrared camera, ``left`` and ``right`` of the rig.
+
+    JSON holds ``color`` and ``infrared``, each with ``K`` (3, 3), and where known ``distortion`` and ``size``, and
+    ``R`` (3, 3), ``t`` (3,) in meters, from the color camera's frame to the infrared camera's; or ``rectified: true``
+    with ``fb``. YAML is OpenCV's, with ``M1 D1 M2 D2 R T``, camera 1 the color one.
+
+    Parameters
+    ----------
+    color_size, infrared_size : (width, height) of the images
+
+    Returns
+    -------
+    The rig, or focal length x baseline (pixel meters) of images that are rectified already
+
+    Raises
+    ------
+    InputError
+        A damaged file, a missing or wrong field, a singular calibration, or one for images of other sizes.
+    """
+    text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
+    with naming(path):
+        if path.suffix.lower() in (".yml", ".yaml"):
+            stored = _opencv([storage_fields(text)], 1.0, False)
+            cameras = [stored.left, stored.right]
+            rotation, translation = stored.rotation, stored.translation
+        else:
+            fields = json_object(text)
+            if fields.get("rectified") is True:
+                fb = fields.get("fb")
+                if isinstance(fb, bool) or not isinstance(fb, int | float) or not 0 < fb < 1e9:
+                    raise InputError(f"fb: want focal length x baseline, pixel meters (got {short(fb)})")
+                return float(fb)
+            cameras = [_json_camera(fields, "color", color_size), _json_camera(fields, "infrared", infrared_size)]
+            rotation, translation = numbers(fields.get("R"), "R", (3, 3)), numbers(fields.get("t"), "t", (3,))
+        color, infrared = (
+            Camera(camera.matrix, camera.distortion, size, camera.fisheye)
+            for camera, size in zip(cameras, (color_size, infrared_size), strict=True)
+        )
+        low, high = _SENSOR_BASELINES
+        if not low < (baseline := float(np.linalg.norm(translation))) < high:
+            raise InputError(f"a baseline of {baseline:.3g} m; the translation is in meters")
+        return Rig(color, infrared, rotation, translation)
+
+
+def _json_camera(fields: dict[str, Any], name: str, image_size: tuple[int, int]) -> Camera:
+    camera = fields.get(name)
+    if not isinstance(camera, dict):
+        raise InputError(f"{name}: want K, distortion, size (got {str(camera)[:40]!r})")
+    size = camera.get("size")
+    if size is not None and size != list(image_size):
+        raise InputError(f"calibrated for a {name} image of {str(size)[:40]}, it has {image_size[0]} x {image_size[1]}")
+    matrix = _numbers(camera, "K", (3, 3), name)
+    if camera.get("distortion") is None:
+        return Camera(matrix)
+    return Camera(matrix, tuple(_numbers(camera, "distortion", (-1,), name).tolist()))
+
+
+def storage_fields(text: str) -> dict[str, Any]:
+    """Return what a file of JSON, XML or YAML holds, as OpenCV's ``FileStorage``; InputError where it cannot be read.
+
+    OpenCV's own reader is not used: for some damaged files it never ends, or ends the process.
+    """
+    text = text.lstrip()
+    fields: Any = None
+    try:
+        if text.startswith("{"):
+            fields = json.loads(text)
+        elif text.startswith("<"):
+            parts = ElementTree.fromstring(text)
+            fields = {part.tag: {each.tag: each.text or "" for each in part} or part.text or "" for part in parts}
+        else:
+            source = parse_config(re.sub(r"\A%YAML.*|!!opencv-[\w-]+", "", text), "YAML")
+            if source.problems:
+                raise InputError(f"{_UNKNOWN} ({source.problems[0]})")
+            fields = source.data
+    except ConfigError as error:
+        raise InputError(f"{_UNKNOWN} ({error})") from error
+    except (ValueError, RecursionError, ElementTree.ParseError) as error:
+        raise InputError(f"{_UNKNOWN} ({type(error).__name__})") from error
+    if not isinstance(fields, dict):
+        raise InputError(f"{_UNKNOWN} (OpenCV, ROS, Kalibr, KITTI)")
+    return fields
+
+
+def _opencv(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -> Rig:
+    fields: dict[str, Any] = {}
+    for file in files:
+        model = f"{file.get('model')} {file.get('distortion_model')}".lower()
+        fisheye = fisheye or "fisheye" in model or "equidistant" in model
+        fields = file | fields
+    names = {part: next((name for name in known if name in fields), "") for part, known in _NAMES.items()}
+    if missing := [part for part, name in names.items() if not name]:
+        unknown = f"{_UNKNOWN}: " if len(missing) == len(names) else ""
+        raise InputError(
+            f"{unknown}no {', '.join(missing)}; want K1 D1 K2 D2 R T (or M1 ..., cameraMatrix1 ...) as OpenCV, "
+            "camera_matrix as ROS, cam0 as Kalibr, or K_02 as KITTI"
+        )
+    size = None
+    if {"image_width", "image_height"} <= set(fields):
+        size = image_sides([fields["image_width"], fields["image_height"]], "image_width, image_height")
+    elif "imageSize" in fields:
+        size = image_sides(fields["imageSize"], "imageSize")
+    matrices = [_numbers(fields, names[f"K{n}"], (3, 3)) for n in (1, 2)]
+    lenses = [tuple(_numbers(fields, names[f"D{n}"], (-1,)).tolist()) for n in (1, 2)]
+    left, right = (Camera(matrices[k], lenses[k], size, fisheye) for k in (0, 1))
+    turn = _numbers(fields, names["R"], (-1,))
+    matrix = turn if turn.size == 9 else cv2.Rodrigues(numbers(turn.tolist(), names["R"], (3,)))[0]
+    translation = _numbers(fields, names["T"], (3,)) * meters
+    return Rig(left, right, np.asarray(matrix, np.float64).reshape(3, 3), translation)
+
+
+def _kitti(fields: dict[str, str], numbers_of_cameras: tuple[int, int]) -> Rig:
+    calibrated, rotations, translations = [], [], []
+    for number in numbers_of_cameras:
+        size = image_sides(fields.get(f"S_0{number}"), f"S_0{number}")
+        matrix, distortion, rotation, translation = (
+            numbers(fields.get(f"{part}_0{number}"), f"{part}_0{number}", shape)
+            for part, shape in (("K", (3, 3)), ("D", (5,)), ("R", (3, 3)), ("T", (3,)))
+        )
+        calibrated.append(Camera(matrix, tuple(distortion.tolist()), size))
+        rotations.append(rotation)
+        translations.append(translation)
+    rotation = rotations[1] @ rotations[0].T
+    return Rig(calibrated[0], calibrated[1], rotation, translations[1] - rotation @ translations[0])
+
+
+def _kalibr(file: dict[str, Any]) -> Rig:
+    calibrated = []
+    for name in ("cam0", "cam1"):
+        camera = file.get(name)
+        if not isinstance(camera, dict):
+            raise InputError(f"no {name}; want a camchain of two cameras")
+        model, lens = str(camera.get("camera_model")), str(camera.get("distortion_model"))
+        if model != "pinhole" or lens not in _KALIBR:
+            raise InputError(f"{name}: {model}, {lens}: want pinhole with {', '.join(_KALIBR)}")
+        fx, fy, cx, cy = _numbers(camera, "intrinsics", (4,), name)
+        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        distortion = np.zeros(4) if lens == "none" else _numbers(camera, "distortion_coeffs", (4,), name)
+        size = image_sides(camera.get("resolution"), f"{name}: resolution")
+        calibrated.append(Camera(matrix, tuple(distortion.tolist()), size, _KALIBR[lens]))
+    place = _numbers(file["cam1"], "T_cn_cnm1", (4, 4), "cam1")
+    return Rig(calibrated[0], calibrated[1], place[:3, :3], place[:3, 3])
+
+
+def _ros(files: Sequence[dict[str, Any]]) -> Rig:
+    if len(files) != 2:
+        raise InputError("one camera_info; give the left and the right one: --calibration L --calibration R")
+    calibrated, rotations = [], []
+    for name, camera in zip(("left", "right"), files, strict=True):
+        model = str(camera.get("distortion_model", "plumb_bob"))
+        if model not in _ROS:
+            raise InputError(f"{name}: distortion_model {model}: want {', '.join(_ROS)}")
+        size = image_sides(
+            [camera.get("image_width"), camera.get("image_height")], f"{name}: image_width, image_height"
+        )
+        distortion = _numbers(camera, "distortion_coefficients", (-1,), name)
+        matrix = _numbers(camera, "camera_matrix", (3, 3), name)
+        calibrated.append(Camera(matrix, tuple(distortion.tolist()), size, _ROS[model]))
+        rotations.append(_numbers(camera, "rectification_matrix", (3, 3), name))
+    projection = _numbers(files[1], "projection_matrix", (3, 4), "right")
+    if projection[0, 0] <= 0 or projection[0, 3] == 0:
+        raise InputError("right: projection_matrix holds no baseline; is it the camera_info of a stereo calibration?")
+    shift = np.array([projection[0, 3] / projection[0, 0], projection[1, 3] / projection[1, 1], 0.0])
+    # Both frames meet in the rectified one: R' x' = R x + shift.
+    return Rig(calibrated[0], calibrated[1], rotations[1].T @ rotations[0], rotations[1].T @ shift)
+
+
+def _numbers(fields: dict[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
+    """Numbers of a field, or of the ``data`` of a matrix."""
+    value = fields.get(key)
+    return numbers(value.get("data") if isinstance(value, dict) else value, f"{name}: {key}" if name else key, shape)

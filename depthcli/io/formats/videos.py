@@ -1,0 +1,63 @@
+"""Frames of video files, one by one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.io.formats.files import open_regular, refuse_stored, shown
+
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+"""File name endings of videos."""
+
+_open: dict[Path, tuple[cv2.VideoCapture, int]] = {}
+"""Videos that this process reads, with the number of the next frame: frames are mostly read in order."""
+
+
+def count_frames(path: Path) -> int:
+    """Return how many frames a video says it has.
+
+    Raises
+    ------
+    InputError
+        It cannot be opened, or has no frames.
+    """
+    with open_regular(path):
+        refuse_stored(path)
+    video = _video(path)
+    count = int(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0
+    video.release()
+    if count < 1:
+        raise InputError(f"{shown(path)}: no video that can be decoded here")
+    return count
+
+
+def _video(path: Path) -> cv2.VideoCapture:
+    # FFmpeg alone: another backend takes numbered names for images, which it would decode unchecked.
+    return cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
+
+
+def read_frame(path: Path, number: int) -> NDArray[np.uint8]:
+    """Return the frame ``number`` (from 0) of a video, (H, W, 3) uint8 RGB.
+
+    Raises
+    ------
+    InputError
+        The video ends before that frame, or cannot be decoded there.
+    """
+    # Seeking is not exact in every format: frames are decoded from the last one on that this process read.
+    video, following = _open.get(path, (None, 0))
+    if video is None or number < following:
+        video, following = _video(path), 0
+    while following < number and video.grab():
+        following += 1
+    done, frame = video.read()
+    if not done or following < number:
+        _open.pop(path, None)
+        raise InputError(f"{shown(path)}: ends before frame {number}, or is damaged there")
+    _open[path] = (video, number + 1)
+    return np.ascontiguousarray(frame[..., ::-1], np.uint8)

@@ -1,0 +1,288 @@
+"""Volumes as files: NIfTI, MetaImage, NRRD, DIR-Lab raw; two-dimensional images as one slice.
+
+They are read through SimpleITK, an extra (``pip install depthcli[medical]``) that is imported here only. They are
+written by hand, slab by slab, so that a volume larger than the memory can be written, and with the same bytes always.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import os
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.core.volumes import Grid, Volume
+from depthcli.io.formats.files import atomic_path, naming, read_bytes, shown
+from depthcli.io.formats.headers import image_size
+from depthcli.io.formats.images import IMAGE_SUFFIXES, read_grey
+from depthcli.io.formats.library_files import library_path
+from depthcli.io.formats.nifti import check_whole, encode_header, read_header
+from depthcli.io.formats.plain_text import json_object, numbers
+from depthcli.io.formats.volume_headers import META_SUFFIXES, NRRD_SUFFIXES, check_volume, files_behind
+
+VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img")
+"""Endings of volume files; ``.img`` is DIR-Lab's raw format, with its size in ``meta.json``."""
+
+_MAX_SIDE = 1 << 20  # voxels; no volume is as wide
+_ITK_READERS = {
+    **dict.fromkeys((".nii", ".nii.gz"), "NiftiImageIO"),
+    **dict.fromkeys(META_SUFFIXES, "MetaImageIO"),
+    **dict.fromkeys(NRRD_SUFFIXES, "NrrdImageIO"),
+}
+
+_MAX_SPACING = 1e12  # mm; 1e-12 is the smallest: squares of both are well within the range of 32 bit
+
+Slab = Callable[[int, int], NDArray[np.float32]]
+"""Slices ``first`` up to ``last`` of a volume, (n, Y, X), or (n, Y, X, 3) of a vector field."""
+
+
+def suffix_of(path: Path) -> str:
+    """Return the ending of a file, with both parts of ``.nii.gz``."""
+    return ".nii.gz" if path.name.lower().endswith(".nii.gz") else path.suffix.lower()
+
+
+def simple_itk() -> Any:
+    """Return the module SimpleITK; InputError that says how to install it where it is missing."""
+    try:
+        with warnings.catch_warnings():
+            # SWIG's types lack a __module__ attribute, which Python 3.12 and newer deprecate.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            import SimpleITK
+    except ImportError:
+        raise InputError("medical volumes need SimpleITK: pip install 'depthcli[medical]'") from None
+    SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
+    return SimpleITK
+
+
+def read_volume(path: Path, vector: bool = False) -> Volume:
+    """Return a volume, or a field of three components.
+
+    Raises
+    ------
+    InputError
+        Not readable, cut off, of more than three dimensions, with another number of components than requested,
+        without a spacing, or empty.
+    """
+    with naming(path):
+        if suffix_of(path) in IMAGE_SUFFIXES:
+            plane = read_grey(path)
+            return Volume(plane.astype(np.float32)[None], Grid((plane.shape[1], plane.shape[0], 1), (1.0, 1.0, 1.0)))
+        if suffix_of(path) == ".img":
+            return _dirlab(path)
+        bad = check_whole(path)
+        volume = _volume(read_image(path), vector)
+        if bad.size:
+            # In the file a field's components lie one after another.
+            in_order = np.moveaxis(volume.values, -1, 0) if vector else volume.values
+            in_order[np.unravel_index(bad[bad < in_order.size], in_order.shape)] = np.nan
+        return volume
+
+
+def read_grid(path: Path) -> Grid:
+    """Return where the voxels of a volume are, by its header alone; InputError as :func:`read_volume`."""
+    with naming(path):
+        if suffix_of(path) in IMAGE_SUFFIXES:
+            plane = image_size(path)
+            return Grid((plane.width, plane.height, 1), (1.0, 1.0, 1.0))
+        if suffix_of(path) == ".img":
+            return _dirlab_grid(path)
+        with _reader(path) as reader, library_errors():
+            reader.ReadImageInformation()
+        size, spacing = reader.GetSize()[:3], reader.GetSpacing()[:3]
+        if not 2 <= reader.GetDimension() <= 4 or not all(1 / _MAX_SPACING <= s <= _MAX_SPACING for s in spacing):
+            raise InputError(f"{reader.GetDimension()}-D, with a spacing of {spacing}")
+        size, spacing = (*size, 1)[:3], (*spacing, 1.0)[:3]
+        return Grid((size[0], size[1], size[2]), (spacing[0], spacing[1], spacing[2]))
+
+
+def read_image(path: Path) -> Any:
+    """Return the SimpleITK image; InputError with the reason in one line."""
+    with _reader(path) as reader, library_errors():
+        return reader.Execute()
+
+
+def files_read_with(path: Path) -> tuple[Path, ...]:
+    """Return the files that are read beside a volume: those with its values, or with its size."""
+    return (path.with_name("meta.json"),) if suffix_of(path) == ".img" else files_behind(path)
+
+
+@contextlib.contextmanager
+def _reader(path: Path) -> Iterator[Any]:
+    """Give SimpleITK's reader of a file whose header was checked; it tries no other format than that of the ending."""
+    kind = suffix_of(path)
+    if kind not in _ITK_READERS:
+        raise InputError(f"no volume of a kind that is read; want {' '.join(VOLUME_SUFFIXES)}")
+    if kind.startswith(".nii"):
+        read_header(path)
+    else:
+        check_volume(path)
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError("SimpleITK reads only files whose path is text in UTF-8; rename it") from None
+    reader = simple_itk().ImageFileReader()
+    reader.SetImageIO(_ITK_READERS[kind])
+    with library_path(path, files_behind(path)) as there:
+        reader.SetFileName(str(there))
+        yield reader
+
+
+@contextlib.contextmanager
+def library_errors() -> Iterator[None]:
+    """Make an InputError of one line of whatever SimpleITK raises on damaged data; what its C++ prints is dropped."""
+    try:
+        with quiet():
+            yield
+    except InputError:
+        raise
+    except Exception as error:  # besides RuntimeError, UnicodeDecodeError of its own messages and TypeError
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+        reason = next((line.partition("ERROR: ")[2] or line for line in lines if "ERROR" in line), lines[-1])
+        if "spacing" in str(error):
+            reason = "a spacing of 0"
+        if not isinstance(error, RuntimeError):
+            reason = "damaged"
+        raise InputError(f"cannot be read ({reason.partition('): ')[2] or reason})"[:300]) from None
+
+
+def _volume(image: Any, vector: bool) -> Volume:
+    sitk = simple_itk()
+    dimension, parts = image.GetDimension(), image.GetNumberOfComponentsPerPixel()
+    size = image.GetSize()
+    if dimension == 4 and size[3] == 1:
+        image = sitk.Extract(image, [*size[:3], 0], [0, 0, 0, 0])
+        dimension = 3
+    if dimension not in (2, 3):
+        raise InputError(f"{dimension}-D ({' x '.join(map(str, size))}), want a single volume")
+    if dimension == 2:
+        image = sitk.JoinSeries(image)
+        if vector and parts == 2:
+            raise InputError("a 2-D field of two components; want three")
+    wanted = 3 if vector else 1
+    if parts != wanted:
+        raise InputError(f"{parts} values a voxel, want {wanted}")
+    values = sitk.GetArrayViewFromImage(image)
+    if values.size == 0:
+        raise InputError("no voxels")
+    spacing = image.GetSpacing()
+    if not all(1 / _MAX_SPACING <= s <= _MAX_SPACING for s in spacing):
+        raise InputError(f"a spacing of {spacing}")
+    grid = Grid(tuple(image.GetSize()), tuple(spacing), tuple(image.GetOrigin()), tuple(image.GetDirection()))
+    with np.errstate(over="ignore"):  # beyond the range of 32 bit they are no numbers
+        return Volume(np.array(values, np.float32, order="C"), grid)
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Hide what the readers' C++ code prints on standard error; the exception has the message."""
+    try:
+        saved = os.dup(2)
+        sink = os.open(os.devnull, os.O_WRONLY)
+    except OSError:
+        yield
+        return
+    try:
+        os.dup2(sink, 2)
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(sink)
+
+
+def _dirlab_grid(path: Path) -> Grid:
+    """The grid of a raw file, by the ``size`` and ``spacing`` (x, y, z) of the meta.json beside it."""
+    meta_file = path.with_name("meta.json")
+    try:
+        meta = json_object(read_bytes(meta_file, 1 << 20))
+        size, spacing = (numbers(meta.get(key), key, (3,)) for key in ("size", "spacing"))
+    except InputError:
+        raise InputError(f'a raw file wants "size" and "spacing" (x, y, z) in {shown(meta_file)}') from None
+    if min(size) < 1 or min(spacing) <= 0 or max(size) > _MAX_SIDE:
+        raise InputError(f"{shown(meta_file)}: want three positive sizes and spacings")
+    return Grid((int(size[0]), int(size[1]), int(size[2])), tuple(spacing.tolist()))
+
+
+def _dirlab(path: Path) -> Volume:
+    """DIR-Lab: little-endian int16, x fastest, slices in the order in which its landmarks count them."""
+    grid = _dirlab_grid(path)
+    data = read_bytes(path)
+    wanted = 2 * grid.size[0] * grid.size[1] * grid.size[2]
+    if len(data) != wanted:
+        raise InputError(f"{len(data)} bytes, want {wanted} for {' x '.join(map(str, grid.size))} int16")
+    return Volume(np.frombuffer(data, "<i2").reshape(grid.shape).astype(np.float32), grid)
+
+
+def place(image: Any, grid: Grid) -> None:
+    """Give a SimpleITK image the grid's geometry."""
+    image.SetSpacing(grid.spacing)
+    image.SetOrigin(grid.origin)
+    image.SetDirection(grid.direction)
+
+
+def written_suffix(path: Path) -> str:
+    """Return the ending of what is written for an input: its own format where that holds real numbers."""
+    own = suffix_of(path)
+    return {".mhd": ".mha", ".nhdr": ".nrrd"}.get(own, own if own in (".nii", ".nii.gz", ".nrrd") else ".mha")
+
+
+def write_volume(path: Path, grid: Grid, slab: Slab, vector: bool = False) -> None:
+    """Write float32 slices as they come, in the format of the ending (``.nii``, ``.nii.gz``, ``.mha``, ``.nrrd``).
+
+    A field is written in mm along LPS, as ITK reads it; in NIfTI with the intent of a vector (1007).
+    """
+    kind = suffix_of(path)
+    nifti = kind in (".nii", ".nii.gz")
+    step = max(1, (1 << 21) // (grid.size[0] * grid.size[1]))
+    with atomic_path(path) as temporary, open(temporary, "wb") as file, contextlib.ExitStack() as stack:
+        packed: Any = file
+        if not nifti:
+            file.write((_nrrd_header if kind == ".nrrd" else _meta_header)(grid, vector))
+        if kind in (".nii.gz", ".nrrd"):
+            packed = stack.enter_context(gzip.GzipFile("", "wb", 1, file, mtime=0))
+        if nifti:
+            packed.write(encode_header(grid, vector))
+        for part in range(3) if vector and nifti else (slice(None),):  # NIfTI has the components one after another
+            for first in range(0, grid.shape[0], step):
+                values = slab(first, min(first + step, grid.shape[0]))
+                packed.write(np.ascontiguousarray(values[..., part], "<f4").data)
+
+
+def write_array(path: Path, grid: Grid, values: NDArray[np.float32]) -> None:
+    """Write a (Z, Y, X) volume or a (Z, Y, X, 3) field that is in memory."""
+    write_volume(path, grid, lambda first, last: values[first:last], values.ndim == 4)
+
+
+def _meta_header(grid: Grid, vector: bool) -> bytes:
+    # MetaImage lists the axes one after another; ITK's matrix has them as columns.
+    axes, origin, spacing = (
+        " ".join(f"{v:.17g}" for v in values) for values in (grid.axes.T.ravel(), grid.origin, grid.spacing)
+    )
+    parts = "ElementNumberOfChannels = 3\n" if vector else ""
+    return (
+        "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\n"
+        f"TransformMatrix = {axes}\nOffset = {origin}\nCenterOfRotation = 0 0 0\nAnatomicalOrientation = RAI\n"
+        f"ElementSpacing = {spacing}\nDimSize = {' '.join(map(str, grid.size))}\n{parts}ElementType = MET_FLOAT\n"
+        "ElementDataFile = LOCAL\n"
+    ).encode("ascii")
+
+
+def _nrrd_header(grid: Grid, vector: bool) -> bytes:
+    columns = (grid.axes * np.array(grid.spacing)).T
+    directions = " ".join(f"({','.join(f'{v:.17g}' for v in column)})" for column in columns)
+    sizes = " ".join(map(str, grid.size))
+    kinds = "domain domain domain"
+    if vector:
+        sizes, kinds, directions = f"3 {sizes}", f"vector {kinds}", f"none {directions}"
+    return (
+        f"NRRD0004\ntype: float\ndimension: {4 if vector else 3}\nspace: left-posterior-superior\nsizes: {sizes}\n"
+        f"space directions: {directions}\nkinds: {kinds}\nendian: little\nencoding: gzip\n"
+        f"space origin: ({','.join(f'{v:.17g}' for v in grid.origin)})\n\n"
+    ).encode("ascii")

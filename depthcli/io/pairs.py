@@ -1,0 +1,203 @@
+"""Pairs of files that the command line names: patterns, folders, tables."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.io import storage
+from depthcli.io.formats.files import naming, read_bytes
+
+TABLE_SUFFIXES = (".csv", ".tsv")
+
+_WILD = re.compile(r"[*?\[]")
+_MAX_BYTES = 1 << 28  # of a table
+# Words of a file's name that say which view it is; a file without the other's word has no partner.
+_SIDES = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
+_COLUMNS = ("left", "right", "name", "calibration", "max_disparity", "min_disparity")
+
+
+@dataclass(frozen=True)
+class NamedPair:
+    """Two files that belong together.
+
+    Attributes
+    ----------
+    name : of the scene
+    left, right : the files; one of them is None where it has no partner
+    more : column -> value, for the other columns of the table
+    """
+
+    name: str
+    left: Path | None
+    right: Path | None
+    more: dict[str, str] = field(default_factory=dict)
+
+
+def is_many(path: Path) -> bool:
+    """Return whether a path is a pattern or a folder: more than one file."""
+    return storage.is_dir(path) or (bool(_WILD.search(str(path))) and not os.path.lexists(path))
+
+
+def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[NamedPair]:
+    """Return the pairs of two patterns such as ``left/*.png`` and ``right/*.png``, or of two folders.
+
+    Files belong together whose names are the same where the patterns have wildcards, but for words that say which
+    view it is (``left_0001`` and ``right_0001``); where that pairs none, the whole names count, then their last number.
+
+    Raises
+    ------
+    ConfigError
+        Nothing matches a pattern, or no two files belong together beyond doubt.
+    """
+    suffixes = tuple(suffixes)
+    matches = [_matching(pattern, suffixes) for pattern in (left, right)]
+    for pattern, files in zip((left, right), matches, strict=True):
+        if not files:
+            query = "; a query behind its URL is read of archives alone" if ":/" in str(pattern) else ""
+            raise ConfigError(f"{pattern}: matches no image{query}")
+    keys: tuple[Callable[[_Match], str], ...] = (
+        lambda file: _without_side(file.captured),
+        lambda file: _without_side(file.name),
+        lambda file: (re.findall(r"\d+", file.name) or [""])[-1],
+    )
+    for key in keys:
+        sides = [_keyed(files, key) for files in matches]
+        if set(sides[0]) & set(sides[1]):
+            names = sorted(set(sides[0]) | set(sides[1]))
+            return [NamedPair(name, sides[0].get(name), sides[1].get(name)) for name in names]
+    raise ConfigError(f"{left} and {right}: no two names belong together ({matches[0][0].path.name}, ...)")
+
+
+def read_table(path: Path) -> list[NamedPair]:
+    """Return the pairs of a CSV (or tab-separated) file with one line per pair, paths relative to the file's folder.
+
+    A first line with ``left`` and ``right`` names the columns, of which also ``name``, ``calibration``,
+    ``max_disparity`` and ``min_disparity`` are known; without it the first two are left and right, the third is the
+    name. Lines that begin with ``#`` are passed over. Without a name, it is the left file's, or the line's number
+    where those repeat.
+
+    Raises
+    ------
+    InputError
+        Not readable, an unknown column, a line without two files, or two lines of one name.
+    """
+    with naming(path):
+        text = read_bytes(path, _MAX_BYTES).decode("utf-8-sig", "surrogateescape")
+        lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+        try:
+            rows = list(csv.reader(lines, delimiter="\t" if path.suffix.lower() == ".tsv" else ","))
+        except csv.Error as error:
+            raise InputError(f"not a table ({error})") from None
+        columns: tuple[str, ...] = _COLUMNS[:3]
+        if rows and {"left", "right"} <= {word.strip().lower() for word in rows[0]}:
+            columns = tuple(word.strip().lower() for word in rows.pop(0))
+            if unknown := [word for word in columns if word not in _COLUMNS]:
+                raise InputError(f"no such column: {', '.join(unknown)}; known: {', '.join(_COLUMNS)}")
+            if twice := [word for word, count in Counter(columns).items() if count > 1]:
+                raise InputError(f"two columns are called {twice[0]!r}")
+        if not rows:
+            raise InputError("names no pair")
+        pairs = [_pair_of(number, row, columns, path.parent) for number, row in enumerate(rows, 1)]
+        return _named_apart(pairs) if len({pair.name for pair in pairs}) < len(pairs) else pairs
+
+
+def _named_apart(pairs: list[NamedPair]) -> list[NamedPair]:
+    """Pairs some of which have one name: those without a name of their own get their line's number."""
+    taken = Counter(pair.more["name"] for pair in pairs if "name" in pair.more)
+    if twice := [name for name, count in taken.items() if count > 1]:
+        raise InputError(f"two lines are called {twice[0][:100]!r}")
+    digits = len(str(len(pairs)))
+    apart = []
+    for number, pair in enumerate(pairs, 1):
+        name = pair.name
+        if "name" not in pair.more:
+            name = f"{number:0{digits}}_{name}"
+            while name in taken:
+                name += "_"
+            taken[name] = 1
+        apart.append(replace(pair, name=name))
+    return apart
+
+
+def _pair_of(number: int, row: list[str], columns: tuple[str, ...], folder: Path) -> NamedPair:
+    fields = {key: word.strip() for key, word in zip(columns, row, strict=False) if word.strip()}
+    if len(row) > len(columns) or "left" not in fields or "right" not in fields:
+        raise InputError(f"pair {number}: want {', '.join(columns)} (got {','.join(row)[:60]!r})")
+    left = folder / fields["left"]
+    return NamedPair(fields.get("name") or left.stem, left, folder / fields["right"], fields)
+
+
+@dataclass(frozen=True)
+class _Match:
+    """A file of a pattern: what the wildcards stand for, and its name from the first of them on, without ending."""
+
+    path: Path
+    captured: str
+    name: str
+
+
+def _matching(pattern: Path, suffixes: tuple[str, ...]) -> list[_Match]:
+    if storage.is_dir(pattern):
+        pattern = pattern / "*"
+    parts = pattern.parts
+    first = next((k for k, part in enumerate(parts) if _WILD.search(part)), len(parts) - 1)
+    root = Path(*parts[:first])
+    places: list[tuple[Path, tuple[str, ...]]] = [(root, ())]
+    for depth, part in enumerate(parts[first:], first):
+        last = depth == len(parts) - 1
+        inside = re.compile(_groups(part))
+        reached = []
+        for place, captured in places:
+            for name in _names(place):
+                match = inside.fullmatch(name) if not name.startswith(".") else None
+                if match and (not last or Path(name).suffix.lower() in suffixes):
+                    text = "".join(match.groups())
+                    reached.append((place / name, (*captured, text) if text else captured))
+        places = reached
+    found = []
+    for path, captured in places:
+        key, end = "/".join(captured), path.suffix
+        name = path.relative_to(root).as_posix().removesuffix(end)
+        found.append(_Match(path, key.removesuffix(end), name))
+    return found
+
+
+def _groups(part: str) -> str:
+    """Regular expression of a shell pattern, a group for every wildcard."""
+    text = ""
+    for piece in re.split(r"(\*+|\?|\[[^\]]+\])", part):
+        if piece.startswith("*"):
+            text += "(.*)"
+        elif piece == "?":
+            text += "(.)"
+        elif piece.startswith("[") and piece.endswith("]"):
+            text += f"([{piece[1:-1].replace('!', '^', 1) if piece[1] == '!' else piece[1:-1]}])"
+        else:
+            text += re.escape(piece)
+    return text
+
+
+def _names(place: Path) -> list[str]:
+    try:
+        return storage.names(place)
+    except (OSError, InputError):
+        return []
+
+
+def _keyed(files: list[_Match], key: Callable[[_Match], str]) -> dict[str, Path]:
+    """Key -> file; of two with one key none, so that no pair is made up."""
+    keys = [key(file) for file in files]
+    once = {text for text, count in Counter(keys).items() if count == 1 and text}
+    return {text: file.path for text, file in zip(keys, files, strict=True) if text in once}
+
+
+def _without_side(name: str) -> str:
+    plain = "/".join(re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in _SIDES.sub("", name).split("/"))
+    return plain.strip("/")

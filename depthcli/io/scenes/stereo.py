@@ -1,0 +1,299 @@
+"""Rectified stereo pairs."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.option import Option
+from depthcli.io.scenes import Scene, check_same_size, name_of, together
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.core.cameras.triangulation import PairGeometry
+    from depthcli.core.frames import StereoPair
+    from depthcli.io.formats.images import Image
+    from depthcli.io.pairs import NamedPair
+
+MAX_DISPARITY = 1 << 20
+"""Largest disparity, of either sign, that a file may ask for, pixels; no image is as wide."""
+
+# Full-size widths of the Middlebury 2005 and 2006 sets lie between 1240 and 1396: the width tells the size.
+_SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
+_GENERIC_NAMES = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")
+
+
+@dataclass(frozen=True)
+class StereoTruth:
+    """Ground truth of one pair, as stored; the protocol derives regions and occlusions from it.
+
+    Attributes
+    ----------
+    disparity : (H, W) float32, pixels, NaN = unknown
+    right, noc : the same for the right view, and for the visible pixels alone (KITTI); or None
+    objects : (H, W) bool, foreground objects (KITTI 2015), or None
+    masks : name -> (H, W) bool, True = evaluate
+    scale : codes per pixel that the files were read with; None = what their kind says
+    finer : (2 H, 2 W) float32, pixels of the image, where the truth is known at twice its resolution (Spring); or None
+    """
+
+    disparity: NDArray[np.float32]
+    right: NDArray[np.float32] | None = None
+    noc: NDArray[np.float32] | None = None
+    objects: NDArray[np.bool_] | None = None
+    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    scale: float | None = None
+    finer: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StereoScene(Scene):
+    """The files of one pair.
+
+    Attributes
+    ----------
+    left, right : image files, or videos; ``right`` is None where there is only one view
+    frame_number : of the videos' frames, from 0; None: ``left`` and ``right`` are images
+    disparity_left, disparity_right, disparity_noc : ground truth files or None
+    disparity_scale : codes per pixel of the ground truth; None = what the file's kind says
+    scale_by_width : the scale follows from the map's width, as in the Middlebury 2005 and 2006 sets
+    masks : name -> file; a pixel counts where the value is 255
+    occluded, ignored : masks of pixels that the right view does not show, and of those that do not count (both: > 0);
+        without a file of their own, ``nonocc`` and ``all`` are the others; or None
+    objects : KITTI 2015 object map (> 0: foreground) or None
+    max_disparity : largest disparity to search, inclusive, or None
+    min_disparity : smallest disparity to search
+    round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
+    calibration : file that says how disparities become depth, or None
+    cameras : numbers of the pair's cameras in a calibration of several (KITTI)
+    geometry : how disparities become depth, where the data set says so in another way; or None
+    pose : (4, 4), row by row, from the left camera's coordinates to the world's, meters; or None
+    sequence : the first, the middle and the last frame of the sequence that this one belongs to, in order; empty for a
+        single pair; see :func:`with_sequences`
+    """
+
+    options: ClassVar[tuple[Option, ...]] = (
+        Option("left", Path, "Left image, pattern, folder or video; replaces --input.", "FILE", group="Input"),
+        Option("right", Path, "Right image, likewise.", "FILE", group="Input"),
+        Option("calibration", Path, "Calibration, for pairs that are not rectified.", "FILE", sets="calibration",
+               group="Input"),
+        Option("max_disparity", str, "Largest disparity searched, or auto: by key points.", "N",
+               sets="max_disparity"),
+        Option("min_disparity", str, "Smallest disparity searched, or auto. Default: 0.", "N", sets="min_disparity"),
+    )  # fmt: skip
+
+    left: Path
+    right: Path | None = None
+    frame_number: int | None = None
+    disparity_left: Path | None = None
+    disparity_right: Path | None = None
+    disparity_noc: Path | None = None
+    disparity_scale: float | None = None
+    scale_by_width: bool = False
+    masks: dict[str, Path] = field(default_factory=dict, hash=False)
+    occluded: Path | None = None
+    ignored: Path | None = None
+    objects: Path | None = None
+    max_disparity: int | None = None
+    min_disparity: int = 0
+    round_disparity: bool = False
+    calibration: Path | None = None
+    cameras: tuple[int, int] = (2, 3)
+    geometry: PairGeometry | None = None
+    pose: tuple[float, ...] | None = None
+    sequence: tuple[StereoScene, ...] = ()
+
+    @classmethod
+    def single(cls, values: Mapping[str, Any]) -> Self | None:
+        """Return the pair of ``--left`` and ``--right``."""
+        if not together(values, "left", "right"):
+            return None
+        left, right = values["left"], values["right"]
+        return cls(name=name_of(left, _GENERIC_NAMES), folder=left.parent, left=left, right=right)
+
+    @classmethod
+    def named(cls, values: Mapping[str, Any]) -> list[Self]:
+        """Return the pair of ``--left`` and ``--right``, those of two patterns or folders, the frames of two videos."""
+        from depthcli.io.formats.images import IMAGE_SUFFIXES
+        from depthcli.io.formats.videos import VIDEO_SUFFIXES, count_frames
+        from depthcli.io.pairs import is_many, match_patterns
+
+        one = cls.single(values)
+        if one is None or one.right is None:
+            return []
+        if is_many(one.left) or is_many(one.right):
+            return [cls._of_pair(pair) for pair in match_patterns(one.left, one.right, IMAGE_SUFFIXES)]
+        if one.left.suffix.lower() in VIDEO_SUFFIXES:
+            try:
+                counts = count_frames(one.left), count_frames(one.right)
+            except InputError as error:
+                raise ConfigError(str(error)) from None
+            digits = max(6, len(str(max(counts))))
+            return [replace(one, name=f"{number:0{digits}}", frame_number=number) for number in range(min(counts))]
+        return [one]
+
+    @classmethod
+    def of_table(cls, path: Path) -> list[Self]:
+        """Return the pairs of a CSV file."""
+        from depthcli.io.pairs import read_table
+
+        return [cls._of_pair(pair, path.parent) for pair in read_table(path)]
+
+    @classmethod
+    def _of_pair(cls, pair: NamedPair, folder: Path | None = None) -> Self:
+        left, right = pair.left, pair.right
+        there = left or right
+        assert there is not None
+        problem = ""
+        if left is None or right is None:
+            problem = f"{there}: no {'right' if left else 'left'} image belongs to it"
+        ends: dict[str, int | None] = {"max_disparity": None, "min_disparity": None}
+        for key in ends:
+            if text := pair.more.get(key):
+                if re.fullmatch(r"[-+]?[0-9]{1,7}", text) and abs(int(text)) <= MAX_DISPARITY:
+                    ends[key] = int(text)
+                else:
+                    problem = f"{there}: {key}: want a whole number up to {MAX_DISPARITY} (got {text[:40]!r})"
+        calibration = pair.more.get("calibration")
+        return cls(
+            name=pair.name, folder=there.parent, left=left or there, right=right, problem=problem,
+            max_disparity=ends["max_disparity"], min_disparity=ends["min_disparity"] or 0,
+            calibration=(folder or Path()) / calibration if calibration else None,
+        )  # fmt: skip
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """``left`` and, where there is one, ``right``."""
+        return {"left": self.left} if self.right is None else {"left": self.left, "right": self.right}
+
+    @property
+    def is_first(self) -> bool:
+        """True for a single pair and for the first frame of a sequence."""
+        return not self.sequence or self.sequence[0].name == self.name
+
+    @property
+    def has_truth(self) -> bool:
+        """True where the left view's disparity is known."""
+        return self.disparity_left is not None
+
+    def load_views(self) -> tuple[Image, Image]:
+        """Return both images as they are, which need not agree; InputError where one cannot be read."""
+        right = self._right()
+        if self.frame_number is not None:
+            from depthcli.io.formats.videos import read_frame
+
+            return read_frame(self.left, self.frame_number), read_frame(right, self.frame_number)
+        from depthcli.io.formats.images import read_image
+
+        return read_image(self.left), read_image(right)
+
+    def _right(self) -> Path:
+        self.check()
+        if self.right is None:
+            raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
+        return self.right
+
+    def load(self) -> StereoPair:
+        """Return left and right image of one size and dtype, both grey where one is; InputError otherwise."""
+        from depthcli.io.formats.stereo_images import pair_of, read_pair
+
+        right = self._right()
+        return (
+            read_pair(self.left, right)
+            if self.frame_number is None
+            else pair_of(*self.load_views(), (self.left, right))
+        )
+
+    def decode(self, file: Path, scale: float | None) -> NDArray[np.float32]:
+        """Return a truth map, (H, W) float32, pixels, NaN = unknown; overridden by sets with a code of their own.
+
+        Raises
+        ------
+        InputError
+            It cannot be read; one line that names the file.
+        """
+        from depthcli.io.formats.disparity import read_disparity
+
+        return read_disparity(file, scale)
+
+    def truth(self) -> StereoTruth:
+        """Return ground truth and masks of the left view, as stored.
+
+        Raises
+        ------
+        InputError
+            No ground truth, an unreadable file, or files of different sizes.
+        """
+        import numpy as np
+
+        from depthcli.io.formats.images import read_grey
+
+        self.check()
+        if self.disparity_left is None:
+            raise InputError(f"{self.left.parent}: scene {self.name} has no ground truth")
+        scale = self.disparity_scale
+        if self.scale_by_width and scale is None:
+            width = read_grey(self.disparity_left).shape[1]
+            scale = next(scale for above, scale in _SCALE_BY_WIDTH if width > above)
+        disparity = self.decode(self.disparity_left, scale)
+        right = None if self.disparity_right is None else self.decode(self.disparity_right, scale)
+        noc = None if self.disparity_noc is None else self.decode(self.disparity_noc, scale)
+        objects = None if self.objects is None else read_grey(self.objects) > 0
+        masks = self.read_masks()
+        others = [(self.disparity_noc, noc), (self.objects, objects), *masks.values()]
+        for file, array in others:
+            if file is not None and array is not None:
+                check_same_size(file, array.shape, self.disparity_left, disparity.shape)
+        counted = masks["all"][1] if self.ignored is not None else np.True_
+        chosen = {name: mask & counted for name, (_, mask) in masks.items()}
+        return StereoTruth(disparity, right, noc, objects, chosen, scale)
+
+    def read_masks(self) -> dict[str, tuple[Path, NDArray[np.bool_]]]:
+        """Return name -> file and (H, W) mask, True = evaluate; overridden by sets with masks of their own."""
+        from depthcli.io.formats.images import read_grey
+
+        masks = {name: (path, read_grey(path) == 255) for name, path in self.masks.items()}
+        for name, file in (("all", self.ignored), ("nonocc", self.occluded)):
+            if file is not None:
+                masks[name] = file, read_grey(file) == 0
+        return masks
+
+
+def with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
+    """Return the scenes by name, of which stereo pairs know three frames of their sequence.
+
+    Pairs whose left and right images lie in the same two folders, or which are frames of the same two videos, are a
+    sequence in the order of their names.
+    """
+    ordered = sorted(scenes, key=lambda scene: scene.name)
+    frames: dict[tuple[str | Path, str | Path], list[StereoScene]] = {}
+    places = [_place(scene) for scene in ordered]
+    for scene, place in zip(ordered, places, strict=True):
+        if place is not None:
+            assert isinstance(scene, StereoScene)
+            frames.setdefault(place, []).append(scene)
+    spread = {
+        place: tuple(dict.fromkeys((all_of_it[0], all_of_it[len(all_of_it) // 2], all_of_it[-1])))
+        for place, all_of_it in frames.items()
+        if len(all_of_it) > 1
+    }
+    return [
+        replace(scene, sequence=spread[place]) if isinstance(scene, StereoScene) and place in spread else scene
+        for scene, place in zip(ordered, places, strict=True)
+    ]
+
+
+def _place(scene: Scene) -> tuple[str | Path, str | Path] | None:
+    """Return what the frames of one sequence have in common; None for scenes that are not frames."""
+    if not isinstance(scene, StereoScene) or scene.right is None or scene.problem:
+        return None
+    if scene.frame_number is not None:
+        return scene.left, scene.right
+    return os.path.dirname(scene.left), os.path.dirname(scene.right)  # of thousands of pairs: parents take long

@@ -1,0 +1,290 @@
+"""From a folder to its scenes: which layouts are tried and where, how scenes are named, broken scenes."""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+import gc
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from depthcli.core.errors import InputError
+from depthcli.io import storage
+from depthcli.io.formats.files import naming, read_bytes
+from depthcli.io.layouts import Folder, Layout, layouts, own_layouts
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.stereo import with_sequences
+from depthcli.io.storage.patterns import archives_in, entered, is_pattern, matching, stem, top_folder
+
+_RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.run.run_folder
+_MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
+_MAX_RUN_BYTES = 1 << 20  # of it; those of all presets have below 10 kB
+
+
+class NoScenesError(InputError):
+    """A folder without any scene of the wanted kinds."""
+
+
+@contextlib.contextmanager
+def _no_collections() -> Iterator[None]:
+    """Keep Python from looking for garbage: of hundreds of thousands of new objects that stay, it takes a fifth."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+@_no_collections()
+def discover_scenes(
+    folder: Path | str,
+    kinds: Iterable[type[Scene]] | None = None,
+    layout: str | None = None,
+    patterns: Sequence[str] = ("*",),
+    warn: Callable[[str], None] = lambda line: None,
+) -> list[Scene]:
+    """Return the scenes of a folder or an archive, sorted by name; no image is opened.
+
+    ``folder`` may be one scene, a folder of scenes, or a folder of such folders (names are then
+    ``<data set>/<scene>``). Folders that hold none are passed over, and so are folders of runs in it: their results are
+    no scenes. Runs of ``sample`` are, and ``folder`` itself may be a run (of ``rectify``).
+
+    Parameters
+    ----------
+    folder : where to look
+    kinds : kinds of scene that are wanted; None: all
+    layout : name of a layout; None recognizes it, for every folder by itself
+    patterns : shell patterns, one of which the name, or its last part, must match
+    warn : called with a line about folders of runs, and about scenes on deeper levels, which are not used
+
+    Raises
+    ------
+    InputError
+        No such folder, no scene, no match for a pattern; or ``folder`` is itself a scene that fits two layouts, has
+        a broken meta.json or the like. A scene below it with such a problem is listed with its ``problem``.
+    """
+    folder = Path(folder)
+    archives: list[Path] = []
+    if not storage.is_dir(folder):
+        archives = matching(folder)
+        if not archives:
+            raise InputError(f"{folder}: {_why_no_folder(folder)}")
+    fitting = tuple(kinds) if kinds is not None else (Scene,)
+    wanted = _wanted(own_layouts(), fitting, layout)
+    found = _find(folder, archives, wanted, layout, warn) if wanted else []
+    if not found and layouts() != own_layouts():  # layouts of plug-ins are asked where no other fits
+        wanted = _wanted(layouts(), fitting, layout)
+        found = _find(folder, archives, wanted, layout, warn) if wanted else []
+    if not wanted:
+        names = ", ".join(each.name for each in _wanted(layouts(), fitting, None))
+        raise InputError(f"no layout called {layout!r}; one of: {names}")
+    if not found:
+        names = ", ".join(each.name for each in wanted)
+        looked_for = f"{names}: {wanted[0].wants.replace('`', '').partition(';')[0]}"
+        if len(wanted) > 1:
+            looked_for = f"files of the layouts {names}; depthcli help layouts names them"
+        inside = archives_in(entered(folder)) if storage.is_archive(folder) else []
+        nested = f"; it holds archives, such as {inside[0].name}: unpack it" if inside else ""
+        raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {looked_for}){nested}")
+    return chosen_scenes(found, patterns, folder)
+
+
+def _why_no_folder(path: Path) -> str:
+    kinds = "a .zip, .tar, .tar.gz or .tgz file"
+    if storage.is_other_archive(path):
+        return f"want {kinds}"
+    if storage.is_file(path):
+        return f"a file, want a folder, or {kinds}"
+    return "no archive has such a name" if is_pattern(path) else "no such folder"
+
+
+def _wanted(known: Iterable[Layout], kinds: tuple[type[Scene], ...], layout: str | None) -> tuple[Layout, ...]:
+    """The layouts that give scenes of these kinds; the named one alone, where one is named."""
+    name = layout and layout.lower().replace("_", "-")
+    return tuple(each for each in known if issubclass(each.kind, kinds) and name in (None, each.name))
+
+
+def _find(
+    folder: Path, archives: list[Path], wanted: tuple[Layout, ...], layout: str | None, warn: Callable[[str], None]
+) -> list[Scene]:
+    """Scenes in a folder or below it, or in archives; ``layout`` is what the user named."""
+    requested = wanted[0].name if layout else ""
+    if archives:
+        return [scene for each in archives for scene in _scenes_in_archive(each, wanted, requested, warn)]
+    damaged: list[Scene] = []
+    name = folder.resolve().name
+    if storage.is_archive(folder):
+        damaged = _damage(folder, folder.name, warn)
+        name = stem(folder)
+        if (top := top_folder(folder)) is not None:
+            folder, name = top, top.name
+    found = _scenes_of(Folder(folder, name, "", requested), wanted)
+    for child in () if found else _subfolders(folder, warn):
+        found += _scenes_or_problem(child, child.name, wanted, requested) or _scenes_below(
+            child, child.name, wanted, requested, warn
+        )
+    beside = archives_in(folder) if folder.is_dir() else []
+    if found and beside:  # what these were unpacked from, perhaps
+        more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
+        warn(f"{folder}: {beside[0].name}{more} beside the scenes not read; to use it, name it itself")
+    for each in () if found else beside:
+        found += _scenes_in_archive(each, wanted, requested, warn)
+    return [*found, *damaged]
+
+
+def _scenes_in_archive(
+    archive: Path, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]
+) -> list[Scene]:
+    """Scenes of one of several archives, which is named as a data set."""
+    name = stem(archive)
+    try:
+        if not storage.is_dir(archive):
+            raise InputError(f"{archive}: no such file")
+        damaged = _damage(archive, archive.name, warn)
+        top = top_folder(archive)
+    except (InputError, OSError) as error:
+        return [BrokenScene(name=name, folder=archive, problem=str(error))]
+    folder = archive if top is None or _scenes_or_problem(top, name, wanted, requested) else top
+    found = _scenes_or_problem(folder, name, wanted, requested)
+    return [*(found or _scenes_below(folder, name, wanted, requested, warn)), *damaged]
+
+
+def _damage(archive: Path, name: str, warn: Callable[[str], None]) -> list[Scene]:
+    """Return a scene that stands for those which a damaged archive lost; none where it is whole."""
+    with naming(archive):
+        notes, damage = storage.findings(archive)
+    for note in notes:
+        warn(f"warning: {archive}: {note}")
+    return [BrokenScene(name=name, folder=archive, problem=f"{archive}: {damage}")] if damage else []
+
+
+def _scenes_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Scene]:
+    """Scenes that ``folder`` itself holds: one by its own files, or many as a KITTI root."""
+    matching = {each.name: scenes for each in wanted if (scenes := each.scenes(folder))}
+    if len(matching) > 1:
+        raise InputError(f"{folder.path}: fits the layouts {' and '.join(sorted(matching))}; say which with --layout")
+    return next(iter(matching.values()), [])
+
+
+def _scenes_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], requested: str = "") -> list[Scene]:
+    # A folder that cannot be used is one scene with its problem, and spoils no other.
+    try:
+        return _scenes_of(Folder(path, name, name + "/", requested), wanted)
+    except InputError as error:
+        return [BrokenScene(name=name, folder=path, problem=str(error))]
+
+
+def _scenes_below(
+    folder: Path, name: str, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]
+) -> list[Scene]:
+    """Scenes in the folders of a data set, and a warning where there are some one level below the last that counts."""
+    found: list[Scene] = []
+    for child in _subfolders(folder, warn):
+        scenes = _scenes_or_problem(child, f"{name}/{child.name}", wanted, requested)
+        found += scenes
+        for deeper in () if scenes else _subfolders(child):
+            if any(not scene.problem for scene in _scenes_or_problem(deeper, deeper.name, wanted)):
+                warn(f"{deeper}: lies too deep, not used; to use it, give {child} or {child.parent} as the folder")
+                break
+    return found
+
+
+def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -> list[Path]:
+    """Folders in a folder, but for those that hold results of runs."""
+    try:
+        found = storage.subfolders(folder)
+        runs = [child for child in storage.holding(folder, found, _RUN_FILE) if _holds_results(child)]
+    except (OSError, InputError):
+        return []
+    for run in runs:
+        warn(f"{run}: holds a run, its results are left out of the scenes; to use them, give it as the folder")
+    return [child for child in found if child not in runs]
+
+
+def _holds_results(folder: Path) -> bool:
+    """Return True for a folder with the file of a run, unless the run generated scenes there."""
+    try:
+        text = read_bytes(folder / _RUN_FILE, _MAX_RUN_BYTES).decode("utf-8", "replace")
+    except (InputError, OSError):
+        return False
+    command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
+    return command is not None and command[1] != "sample"
+
+
+class BrokenScene(Scene):
+    """A folder that is meant to be a scene but cannot be used."""
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """Return no file: none can be named."""
+        return {}
+
+    def load(self) -> None:
+        """Raise the scene's problem."""
+        self.check()
+
+
+def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path | str) -> list[Scene]:
+    """Return the scenes whose name matches one of the patterns, sorted by name; frames know their sequence.
+
+    Raises
+    ------
+    InputError
+        A pattern matches none of them, or two have one name; ``place`` is where they are.
+    """
+    ordered = with_sequences(scenes)
+    chosen = [scene for scene in ordered if matches_any(scene.name, patterns)]
+    for scene, after in pairwise(ordered):
+        if scene.name == after.name:
+            raise InputError(f"{place}: two scenes are called {scene.name!r} (in {scene.folder} and {after.folder})")
+    for pattern in patterns:
+        if not any(matches_any(scene.name, [pattern]) for scene in ordered):
+            there = ", ".join(scene.name for scene in ordered[:6])
+            raise InputError(
+                f"{place}: no scene matches {pattern!r}; there are: {there}{', ...' if len(ordered) > 6 else ''}"
+            )
+    return chosen
+
+
+def scene_with_file(file: Path) -> Scene | None:
+    """Return the scene that ``file`` belongs to by the layout of its folder or of one above it (KITTI), or None."""
+    return next(iter(scenes_with_files([file]).values()), None)
+
+
+def scenes_with_files(files: Iterable[Path]) -> dict[Path, Scene]:
+    """Return file -> the scene that it belongs to, as :func:`scene_with_file`, of those that belong to one."""
+    known: dict[Path, dict[Path, Scene]] = {}
+    scene_of: dict[Path, Scene] = {}
+    for file in files:
+        path = file.absolute()
+        for place in path.parents[:_MAX_ABOVE]:
+            if place not in known:
+                known[place] = _files_in(place)
+            if path in known[place]:
+                scene_of[file] = known[place][path]
+                break
+    return scene_of
+
+
+def _files_in(place: Path) -> dict[Path, Scene]:
+    """File -> scene, of the scenes that lie in ``place`` by any layout."""
+    try:
+        inside = [scene for each in layouts() for scene in each.scenes(Folder(place, place.name, ""))]
+    except InputError:
+        return {}
+    scene_of: dict[Path, Scene] = {}
+    for scene in inside:
+        for value in vars(scene).values():
+            if isinstance(value, Path):
+                scene_of.setdefault(value, scene)
+    return scene_of
+
+
+def matches_any(name: str, patterns: Sequence[str]) -> bool:
+    """Return whether one of the shell patterns matches the name or its last part."""
+    last = name.rpartition("/")[2]
+    return any(fnmatch.fnmatchcase(name, each) or fnmatch.fnmatchcase(last, each) for each in patterns)

@@ -1,0 +1,183 @@
+"""What the terminal shows: messages, progress and tables. Data go to stdout, everything else to stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, TextIO
+
+from depthcli.core.errors import IncompleteError
+from depthcli.core.plugins import PluginWarning
+from depthcli.core.text import one_line, printable
+from depthcli.run.json_csv import Row
+from depthcli.run.progress_bar import Progress
+
+if TYPE_CHECKING:
+    from depthcli.run.activities import Running
+
+_MAX_ROWS = 50  # of a table; of longer ones only the failed scenes and a summary are shown
+
+
+def silence_warnings() -> None:
+    """Hide warnings of libraries, which quote code that a user does not know; ``python -W`` shows them."""
+    if not sys.warnoptions:
+        warnings.showwarning = _show_warning
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *place: object, **options: object) -> None:
+    if issubclass(category, PluginWarning):
+        Reporter(-1).error(f"warning: {message}")
+
+
+class Reporter:
+    """Prints messages and progress on stderr and data on stdout.
+
+    The computation goes on when the reader of either has closed it.
+
+    Parameters
+    ----------
+    level : -1 only errors, 0 also messages, 1 also details
+    """
+
+    def __init__(self, level: int = 0) -> None:
+        self.level = level
+        self._progress: Progress | None = None
+        self._once: set[str] = set()
+
+    def error(self, text: str) -> None:
+        """Print an error, at any level."""
+        self._line(text)
+
+    def info(self, text: str) -> None:
+        """Print a message, unless quiet."""
+        if self.level >= 0:
+            self._line(text)
+
+    def once(self, text: str) -> None:
+        """Print a message as ``info`` does, unless the same one was printed before."""
+        if text not in self._once:
+            self._once.add(text)
+            self.info(text)
+
+    def detail(self, text: str) -> None:
+        """Print a message when verbose."""
+        if self.level >= 1:
+            self._line(text)
+
+    def data(self, text: str) -> None:
+        """Print ``text`` on stdout, or nothing where its reader has closed it (``| head``).
+
+        Raises
+        ------
+        IncompleteError
+            It cannot be written for another reason, such as a full disk.
+        """
+        try:
+            print(text, end="" if text.endswith("\n") else "\n", flush=True)
+        except (OSError, ValueError) as error:  # ValueError: stdout was closed
+            self.close(sys.stdout)
+            number = getattr(error, "errno", None)
+            if isinstance(error, OSError) and number not in (errno.EPIPE, errno.EBADF):
+                raise IncompleteError(f"stdout: cannot be written ({error.strerror or error})") from error
+
+    def start(
+        self,
+        total: int,
+        done: int,
+        what: str,
+        unit: str = "scene",
+        running: Callable[[], Sequence[Running]] | None = None,
+    ) -> None:
+        """Begin to show progress, unless quiet: a bar on a terminal, otherwise a line every 30 seconds.
+
+        Parameters
+        ----------
+        total, done : number of scenes (or what ``unit`` says), and how many of them were done before
+        what : name of the command
+        running : returns the scenes that are being computed; None where that is not known
+        """
+        if self.level >= 0:
+            self._progress = Progress(what, total, done, unit, running, self.info, _is_terminal())
+
+    def step(self, failed: bool = False, computed: bool = True) -> None:
+        """Count one more scene; one that was not ``computed`` by this run says nothing about the time of others."""
+        if self._progress is not None:
+            self._progress.step(failed, computed)
+
+    def __enter__(self) -> Reporter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if self._progress is not None:
+            self._progress.close()
+            self._progress = None
+
+    def _line(self, text: str) -> None:
+        text = printable(text)
+        with contextlib.suppress(OSError, ValueError):  # stderr was closed
+            if self._progress is not None:
+                self._progress.write(text)
+            else:
+                print(text, file=sys.stderr, flush=True)
+
+    @staticmethod
+    def close(stream: TextIO) -> None:
+        """Send the interpreter's last flush of a stream to the null device, where it cannot fail."""
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _is_terminal() -> bool:
+    try:
+        return sys.stderr.isatty()
+    except ValueError:  # closed
+        return False
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a command's table: its title, and the function that gives its text for a finished row."""
+
+    title: str
+    text: Callable[[Row], str]
+
+
+def percent(key: str) -> Callable[[Row], str]:
+    """Return the function that gives the text of a column whose values are shares."""
+    return lambda row: f"{100 * row[key]:.1f} %" if isinstance(row.get(key), int | float) else "-"
+
+
+SIZE = Column("size", lambda row: f"{row['width']}x{row['height']}" if "width" in row else "-")
+
+
+def run_table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
+    """Return the table of a run: one line per scene, or for a long run its failed scenes and a summary."""
+    shown = [row for row in rows if len(rows) <= _MAX_ROWS or row["status"] != "done"]
+    lines = [("scene", "status", *(column.title for column in columns), "seconds", "memory")]
+    for row in shown:
+        seconds, peak = sum(row["seconds"].values()), row["peak_memory"]
+        cells = (column.text(row) if row["status"] == "done" else "-" for column in columns)
+        memory = f"{peak / 2**20:.0f} MiB" if peak else "-"
+        lines.append((str(row["scene"]), str(row["status"]), *cells, f"{seconds:.2f}" if seconds else "-", memory))
+    if len(shown) < len(rows):
+        seconds = sum(sum(row["seconds"].values()) for row in rows)
+        blank = ("-",) * len(columns)
+        lines.append((f"all {len(rows)}", f"{len(rows) - len(shown)} done", *blank, f"{seconds:.2f}", "-"))
+    return aligned(lines)
+
+
+def aligned(lines: Sequence[tuple[str, ...]]) -> str:
+    """Return rows of cells as a table whose first two columns are aligned left and the others right."""
+    lines = [tuple(map(one_line, line)) for line in lines]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
+    table = []
+    for line in lines:
+        cells = [c.ljust(w) if k < 2 else c.rjust(w) for k, (c, w) in enumerate(zip(line, widths, strict=True))]
+        table.append("  ".join(cells).rstrip())
+    return "\n".join(table)

@@ -1,0 +1,1 @@
+"""Scenes as arrays: what :mod:`depthcli.simulate` computes."""

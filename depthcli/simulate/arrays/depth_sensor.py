@@ -1,0 +1,251 @@
+"""What a Kinect-like sensor measures of a scene whose disparity is known.
+
+The sensor looks through the color camera's pixels. The two systematic faults of triangulating sensors are that surfaces
+in front look wider than they are, since a matching window that sees both takes the better textured or nearer one
+(mismatch), and that the far side of every left edge lies in the projector's shadow (gap). Sensors differ in both, in
+their noise, and in how well color and depth are registered.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.triangulation import depth_of_disparity
+from depthcli.core.frames import RgbdFrame
+from depthcli.simulate.arrays.boards import Disparity
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class KinectSample:
+    """A simulated frame and what is known about it. Every mask is (H, W) bool and keeps to pixels with known truth.
+
+    Attributes
+    ----------
+    color : (H, W, 3) uint8 RGB
+    disparity : (H, W) float32, what the sensor measured; pixels, NaN = unknown
+    truth : (H, W) float32 true disparity; pixels, NaN = unknown
+    occluded : in the shadow of something nearer, without a measurement
+    specular : in a disc without a measurement, and not in shadow
+    mismatch : measured, but the value of the surface in front
+    measured : measured rightly, up to noise
+    intrinsics : of the camera, or None where it has none
+    pose : (4, 4) float64, from the camera's coordinates to the world's, meters; or None where the camera has none
+    """
+
+    color: NDArray[np.uint8]
+    disparity: Disparity
+    truth: Disparity
+    occluded: Mask
+    specular: Mask
+    mismatch: Mask
+    measured: Mask
+    intrinsics: Intrinsics | None = None
+    pose: NDArray[np.float64] | None = None
+
+    @property
+    def gap(self) -> Mask:
+        """Pixels without a measurement whose truth is known."""
+        return self.occluded | self.specular
+
+    def frame(self, fb: float = RgbdFrame.fb) -> RgbdFrame:
+        """The measurement as a frame in meters; ``fb`` in pixel meters."""
+        return RgbdFrame(self.color, depth_of_disparity(self.disparity, fb), fb, self.intrinsics, pose=self.pose)
+
+    def depth_true(self, fb: float = RgbdFrame.fb) -> NDArray[np.float32]:
+        """(H, W) float32, meters, NaN = unknown."""
+        return depth_of_disparity(self.truth, fb)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How a simulated depth sensor measures. Lengths are in pixels, along the rows unless said otherwise.
+
+    Attributes
+    ----------
+    fattening : width by which nearer surfaces grow over farther ones
+    sides : on which of their sides they grow
+    noise : standard deviation of the disparity
+    correlation : standard deviation of the Gaussian that smooths the noise; 0: white noise
+    shadows : side of near surfaces on which the projector's shadow falls; a time-of-flight sensor has none
+    covered : the near surface grows over its shadow, which is narrower then; else the shadow moves with its edge
+    baseline : the sensor's baseline, as a multiple of the one that its depth is turned into disparity with: shadows are
+        as wide as the step of disparity times this
+    step : disparities are rounded to multiples of this; 0: not rounded
+    mixed : pixels on both sides of a step whose value lies anywhere between both surfaces, as of a time-of-flight
+        sensor, along rows and columns
+    color_shift : by which the color image is moved to the right and down against the depth
+    discs : number of specular spots without a measurement
+    disc_radius : smallest and largest
+    farthest : smallest disparity that is measured, as a share of the scene's largest; 0: no limit
+    """
+
+    fattening: int = 4
+    sides: Literal["both", "left", "right"] = "both"
+    noise: float = 0.3
+    correlation: float = 0.0
+    shadows: Literal["left", "right", "none"] = "left"
+    covered: bool = False
+    baseline: float = 1.0
+    step: float = 0.0
+    mixed: int = 0
+    color_shift: tuple[int, int] = (0, 0)
+    discs: int = 8
+    disc_radius: tuple[float, float] = (8.0, 22.0)
+    farthest: float = 0.0
+
+    def __post_init__(self) -> None:
+        amounts = (self.fattening, self.noise, self.correlation, self.step, self.mixed, self.discs, self.farthest)
+        if min(amounts) < 0 or self.baseline <= 0 or not 0 <= self.disc_radius[0] <= self.disc_radius[1]:
+            raise ValueError("want a baseline > 0, fattening, noise and other amounts >= 0, and a range of radii")
+
+
+def simulate_kinect(
+    color: NDArray[np.uint8],
+    truth: NDArray[np.floating[Any]],
+    seed: int = 0,
+    *,
+    sensor: Sensor | None = None,
+    jump: float = 1.0,
+    **changed: Any,
+) -> KinectSample:
+    """Return a Kinect-like measurement of a scene.
+
+    At every step of more than ``jump`` between neighbors of a row, the nearer surface's edge value is written over
+    some pixels of the farther one. Then what lies in shadow is taken out: left of every such edge, as many pixels as
+    the disparity jumps (a pixel x whose ``x - d`` is not left of every nearer pixel's on its right), and some random
+    discs. What is left gets Gaussian noise. Where the truth is unknown nothing is measured.
+
+    Parameters
+    ----------
+    color : (H, W, 3) uint8 RGB
+    truth : (H, W) float, pixels of disparity, NaN or infinite = unknown
+    seed : of discs and noise
+    sensor : how it measures; None: as a Kinect
+    jump : pixels of disparity; smaller steps are slopes
+    changed : attributes of ``sensor`` that differ, such as ``fattening=2``
+
+    Raises
+    ------
+    ValueError
+        For sizes that differ, nothing known, or negative amounts.
+    """
+    if color.shape[:2] != truth.shape or truth.ndim != 2:
+        raise ValueError(f"color {color.shape} and truth {truth.shape} differ in size")
+    sensor = replace(sensor or Sensor(), **changed)
+    if jump <= 0:
+        raise ValueError("want jump > 0")
+    known = np.isfinite(truth)
+    if not known.any():
+        raise ValueError("no pixel has a true disparity")
+    surface = _behind(np.where(known, truth, np.nan).astype(np.float32))
+    fattened = _fattened(surface, sensor.fattening, sensor.sides, jump)
+    shadow = np.zeros(truth.shape, bool)
+    if sensor.shadows != "none":
+        turn = np.s_[:, ::-1] if sensor.shadows == "right" else np.s_[:, :]
+        shadow = _shadow((surface if sensor.covered else fattened)[turn], jump, sensor.baseline)[turn]
+        if sensor.covered:
+            shadow &= np.abs(fattened - surface) <= jump
+    rng = np.random.Generator(np.random.PCG64([seed, 0x4B1]))
+    spots = discs(rng, (truth.shape[0], truth.shape[1]), sensor.discs, sensor.disc_radius)
+    grain = rng.standard_normal(truth.shape, np.float32)
+    values = _mixed(fattened, sensor.mixed, jump, rng) + sensor.noise * _correlated(grain, sensor.correlation)
+    if sensor.step:
+        values = np.rint(values / sensor.step) * sensor.step
+    wrong = np.abs(fattened - surface) > jump
+    wrong |= np.abs(values - surface) > np.float32(jump + 4 * sensor.noise + sensor.step)
+    too_far = surface < sensor.farthest * surface.max()
+    missing = shadow | spots | too_far | (values <= 0)
+    return KinectSample(
+        color=_moved_image(color, *sensor.color_shift),
+        disparity=np.where(known & ~missing, values, np.nan).astype(np.float32),
+        truth=np.where(known, truth, np.nan).astype(np.float32),
+        occluded=known & shadow,
+        specular=known & missing & ~shadow,
+        mismatch=known & wrong & ~missing,
+        measured=known & ~wrong & ~missing,
+    )
+
+
+def _correlated(grain: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """White noise smoothed by a Gaussian, with the same standard deviation."""
+    if not sigma:
+        return grain
+    smooth = cv2.GaussianBlur(grain, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(smooth / smooth.std(), np.float32)
+
+
+def _mixed(surface: Disparity, width: int, jump: float, rng: np.random.Generator) -> Disparity:
+    """Pixels within ``width`` of a step take values between the nearest and the farthest surface so near."""
+    if not width:
+        return surface
+    kernel = np.ones((2 * width + 1, 2 * width + 1), np.uint8)
+    near, far = cv2.dilate(surface, kernel), cv2.erode(surface, kernel)
+    share = rng.random(surface.shape, np.float32)
+    return np.asarray(np.where(near - far > jump, far + share * (near - far), surface), np.float32)
+
+
+def _moved_image(color: NDArray[np.uint8], right: int, down: int) -> NDArray[np.uint8]:
+    """The image moved by whole pixels, its borders continued."""
+    rows = np.clip(np.arange(color.shape[0]) - down, 0, color.shape[0] - 1)
+    columns = np.clip(np.arange(color.shape[1]) - right, 0, color.shape[1] - 1)
+    return np.ascontiguousarray(color[rows[:, None], columns])
+
+
+def _behind(truth: Disparity) -> Disparity:
+    """Unknown runs of each row take the smaller of the values at their ends; rows without any, the row above's."""
+    left, right = truth.copy(), truth.copy()
+    for x in range(1, truth.shape[1]):
+        left[:, x] = np.where(np.isnan(left[:, x]), left[:, x - 1], left[:, x])
+        right[:, -x - 1] = np.where(np.isnan(right[:, -x - 1]), right[:, -x], right[:, -x - 1])
+    filled: Disparity = np.fmin(left, right)
+    empty = np.isnan(filled[:, 0])
+    if empty.any():
+        given = np.flatnonzero(~empty)
+        filled = filled[given[np.abs(np.arange(len(filled))[:, None] - given).argmin(axis=1)]]
+    return filled
+
+
+def _fattened(surface: Disparity, width: int, sides: str, jump: float) -> Disparity:
+    """Surfaces in front, spread over ``width`` pixels on their sides along the rows."""
+    step = np.diff(surface, axis=1)
+    faces_left, faces_right = np.full_like(surface, -np.inf), np.full_like(surface, -np.inf)
+    faces_left[:, 1:] = np.where(step > jump, surface[:, 1:], -np.inf)
+    faces_right[:, :-1] = np.where(step < -jump, surface[:, :-1], -np.inf)
+    result = surface.copy()
+    for k in range(1, min(width, surface.shape[1] - 1) + 1):
+        if sides != "right":
+            np.maximum(result[:, :-k], faces_left[:, k:], out=result[:, :-k])
+        if sides != "left":
+            np.maximum(result[:, k:], faces_right[:, :-k], out=result[:, k:])
+    return result
+
+
+def _shadow(fattened: Disparity, jump: float, baseline: float) -> Mask:
+    """Pixels whose projected position ``x - d`` is hidden behind a surface to their right, nearer by over ``jump``."""
+    position = np.arange(fattened.shape[1], dtype=np.float32) - np.float32(baseline) * fattened
+    shadow = np.zeros(fattened.shape, bool)
+    front = position[:, -1].copy()
+    front_value = fattened[:, -1].copy()
+    for x in range(fattened.shape[1] - 2, -1, -1):
+        shadow[:, x] = (position[:, x] >= front) & (front_value - fattened[:, x] > jump)
+        ahead = position[:, x] < front
+        front = np.where(ahead, position[:, x], front)
+        front_value = np.where(ahead, fattened[:, x], front_value)
+    return shadow
+
+
+def discs(rng: np.random.Generator, shape: tuple[int, int], count: int, radius: tuple[float, float]) -> Mask:
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    spots = np.zeros(shape, bool)
+    for _ in range(count):
+        y, x, r = rng.uniform(0, shape[0]), rng.uniform(0, shape[1]), rng.uniform(*radius)
+        spots |= (rows - y) ** 2 + (columns - x) ** 2 <= r * r
+    return spots

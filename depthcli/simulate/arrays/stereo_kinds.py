@@ -1,0 +1,179 @@
+"""The kinds of generated stereo scenes: how a room, or a street, is furnished."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.simulate.arrays import textures
+from depthcli.simulate.arrays.room import Room
+from depthcli.simulate.arrays.surfaces import Array, Outline, Surface, rotation
+
+Kind = Literal["planes", "foreground", "repetitive", "curved", "street"]
+
+
+def _blob(rng: np.random.Generator) -> Outline:
+    waves = np.arange(2, 7)
+    amounts = rng.uniform(0.02, 0.3, waves.size) / waves**0.7
+    phases = rng.uniform(0, 2 * np.pi, waves.size)
+
+    def inside(x: Array, y: Array) -> NDArray[np.bool_]:
+        angle = np.arctan2(y, x)
+        edge = sum(a * np.cos(k * angle + p) for k, a, p in zip(waves, amounts, phases, strict=True))
+        kept: NDArray[np.bool_] = np.hypot(x, y) < 0.78 * (1 + edge)
+        return kept
+
+    return inside
+
+
+def _saw(rng: np.random.Generator) -> Outline:
+    teeth, depth = int(rng.integers(2, 5)), rng.uniform(0.3, 0.7)
+
+    def inside(x: Array, y: Array) -> NDArray[np.bool_]:
+        saw = np.abs(np.mod(x * teeth / 2, 1.0) - 0.5) * 2
+        kept: NDArray[np.bool_] = y > -1 + depth * saw
+        return kept
+
+    return inside
+
+
+def _disk(x: Array, y: Array) -> NDArray[np.bool_]:
+    kept: NDArray[np.bool_] = x * x + y * y < 1
+    return kept
+
+
+def _planes(room: Room) -> None:
+    rng, w, h = room.rng, room.width, room.height
+    room.add_walls()
+    for x, d in room.spread(3):
+        size = (w * rng.uniform(0.22, 0.34), h * rng.uniform(0.35, 0.6))
+        turn = rotation(rng.uniform(-0.7, 0.7), rng.uniform(-0.5, 0.5), rng.uniform(-0.3, 0.3))
+        outline = _saw(rng) if rng.random() < 0.6 else None
+        room.board(x, h * rng.uniform(0.3, 0.65), 0.5 * (d + room.far), size, turn, outline)
+    for x, d in room.spread(2):
+        room.box(x, d, (w * rng.uniform(0.12, 0.22), h * rng.uniform(0.12, 0.28), w * rng.uniform(0.1, 0.2)))
+
+
+def _foreground(room: Room) -> None:
+    rng, w, h = room.rng, room.width, room.height
+    room.add_walls()
+    for x, d in room.spread(4):
+        outline = (_blob(rng), _disk, None)[int(rng.integers(3))]
+        size = (w * rng.uniform(0.16, 0.26), h * rng.uniform(0.25, 0.42))
+        turn = rotation(rng.uniform(-0.15, 0.15), rng.uniform(-0.15, 0.15), rng.uniform(-0.6, 0.6))
+        room.board(x, h * rng.uniform(0.2, 0.8), d, size, turn, outline)
+    for x, d in room.spread(2):
+        room.box(x, d, (w * rng.uniform(0.08, 0.14), h * rng.uniform(0.2, 0.45), w * rng.uniform(0.05, 0.12)))
+
+
+def _curved(room: Room) -> None:
+    rng, w, h = room.rng, room.width, room.height
+    room.add_walls()
+    for index, (x, d) in enumerate(room.spread(6)):
+        match index % 3:
+            case 0:
+                room.ball(x, d, 0.5 * min(w * 0.75, h) * rng.uniform(0.2, 0.36))
+            case 1:
+                room.cone(x, d, (w * rng.uniform(0.07, 0.1), h * rng.uniform(0.35, 0.6)))
+            case _:
+                room.tub(x, d, (w * rng.uniform(0.05, 0.09), h * rng.uniform(0.15, 0.3)))
+
+
+def _repetitive(room: Room) -> None:
+    """The pattern's wall leans about the X axis only: one period and one disparity a row."""
+    rng, w, h = room.rng, room.width, room.height
+    room.far = room.max_disparity * rng.uniform(0.4, 0.5)
+    texels = room.far
+    # In baselines the period is the share of the disparity by which a wrong match is off: below 1, d - period
+    # is a disparity, and at these depths so is d + period.
+    tile = max(4, round(texels * rng.uniform(0.5, 0.75)))
+    period = tile / texels
+    # The picture covers what the two views see of the wall and little more, so that its stickers are seen.
+    skirting = room.center[1] + room.floor * texels
+    wide, tall = int(w + 3 * texels), int(skirting * 1.15)
+    picture = textures.repeated(rng, tall, wide, tile, int(rng.integers(16, 25)), min(w, h) * 0.13)
+    half = np.array([(wide - 1) / 2 / texels, (tall - 1) / 2 / texels, 1.0])
+    middle = room.at((w + texels) / 2, skirting * 0.5, texels)
+    lean = rotation(pitch=rng.uniform(-0.25, 0.25))
+    room.surfaces.append(Surface("plane", middle, lean, half, picture, unbounded=True, period=period))
+    room.lay_floor()
+    for x, d in room.spread(2):
+        size = (w * rng.uniform(0.14, 0.22), h * rng.uniform(0.25, 0.4))
+        turn = rotation(rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2), rng.uniform(-0.4, 0.4))
+        room.board(x, h * rng.uniform(0.4, 0.75), d, size, turn, _blob(rng))
+    x, d = room.spread(1)[0]
+    room.box(x, d, (w * 0.12, h * rng.uniform(0.12, 0.25), w * 0.1))
+
+
+def _street(room: Room) -> None:
+    rng, w, h, max_disparity = room.rng, room.width, room.height, room.max_disparity
+    room.center = (w * rng.uniform(0.4, 0.6), h * rng.uniform(0.35, 0.48))
+    room.floor = (h - room.center[1]) / (max_disparity * rng.uniform(0.4, 0.85))
+    room.far = max(0.5, 0.02 * max_disparity)
+    half = np.array([2 * w / room.far, 2 * h / room.far, 1.0])
+    sky = np.full((8, 8, 3), rng.uniform(0.75, 0.97), np.float32)
+    behind = np.array([0.0, 0.0, room.focal / room.far])
+    room.surfaces.append(Surface("plane", behind, rotation(), half, sky, unbounded=True))
+    room.light = np.array([rng.uniform(-40, 40), -60.0, rng.uniform(0, 30)])
+    _road(room)
+    sides = (room.center[0], w - room.center[0])
+    fronts = [side / (max_disparity * rng.uniform(0.25, 0.7)) for side in sides]
+    for sign, away in zip((-1, 1), fronts, strict=True):
+        _house_fronts(room, sign, away)
+    room.surroundings = textures.surroundings(rng, h, w, room.feature)
+    gloss = rng.uniform(0.05, 0.35)
+    # The nearest cars are cut off by the border of the image, on either side.
+    for k, d in enumerate(max_disparity * np.array([0.93, 0.8, 0.5, 0.3, 0.17]) * rng.uniform(0.75, 1.0, 5)):
+        sign, size = (-1) ** (k + int(rng.integers(2))), room.floor * d
+        away = fronts[(sign + 1) // 2] * rng.uniform(0.55, 0.8)
+        measures = (size * rng.uniform(0.9, 1.1), size * rng.uniform(0.75, 0.95), size * rng.uniform(1.8, 2.4))
+        room.box(room.center[0] + sign * away * d, d, measures, textures.bodywork, rng.uniform(-0.08, 0.08), gloss)
+    for _ in range(int(rng.integers(3, 7))):
+        d = max_disparity * rng.uniform(0.12, 0.6)
+        sign = 1 if rng.random() < 0.5 else -1
+        x = room.center[0] + sign * fronts[(sign + 1) // 2] * rng.uniform(0.75, 0.95) * d
+        tall, thin = room.floor * d * rng.uniform(0.6, 2.6), max(2.0, d * rng.uniform(0.04, 0.12))
+        y = room.center[1] + room.floor * d - tall / 2
+        room.board(x, y, d, (thin, tall), rotation(), maker=textures.plaster)
+        if rng.random() < 0.5:  # a crown, or a sign
+            size = room.floor * d * rng.uniform(0.25, 1.2)
+            outline, maker = (_blob(rng), textures.camouflage) if rng.random() < 0.6 else (_disk, textures.poster)
+            room.board(x, y - tall / 2, d * 1.01, (size, size), rotation(), outline, maker)
+
+
+def _road(room: Room) -> None:
+    rng, max_disparity = room.rng, room.max_disparity
+    first, last = room.focal / max_disparity, room.focal / (0.1 * max_disparity)
+    half = np.array([2.0 * room.width / max_disparity, (last - first) / 2, 1.0])
+    picture = room.paint(textures.asphalt, (2 * half[0], 2 * half[1]), 0.4 * max_disparity)
+    middle = np.array([rng.uniform(-1, 1), room.floor, (first + last) / 2])
+    room.surfaces.append(Surface("plane", middle, rotation(pitch=np.pi / 2), half, picture, unbounded=True))
+
+
+def _house_fronts(room: Room, sign: int, away: float) -> None:
+    """House by house along the road, beside the camera by ``away`` baselines."""
+    rng, max_disparity = room.rng, room.max_disparity
+    turn = rotation(sign * np.pi / 2)
+    z, end = room.focal / (0.97 * max_disparity), room.focal / (0.05 * max_disparity)
+    while z < end:
+        long, tall = z * rng.uniform(0.5, 1.2), room.floor * rng.uniform(2.5, 9)
+        near = room.focal / (z + 0.3 * long)
+        half = np.array([long / 2, tall / 2, 1.0])
+        middle = np.array([sign * away * rng.uniform(1, 1.08), room.floor - tall / 2, z + long / 2])
+        maker = room.pick((*textures.WALL_TEXTURES, textures.windows, textures.windows, textures.windows))
+        picture = room.paint(maker, (long, tall), min(near, 0.5 * max_disparity))
+        room.surfaces.append(Surface("plane", middle, turn, half, room.faded(picture)))
+        z += long * rng.uniform(1.0, 1.15)
+
+
+FURNISH: dict[Kind, Callable[[Room], None]] = {
+    "planes": _planes,
+    "foreground": _foreground,
+    "repetitive": _repetitive,
+    "curved": _curved,
+    "street": _street,
+}
+"""What puts the surfaces of a kind of scene into an empty room."""

@@ -1,0 +1,262 @@
+"""Scenes with transparent objects, as a color camera, an infrared camera and a depth sensor record them, with truth.
+
+Disparities are exact. What is behind an object shines through, displaced as by a lens; of the object itself a faint
+picture is seen. The sensor measures what lies behind the object, or nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.frames import Image, color8
+from depthcli.simulate.arrays.infrared import infrared_like
+from depthcli.simulate.arrays.rendering import light_maps, render, trace
+from depthcli.simulate.arrays.room import Room
+from depthcli.simulate.arrays.surfaces import rotation
+
+_OWN_SHARE = 0.55  # share of an object's own picture in what is seen of it
+_LENS = 0.35  # how far the picture behind is drawn towards an object's center
+_BLOB = 0.02  # size of the spots where the sensor sees through or nothing, over the image's width
+
+
+@dataclass(frozen=True)
+class TransparentScene:
+    """A rectified pair of a color and an infrared camera, and a sensor registered to the color.
+
+    Attributes
+    ----------
+    color : (H, W, 3) uint8, left view
+    infrared : (H, W) uint8, right view
+    disparity : (H, W) float32, true disparity of the left view, pixels; NaN = unknown
+    sensor : (H, W) float32, what the sensor measured, as disparity; NaN = nothing
+    mask : (H, W) bool, transparent
+    """
+
+    color: NDArray[np.uint8]
+    infrared: NDArray[np.uint8]
+    disparity: NDArray[np.float32]
+    sensor: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+
+
+def make_transparent_scene(
+    seed: int = 0, width: int = 320, height: int = 240, max_disparity: int = 40, speckles: float = 0.0
+) -> TransparentScene:
+    """Render a room with two opaque and two transparent objects; the same arguments give the same scene.
+
+    Parameters
+    ----------
+    width, height : pixels
+    max_disparity : nothing is nearer, pixels
+    speckles : share of the infrared image's pixels with a projected dot, in [0, 1]
+    """
+    rng = np.random.default_rng([seed, 0x61A5])
+    room = Room(rng, width, height, max_disparity, 1.0)
+    room.add_walls()
+    places = room.spread(2)
+    for x, d in places:
+        size = (width * rng.uniform(0.2, 0.3), height * rng.uniform(0.25, 0.4))
+        turn = rotation(rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2), rng.uniform(-0.3, 0.3))
+        room.board(x, height * rng.uniform(0.25, 0.5), 0.5 * (d + room.far), size, turn)
+    views = [render(room, light_maps(room), right, 2) for right in (False, True)]
+    columns, rows = np.arange(width, dtype=np.float64)[None], np.arange(height, dtype=np.float64)[:, None]
+    behind = room.focal / trace(room, columns, rows, False)[0]
+    opaque = len(room.surfaces)
+    room.ball(width * rng.uniform(0.3, 0.45), 0.6 * max_disparity, 0.16 * height)
+    room.tub(width * rng.uniform(0.6, 0.75), 0.7 * max_disparity, (0.06 * width, 0.3 * height))
+    lights = light_maps(room)
+    mixed = []
+    for right, view in zip((False, True), views, strict=True):
+        owner = trace(room, columns, rows, right)[1]
+        mixed.append(_see_through(view, render(room, lights, right, 2), owner, opaque))
+    depth, owner = trace(room, columns, rows, False)
+    truth, mask = (room.focal / depth).astype(np.float32), owner >= opaque
+    left, right_view = (np.clip(np.rint(255 * image), 0, 255).astype(np.uint8) for image in mixed)
+    sensor = sensor_through(truth, behind.astype(np.float32), mask, seed)
+    return TransparentScene(left, infrared_like(right_view, seed, speckles), truth, sensor, mask)
+
+
+def sensor_through(
+    truth: NDArray[np.float32],
+    behind: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    seed: int = 0,
+    blind: float = 0.5,
+    noise: float = 0.1,
+) -> NDArray[np.float32]:
+    """Return the disparity that a sensor measures: the truth, and in spots of the mask what lies behind it, or nothing.
+
+    Parameters
+    ----------
+    truth, behind : (H, W) float32, pixels, NaN = unknown; with the object and without it
+    mask : (H, W) bool, the object
+    blind : share of the mask where nothing is measured, in [0, 1]
+    noise : standard deviation, pixels
+    """
+    rng = np.random.default_rng([seed, 0xB1])
+    height, width = truth.shape
+    spots = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), max(1.0, _BLOB * width))
+    measured = np.where(mask, behind, truth)
+    if mask.any():
+        measured = np.where(mask & (spots <= np.quantile(spots[mask], blind)), np.nan, measured)
+    measured = measured + noise * rng.standard_normal((height, width))
+    return np.where(measured > 0, measured, np.nan).astype(np.float32)
+
+
+def glass_of_pair(
+    left: Image, right: Image, disparity: NDArray[np.float32], seed: int = 0, speckles: float = 0.0
+) -> TransparentScene:
+    """Return a pair with known disparity as color and infrared; to the sensor, one of its surfaces is glass.
+
+    Parameters
+    ----------
+    left, right : (H, W) grey or (H, W, 3) RGB, uint8 or uint16
+    disparity : (H, W) float32, of the left view, pixels, NaN = unknown
+    seed : of everything random
+    speckles : share of the infrared image's pixels with a projected dot, in [0, 1]
+    """
+    mask, behind = glass_of_object(disparity, seed)
+    sensor = sensor_through(disparity, behind, mask, seed)
+    return TransparentScene(color8(left), infrared_like(right, seed, speckles), disparity, sensor, mask)
+
+
+def glass_of_object(disparity: NDArray[np.float32], seed: int = 0) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Return a surface of a scene to be glass, and what is behind it.
+
+    The surface is the connected one (steps of at most a pixel) of 1 to 15 % of the image that both views see and that
+    stands in front of most of its surroundings; where there is none, an ellipse in the middle. Behind it lies a
+    plane through the farther third of what surrounds it.
+
+    Parameters
+    ----------
+    disparity : (H, W) float32, true, pixels, NaN = unknown
+    seed : of the ellipse
+
+    Returns
+    -------
+    mask, behind : (H, W) bool; (H, W) float32, pixels
+    """
+    best, best_share = np.zeros(disparity.shape, np.bool_), 0.4
+    for mask in _surfaces(disparity):
+        ring = _ring(mask, disparity)
+        front = float(np.mean(disparity[ring] < np.median(disparity[mask]) - 2)) if ring.any() else 0.0
+        if front > best_share:
+            best, best_share = mask, front
+    if not best.any():
+        rng = np.random.default_rng([seed, 0xE1])
+        height, width = disparity.shape
+        y, x = np.mgrid[:height, :width]
+        at = rng.uniform(0.4, 0.6, 2) * (height, width)
+        best = (((x - at[1]) / (0.12 * width)) ** 2 + ((y - at[0]) / (0.16 * height)) ** 2 < 1) & np.isfinite(disparity)
+    return best, _behind(disparity, best)
+
+
+def _surfaces(disparity: NDArray[np.float32]) -> Iterator[NDArray[np.bool_]]:
+    known = np.isfinite(disparity)
+    # A grid of twice the size: pixels at even places, and between two of them a bridge where they are alike.
+    grid = np.zeros((2 * disparity.shape[0] - 1, 2 * disparity.shape[1] - 1), np.uint8)
+    grid[::2, ::2] = known
+    grid[::2, 1::2] = np.abs(np.diff(disparity, axis=1)) <= 1
+    grid[1::2, ::2] = np.abs(np.diff(disparity, axis=0)) <= 1
+    count, labels, facts, _ = cv2.connectedComponentsWithStats(grid, connectivity=4)
+    labels = labels[::2, ::2]
+    square = np.ones((5, 5), np.uint8)
+    columns = np.arange(disparity.shape[1])
+    for label in range(1, count):
+        if facts[label, cv2.CC_STAT_AREA] < 0.02 * disparity.size:
+            continue
+        plane = (labels == label).astype(np.uint8)
+        mask = cv2.morphologyEx(cv2.morphologyEx(plane, cv2.MORPH_OPEN, square), cv2.MORPH_CLOSE, square) > 0
+        mask &= known
+        if 0.01 <= mask.mean() <= 0.15 and np.mean((columns >= disparity)[mask]) > 0.9:
+            yield mask
+
+
+def _ring(mask: NDArray[np.bool_], disparity: NDArray[np.float32]) -> NDArray[np.bool_]:
+    wide = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
+    return np.asarray(wide & ~mask & np.isfinite(disparity), np.bool_)
+
+
+def _behind(disparity: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    y, x = np.nonzero(_ring(mask, disparity))
+    values = disparity[y, x].astype(np.float64)
+    nearest = float(np.median(disparity[mask]))
+    depth = min(float(np.quantile(values, 1 / 3)), 0.8 * nearest) if values.size else 0.6 * nearest
+    far = np.abs(values - depth) < 3
+    plane = np.array([0.0, 0.0, depth])
+    if np.count_nonzero(far) > 50:
+        system = np.stack([x[far], y[far], np.ones(np.count_nonzero(far))], axis=1)
+        fitted = np.linalg.lstsq(system, values[far], rcond=None)[0]
+        plane = fitted if np.abs(fitted[:2]).max() < 0.15 else plane
+    rows, columns = np.mgrid[: disparity.shape[0], : disparity.shape[1]]
+    behind = plane[0] * columns + plane[1] * rows + plane[2]
+    return np.asarray(np.clip(behind, 0.5, max(depth + 3, 0.5)), np.float32)
+
+
+def _see_through(
+    behind: NDArray[np.float32], front: NDArray[np.float32], owner: NDArray[np.int16], opaque: int
+) -> NDArray[np.float32]:
+    image = np.where((owner >= opaque)[:, :, None], front, behind)
+    for index in range(opaque, int(owner.max()) + 1):
+        rows, columns = np.nonzero(owner == index)
+        if rows.size == 0:
+            continue
+        # A lens shows what is behind it turned towards its center.
+        y = (rows + _LENS * (rows.mean() - rows)).astype(np.float32)
+        x = (columns + _LENS * (columns.mean() - columns)).astype(np.float32)
+        shifted = cv2.remap(behind, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        image[rows, columns] = _OWN_SHARE * front[rows, columns] + (1 - _OWN_SHARE) * shifted[:, 0]
+    return np.asarray(image, np.float32)
+
+
+def sparse_samples(
+    depth: NDArray[np.float32],
+    color: NDArray[np.uint8],
+    share: float,
+    noise: float = 0.008,
+    outliers: float = 0.1,
+    clustered: bool = False,
+    seed: int = 0,
+) -> NDArray[np.float32]:
+    """Return some pixels of ``depth``, with Gaussian noise and wrong values.
+
+    Parameters
+    ----------
+    depth : (H, W) float32, meters, NaN = unknown (never chosen)
+    color : (H, W, 3) uint8
+    share : of all pixels that get a sample, in [0, 1]
+    noise : standard deviation, meters
+    outliers : share of the samples that are uniform between the 1st and the 99th percentile of ``depth`` instead
+    clustered : samples lie along edges of color, where stereo finds texture: a pixel's chance grows with the 1.5th
+        power of the image's gradient; else all pixels are as likely
+    seed : of everything random
+
+    Returns
+    -------
+    (H, W) float32, meters, NaN = no sample
+    """
+    if not (0 <= share <= 1 and 0 <= outliers <= 1 and noise >= 0):
+        raise ValueError(f"want shares in [0, 1] and noise >= 0, got {share}, {outliers}, {noise}")
+    rng = np.random.default_rng([seed, 0x5A])
+    known = np.flatnonzero(np.isfinite(depth))
+    count = min(round(share * depth.size), known.size)
+    chance = None
+    if clustered:
+        grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        gradient = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)).ravel()[known]
+        chance = (gradient.astype(np.float64) + 1e-3) ** 1.5
+        chance /= chance.sum()
+    chosen = rng.choice(known, count, replace=False, p=chance)
+    values = depth.ravel()[chosen] + noise * rng.standard_normal(count)
+    wrong = rng.random(count) < outliers
+    if wrong.any():
+        low, high = np.nanquantile(depth, [0.01, 0.99])
+        values[wrong] = rng.uniform(low, high, int(wrong.sum()))
+    sparse = np.full(depth.size, np.nan, np.float32)
+    sparse[chosen] = np.where(values > 0, values, np.nan)
+    return sparse.reshape(depth.shape)

@@ -1,0 +1,87 @@
+"""Damaged files: pixels or an InputError in one line, and silence on stderr. ``scripts/fuzz`` runs many more."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.core.errors import InputError
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.headers import image_size
+from depthcli.io.formats.images import read_image
+from depthcli.io.formats.rigs import read_rig
+from tests import damage
+from tests.fuzzing.inputs import ODD_VALUES, others
+
+FILES = {name: data for name, data in damage.originals().items() if not name.endswith((".pfm", ".npy"))}
+ROUNDS = 60
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name != "plain.pgm"])  # whose last number may lose a digit
+def test_truncated_images_are_never_accepted(tmp_path: Path, capfd, name):
+    data = FILES[name]
+    path = tmp_path / name
+    path.write_bytes(data)
+    whole = read_image(path)
+    assert image_size(path)[:2] == whole.shape[:2]
+    for size in [*range(40), *range(40, len(data), max(1, len(data) // 60)), len(data) - 1]:
+        if size >= len(data) - 1 and name.endswith(".tiff"):
+            continue  # the last byte may be padding
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError):
+            read_image(path)
+    if not name.endswith(".tiff"):  # libtiff writes what it finds, whoever calls it
+        assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", [name for name in damage.originals() if not name.endswith((".tiff", "cube.npy"))])
+def test_damage_is_told_by_us_alone(tmp_path: Path, capfd, name):
+    data = damage.originals()[name]
+    path = tmp_path / name
+    accepted = 0
+    for number in range(ROUNDS):
+        rng = np.random.default_rng(number)
+        way = (damage.truncated, damage.holed, damage.flipped)[number % 3]
+        path.write_bytes(way(data, rng, []))
+        try:
+            read_image(path) if name in FILES else read_plane(path)
+            accepted += 1
+        except InputError as error:
+            assert str(path) in str(error)
+            assert "\n" not in str(error)
+    assert capfd.readouterr().err == ""
+    if name.endswith(".png"):  # every byte of a PNG is under a checksum
+        assert accepted <= 2
+
+
+@pytest.mark.parametrize("key", [b"rows", b"cols", b"dt", b"sizes", b"data"])
+@pytest.mark.parametrize(
+    "word", [*damage.WORDS, b"3d", b"99d", b"[-1, -3]", b"-3", b"!!binary |"], ids=lambda word: str(word[:9])
+)
+def test_sizes_in_a_calibration_of_opencv_are_never_sizes_of_memory(tmp_path: Path, key, word):
+    """OpenCV's own reader writes outside of its memory for negative sizes, which ends the process much later."""
+    path = tmp_path / "rig.yaml"
+    path.write_bytes(re.sub(rb"\b%s: .*" % key, lambda _: key + b": " + word, others()["rig.yaml"], count=3))
+    try:
+        assert read_rig([path]).baseline == pytest.approx(0.12, abs=1e-3)
+    except InputError as error:
+        assert str(path) in str(error)
+        assert str(error).isprintable()
+
+
+@pytest.mark.parametrize("value", ODD_VALUES, ids=lambda value: value[:9])
+def test_odd_values_in_calibrations_are_refused_in_a_line(tmp_path: Path, value):
+    """Numbers of thousands of digits, lists that multiply, deep ones: in every place, and soon."""
+    text = others()["rig.yaml"].decode()
+    for place in ("K1: !!opencv-matrix", "[60, 0, 31.5, 0, 60, 23.5, 0, 0, 1]", "rows: 3", "%YAML:1.0"):
+        path = tmp_path / "rig.yaml"
+        path.write_text(text.replace(place, f"K1: {value}" if place.startswith("K1") else value, 1), "utf-8")
+        try:
+            read_rig([path])
+        except InputError as error:
+            assert str(path) in str(error)
+            assert str(error).isprintable()
+            assert len(str(error)) < 600

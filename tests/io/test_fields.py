@@ -1,0 +1,252 @@
+"""Every program's fields and transforms against SimpleITK, on a warp that is known."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+
+import numpy as np
+import pytest
+
+from depthcli.core.errors import InputError
+from depthcli.core.volumes import Grid, Volume
+from depthcli.io.formats.fields import in_millimeters, read_field, read_moving_transform
+from depthcli.io.formats.volumes import place, write_array
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)
+    SimpleITK = pytest.importorskip("SimpleITK")
+
+GRID = Grid((20, 18, 16), (1.2, 0.9, 2.0), (-30.0, 14.0, 5.0), (-1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
+POINTS = GRID.to_point(np.array([[4.0, 5.0, 6.0], [8.0, 9.0, 10.0], [10.5, 7.25, 3.5]]))
+
+
+def displacement():
+    """(Z, Y, X, 3) smooth, mm, LPS."""
+    z, y, x = np.meshgrid(*(np.linspace(0, 1, n) for n in GRID.shape), indexing="ij")
+    return np.stack([2 + 2 * np.sin(3 * y), -1.5 + z, 3 * x - 1], axis=-1).astype(np.float32)
+
+
+def volumes():
+    """A moving volume, and the fixed one that the displacement makes of it."""
+    rng = np.random.default_rng(0)
+    wide = rng.standard_normal(GRID.shape).astype(np.float32)
+    image = SimpleITK.GetImageFromArray(wide)
+    place(image, GRID)
+    image = SimpleITK.SmoothingRecursiveGaussian(image, 2.0)
+    field = SimpleITK.GetImageFromArray(displacement().astype(np.float64), isVector=True)
+    place(field, GRID)
+    warped = SimpleITK.Resample(image, image, SimpleITK.DisplacementFieldTransform(field), SimpleITK.sitkLinear)
+    return (Volume(SimpleITK.GetArrayFromImage(each), GRID) for each in (warped, image))
+
+
+def nifti(path, values, name=b"", p1=0.0, dims=5):
+    """A NIfTI file of the components as given, with the intent of a vector."""
+    write_array(path, GRID, np.zeros((*GRID.shape, 3), np.float32))
+    data = bytearray(path.read_bytes()[:352])
+    x, y, z = GRID.size
+    struct.pack_into("<8h", data, 40, *((5, x, y, z, 1, 3, 1, 1) if dims == 5 else (4, x, y, z, 3, 1, 1, 1)))
+    struct.pack_into("<h", data, 68, 1007 if dims == 5 else 0)
+    struct.pack_into("<f", data, 56, p1)
+    data[328 : 328 + len(name)] = name
+    path.write_bytes(bytes(data) + np.ascontiguousarray(np.moveaxis(values, -1, 0), "<f4").tobytes())
+
+
+def in_voxels():
+    return (displacement() @ GRID.axes) / np.array(GRID.spacing)
+
+
+def positions():
+    z, y, x = np.meshgrid(*(np.arange(n, dtype=float) for n in GRID.shape), indexing="ij")
+    places = np.stack([z.ravel(), y.ravel(), x.ravel()], axis=1)
+    return (GRID.to_point(places).reshape(displacement().shape) + displacement()) * np.array([-1, -1, 1])
+
+
+RAS = np.array([-1, -1, 1], np.float32)
+
+
+def written(kind, folder):
+    """The displacement as a program writes it."""
+    if kind in (".mha", ".nrrd", ".nii.gz"):
+        write_array(folder / f"field{kind}", GRID, displacement())
+        return folder / f"field{kind}"
+    if kind == "voxelmorph":
+        np.savez(folder / "disp.npz", in_voxels().transpose(2, 1, 0, 3).astype(np.float16).astype(np.float32))
+        return folder / "disp.npz"
+    file = folder / "field.nii"
+    if kind == "ants":
+        nifti(file, displacement())
+    elif kind == "niftyreg displacement":
+        nifti(file, displacement() * RAS, b"NREG_TRANS", 1.0)
+    elif kind == "niftyreg positions":
+        nifti(file, positions(), b"NREG_TRANS", 0.0)
+    else:
+        nifti(file, in_voxels(), dims=4)
+    return file
+
+
+NAMED = {
+    ".mha": "itk", ".nrrd": "itk", ".nii.gz": "itk", "ants": "itk", "niftyreg displacement": "niftyreg",
+    "niftyreg positions": "positions", "learn2reg": "voxels", "voxelmorph": "voxels",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", list(NAMED))
+class TestFields:
+    def test_says_what_it_is_and_means_the_same(self, tmp_path, kind):
+        field = read_field(written(kind, tmp_path), GRID)
+        assert field.named == NAMED[kind]
+        slack = 5e-3 if kind == "voxelmorph" else 1e-4
+        np.testing.assert_allclose(in_millimeters(field, field.named), displacement(), atol=slack)
+
+    def test_maps_points_as_simpleitk_does(self, tmp_path, kind):
+        fixed, moving = volumes()
+        transform = read_moving_transform(None, written(kind, tmp_path), "auto", fixed, moving)
+        image = SimpleITK.GetImageFromArray(displacement().astype(np.float64), isVector=True)
+        place(image, GRID)
+        expected = SimpleITK.DisplacementFieldTransform(image)
+        for point in POINTS.tolist():
+            np.testing.assert_allclose(transform.TransformPoint(point), expected.TransformPoint(point), atol=1e-2)
+
+
+def test_auto_refuses_what_another_reading_explains_better(tmp_path):
+    fixed, moving = volumes()
+    wrong = tmp_path / "field.nii"
+    nifti(wrong, displacement() * RAS)  # NiftyReg's numbers under ANTs' header
+    with pytest.raises(InputError, match=r"--field niftyreg") as caught:
+        read_moving_transform(None, wrong, "auto", fixed, moving)
+    assert "\n" not in str(caught.value)
+    kept = read_moving_transform(None, wrong, "niftyreg", fixed, moving)
+    image = SimpleITK.GetImageFromArray(displacement().astype(np.float64), isVector=True)
+    place(image, GRID)
+    expected = SimpleITK.DisplacementFieldTransform(image).TransformPoint(POINTS[0].tolist())
+    np.testing.assert_allclose(kept.TransformPoint(POINTS[0].tolist()), expected, atol=1e-3)
+    nifti(wrong, in_voxels())  # voxels under a header that says mm
+    with pytest.raises(InputError, match=r"--field voxels"):
+        read_moving_transform(None, wrong, "auto", fixed, moving)
+
+
+def test_a_field_of_another_size(tmp_path):
+    np.savez(tmp_path / "disp.npz", np.zeros((4, 4, 4, 3), np.float32))
+    with pytest.raises(InputError, match=r"a field of 4 x 4 x 4 voxels, but the fixed volume has 20 x 18 x 16"):
+        read_field(tmp_path / "disp.npz", GRID)
+    np.savez(tmp_path / "flat.npz", np.zeros((4, 4), np.float32))
+    with pytest.raises(InputError, match="want one array"):
+        read_field(tmp_path / "flat.npz", GRID)
+
+
+def check(file, expected):
+    fixed = Volume(np.zeros(GRID.shape, np.float32), GRID)
+    found = read_moving_transform(file, None, "auto", fixed, None)
+    for point in POINTS.tolist():
+        np.testing.assert_allclose(found.TransformPoint(point), expected.TransformPoint(point), atol=1e-6)
+
+
+def affine():
+    matrix = [1.02, 0.05, 0.0, -0.04, 0.98, 0.03, 0.01, 0.0, 1.1]
+    return SimpleITK.AffineTransform(matrix, [2.0, -3.0, 1.0], [-20.0, 10.0, 15.0])
+
+
+def spline():
+    transform = SimpleITK.BSplineTransform(3, 3)
+    transform.SetTransformDomainOrigin((-60.0, 5.0, 0.0))
+    transform.SetTransformDomainPhysicalDimensions((60.0, 40.0, 50.0))
+    transform.SetTransformDomainMeshSize((4, 3, 3))
+    count = len(transform.GetParameters())
+    transform.SetParameters((4 * np.random.default_rng(1).standard_normal(count)).tolist())
+    return transform
+
+
+@pytest.mark.parametrize("suffix", [".tfm", ".txt", ".h5", ".mat"])
+def test_itk_transform_files(tmp_path, suffix):
+    SimpleITK.WriteTransform(affine(), str(tmp_path / f"t{suffix}"))
+    check(tmp_path / f"t{suffix}", affine())
+
+
+def test_ants_affine_after_its_warp(tmp_path):
+    SimpleITK.WriteTransform(affine(), str(tmp_path / "t.mat"))
+    nifti(tmp_path / "field.nii", displacement())
+    fixed = Volume(np.zeros(GRID.shape, np.float32), GRID)
+    found = read_moving_transform(tmp_path / "t.mat", tmp_path / "field.nii", "auto", fixed, None)
+    image = SimpleITK.GetImageFromArray(displacement().astype(np.float64), isVector=True)
+    place(image, GRID)
+    field = SimpleITK.DisplacementFieldTransform(image)
+    for point in POINTS.tolist():
+        expected = affine().TransformPoint(field.TransformPoint(point))
+        np.testing.assert_allclose(found.TransformPoint(point), expected, atol=1e-4)
+
+
+def elastix(path, name, parameters, initial="NoInitialTransform", **fields):
+    lines = [f'(Transform "{name}")', f"(TransformParameters {' '.join(f'{v:.12g}' for v in parameters)})",
+             f'(InitialTransformParametersFileName "{initial}")', '(HowToCombineTransforms "Compose")',
+             "(FixedImageDimension 3)"]  # fmt: skip
+    lines += [f"({key} {value})" for key, value in fields.items()]
+    path.write_text("// a comment\n" + "\n".join(lines) + "\n")
+
+
+def numbers(values):
+    return " ".join(f"{v:.12g}" for v in values)
+
+
+def test_elastix_transforms_one_by_one(tmp_path):
+    file = tmp_path / "TransformParameters.0.txt"
+    elastix(file, "TranslationTransform", [1.0, -2.0, 3.0])
+    check(file, SimpleITK.TranslationTransform(3, [1.0, -2.0, 3.0]))
+    euler = SimpleITK.Euler3DTransform([-20.0, 10.0, 15.0], 0.1, -0.05, 0.2, [1.0, 2.0, 3.0])
+    elastix(file, "EulerTransform", euler.GetParameters(), CenterOfRotationPoint="-20 10 15", ComputeZYX='"false"')
+    check(file, euler)
+    elastix(file, "AffineTransform", affine().GetParameters(), CenterOfRotationPoint="-20 10 15")
+    check(file, affine())
+
+
+def test_elastix_chain_of_affine_and_spline(tmp_path):
+    first, second = tmp_path / "TransformParameters.0.txt", tmp_path / "TransformParameters.1.txt"
+    elastix(first, "AffineTransform", affine().GetParameters(), CenterOfRotationPoint="-20 10 15")
+    images = spline().GetCoefficientImages()
+    elastix(second, "BSplineTransform", spline().GetParameters(), "/elsewhere/TransformParameters.0.txt",
+            GridSize=numbers(images[0].GetSize()), GridIndex="0 0 0", GridSpacing=numbers(images[0].GetSpacing()),
+            GridOrigin=numbers(images[0].GetOrigin()), GridDirection="1 0 0 0 1 0 0 0 1",
+            BSplineTransformSplineOrder="3")  # fmt: skip
+    check(second, SimpleITK.CompositeTransform([spline(), affine()]))
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "match"),
+    [
+        ("WarpTransform", {}, "WarpTransform is not read"),
+        ("AffineTransform", {}, "12 parameters|with 3 parameters"),
+        ("BSplineTransform", {"GridSize": "4 4 4"}, "do not fit a grid"),
+    ],
+)
+def test_elastix_files_that_cannot_be_used(tmp_path, name, fields, match):
+    file = tmp_path / "TransformParameters.0.txt"
+    elastix(file, name, [1.0, 2.0, 3.0], **fields)
+    with pytest.raises(InputError, match=match):
+        read_moving_transform(file, None, "auto", Volume(np.zeros(GRID.shape, np.float32), GRID), None)
+
+
+def test_elastix_chain_that_comes_back(tmp_path):
+    file = tmp_path / "t.txt"
+    elastix(file, "TranslationTransform", [1.0, 2.0, 3.0], "t.txt")
+    with pytest.raises(InputError, match="comes back"):
+        read_moving_transform(file, None, "auto", Volume(np.zeros(GRID.shape, np.float32), GRID), None)
+
+
+def test_no_transform_at_all(tmp_path):
+    (tmp_path / "t.tfm").write_text("nothing\n")
+    with pytest.raises(InputError, match="not a transform"):
+        read_moving_transform(tmp_path / "t.tfm", None, "auto", Volume(np.zeros(GRID.shape, np.float32), GRID), None)
+
+
+@pytest.mark.parametrize("kind", ["itk.mha", "itk.nii", "voxels.nii"])
+def test_displacements_that_are_no_numbers_blame_their_file(tmp_path, kind):
+    values = displacement()
+    values[3, 4, 5, 1], values[6] = np.nan, np.inf
+    path = tmp_path / kind
+    if kind == "itk.mha":
+        write_array(path, GRID, values)
+    else:
+        nifti(path, values, dims=4 if kind == "voxels.nii" else 5)
+    fixed, moving = volumes()
+    with pytest.raises(InputError, match=rf"{kind}: {1 + 20 * 18} of 5760 displacements are no numbers"):
+        read_moving_transform(None, path, "auto", fixed, moving)

@@ -1,0 +1,293 @@
+"""Images: what is read is what was written, whatever the container; damage is refused."""
+
+from __future__ import annotations
+
+import resource
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.core.errors import InputError, OutputError
+from depthcli.io.formats import headers
+from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, remove_temporaries, write_text
+from depthcli.io.formats.headers import image_size
+from depthcli.io.formats.images import read_grey, read_image, write_png
+from depthcli.io.formats.stereo_images import read_pair, sample_bits
+
+
+def png(width: int, height: int, depth: int, color: int, rows: bytes, *extra: tuple[bytes, bytes]) -> bytes:
+    """A PNG file made by hand: what other programs write and OpenCV's encoder does not."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, depth, color, 0, 0, 0)
+    middle = b"".join(chunk(*e) for e in extra)
+    body = chunk(b"IDAT", zlib.compress(rows))
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + middle + body + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(1, 1), (5, 7), (5, 7, 3)])
+@pytest.mark.parametrize("suffix", [".png", ".tiff", ".ppm"])
+def test_lossless_round_trip(tmp_path: Path, dtype, shape, suffix):
+    array = np.random.default_rng(0).integers(0, np.iinfo(dtype).max + 1, shape).astype(dtype)
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".png":
+        write_png(path, array)
+    else:
+        name = str(path if len(shape) == 3 or suffix != ".ppm" else path.with_suffix(".pgm"))
+        cv2.imwrite(name, array if len(shape) == 2 else np.ascontiguousarray(array[..., ::-1]))
+        path = Path(name)
+    read = read_image(path)
+    assert read.dtype == dtype
+    assert read.flags.c_contiguous
+    np.testing.assert_array_equal(read, array)
+
+
+def test_kind_is_told_by_content_and_color_is_rgb(tmp_path: Path):
+    red = np.zeros((16, 16, 3), np.uint8)
+    red[..., 2] = 250  # BGR
+    cv2.imwrite(str(tmp_path / "a.jpg"), red)
+    (tmp_path / "a.jpg").rename(tmp_path / "a.png")
+    assert read_image(tmp_path / "a.png")[8, 8, 0] > 240
+
+
+def test_transparency_is_dropped_and_palettes_are_resolved(tmp_path: Path):
+    path = tmp_path / "a.png"
+    path.write_bytes(png(2, 1, 8, 4, bytes([0, 10, 0, 20, 255])))  # grey + alpha
+    np.testing.assert_array_equal(read_image(path), [[10, 20]])
+    path.write_bytes(png(1, 1, 8, 6, bytes([0, 1, 2, 3, 0])))  # RGBA, fully transparent
+    np.testing.assert_array_equal(read_image(path), [[[1, 2, 3]]])
+    palette = [(b"PLTE", bytes([9, 8, 7, 4, 5, 6])), (b"tRNS", bytes([0]))]
+    path.write_bytes(png(2, 1, 8, 3, bytes([0, 1, 0]), *palette))
+    np.testing.assert_array_equal(read_image(path), [[[4, 5, 6], [9, 8, 7]]])
+    path.write_bytes(png(2, 1, 8, 0, bytes([0, 1, 2]), (b"tRNS", bytes([0, 1]))))
+    np.testing.assert_array_equal(read_image(path), [[1, 2]])
+
+
+def test_useless_chunks_make_no_noise(tmp_path: Path, capfd):
+    path = tmp_path / "a.png"
+    path.write_bytes(png(2, 1, 8, 0, bytes([0, 1, 2]), (b"iCCP", b"broken"), (b"gAMA", bytes(3))))
+    np.testing.assert_array_equal(read_image(path), [[1, 2]])
+    assert capfd.readouterr().err == ""
+
+
+def test_netpbm_plain_comments_and_big_endian(tmp_path: Path):
+    path = tmp_path / "a.pgm"
+    path.write_bytes(b"P2 # made by hand\n2 2\n# more\n300\n1 2\n3 300\n")
+    np.testing.assert_array_equal(read_image(path), np.array([[1, 2], [3, 300]], np.uint16))
+    path.write_bytes(b"P5\n2 1\n65535\n\x01\x02\x03\x04")
+    np.testing.assert_array_equal(read_image(path), np.array([[258, 772]], np.uint16))
+    for broken in (
+        b"P5\n2 2\n255\nabc",
+        b"P5\n0 2\n255\n",
+        b"P5\n2 2\n99999\nabcd",
+        b"P5 2",
+        b"P2\n1 1\n9\nx",
+        b"P4\n1 1\n\0",
+    ):
+        path.write_bytes(broken)
+        with pytest.raises(InputError, match=r"a\.pgm"):
+            read_image(path)
+
+
+def test_equal_channels_are_one_channel_of_codes(tmp_path: Path):
+    array = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    write_png(tmp_path / "a.png", np.dstack([array] * 3))
+    np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), array)
+    write_png(tmp_path / "a.png", np.dstack([array, array, array + np.uint8(1)]))
+    with pytest.raises(InputError, match="colour"):
+        read_grey(tmp_path / "a.png")
+
+
+def test_what_is_no_image_is_said_in_one_line(tmp_path: Path):
+    (tmp_path / "text.png").write_text("hello")
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "map.exr").write_bytes(b"\x76\x2f\x31\x01" + bytes(100))
+    cv2.imwrite(str(tmp_path / "float.tiff"), np.ones((4, 4), np.float32))
+    for name in ("text.png", "empty.png", "float.tiff", "map.exr", "absent.png", "."):
+        with pytest.raises(InputError) as caught:
+            read_image(tmp_path / name)
+        assert str(tmp_path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def tiff(width: int, height: int, samples: int, bits: int, strip: bytes, compression: int, **tags: int) -> bytes:
+    """A TIFF file of one strip; ``tags`` t322=... add others."""
+    values = {256: width, 257: height, 258: bits, 259: compression, 262: 2 if samples == 3 else 1, 273: 8, 277: samples}
+    values |= {278: height, 279: len(strip)} | {int(name[1:]): value for name, value in tags.items()}
+    wide = {256, 257, 273, 278, 279, 322, 323}
+    entries = b""
+    for tag, value in sorted(values.items()):
+        repeated = samples if tag == 258 and samples == 1 else 1
+        entries += struct.pack("<HHI", tag, 4 if tag in wide else 3, repeated) + struct.pack("<I", value)
+    return b"II*\0" + struct.pack("<I", 8 + len(strip)) + strip + struct.pack("<H", len(values)) + entries + bytes(4)
+
+
+def resized_jpeg(width: int, height: int, padding: int = 0) -> bytes:
+    code = bytearray(cv2.imencode(".jpg", np.zeros((8, 8), np.uint8))[1].tobytes())
+    at = code.index(b"\xff\xc0")
+    code[at + 5 : at + 9] = struct.pack(">HH", height, width)
+    return bytes(code) + bytes(padding)
+
+
+@pytest.mark.parametrize(
+    "name", ["png", "png16", "jpg", "jpg-padded", "tiff", "tiff-deflate", "tiff-tiles", "pgm", "bmp"]
+)
+def test_bombs_are_refused_by_their_header(tmp_path: Path, name):
+    """Each would take 3 GiB or more to decode."""
+    size = 60_000
+    zeros = zlib.compress(bytes(4_000_000))
+    bombs = {
+        "png": lambda: png(size, size, 8, 0, bytes(1_000_000)),
+        "png16": lambda: png(size, size, 16, 6, bytes(4_000_000)),
+        "jpg": lambda: resized_jpeg(size, size),
+        "jpg-padded": lambda: resized_jpeg(size, size, 4_000_000),
+        "tiff": lambda: tiff(size, size, 3, 8, bytes(120_000), 1),
+        "tiff-deflate": lambda: tiff(size, size, 1, 8, zeros, 8),
+        "tiff-tiles": lambda: tiff(64, 64, 1, 8, zeros, 8, t322=size, t323=size, t324=8, t325=len(zeros)),
+        "pgm": lambda: b"P5 60000 60000 65535\n" + bytes(4_000_000),
+        "bmp": lambda: b"BM" + struct.pack("<IIIIiiHHIIIIII", 0, 0, 54, 40, size, size, 1, 24, 0, 0, 0, 0, 0, 0),
+    }
+    path = tmp_path / "a.png"
+    path.write_bytes(bombs[name]())
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match=r"claims 60000 x 60000|too large|tiles of 60000|truncated"):
+        read_image(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
+
+
+def test_memory_that_may_be_used_is_compared_with_the_header(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "a.png"
+    write_png(path, np.zeros((100, 200, 3), np.uint16))
+    monkeypatch.setattr(headers, "_MAX_DECODED_BYTES", 240_000)
+    assert read_image(path).shape == (100, 200, 3)
+    monkeypatch.setattr(headers, "_MAX_DECODED_BYTES", 239_999)
+    with pytest.raises(InputError, match="200 x 100 pixels, 3 x 16 bit"):
+        read_image(path)
+    with pytest.raises(InputError, match="too large"):
+        read_pair(path, path)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".ppm", ".tiff", ".bmp", ".pfm", ".npy"])
+def test_size_is_known_without_decoding(tmp_path: Path, suffix):
+    path = tmp_path / f"a{suffix}"
+    bits = {".pfm": 32, ".npy": 64, ".png": 16}.get(suffix, 8)
+    channels = 1 if suffix in (".pfm", ".npy") else 3
+    if suffix == ".pfm":
+        write_pfm(path, np.zeros((5, 7)))
+    elif suffix == ".npy":
+        np.save(path, np.zeros((5, 7)))
+    else:
+        cv2.imwrite(str(path), np.zeros((5, 7, 3), np.uint16 if bits == 16 else np.uint8))
+    assert image_size(path) == image_size(path.read_bytes()) == (5, 7, channels, bits)
+
+
+def test_samples_of_ten_and_twelve_bits(tmp_path: Path):
+    dark = np.array([[0, 1000]], np.uint16)
+    assert sample_bits(dark) == 10
+    assert sample_bits(dark, dark + np.uint16(24)) == 12
+    assert sample_bits(dark, dark + np.uint16(4000)) == 16
+    assert sample_bits(dark, declared=14) == 14
+    assert sample_bits(dark * np.uint16(60), declared=14) == 16  # the file is wrong: its samples fill more
+    assert sample_bits(dark.astype(np.uint8)) == 8
+    left, right = tmp_path / "l.pgm", tmp_path / "r.png"
+    left.write_bytes(b"P5 2 1 4095\n" + dark.astype(">u2").tobytes())
+    assert read_pair(left, left).bits == 12
+    rows = b"\0" + dark.astype(">u2").tobytes()
+    right.write_bytes(png(2, 1, 16, 0, rows, (b"sBIT", bytes([14]))))
+    assert read_pair(right, right).bits == 14
+    assert read_pair(left, right).bits == 10  # the files disagree: what is found counts
+    write_png(tmp_path / "c.png", np.zeros((1, 3, 3), np.uint16))
+    with pytest.raises(InputError, match=r"c\.png: 3 x 1 colour uint16, but l\.pgm is 2 x 1 grey uint16"):
+        read_pair(left, tmp_path / "c.png")
+
+
+def test_a_grey_and_a_color_image_become_two_grey_ones(tmp_path: Path):
+    color = np.random.default_rng(0).integers(0, 256, (6, 7, 3)).astype(np.uint8)
+    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    write_png(tmp_path / "c.png", color)
+    write_png(tmp_path / "g.png", grey)
+    for names in (("c", "g"), ("g", "c")):
+        pair = read_pair(*(tmp_path / f"{name}.png" for name in names))
+        np.testing.assert_array_equal(pair.left, grey)
+        np.testing.assert_array_equal(pair.right, grey)
+    dark = (color.astype(np.uint16) << 2) | 3  # 10 bits
+    write_png(tmp_path / "c16.png", dark)
+    write_png(tmp_path / "g16.png", cv2.cvtColor(dark, cv2.COLOR_RGB2GRAY))
+    pair = read_pair(tmp_path / "c16.png", tmp_path / "g16.png")
+    assert pair.bits == 10
+    np.testing.assert_array_equal(pair.left, pair.right)
+
+
+def test_jpeg_with_missing_pixels_is_refused_and_with_fill_bytes_read(tmp_path: Path):
+    rng = np.random.default_rng(0)
+    smooth = cv2.GaussianBlur(rng.integers(0, 256, (120, 160, 3)).astype(np.uint8), (0, 0), 2)
+    path = tmp_path / "a.jpg"
+    for options in ([], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 4]):
+        data = cv2.imencode(".jpg", smooth, options)[1].tobytes()
+        path.write_bytes(data)
+        intact = read_image(path)
+        path.write_bytes(data[:-2] + b"\xff\xff\xff" + data[-2:] + b"after the end")
+        np.testing.assert_array_equal(read_image(path), intact)
+        start = data.rindex(b"\xff\xda")
+        for kept in (0.3, 0.6, 0.9):  # a decoder makes what follows grey
+            path.write_bytes(data[: int(start + kept * (len(data) - start))] + data[-2:])
+            with pytest.raises(InputError, match="pixels are missing"):
+                read_image(path)
+        if cv2.IMWRITE_JPEG_RST_INTERVAL in options:
+            first, second = (data.index(mark) for mark in (b"\xff\xd2", b"\xff\xd3"))
+            path.write_bytes(data[:first] + data[second:])
+            with pytest.raises(InputError, match="interval"):
+                read_image(path)
+
+
+def test_atomic_write_keeps_the_old_file_on_failure(tmp_path: Path):
+    path = tmp_path / "deep" / "a.txt"
+    write_text(path, "old")
+
+    def fail() -> None:
+        with atomic_path(path) as temporary:
+            temporary.write_text("half")
+            assert temporary.parent == path.parent
+            assert temporary.name.endswith(PARTIAL_SUFFIX)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert path.read_text() == "old"
+    assert [p.name for p in path.parent.iterdir()] == ["a.txt"]
+    with pytest.raises(OutputError, match=r"a\.txt"):
+        write_text(path / "below", "x")
+
+
+def test_the_longest_names_can_be_written(tmp_path: Path):
+    path = tmp_path / ("é" * 125 + ".txt")
+    write_text(path, "x")
+    assert path.read_text() == "x"
+    for name in ("n" * 256, "\ud800"):
+        with pytest.raises(OutputError):
+            write_text(tmp_path / name, "x")
+
+
+def test_write_png_refuses_what_png_cannot_hold(tmp_path: Path):
+    for array in (np.zeros((2, 2), np.float32), np.zeros((2, 2, 4), np.uint8), np.zeros(3, np.uint8)):
+        with pytest.raises(ValueError, match="uint8"):
+            write_png(tmp_path / "a.png", array)
+    write_png(tmp_path / "a.png", np.array([[True, False]]))
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), [[255, 0]])
+
+
+def test_leftovers_of_one_file_are_removed(tmp_path: Path):
+    wanted = "a[1]" + "x" * 50
+    names = {f".{wanted[:40]}.7-1{PARTIAL_SUFFIX}": False, f".b.7-1{PARTIAL_SUFFIX}": True, ".b": True}
+    for name in names:
+        (tmp_path / name).touch()
+    remove_temporaries(tmp_path, wanted)
+    assert {name: (tmp_path / name).exists() for name in names} == names

@@ -1,0 +1,280 @@
+"""Scene folders in every layout, and what is said about broken ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.core.errors import InputError
+from depthcli.io.formats.disparity import write_disparity_png, write_pfm
+from depthcli.io.formats.images import write_png
+from depthcli.io.layouts import layouts
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.walk import discover_scenes
+from tests.scenes import DATA, needs_data
+
+GREY = np.arange(48, dtype=np.uint8).reshape(6, 8)
+COLOR = np.dstack([GREY, GREY + 1, GREY + 2]).astype(np.uint8)
+TRUTH = np.full((6, 8), 2, np.float32)
+TRUTH[0] = np.nan
+
+
+def find(folder: Path, layout: str | None = None, pattern: str = "*", warn=lambda line: None) -> list[StereoScene]:
+    return discover_scenes(folder, (StereoScene,), layout, [pattern], warn)
+
+
+def own(folder: Path, meta: object = None, masks: bool = True) -> Path:
+    write_png(folder / "left.png", COLOR)
+    write_png(folder / "right.png", COLOR)
+    write_png(folder / "disp_left.png", np.where(np.isnan(TRUTH), 0, TRUTH * 4).astype(np.uint8))
+    if masks:
+        mask = np.zeros((6, 8), np.uint8)
+        mask[3:] = 255
+        mask[0] = 128
+        write_png(folder / "mask_nonocc.png", np.dstack([mask] * 3))
+        write_png(folder / "mask_nonocc_right.png", mask)
+    (folder / "meta.json").write_text(json.dumps({"disp_scale": 4, "max_disparity": 5} if meta is None else meta))
+    return folder
+
+
+def v3(folder: Path, calib: str) -> Path:
+    write_png(folder / "im0.png", COLOR)
+    write_png(folder / "im1.png", COLOR)
+    write_pfm(folder / "disp0GT.pfm", TRUTH)
+    write_png(folder / "mask0nocc.png", np.full((6, 8), 255, np.uint8))
+    (folder / "calib.txt").write_text(calib)
+    return folder
+
+
+def kitti(folder: Path, views: tuple[str, str], occ: str, noc: str) -> Path:
+    for frame in ("000000", "000001"):
+        for view in views:
+            write_png(folder / view / f"{frame}_10.png", COLOR)
+            write_png(folder / view / f"{frame}_11.png", COLOR)
+        write_disparity_png(folder / occ / f"{frame}_10.png", TRUTH)
+        visible = TRUTH.copy()
+        visible[1] = np.nan
+        write_disparity_png(folder / noc / f"{frame}_10.png", visible)
+    return folder
+
+
+def test_own_layout(tmp_path: Path):
+    folder = tmp_path / "set"
+    own(folder / "b")
+    own(folder / "a")
+    (folder / "notes").mkdir()
+    scenes = find(folder)
+    assert [s.name for s in scenes] == ["a", "b"]
+    assert (scenes[0].layout, scenes[0].protocol, scenes[0].max_disparity) == ("scenes", "middlebury_v2", 5)
+    pair = scenes[0].load()
+    np.testing.assert_array_equal(pair.left, COLOR)
+    assert pair.right.shape == COLOR.shape
+    truth = scenes[0].truth()
+    np.testing.assert_array_equal(truth.disparity, TRUTH)
+    assert list(truth.masks) == ["nonocc"]
+    assert truth.masks["nonocc"].sum() == 24  # 128 does not count
+    assert [s.name for s in find(folder, pattern="b*")] == ["b"]
+    assert [s.name for s in find(folder / "a")] == ["a"]
+    assert [s.name for s in find(tmp_path, pattern="a")] == ["set/a"]
+
+
+def test_single_view_with_truth_is_a_scene_without_a_pair(tmp_path: Path):
+    (own(tmp_path / "a") / "right.png").unlink()
+    (scene,) = find(tmp_path)
+    assert scene.right is None
+    with pytest.raises(InputError, match="no right image"):
+        scene.load()
+
+
+def test_the_protocol_is_said_never_guessed(tmp_path: Path):
+    own(tmp_path / "a")
+    (tmp_path / "a" / "disp_left.png").unlink()
+    write_pfm(tmp_path / "a" / "disp_left.pfm", TRUTH)
+    own(tmp_path / "b", {"disp_scale": 256, "masks": "none (sparse GT)"}, masks=False)
+    own(tmp_path / "c", {"protocol": "kitti_2015", "disp_scale": 256}, masks=False)
+    write_disparity_png(tmp_path / "c" / "disp_left_noc.png", TRUTH)
+    scenes = find(tmp_path)
+    assert [s.protocol for s in scenes] == ["middlebury_v2", "middlebury_v2", "kitti_2015"]
+    assert scenes[2].truth().noc is not None
+
+
+def test_half_a_pair_is_an_item_with_a_problem(tmp_path: Path):
+    for name, file in (("a", "right.png"), ("b", "left.png")):
+        own(tmp_path / name)
+        (tmp_path / name / file).unlink()
+    (tmp_path / "a" / "disp_left.png").unlink()
+    v3(tmp_path / "c", "ndisp=3")
+    (tmp_path / "c" / "im1.png").unlink()
+    for scene, side in zip(find(tmp_path), ("no right", "no left", "no im1"), strict=True):
+        with pytest.raises(InputError, match=f"only one image of the pair, {side}"):
+            scene.load()
+
+
+def test_a_scene_too_deep_is_told(tmp_path: Path):
+    own(tmp_path / "set" / "a")
+    own(tmp_path / "x" / "y" / "z" / "deep")
+    own(tmp_path / "x" / "y" / "deep")
+    lines: list[str] = []
+    assert [s.name for s in find(tmp_path, warn=lines.append)] == ["set/a"]
+    assert len(lines) == 1
+    assert str(tmp_path / "x" / "y" / "deep") in lines[0]
+    assert "lies too deep" in lines[0]
+
+
+def test_several_patterns(tmp_path: Path):
+    for name in ("a", "b", "c"):
+        own(tmp_path / name)
+    assert [s.name for s in discover_scenes(tmp_path, (StereoScene,), None, ["c", "a"])] == ["a", "c"]
+    with pytest.raises(InputError, match="no scene matches 'x'"):
+        discover_scenes(tmp_path, (StereoScene,), None, ["a", "x"])
+
+
+def test_listing_opens_no_image(tmp_path: Path):
+    for stem in ("view1", "view5"):
+        write_png(tmp_path / "a" / f"{stem}.png", COLOR)
+    (tmp_path / "a" / "disp1.png").write_bytes(b"damaged")
+    (scene,) = find(tmp_path)
+    scene.load()
+    with pytest.raises(InputError, match="disp1"):
+        scene.truth()
+
+
+def test_every_layout_says_what_it_wants():
+    assert [each.name for each in layouts()] == sorted(each.name for each in layouts())
+    assert all(each.wants and issubclass(each.kind, Scene) for each in layouts())
+
+
+@pytest.mark.parametrize(("stems", "truth"), [
+    (("im2", "im6"), ("disp2", "disp6")),
+    (("imL", "imR"), ("groundtruth", None)),
+    (("view1", "view5"), ("disp1", "disp5")),
+])  # fmt: skip
+def test_middlebury_v2(tmp_path: Path, stems, truth):
+    folder = tmp_path / "Teddy"
+    for stem in stems:
+        write_png(folder / f"{stem}.png", COLOR)
+    for stem in filter(None, truth):
+        write_png(folder / f"{stem}.png", np.full((6, 8), 12, np.uint8))
+    (scene,) = find(tmp_path)
+    assert scene.layout == "middlebury-v2"
+    third = stems[0] == "view1"  # 2005/2006 sets: a narrow image is third size
+    assert scene.max_disparity == (None if third else 59)
+    loaded = scene.truth()
+    assert np.all(loaded.disparity == (4 if third else 3))
+    assert (loaded.right is None) == (truth[1] is None)
+    assert scene.protocol == "middlebury_v2"
+
+
+def test_middlebury_v3_and_eth3d(tmp_path: Path):
+    v3(tmp_path / "A", "cam0=[1 0 2; 0 1 2; 0 0 1]\ndoffs=0\nbaseline=100\nwidth=8\nheight=6\nndisp=7\nisint=1\n")
+    folder = v3(tmp_path / "B", "baseline=1\nwidth=8\nndisp=8\n")
+    (folder / "cameras.txt").write_text("")
+    (folder / "images.txt").write_text("")
+    a, b = find(tmp_path)
+    assert (a.layout, a.max_disparity, a.round_disparity, a.protocol) == ("middlebury-v3", 7, True, "middlebury_v3")
+    assert (b.layout, b.max_disparity, b.round_disparity, b.protocol) == ("eth3d", None, False, "eth3d")
+    assert list(a.truth().masks) == ["nonocc"]
+    assert [s.name for s in find(tmp_path, "eth3d")] == ["B"]
+
+
+def test_kitti(tmp_path: Path):
+    kitti(tmp_path / "k12", ("colored_0", "colored_1"), "disp_occ", "disp_noc")
+    kitti(tmp_path / "k15", ("image_2", "image_3"), "disp_occ_0", "disp_noc_0")
+    write_png(tmp_path / "k15" / "obj_map" / "000000_10.png", np.eye(6, 8, dtype=np.uint8))
+    scenes = find(tmp_path)
+    assert [s.name for s in scenes] == ["k12/000000_10", "k12/000001_10", "k15/000000_10", "k15/000001_10"]
+    assert [s.layout for s in scenes[1:3]] == ["kitti-2012", "kitti-2015"]
+    truth = scenes[2].truth()
+    assert truth.objects is not None
+    assert truth.noc is not None
+    assert (truth.objects.sum(), np.isfinite(truth.noc).sum(), np.isfinite(truth.disparity).sum()) == (6, 32, 40)
+    assert scenes[2].protocol == "kitti_2015"
+    assert [s.name for s in find(tmp_path / "k15")] == ["000000_10", "000001_10"]
+    assert len(find(tmp_path, pattern="000001_10")) == 2
+
+
+@pytest.mark.parametrize(("meta", "said"), [
+    ([1], "object"), ({"disp_scale": "4"}, "disp_scale"), ({"disp_scale": 0}, "disp_scale"),
+    ({"max_disparity": -3}, "max_disparity"), ({"max_disparity": 2.5}, "whole"), ({"disp_scale": True}, "disp_scale"),
+])  # fmt: skip
+def test_broken_meta(tmp_path: Path, meta, said):
+    own(tmp_path / "a", meta)
+    with pytest.raises(InputError, match=rf"meta\.json: .*{said}"):
+        find(tmp_path / "a")
+    (tmp_path / "a" / "meta.json").write_bytes(b"{\xff")
+    with pytest.raises(InputError, match="not valid JSON"):
+        find(tmp_path / "a")
+
+
+def test_a_broken_scene_spoils_no_other(tmp_path: Path):
+    own(tmp_path / "a", {"disp_scale": 0})
+    own(tmp_path / "b")
+    broken, good = find(tmp_path)
+    assert (broken.name, good.name, good.problem) == ("a", "b", "")
+    with pytest.raises(InputError, match=r"meta\.json: .*disp_scale"):
+        broken.load()
+    good.load()
+
+
+def test_what_is_said_where_nothing_fits(tmp_path: Path):
+    with pytest.raises(InputError, match="no such folder"):
+        find(tmp_path / "absent")
+    with pytest.raises(InputError, match=r"no scenes found.*kitti-2015.*scenes, .*depthcli help layouts"):
+        find(tmp_path)
+    with pytest.raises(InputError, match=r"no scenes found.*looked for kitti-2015: image_2, image_3"):
+        find(tmp_path, "kitti-2015")
+    own(tmp_path / "a")
+    with pytest.raises(InputError, match=r"no scene matches 'x\*'; there are: a"):
+        find(tmp_path, pattern="x*")
+    with pytest.raises(InputError, match=r"one of: .*eth3d"):
+        find(tmp_path, "foo")
+    with pytest.raises(InputError, match="looked for eth3d"):
+        find(tmp_path, "eth3d")
+    v3(tmp_path / "a", "ndisp=3")
+    with pytest.raises(InputError, match="middlebury-v3 and scenes; say which"):
+        find(tmp_path / "a")
+    assert len(find(tmp_path, "scenes")) == 1
+    write_png(tmp_path / "a" / "left.jpg", GREY)
+    with pytest.raises(InputError, match=r"both left\.jpg and left\.png"):
+        find(tmp_path / "a", "scenes")
+
+
+def test_sizes_must_agree(tmp_path: Path):
+    folder = own(tmp_path / "a")
+    write_png(folder / "right.png", COLOR[:5])
+    write_png(folder / "mask_nonocc.png", GREY[:5])
+    (scene,) = find(tmp_path)
+    with pytest.raises(InputError, match="8 x 5"):
+        scene.load()
+    with pytest.raises(InputError, match=r"mask_nonocc\.png: 8 x 5"):
+        scene.truth()
+
+
+@pytest.mark.slow
+@needs_data
+def test_every_stereo_scene_of_the_shared_data_loads():
+    scenes = find(DATA)
+    metas = [p for p in DATA.rglob("meta.json") if any(p.parent.glob("disp_left.*"))]
+    own_layout = [scene for scene in scenes if scene.layout == "scenes"]
+    assert len(own_layout) == len(metas) == 29
+    assert sum(scene.layout == "middlebury-v3" for scene in scenes) == 8
+    for scene in own_layout:
+        facts = json.loads((scene.left.parent / "meta.json").read_text())
+        truth = scene.truth()
+        assert truth.disparity.shape == (facts["height"], facts["width"])
+        assert scene.max_disparity == facts["max_disparity"]
+        assert np.nanmin(truth.disparity) > 0
+        assert np.nanmax(truth.disparity) <= facts["max_disparity"] + 1
+        if scene.right is not None:
+            assert scene.load().shape == truth.disparity.shape
+
+
+@pytest.mark.parametrize("name", ["middlebury-v3", "middlebury_v3", "Middlebury_V3"])
+def test_a_layout_may_be_named_with_underscores(tmp_path: Path, name: str):
+    v3(tmp_path / "a", "ndisp=3")
+    (scene,) = discover_scenes(tmp_path, layout=name)
+    assert scene.layout == "middlebury-v3"

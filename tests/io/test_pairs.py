@@ -1,0 +1,208 @@
+"""Inputs as people have them: patterns, folders, tables, videos, pairs side by side."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.io.formats.images import write_png
+from depthcli.io.pairs import match_patterns, read_table
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.walk import discover_scenes
+
+IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(a) for a in arguments])
+
+
+def put(folder: Path, *names: str) -> None:
+    for name in names:
+        write_png(folder / name, IMAGE)
+
+
+def named(left: Path, right: Path) -> dict[str, tuple[str | None, str | None]]:
+    pairs = match_patterns(left, right, (".png",))
+    return {p.name: (p.left.name if p.left else None, p.right.name if p.right else None) for p in pairs}
+
+
+def test_patterns(tmp_path: Path):
+    put(tmp_path / "left", "0001.png", "0002.png", "0004.png")
+    put(tmp_path / "right", "0001.png", "0002.png", "0003.png")
+    (tmp_path / "left" / "notes.txt").touch()
+    both = {
+        "0001": ("0001.png",) * 2,
+        "0002": ("0002.png",) * 2,
+        "0003": (None, "0003.png"),
+        "0004": ("0004.png", None),
+    }
+    assert named(tmp_path / "left/*.png", tmp_path / "right/*.png") == both
+    assert named(tmp_path / "left", tmp_path / "right") == both
+    # Patterns that differ: the whole names count.
+    assert set(named(tmp_path / "left/000[12].png", tmp_path / "right/*.png")) == {"0001", "0002", "0003"}
+    put(tmp_path / "a/left", "1.png")
+    put(tmp_path / "b/left", "1.png")
+    put(tmp_path / "a/right", "1.png")
+    assert named(tmp_path / "?/left/*.png", tmp_path / "?/right/*.png") == {
+        "a/1": ("1.png", "1.png"), "b/1": ("1.png", None),
+    }  # fmt: skip
+
+
+def test_names_that_say_the_view(tmp_path: Path):
+    put(
+        tmp_path, "shot_left_01.png", "shot_right_01.png", "shot_left_02.png", "shot_right_02.png", "b_L.png", "b_R.png"
+    )
+    assert named(tmp_path / "*left*.png", tmp_path / "*right*.png") == {
+        "shot_01": ("shot_left_01.png", "shot_right_01.png"), "shot_02": ("shot_left_02.png", "shot_right_02.png"),
+    }  # fmt: skip
+    assert named(tmp_path / "*_L.png", tmp_path / "*_R.png") == {"b": ("b_L.png", "b_R.png")}
+    put(tmp_path / "l", "cam_a_7.png", "cam_a_8.png")
+    put(tmp_path / "r", "other_7.png", "other_8.png")
+    assert named(tmp_path / "l", tmp_path / "r") == {
+        "7": ("cam_a_7.png", "other_7.png"), "8": ("cam_a_8.png", "other_8.png"),
+    }  # fmt: skip
+    put(tmp_path / "x", "cat.png")
+    put(tmp_path / "y", "dog.png")
+    with pytest.raises(ConfigError, match="no two names belong together"):
+        match_patterns(tmp_path / "x", tmp_path / "y", (".png",))
+    with pytest.raises(ConfigError, match="matches no image"):
+        match_patterns(tmp_path / "x/*.jpg", tmp_path / "y", (".png",))
+
+
+def test_tables(tmp_path: Path):
+    put(tmp_path, "a.png", "b.png", "c.png")
+    table = tmp_path / "pairs.csv"
+    table.write_text("# our pairs\na.png,b.png\nsub dir/b.png , c.png\n")
+    pairs = read_table(table)
+    assert [(p.name, p.left, p.right) for p in pairs] == [
+        ("a", tmp_path / "a.png", tmp_path / "b.png"), ("b", tmp_path / "sub dir/b.png", tmp_path / "c.png"),
+    ]  # fmt: skip
+    table.write_text("right,left,max_disparity,name,calibration\nb.png,a.png,40,one,calib.txt\nc.png,a.png,,two,\n")
+    one, two = StereoScene.of_table(table)
+    assert (one.name, one.left.name, one.max_disparity, one.calibration) == ("one", "a.png", 40, tmp_path / "calib.txt")
+    assert (two.name, two.max_disparity, two.calibration) == ("two", None, None)
+    table.write_text("a.png,b.png\na.png,c.png\n")
+    assert [p.name for p in read_table(table)] == ["1_a", "2_a"]
+    for text, said in (
+        ("left,right,depht\na,b,c\n", "no such column: depht"), ("a.png\n", "pair 1: want left, right"),
+        ("", "no pair"),
+        ("left,right,name\na,b,x\nc,d,x\n", "two lines are called 'x'"),
+    ):  # fmt: skip
+        table.write_text(text)
+        with pytest.raises(InputError, match=said):
+            read_table(table)
+
+
+def video(path: Path, shift: int, count: int = 5) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (96, 64))
+    assert writer.isOpened()
+    noise = np.random.default_rng(0).integers(0, 255, (64, 160, 3)).astype(np.uint8)
+    noise = cv2.GaussianBlur(noise, (0, 0), 2) * 3
+    for number in range(count):
+        writer.write(np.ascontiguousarray(noise[:, number + shift : number + shift + 96]))
+    writer.release()
+    return path
+
+
+@pytest.mark.slow
+def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    left, right = video(tmp_path / "l.avi", 0), video(tmp_path / "r.avi", 6)
+    scenes = StereoScene.named({"left": left, "right": right})
+    assert [scene.name for scene in scenes] == [f"{k:06}" for k in range(5)]
+    reader = cv2.VideoCapture(str(left))
+    frames = [reader.read()[1][..., ::-1] for _ in range(5)]
+    for number in (0, 1, 3, 2, 4):  # in any order
+        scene = scenes[number]
+        assert scene.frame_number == number
+        np.testing.assert_array_equal(scene.load_views()[0], frames[number])
+    pair = ("--left", left, "--right", right, "--max-disparity", "12")
+    assert run("stereo", "opencv-bm", *pair, "-o", tmp_path / "run", "-q") == 0
+    assert (tmp_path / "run/000004/disp_left.pfm").is_file()
+    again = tmp_path / "again"
+    assert run("stereo", "opencv-bm", *pair, "-o", again, "--scenes", "00000[24]", "-q", "--jobs", "2") == 0
+    one, other = (folder / "000004/disp_left.pfm" for folder in (tmp_path / "run", again))
+    assert one.read_bytes() == other.read_bytes()
+    (tmp_path / "bad.avi").write_bytes(left.read_bytes()[:90])
+    assert run("stereo", "opencv-bm", "--left", tmp_path / "bad.avi", "--right", right, "-o", tmp_path / "x") == 2
+    assert "bad.avi: no video that can be decoded here" in capsys.readouterr().err
+
+
+def find(folder: Path) -> dict[str, StereoScene]:
+    return {scene.name: scene for scene in discover_scenes(folder, (StereoScene,))}  # type: ignore[misc]
+
+
+def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
+    put(tmp_path / "views/left", "0001.png", "0002.png")
+    put(tmp_path / "views/right", "0001.png", "0003.png")
+    (tmp_path / "views/calib.txt").write_text("baseline=100\n")
+    (tmp_path / "views/meta.json").write_text(json.dumps({"max_disparity": 9, "min_disparity": -3}))
+    scenes = find(tmp_path / "views")
+    assert sorted(scenes) == ["0001", "0002", "0003"]
+    assert scenes["0001"].load().shape == (6, 8)
+    assert (scenes["0001"].max_disparity, scenes["0001"].min_disparity) == (9, -3)
+    assert scenes["0001"].calibration == tmp_path / "views/calib.txt"
+    assert "no right one" in scenes["0002"].problem and "no left one" in scenes["0003"].problem
+    put(tmp_path / "pairs", "0001_L.png", "0001_R.png", "0002_L.png", "notes.png")
+    scenes = find(tmp_path / "pairs")
+    assert {name: bool(scene.problem) for name, scene in scenes.items()} == {"0001": False, "0002": True}
+    put(tmp_path / "starts", "left_a.png", "right_a.png")
+    assert find(tmp_path / "starts")["a"].right == tmp_path / "starts/right_a.png"
+    for view in ("image_0", "image_1"):
+        put(tmp_path / "sequences/00" / view, "000000.png", "000001.png")
+    put(tmp_path / "sequences/01/image_2", "000000.png")
+    put(tmp_path / "sequences/01/image_3", "000000.png")
+    (tmp_path / "sequences/00/calib.txt").write_text("P0: 1\n")
+    scenes = find(tmp_path / "sequences")
+    assert sorted(scenes) == ["00/000000", "00/000001", "01/000000"]
+    assert scenes["00/000001"].cameras == (0, 1)
+    assert scenes["01/000000"].cameras == (2, 3)
+    assert {scene.layout for scene in scenes.values()} == {"kitti-odometry"}
+
+
+def test_what_a_run_or_a_scene_holds_are_no_pairs(tmp_path: Path):
+    put(
+        tmp_path / "a",
+        "left.png",
+        "right.png",
+        "mask_all_left.png",
+        "mask_all_right.png",
+        "disp_left.png",
+        "disp_right.png",
+    )
+    assert [scene.layout for scene in find(tmp_path / "a").values()] == ["scenes"]
+    put(tmp_path / "b", "disp_left.png", "disp_right.png")
+    with pytest.raises(InputError, match="no scenes found"):
+        find(tmp_path / "b")
+
+
+@pytest.mark.slow
+def test_the_command_line(tmp_path: Path, made_scenes: Path, capsys):
+    for scene in ("planes_0", "planes_1"):
+        for view in ("left", "right"):
+            (tmp_path / view).mkdir(exist_ok=True)
+            (tmp_path / view / f"{scene}.png").write_bytes((made_scenes / scene / f"{view}.png").read_bytes())
+    (tmp_path / "pairs.csv").write_text("left/planes_0.png,right/planes_0.png\nleft/planes_1.png,right/planes_1.png\n")
+    how = ("--max-disparity", "12", "-q")
+    globs = ("--left", tmp_path / "left/*.png", "--right", tmp_path / "right/*.png")
+    assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "globs") == 0
+    assert run("stereo", "opencv-bm", "-i", tmp_path / "pairs.csv", *how, "-o", tmp_path / "table") == 0
+    assert run("stereo", "opencv-bm", "-i", tmp_path, *how, "-o", tmp_path / "views") == 0
+    assert (
+        run("stereo", "opencv-bm", "-i", made_scenes, *how, "-o", tmp_path / "scenes", "--scenes", "planes_[01]") == 0
+    )
+    for name in ("globs", "table", "views", "scenes"):
+        for scene in ("planes_0", "planes_1"):
+            file = f"{scene}/disp_left.pfm"
+            assert (tmp_path / name / file).read_bytes() == (tmp_path / "scenes" / file).read_bytes()
+    assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--name", "a") == 2
+    assert "these are 2" in capsys.readouterr().err
+    assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--scenes", "absent*") == 2
+    assert run("stereo", "opencv-bm", "-i", tmp_path / "pairs.csv", *how, "-o", tmp_path / "x", "--evaluate") == 2
+    assert run("refine-kinect", "nearest", "-i", tmp_path / "pairs.csv", "-o", tmp_path / "x") == 2

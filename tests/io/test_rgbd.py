@@ -1,0 +1,353 @@
+"""Frames of color and depth in every layout; raw Kinect codes become registered depth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.kinect import KinectCalibration, kinect_v1
+from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
+from depthcli.core.errors import InputError
+from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.files import collected_warnings
+from depthcli.io.formats.images import read_grey, write_png
+from depthcli.io.formats.kinect import read_kinect_calibration, read_kinect_raw
+from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.walk import discover_scenes
+from tests.scenes import DATA, needs_data
+
+COLOR = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
+DEPTH = np.full((6, 8), 2000, np.uint16)
+DEPTH[0] = 0
+
+
+def find(folder: Path, layout: str | None = None) -> list[RgbdScene]:
+    found = []
+    for scene in discover_scenes(folder, (RgbdScene,), layout):
+        assert isinstance(scene, RgbdScene)
+        found.append(scene)
+    return found
+
+
+def test_our_layout(tmp_path: Path):
+    write_png(tmp_path / "a" / "color.png", COLOR)
+    write_png(tmp_path / "a" / "depth.png", DEPTH)
+    write_png(tmp_path / "a" / "depth_true.png", DEPTH * np.uint16(2))
+    write_png(tmp_path / "a" / "mask_gap.png", DEPTH == 0)
+    meta = {"depth_scale": 2000, "intrinsics": {"fx": 500, "fy": 510, "cx": 4, "cy": 3}, "fb": 40}
+    (tmp_path / "a" / "meta.json").write_text(json.dumps(meta))
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout, scene.protocol, scene.has_truth) == ("a", "rgbd", "depth", True)
+    frame, truth = scene.load(), scene.truth()
+    assert np.isnan(frame.depth[0]).all()
+    assert (frame.depth[1:] == 1).all()
+    assert (frame.fb, frame.intrinsics.fy if frame.intrinsics else None) == (40, 510)
+    assert (truth.depth[1:] == 2).all()
+    np.testing.assert_array_equal(truth.masks["gap"], DEPTH == 0)
+    np.testing.assert_array_equal(replace(scene, depth_scale=1000).load().depth[1:], 2)
+
+
+@pytest.mark.parametrize(
+    ("meta", "warned"),
+    [
+        ({"depth_scale": 2000, "fb": 6}, []),
+        ({"depth_scale": 2000, "fb": 60000}, ["meta.json: fb 60000 makes the median disparity 6e+04 px"]),
+        (
+            {"depth_scale": 1},
+            ["depth.png: the median depth is 2e+03 m at 1 codes per meter; a depth scale of 1000 would"],
+        ),
+        ({"depth_scale": 5e5}, ["depth.png: the median depth is 0.004 m at 500000 codes per meter"]),
+    ],
+)
+def test_implausible_inputs_are_warned_of(tmp_path: Path, meta: dict[str, float], warned: list[str]):
+    write_png(tmp_path / "a" / "color.png", COLOR)
+    write_png(tmp_path / "a" / "depth.png", DEPTH)
+    write_png(tmp_path / "a" / "depth_true.png", DEPTH)
+    (tmp_path / "a" / "meta.json").write_text(json.dumps(meta))
+    (scene,) = find(tmp_path)
+    for read, end in ((scene.load, "depth.png"), (scene.truth, "depth_true.png")):
+        with collected_warnings() as lines:
+            read()
+        assert len(lines) == len(warned)
+        for line, text in zip(lines, warned, strict=True):
+            assert text.replace("depth.png", end) in line
+
+
+def test_meters_and_a_missing_fb(tmp_path: Path):
+    write_png(tmp_path / "color.png", COLOR[..., 0])
+    write_pfm(tmp_path / "depth.pfm", np.where(DEPTH > 0, np.float32(1.5), np.float32(np.nan)))
+    (scene,) = find(tmp_path)
+    frame = scene.load()
+    assert (frame.depth[1:] == 1.5).all()
+    assert frame.color.shape == (6, 8, 3)
+    assert frame.fb == pytest.approx(43.5)
+
+
+@pytest.mark.parametrize("split", [False, True])
+def test_sequences_are_frames_by_number(tmp_path: Path, split: bool):
+    for number in (0, 1, 3):
+        where = ("color/", "depth/") if split else ("color_", "depth_")
+        if number != 1:
+            write_png(tmp_path / "s" / f"{where[0]}{number:05d}.png", COLOR)
+        write_png(tmp_path / "s" / f"{where[1]}{number:05d}.png", DEPTH)
+    scenes = find(tmp_path)
+    assert [(i.name, i.sequence, i.number, bool(i.problem)) for i in scenes] == [
+        ("s/00000", "s", 0, False), ("s/00001", "s", 1, True), ("s/00003", "s", 3, False),
+    ]  # fmt: skip
+    with pytest.raises(InputError, match="a frame without its color"):
+        scenes[1].load()
+    assert scenes[2].load().shape == (6, 8)
+
+
+def test_tum_pairs_by_time(tmp_path: Path):
+    for name in ("rgb/1.png", "rgb/2.png"):
+        write_png(tmp_path / "t" / name, COLOR)
+    write_png(tmp_path / "t" / "depth/a.png", DEPTH)
+    (tmp_path / "t" / "rgb.txt").write_text("# color\n1.000 rgb/1.png\n2.000 rgb/2.png\n")
+    (tmp_path / "t" / "depth.txt").write_text("1.010 depth/a.png\n")
+    near, far = find(tmp_path)
+    assert near.load().depth[1, 0] == pytest.approx(0.4)  # 5000 codes a meter
+    with pytest.raises(InputError, match=r"the nearest depth is 0\.990 s off"):
+        far.load()
+    (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png 2.001 depth/a.png\n")
+    assert [i.problem for i in find(tmp_path)] == [""]
+    (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png nonsense\n")
+    (broken,) = discover_scenes(tmp_path, (RgbdScene,))
+    assert "associations.txt:1: want time file time file" in broken.problem
+
+
+def poses_of(folder: Path) -> list:
+    return [None if scene.pose is None else np.array(scene.pose).reshape(4, 4) for scene in find(folder)]
+
+
+def test_tum_frames_have_the_pose_of_their_time(tmp_path: Path):
+    place = tmp_path / "t"
+    for k in range(4):
+        write_png(place / f"rgb/{k}.png", COLOR)
+        write_png(place / f"depth/{k}.png", DEPTH)
+    pairs = (f"{time} rgb/{k}.png {time} depth/{k}.png\n" for k, time in enumerate((1.0, 1.01, 1.09, 2.0)))
+    (place / "associations.txt").write_text("".join(pairs))
+    assert poses_of(tmp_path) == [None] * 4
+    quarter = "0 0 .7071068 .7071068"
+    (place / "groundtruth.txt").write_text(
+        f"# timestamp tx ty tz qx qy qz qw\n1.0 1 2 3 0 0 0 1\n1.02 2 2 3 {quarter}\n1.08 4 0 0 0 0 0 1\n"
+    )
+    exact, between, nearest, none = poses_of(tmp_path)
+    np.testing.assert_array_equal(exact[:3], np.c_[np.eye(3), (1, 2, 3)])
+    np.testing.assert_allclose(between[:3, 3], (1.5, 2, 3))
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(between[:3, :3], [[half, -half, 0], [half, half, 0], [0, 0, 1]], atol=1e-6)
+    assert nearest[0, 3] == 4 and none is None
+    np.testing.assert_array_equal(find(tmp_path)[0].load().pose, exact)
+
+
+@pytest.mark.parametrize("lines", [1, 4])
+def test_numbered_frames_have_poses_by_order_or_by_number(tmp_path: Path, lines: int):
+    place = tmp_path / "s"
+    for k in (3, 4, 7):
+        write_png(place / f"color_{k:05}.png", COLOR)
+        write_png(place / f"depth_{k:05}.png", DEPTH)
+    rows = ["1 0 0 5", "0 1 0 6", "0 0 1 7", "0 0 0 1"]
+    matrix = (" " if lines == 1 else "\n").join(rows) + "\n"
+    (place / "poses.txt").write_text(matrix + "\n" + matrix.replace("5", "8"))  # fewer than frames
+    first, second, third = poses_of(tmp_path)
+    assert first[:3, 3].tolist() == [5, 6, 7] and second[0, 3] == 8 and third is None
+    (place / "poses.txt").write_text("3 1 2 3 0 0 0 1\n7 4 2 3 0 0 0 1\n")
+    first, second, third = poses_of(tmp_path)
+    assert first[0, 3] == 1 and second is None and third[0, 3] == 4
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("", "poses.txt: holds no pose"),
+    ("1 2 3\n", "poses.txt:1: want 'time tx ty tz qx qy qz qw'"),
+    ("0 1 2 3 0 0 0 1\n1 x 2 3 0 0 0 1\n", "poses.txt:2: want"),
+    ("0 1 2 3 0 0 0 1\n1 2 3 4\n", "poses.txt:2: want"),
+    ("0 nan 2 3 0 0 0 1\n", "poses.txt:1: want"),
+    ("0 1 2 3 0 0 0 2\n", "poses.txt:1: the quaternion qx qy qz qw has a length of 2"),
+    ("1 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n", "two poses of one time"),
+    ("1 0 0 0\n0 1 0 0\n0 0 1 0\n", "the last matrix has 3 rows instead of 4"),
+    ("2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n", "poses.txt:1: not the matrix of a pose"),
+])  # fmt: skip
+def test_wrong_poses_are_one_line(tmp_path: Path, text: str, said: str):
+    write_png(tmp_path / "s" / "color_0.png", COLOR)
+    write_png(tmp_path / "s" / "depth_0.png", DEPTH)
+    (tmp_path / "s" / "poses.txt").write_text(text)
+    (broken,) = discover_scenes(tmp_path, (RgbdScene,))
+    assert said in broken.problem and "\n" not in broken.problem
+
+
+def test_sun_rotates_its_bits(tmp_path: Path):
+    write_png(tmp_path / "s" / "image" / "x.png", COLOR)
+    codes = (DEPTH << np.uint16(3)) | (DEPTH >> np.uint16(13))
+    write_png(tmp_path / "s" / "depth" / "y.png", codes)
+    (tmp_path / "s" / "intrinsics.txt").write_text("500 0 4\n0 510 3\n0 0 1\n")
+    (scene,) = find(tmp_path)
+    assert scene.layout == "sun-rgbd"
+    assert (scene.load().depth[1:] == 2).all()
+
+
+def test_half_a_frame_is_a_row_with_its_reason(tmp_path: Path):
+    write_png(tmp_path / "a" / "color.png", COLOR)
+    (scene,) = find(tmp_path)
+    with pytest.raises(InputError, match="no depth"):
+        scene.load()
+
+
+def test_depth_alone_is_a_frame_without_color(tmp_path: Path):
+    write_png(tmp_path / "a" / "depth.png", DEPTH)
+    (scene,) = find(tmp_path)
+    frame = scene.load()
+    assert not frame.has_color and (frame.color == 128).all() and frame.shape == DEPTH.shape
+    assert scene.frame_size() == DEPTH.shape and set(scene.input_files) == {"depth"}
+    with pytest.raises(InputError, match="no color image"):
+        scene.load_sparse()
+
+
+def test_frames_that_cannot_be_used(tmp_path: Path):
+    write_png(tmp_path / "a" / "color.png", COLOR)
+    for depth, said in (
+        (DEPTH[:5], "8 x 5, but the color image is 8 x 6; the depth must be registered"),
+        (np.zeros((6, 8), np.uint16), "no pixel has a depth"),
+        (np.full((6, 8), 7, np.uint8), "8-bit"),
+    ):
+        write_png(tmp_path / "a" / "depth.png", depth)
+        with pytest.raises(InputError, match=said):
+            find(tmp_path)[0].load()
+
+
+def smaller_depth(folder: Path, **meta: object) -> RgbdScene:
+    """A frame whose color is 120 x 90 and whose depth 30 x 20."""
+    write_png(folder / "color.png", np.zeros((90, 120, 3), np.uint8))
+    write_png(folder / "depth.png", np.full((20, 30), 2000, np.uint16))
+    (folder / "meta.json").write_text(json.dumps(meta))
+    (scene,) = find(folder)
+    return scene
+
+
+CAMERA = {"fx": 100, "fy": 100, "cx": 60, "cy": 45}
+DEPTH_CAMERA = {"fx": 20, "fy": 20, "cx": 15, "cy": 10}
+
+
+def test_depth_of_its_own_camera_is_registered(tmp_path: Path):
+    place = {"rotation": np.eye(3).tolist(), "translation": [0.1, 0, 0]}
+    scene = smaller_depth(tmp_path, intrinsics=CAMERA, depth_intrinsics=DEPTH_CAMERA, depth_to_color=place)
+    frame = scene.load()
+    assert frame.interpolated
+    known = np.isfinite(frame.depth)
+    assert (frame.depth[known] == 2).all()
+    # The 30 x 20 samples cover 150 x 100 pixels around the center, 5 pixels (100 x 0.1 / 2) farther right than alone.
+    assert known[:, 5:].all()
+    np.testing.assert_array_equal(known[:, :5].any(), True)
+    alone = replace(scene, depth_to_color=None, depth_intrinsics=(25, 25, 15, 10)).load().depth
+    moved = replace(scene, depth_intrinsics=(25, 25, 15, 10)).load().depth
+    np.testing.assert_array_equal(np.isfinite(moved[:, 5:]), np.isfinite(alone[:, :-5]))
+    assert 0 < np.isnan(alone[:, :2]).sum() < 3 * 90
+
+
+@pytest.mark.parametrize(
+    ("meta", "said"),
+    [
+        ({}, "30 x 20, but the color image is 120 x 90; the depth must be registered"),
+        ({"depth_intrinsics": DEPTH_CAMERA}, "want those of the color camera"),
+        ({"depth_intrinsics": {**DEPTH_CAMERA, "fx": 0}}, "meta.json: depth_intrinsics: fx: want a positive number"),
+        (
+            {"depth_intrinsics": {**DEPTH_CAMERA, "fy": float("nan")}},
+            "meta.json: depth_intrinsics: fy: want a positive number",
+        ),
+        ({"depth_intrinsics": {"fx": 3}}, "meta.json: depth_intrinsics: want all of fx, fy, cx, cy"),
+        ({"depth_intrinsics": [1, 2, 3, 4]}, "meta.json: depth_intrinsics: want fx, fy, cx, cy"),
+        ({"depth_to_color": 3}, "meta.json: depth_to_color: want rotation and translation"),
+        ({"depth_to_color": {"rotation": [1, 2], "translation": [0, 0, 0]}}, "want 3 x 3 finite numbers"),
+        ({"depth_to_color": {"rotation": np.eye(3).tolist()}}, "meta.json: depth_to_color: translation: want 3"),
+        ({"depth_to_color": {"rotation": [0] * 9, "translation": [0, 0, 0]}}, "meta.json: .* not a rotation matrix"),
+        ({"depth_to_color": {"rotation": np.eye(3).tolist(), "translation": [25, 0, 0]}}, "want meters"),
+    ],
+)
+def test_cameras_of_meta_json_that_cannot_be(tmp_path: Path, meta: dict[str, object], said: str):
+    write_png(tmp_path / "color.png", np.zeros((90, 120, 3), np.uint8))
+    write_png(tmp_path / "depth.png", np.full((20, 30), 2000, np.uint16))
+    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    with pytest.raises(InputError, match=said) as error:
+        find(tmp_path)[0].load()
+    assert "\n" not in str(error.value)
+
+
+def test_smaller_depth_of_the_same_aspect_is_scaled_and_said(tmp_path: Path):
+    write_png(tmp_path / "color.png", np.zeros((90, 120, 3), np.uint8))
+    write_png(tmp_path / "depth.png", np.full((15, 20), 2000, np.uint16))
+    (scene,) = find(tmp_path)
+    with collected_warnings() as lines:
+        frame = scene.load()
+    assert (frame.depth == 2).all()
+    (line,) = lines
+    assert line.startswith(f"{tmp_path}/depth.png: 20 x 15, taken as registered to the color image of 120 x 90")
+
+
+def test_triangulation_is_its_own_inverse():
+    depth = np.array([[0.5, 2.0, np.nan, -1.0, 0.0]], np.float32)
+    disparity = disparity_of_depth(depth, 43.5, 2.0)
+    np.testing.assert_allclose(disparity, [[85.0, 19.75, np.nan, np.nan, np.nan]])
+    np.testing.assert_allclose(depth_of_disparity(disparity, 43.5, 2.0), [[0.5, 2, np.nan, np.nan, np.nan]])
+
+
+def test_raw_codes_follow_the_thesis_s_formula():
+    """Eq. 1.1, Z = Zr / (1 + Zr / (f b) d): d counts from the code of the reference plane."""
+    camera = Camera(np.eye(3))
+    model = KinectCalibration(camera, camera, np.eye(3), np.zeros(3), offset=1090.0, factor=350.0)
+    raw = np.array([[390, 740, 1089, 1090, 2047]], np.uint16)
+    reference = 350.0 / (1090 - 740)
+    shift = (740 - raw[0, :3].astype(float)) / 350.0
+    np.testing.assert_allclose(model.depth_of_raw(raw)[0, :3], reference / (1 + reference * shift), rtol=1e-6)
+    assert np.isnan(model.depth_of_raw(raw)[0, 3:]).all()
+
+
+def test_registration_moves_by_the_baseline_and_keeps_the_nearest():
+    """A plane at 1 m seen by a camera 10 cm to the right, f = 100: 10 pixels to the left; a nearer strip covers it."""
+    matrix = np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]])
+    model = KinectCalibration(Camera(matrix), Camera(matrix), np.eye(3), np.array([-0.1, 0, 0]))
+    depth = np.full((48, 64), 1.0, np.float32)
+    depth[:, 40:44] = 0.5
+    seen = model.register(depth, (48, 64))
+    assert (seen[:, 20:24] == 0.5).all()
+    assert (seen[:, :20] == 1).all()
+    assert np.isnan(seen[:, 54:]).all()
+    assert np.isnan(seen[:, 30:34]).all()  # what the strip hid from the depth camera
+
+
+@needs_data
+class TestRealFrames:
+    @pytest.mark.slow
+    def test_every_folder_runs_as_it_lies_there(self):
+        folders = ("rgbd_nyu", "rgbd_primesense", "rgbd_sun", "rgbd_tum", "kinect_v1_raw")
+        for folder in folders:
+            for scene in find(DATA / folder):
+                frame = scene.load()
+                assert 0.5 < np.isfinite(frame.depth).mean() < 0.95, scene.name
+
+    def test_raw_depth_lies_on_the_checkerboards(self):
+        """Within 1.2 mm of the residual that the set's own calibration has."""
+        folder = DATA / "kinect_v1_raw" / "herrera"
+        calibration = read_kinect_calibration(folder / "calib.json")
+        plain = replace(calibration, beta=None)
+        facts = json.loads((folder / "calib.json").read_text())["frames"]
+        for number, frame in facts.items():
+            plane = read_grey(folder / f"plane_depth_gt_{number}.png").astype(float)
+            raw = read_kinect_raw(folder / f"disparity_{number}.pgm")
+            on = plane > 0
+
+            def distance(model: KinectCalibration, raw=raw, plane=plane, on=on) -> float:
+                return float(np.nanmedian(np.abs(1000 * model.depth_of_raw(raw)[on] - plane[on])))
+
+            own = abs(frame["kinect_minus_plane_median_mm"]) + 0.6745 * frame["kinect_minus_plane_std_mm"]
+            assert distance(calibration) <= own + 1.2
+            assert distance(calibration) < distance(plain) < distance(calibration) + 5
+
+    def test_swapped_bytes_are_told_and_put_right(self):
+        raw = read_kinect_raw(DATA / "rgbd_nyu" / "raw_dump" / "disparity_raw_byteswapped.pgm")
+        assert raw.max() == 2047
+        assert 0.5 < np.nanmedian(kinect_v1().depth_of_raw(raw)) < 5

@@ -1,0 +1,470 @@
+"""Data sets of stereo pairs with conventions of their own, on miniatures that follow the sets' documents."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.core.cameras.triangulation import PairGeometry
+from depthcli.core.errors import InputError
+from depthcli.evaluation import protocols
+from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.pair_geometry import read_geometry
+from depthcli.io.layouts import own_layouts
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.walk import discover_scenes, scene_with_file
+from depthcli.testing.layouts import check_layout
+
+HEIGHT, WIDTH = 6, 8
+COLOR = np.dstack([np.arange(48, dtype=np.uint8).reshape(HEIGHT, WIDTH) + k for k in range(3)]).astype(np.uint8)
+DISPARITY = np.full((HEIGHT, WIDTH), 2.5, np.float32)
+DISPARITY[2:4, 3:] = 4.25
+
+
+def find(folder: Path, layout: str | None = None, warn=lambda line: None) -> list[StereoScene]:
+    scenes = discover_scenes(folder, (StereoScene,), layout, ["*"], warn)
+    return scenes  # type: ignore[return-value]
+
+
+def images(*paths: Path) -> None:
+    for path in paths:
+        write_png(path, COLOR)
+
+
+def check(name: str, folder: Path) -> None:
+    (layout,) = (each for each in own_layouts() if each.name == name)
+    check_layout(layout, folder)
+
+
+def codes(path: Path, disparity: np.ndarray, scale: float) -> None:
+    write_png(path, np.where(np.isnan(disparity), 0, np.rint(disparity * scale)).astype(np.uint16))
+
+
+# Scene Flow datasets
+
+
+def sceneflow(root: Path, where: str, frame: str = "0006") -> Path:
+    images(*(root / "frames_cleanpass" / where / side / f"{frame}.png" for side in ("left", "right")))
+    for side in ("left", "right"):
+        write_pfm(root / "disparity" / where / side / f"{frame}.pfm", DISPARITY)
+    return root
+
+
+@pytest.mark.parametrize("where", ["TRAIN/A/0000", "15mm_focallength/scene_forwards/fast", "a_rain_of_stones_x2"])
+def test_the_three_scene_flow_sets(tmp_path: Path, where: str):
+    root = sceneflow(tmp_path / "Set", where)
+    images(*(root / "frames_finalpass" / where / side / "0006.png" for side in ("left", "right")))
+    clean, final = find(root)
+    name = "_".join([*where.split("/"), "0006"])  # one table for each pass, not for each sequence
+    assert (clean.name, final.name) == (f"frames_cleanpass/{name}", f"frames_finalpass/{name}")
+    assert (clean.layout, clean.protocol, clean.max_disparity) == ("sceneflow", "scene_flow", 192)
+    assert clean.disparity_left is not None
+    assert clean.disparity_left == final.disparity_left
+    found = scene_with_file(clean.disparity_left)
+    assert found is not None
+    assert found.folder == root
+    truth = clean.truth()
+    np.testing.assert_array_equal(truth.disparity, DISPARITY)
+    np.testing.assert_array_equal(truth.right, DISPARITY)
+    assert [scene.name for scene in find(tmp_path)] == [f"Set/{clean.name}", f"Set/{final.name}"]
+    check("sceneflow", root)
+
+
+def test_negative_disparities_and_occlusions_of_the_subset(tmp_path: Path):
+    images(*(tmp_path / "train" / "image_clean" / side / "0000000.png" for side in ("left", "right")))
+    write_pfm(tmp_path / "train" / "disparity" / "left" / "0000000.pfm", -DISPARITY)
+    occluded = np.zeros((HEIGHT, WIDTH), np.uint8)
+    occluded[:, 0] = 255
+    write_png(tmp_path / "train" / "disparity_occlusions" / "left" / "0000000.png", occluded)
+    (scene,) = find(tmp_path)
+    assert scene.name == "train/image_clean/0000000"
+    truth = scene.truth()
+    np.testing.assert_array_equal(truth.disparity, DISPARITY)
+    assert truth.right is None
+    np.testing.assert_array_equal(truth.masks["nonocc"], occluded == 0)
+
+
+def test_a_scene_flow_frame_without_its_right_image_or_truth(tmp_path: Path):
+    root = sceneflow(tmp_path / "set", "TEST/B/0001")
+    (root / "frames_cleanpass/TEST/B/0001/right/0006.png").unlink()
+    (root / "disparity/TEST/B/0001/left/0006.pfm").unlink()
+    (scene,) = find(root)
+    with pytest.raises(InputError, match=r"left/0006\.png: only one image of the pair, no right/0006\.png"):
+        scene.load()
+    assert not scene.has_truth
+
+
+def test_webp_frames_of_the_scene_flow_sets_are_refused(tmp_path: Path):
+    images(*(tmp_path / "frames_cleanpass" / "a" / side / "0006.webp" for side in ("left", "right")))
+    with pytest.raises(InputError, match=r"left/0006\.webp: WebP is not read; want the set's PNG images"):
+        find(tmp_path)[0].load()
+
+
+# MPI Sintel
+
+
+def packed(disparity: np.ndarray) -> np.ndarray:
+    red = np.floor(disparity / 4)
+    green = np.floor((disparity - 4 * red) * 64)
+    blue = np.floor((disparity - 4 * red - green / 64) * 16384)
+    return np.dstack([red, green, blue]).astype(np.uint8)
+
+
+def sintel(folder: Path) -> Path:
+    for name in ("clean", "final"):
+        images(*(folder / f"{name}_{side}" / "alley_1" / "frame_0001.png" for side in ("left", "right")))
+    values = DISPARITY.copy()
+    values[0, :4] = 0, 1023.9999, 100 + 1 / 64, 7 + 3 / 16384
+    write_png(folder / "disparities" / "alley_1" / "frame_0001.png", packed(values))
+    hidden, outside = np.zeros((2, HEIGHT, WIDTH), np.uint8)
+    hidden[4], outside[:, 0] = 255, 255
+    write_png(folder / "occlusions" / "alley_1" / "frame_0001.png", hidden)
+    write_png(folder / "outofframe" / "alley_1" / "frame_0001.png", outside)
+    return folder
+
+
+def test_sintel(tmp_path: Path):
+    clean, final = find(sintel(tmp_path / "training"))
+    assert (clean.name, final.name) == ("clean/alley_1_frame_0001", "final/alley_1_frame_0001")
+    truth = final.truth()
+    assert np.isnan(truth.disparity[0, 0])
+    np.testing.assert_allclose(truth.disparity[0, 1:4], [1023.9999, 100 + 1 / 64, 7 + 3 / 16384], rtol=0, atol=1e-4)
+    np.testing.assert_array_equal(truth.disparity[1:], DISPARITY[1:])
+    inside = np.arange(WIDTH)[None, :] > 0
+    visible = np.arange(HEIGHT)[:, None] != 4
+    np.testing.assert_array_equal(truth.masks["all"], np.broadcast_to(inside, (HEIGHT, WIDTH)))
+    np.testing.assert_array_equal(truth.masks["nonocc"], inside & visible)
+    regions = protocols.load(final.protocol)().truth(final).masks
+    assert {"all", "nonocc"} <= set(regions)
+    assert next(scene.name for scene in find(tmp_path)) == "training/clean/alley_1_frame_0001"
+    check("sintel", tmp_path)
+
+
+def test_what_is_said_of_other_disparities_in_sintel(tmp_path: Path):
+    sintel(tmp_path)
+    codes(tmp_path / "disparities" / "alley_1" / "frame_0001.png", DISPARITY, 256)
+    with pytest.raises(InputError, match=r"frame_0001\.png: want disparities packed into three channels"):
+        find(tmp_path)[0].truth()
+    sintel(tmp_path)
+    write_png(tmp_path / "outofframe" / "alley_1" / "frame_0001.png", np.zeros((3, 3), np.uint8))
+    with pytest.raises(InputError, match=r"outofframe.*frame_0001\.png: 3 x 3"):
+        find(tmp_path)[0].truth()
+
+
+# Virtual KITTI 2
+
+
+def virtual_kitti(folder: Path, text: str | None = "frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]\n0 0 700 701 600 180\n"):
+    depth = np.full((HEIGHT, WIDTH), 1000, np.uint16)
+    depth[0, 0], depth[0, 1], depth[0, 2] = 65535, 0, 65534
+    for camera in ("Camera_0", "Camera_1"):
+        images(folder / "frames" / "rgb" / camera / "rgb_00007.jpg")
+        write_png(folder / "frames" / "depth" / camera / "depth_00007.png", depth)
+    if text is not None:
+        (folder / "intrinsic.txt").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(("text", "focal"), [("", 725.0087), ("given", 700.0)])
+def test_virtual_kitti_2(tmp_path: Path, text: str, focal: float):
+    folder = tmp_path / "Scene01" / "clone"
+    virtual_kitti(folder, None) if text == "" else virtual_kitti(folder)
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout, scene.protocol) == ("Scene01/clone/00007", "virtual-kitti-2", "kitti_2015")
+    truth = scene.truth()
+    assert np.isnan(truth.disparity[0, :2]).all()  # the sky, and no value
+    assert truth.disparity[0, 2] == pytest.approx(focal * 0.532725 / 655.34)
+    assert truth.disparity[1, 1] == pytest.approx(focal * 0.532725 / 10)
+    assert truth.right is not None
+    assert isinstance(scene.geometry, PairGeometry)
+    assert scene.geometry.depth(truth.disparity)[1, 1] == pytest.approx(10)
+    check("virtual-kitti-2", tmp_path / "Scene01")
+
+
+@pytest.mark.parametrize("text", ["frame\n", "frame cameraID\n0 0 725\n", "frame cameraID\n0 0 -725 -725 1 1\n"])
+def test_a_broken_camera_of_virtual_kitti_2(tmp_path: Path, text: str):
+    with pytest.raises(InputError, match=r"intrinsic\.txt: [^\n]*$"):
+        find(virtual_kitti(tmp_path, text))
+
+
+# DrivingStereo
+
+
+_CALIB = "".join(
+    f"P_rect_{n}: 1003.5 0.0 479.5 {tx} 0.0 1003.5 200.1 0.0 0.0 0.0 1.0 0.0\n" for n, tx in ((101, 0.0), (103, -546.9))
+)
+
+
+def test_driving_stereo(tmp_path: Path):
+    frame = "2018-07-09-16-11-56_2018-07-09-16-12-26-502"
+    name = f"2018-07-09-16-11-56/{frame}"
+    images(*(tmp_path / f"train-{side}-image" / f"{name}.jpg" for side in ("left", "right")))
+    unknown = DISPARITY.copy()
+    unknown[0] = np.nan
+    codes(tmp_path / "train-disparity-map" / f"{name}.png", unknown, 256)
+    calib = tmp_path / "calib_train" / "half-image-calib" / "2018-07-09-16-11-56.txt"
+    calib.parent.mkdir(parents=True)
+    calib.write_text(_CALIB)
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout, scene.max_disparity) == (f"train-left-image/{frame}", "driving-stereo", 255)
+    np.testing.assert_array_equal(scene.truth().disparity, unknown)
+    assert scene.calibration == calib
+    geometry = read_geometry(calib, scene.cameras)
+    assert (geometry.left.fx, geometry.baseline) == (1003.5, pytest.approx(546.9 / 1003.5))
+    check("driving-stereo", tmp_path)
+
+
+def test_full_size_frames_of_driving_stereo_have_another_scale(tmp_path: Path):
+    name = "2018-10-31-06-55-01_2018-10-31-07-35-30-878"
+    for size, scale in (("half", 256), ("full", 128)):
+        images(*(tmp_path / "cloudy" / f"{side}-image-{size}-size" / f"{name}.png" for side in ("left", "right")))
+        codes(tmp_path / "cloudy" / f"disparity-map-{size}-size" / f"{name}.png", DISPARITY, scale)
+    calib = tmp_path / "calib_train" / "full-image-calib" / "2018-10-31-06-55-01.txt"
+    calib.parent.mkdir(parents=True)
+    calib.write_text(_CALIB)
+    full, half = find(tmp_path / "cloudy")
+    assert (full.disparity_scale, half.disparity_scale) == (128, 256)
+    assert (full.calibration, half.calibration) == (calib, None)
+    for scene in (full, half):
+        np.testing.assert_array_equal(scene.truth().disparity, DISPARITY)
+
+
+# Sets with integer codes: CREStereo's and InStereo2K
+
+
+def test_crestereo(tmp_path: Path):
+    images(tmp_path / "hole" / "0003c2ad-2128_left.jpg", tmp_path / "hole" / "0003c2ad-2128_right.jpg")
+    for side in ("left", "right"):
+        codes(tmp_path / "hole" / f"0003c2ad-2128_{side}.disp.png", DISPARITY, 32)
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout) == ("hole/0003c2ad-2128", "crestereo")
+    truth = scene.truth()
+    np.testing.assert_array_equal(truth.disparity, DISPARITY)
+    np.testing.assert_array_equal(truth.right, DISPARITY)
+    check("crestereo", tmp_path)
+    (tmp_path / "hole" / "0003c2ad-2128_right.jpg").unlink()
+    with pytest.raises(InputError, match=r"only half of a pair, no 0003c2ad-2128_right\.jpg"):
+        find(tmp_path)[0].load()
+
+
+def test_instereo2k(tmp_path: Path):
+    folder = tmp_path / "part1" / "000003"
+    images(folder / "left.png", folder / "right.png")
+    unknown = DISPARITY.copy()
+    unknown[1] = np.nan
+    for side in ("left", "right"):
+        codes(folder / f"{side}_disp.png", unknown, 100)
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout) == ("part1/000003", "instereo2k")
+    np.testing.assert_array_equal(scene.truth().disparity, unknown)
+    assert set(protocols.load(scene.protocol)().truth(scene).masks) == {"nonocc", "all", "disc"}
+    check("instereo2k", tmp_path / "part1")
+    (folder / "right.png").unlink()
+    with pytest.raises(InputError, match=r"only one image of the pair, no right\.png"):
+        find(tmp_path)[0].load()
+
+
+# Middlebury 2021 and Booster
+
+
+def test_middlebury_2021_has_masks_by_both_views(tmp_path: Path):
+    folder = tmp_path / "artroom1"
+    images(folder / "im0.png", folder / "im1.png", folder / "ambient" / "L0" / "im0e0.png")
+    left, right = DISPARITY.copy(), np.full((HEIGHT, WIDTH), 2.5, np.float32)
+    left[0, 5] = np.inf
+    right[5, 3] = np.inf
+    write_pfm(folder / "disp0.pfm", left)
+    write_pfm(folder / "disp1.pfm", right)
+    camera = "[1734.16 0 333.49; 0 1734.16 958.05; 0 0 1]"
+    (folder / "calib.txt").write_text(
+        f"cam0={camera}\ncam1={camera}\ndoffs=0\nbaseline=529.50\nwidth=1920\nheight=1080\nndisp=170\nvmin=55\nvmax=142\n"
+    )
+    (scene,) = find(tmp_path)
+    assert (scene.layout, scene.max_disparity, scene.masks) == ("middlebury-v3", 170, {})
+    masks = protocols.load(scene.protocol)().truth(scene).masks
+    assert list(masks) == ["nonocc", "all"]
+    expected = np.isfinite(left) & (left == 2.5) & (np.arange(WIDTH) >= 3)
+    expected[5, 6] = False  # its match, 3 px to the left, is unknown
+    np.testing.assert_array_equal(masks["nonocc"], expected)
+    assert scene.calibration is not None
+    assert read_geometry(scene.calibration).fb == pytest.approx(1734.16 * 0.5295)
+
+
+_BOOSTER = """<?xml version="1.0"?>
+<opencv_storage>
+<proj_matL type_id="opencv-matrix"><rows>3</rows><cols>4</cols><dt>d</dt>
+<data>5000. 0. 2000. 0. 0. 5000. 1500. 0. 0. 0. 1. 0.</data></proj_matL>
+<proj_matR type_id="opencv-matrix"><rows>3</rows><cols>4</cols><dt>d</dt>
+<data>5000. 0. 2010. -250000. 0. 5000. 1500. 0. 0. 0. 1. 0.</data></proj_matR>
+<baselineLR>50.</baselineLR>
+</opencv_storage>
+"""
+
+
+def booster(folder: Path) -> Path:
+    images(*(folder / camera / f"im{k}.png" for camera in ("camera_00", "camera_02") for k in (0, 1)))
+    values = DISPARITY.copy()
+    values[0, 0] = 0
+    visible, classes = np.full((HEIGHT, WIDTH), 255, np.uint8), np.zeros((HEIGHT, WIDTH), np.uint8)
+    visible[:, 0], classes[2:4, 3:] = 0, 3
+    write_png(folder / "mask_00.png", visible)
+    write_png(folder / "mask_cat.png", classes)
+    np.save(folder / "disp_00.npy", values)
+    np.save(folder / "disp_02.npy", values)
+    (folder / "calib_00-02.xml").write_text(_BOOSTER)
+    return folder
+
+
+def test_booster(tmp_path: Path):
+    booster(tmp_path / "balanced" / "Bathroom")
+    first, second = find(tmp_path)
+    assert (first.name, second.name) == ("balanced/Bathroom_im0", "balanced/Bathroom_im1")
+    assert (first.layout, first.protocol) == ("booster", "booster")
+    truth = second.truth()
+    assert np.isnan(truth.disparity[0, 0])
+    np.testing.assert_array_equal(truth.disparity.ravel()[1:], DISPARITY.ravel()[1:])
+    counts = {name: int(mask.sum()) for name, mask in truth.masks.items()}
+    assert counts == {"nonocc": 42, "class_0": 38, "class_1": 0, "class_2": 0, "class_3": 10}
+    judge = protocols.load(first.protocol)()
+    assert list(judge.truth(first).masks) == ["all", "nonocc", "class_0", "class_1", "class_2", "class_3"]
+    assert first.calibration is not None
+    geometry = read_geometry(first.calibration)
+    assert (geometry.left.fx, geometry.baseline, geometry.offset) == (5000, pytest.approx(0.05), 10)
+    check("booster", tmp_path / "balanced")
+
+
+@pytest.mark.parametrize("text", ["<a>", "<a><b>1</b></a>", _BOOSTER.replace("5000. 0. 2000. ", ""),
+                                  _BOOSTER.replace("<baselineLR>50.", "<baselineLR>")])  # fmt: skip
+def test_a_broken_calibration_of_booster(tmp_path: Path, text: str):
+    (tmp_path / "calib.xml").write_text(text)
+    with pytest.raises(InputError, match=r"calib\.xml: [^\n]*$"):
+        read_geometry(tmp_path / "calib.xml")
+
+
+def test_unbalanced_pairs_of_booster_are_refused(tmp_path: Path):
+    booster(tmp_path / "unbalanced" / "Bathroom")
+    (tmp_path / "unbalanced" / "Bathroom" / "camera_02").rename(tmp_path / "unbalanced" / "Bathroom" / "camera_01")
+    scene = find(tmp_path)[0]
+    with pytest.raises(InputError, match=r"an unbalanced pair, of two sizes; want camera_02"):
+        scene.load()
+
+
+# ETH3D
+
+
+def eth3d(root: Path, scene: str = "delivery_area_1l") -> Path:
+    folder = root / "two_view_training" / scene
+    images(folder / "im0.png", folder / "im1.png")
+    camera = "[541.8 0 553.4; 0 541.8 232.4; 0 0 1]"
+    (folder / "calib.txt").write_text(f"cam0={camera}\ncam1={camera}\ndoffs=0\nbaseline=59.9\nwidth=8\nndisp=8\n")
+    for name in ("cameras.txt", "images.txt"):
+        (folder / name).write_text("")
+    return folder
+
+
+def test_the_truth_of_eth3d_lies_in_a_folder_beside(tmp_path: Path):
+    folder = eth3d(tmp_path)
+    assert not find(tmp_path)[0].has_truth
+    truth = tmp_path / "two_view_training_gt" / folder.name
+    write_pfm(truth / "disp0GT.pfm", DISPARITY)
+    write_png(truth / "mask0nocc.png", np.full((HEIGHT, WIDTH), 255, np.uint8))
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout, scene.protocol) == ("two_view_training/delivery_area_1l", "eth3d", "eth3d")
+    np.testing.assert_array_equal(scene.truth().disparity, DISPARITY)
+    assert scene.truth().masks["nonocc"].all()
+    check("eth3d", tmp_path / "two_view_training")
+
+
+@pytest.mark.parametrize("camera", ["rig_calibration_undistorted", "dslr_calibration_jpg"])
+def test_many_view_scenes_of_eth3d_are_refused(tmp_path: Path, camera: str):
+    for name in (camera, "images"):
+        (tmp_path / "delivery_area" / name).mkdir(parents=True)
+    with pytest.raises(InputError, match=r"a many-view scene of ETH3D, without rectified pairs; its two-view scenes"):
+        find(tmp_path / "delivery_area")
+    eth3d(tmp_path)
+    refused, usable = discover_scenes(tmp_path, (StereoScene,))
+    assert "many-view" in refused.problem
+    assert usable.layout == "eth3d"
+
+
+# Spring
+
+
+def finer(disparity: np.ndarray) -> np.ndarray:
+    return np.repeat(np.repeat(disparity, 2, axis=0), 2, axis=1).astype(np.float32)
+
+
+def write_hdf5(path: Path, name: str, array: np.ndarray) -> None:
+    h5py = pytest.importorskip("h5py")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with h5py.File(path, "w") as file:
+        file.create_dataset(name, data=array, compression="gzip", compression_opts=5)
+
+
+def spring(folder: Path, disparity: np.ndarray | None = None) -> Path:
+    for number in ("0001", "0002"):
+        images(*(folder / f"frame_{side}" / f"frame_{side}_{number}.png" for side in ("left", "right")))
+        if disparity is not None:
+            for side in ("left", "right"):
+                write_hdf5(folder / f"disp1_{side}" / f"disp1_{side}_{number}.dsp5", "disparity", disparity)
+    (folder / "cam_data").mkdir()
+    (folder / "cam_data" / "intrinsics.txt").write_text("2000.5 2000.5 960 540\n2100 2100 960 540\n")
+    return folder
+
+
+def test_the_frames_of_spring(tmp_path: Path):
+    spring(tmp_path / "train" / "0001")
+    first, second = find(tmp_path)
+    assert (first.name, first.layout, first.protocol) == ("train/0001_0001", "spring", "spring")
+    assert not first.has_truth
+    assert first.geometry is not None
+    assert second.geometry is not None
+    assert (first.geometry.fb, second.geometry.fb) == (pytest.approx(2000.5 * 0.065), pytest.approx(2100 * 0.065))
+    check("spring", tmp_path / "train")
+    (tmp_path / "train" / "0001" / "cam_data" / "intrinsics.txt").write_text("2000.5 2000.5 960 540\n")
+    with pytest.raises(InputError, match=r"intrinsics\.txt: no line for the frame 0002"):
+        find(tmp_path / "train" / "0001")
+
+
+def test_disparities_of_spring(tmp_path: Path):
+    values = finer(DISPARITY)
+    values[0, 0], values[0, 1], values[0, 2] = np.nan, 77, 0  # of the sky
+    (scene, _) = find(spring(tmp_path, values))
+    truth = scene.truth()
+    assert truth.disparity.shape == (HEIGHT, WIDTH)
+    assert np.isnan(truth.disparity[0, 0])
+    assert truth.disparity[0, 1] == 0  # infinitely far is a known disparity
+    np.testing.assert_array_equal(truth.disparity[1:], DISPARITY[1:])
+    np.testing.assert_array_equal(truth.finer, values)
+    assert truth.right is not None
+
+
+def test_the_smallest_of_four_errors_counts_for_spring(tmp_path: Path):
+    values = finer(DISPARITY)
+    values[0, 0] = np.nan
+    values[1, 3] = 90  # of the pixel (0, 1)
+    (scene, _) = find(spring(tmp_path, values))
+    judge = protocols.load("spring")()
+    truth = judge.truth(scene)
+    estimate = DISPARITY.copy()
+    estimate[0, :4] = 50, 86, 3.5 + 1 / 64, np.nan  # does not count, 4 px off, 1 1/64 px off, missing
+    scores = {(s.metric.name, s.metric.threshold): s for s in judge.scores(estimate, truth)}
+    assert (scores["bad", 1.0].wrong, scores["bad", 1.0].pixels) == (3, HEIGHT * WIDTH - 1)
+    assert scores["bad", 3.0].wrong == 2
+    assert scores["D1", 3.0].wrong == 1  # 4 px are below 5 % of 90 px
+    assert scores["avgerr", None].value == pytest.approx((4 + 1 + 1 / 64) / (HEIGHT * WIDTH - 2))
+    assert judge.headline == scores["bad", 1.0].metric
+
+
+@pytest.mark.parametrize(("name", "array", "said"), [
+    ("disparity", np.zeros((5, 6)), "twice the resolution"),
+    ("flow", np.zeros((4, 6)), "no array called disparity; there are: flow"),
+])  # fmt: skip
+def test_other_files_than_disparities_of_spring(tmp_path: Path, name: str, array: np.ndarray, said: str):
+    spring(tmp_path)
+    write_hdf5(tmp_path / "disp1_left" / "disp1_left_0001.dsp5", name, array)
+    with pytest.raises(InputError, match=rf"disp1_left_0001\.dsp5: .*{said}"):
+        find(tmp_path)[0].truth()

@@ -1,0 +1,267 @@
+"""A real scheduler and two workers on this machine: the same bytes, whoever is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from depthcli.cli import main
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.run import records, run_folder
+from depthcli.run.cluster import _Cluster
+from depthcli.run.cluster_worker import chunk_function, source_digest_function
+from depthcli.run.console import Reporter
+from depthcli.run.reports import REPORT_FILES
+from depthcli.run.task import Run, RunOptions, Task
+
+PRESET = "opencv-sgbm"
+SCENES = 48
+
+
+class Cluster:
+    """Processes of dask.distributed, which find each other by a file."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.file = folder, folder / "scheduler.json"
+        self.scheduler = self._start("dask_scheduler", "--host", "127.0.0.1", "--port", "0")
+        while not (self.file.exists() and self.file.stat().st_size):
+            assert self.scheduler.poll() is None, (folder / "log").read_text()
+            time.sleep(0.05)
+        self.address: str = json.loads(self.file.read_text())["address"]
+        self.workers = [self._start("dask_worker", "--no-nanny", "--nthreads", "1") for _ in range(2)]
+
+    def _start(self, program: str, *options: str, environment: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.{program}", "--no-dashboard", "--scheduler-file", self.file]
+        with (self.folder / "log").open("a") as log:
+            return subprocess.Popen([*command, *options], stdout=log, stderr=log, cwd=self.folder, env=environment)
+
+    def close(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cluster]:
+    pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
+    # The workers run elsewhere than this process and must find the package that is tested.
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(run_folder.__file__).parents[2]), *sys.path]))
+    (tmp_path / "dask").mkdir()
+    made = Cluster(tmp_path / "dask")
+    yield made
+    made.close()
+
+
+def start(*arguments: str | Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "depthcli", *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file but the reports, hidden ones included."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in REPORT_FILES)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def wait_for(folder: Path, scenes: int, process: subprocess.Popen[Any]) -> None:
+    """Until so many scenes are done; the run must not be over by then."""
+    end = time.monotonic() + 120
+    while len(list(folder.glob(f"*/{records.RECORD_FILE}"))) < scenes:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    return json.loads((folder / "report.json").read_text())["scenes"]
+
+
+@pytest.mark.system
+def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    scenes, whole, output = tmp_path / "scenes", tmp_path / "whole", tmp_path / "run"
+    size = ("-n", str(SCENES), "--width", "96", "--height", "72", "--max-disparity", "12")
+    assert main(["sample", "-o", str(scenes), *size, "-q"]) == 0
+    assert main(["stereo", PRESET, "-i", str(scenes), "-o", str(whole), "-q"]) == 0
+    command = ("stereo", PRESET, "-i", scenes, "-o", output, "--scheduler", cluster.address)
+
+    run = start(*command)
+    wait_for(output, 5, run)
+    os.kill(cluster.workers[0].pid, signal.SIGKILL)
+    _, said = run.communicate(timeout=120)
+    assert run.returncode == 0, said
+    assert "workers at tcp://" in said
+    assert f"{SCENES} of {SCENES} scenes done" in said
+    assert contents(output) == contents(whole)
+    assert [row["scene"] for row in rows(output)] == [row["scene"] for row in rows(whole)]
+    assert sum(bool(row["seconds"]) for row in rows(output)) >= SCENES - 10
+
+    # Some scenes are to do again, the scheduler goes: what is done is reported, the rest can be resumed, by anyone.
+    again = sorted(path.parent.name for path in output.glob(f"*/{records.RECORD_FILE}"))[:40]
+    for name in again:
+        (output / name / records.RECORD_FILE).unlink()
+    run = start(*command)
+    wait_for(output, SCENES - 36, run)
+    os.kill(cluster.scheduler.pid, signal.SIGKILL)
+    _, said = run.communicate(timeout=120)
+    assert run.returncode == 3, said
+    assert "the scheduler was lost" in said
+    assert "Traceback" not in said, said
+    done = {row["scene"] for row in rows(output)}
+    assert SCENES - 40 < len(done) < SCENES
+    capfd.readouterr()
+    assert main(["stereo", PRESET, "-i", str(scenes), "-o", str(output)]) == 0
+    assert "scenes are done already" in capfd.readouterr().err
+    assert contents(output) == contents(whole)
+
+
+def edited_copy(folder: Path) -> dict[str, str]:
+    """An environment whose depthcli has the same version and one other line."""
+    package = Path(run_folder.__file__).parents[1]
+    shutil.copytree(package, folder / "depthcli", ignore=shutil.ignore_patterns("__pycache__"))
+    with (folder / "depthcli/core/result.py").open("a") as file:
+        file.write("\n# edited\n")
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
+
+
+@pytest.mark.system
+def test_a_worker_of_other_code_that_joins_late_is_refused(cluster: Cluster, tmp_path: Path):
+    scenes, whole, output = tmp_path / "scenes", tmp_path / "whole", tmp_path / "run"
+    size = ("-n", str(SCENES), "--width", "96", "--height", "72", "--max-disparity", "12")
+    assert main(["sample", "-o", str(scenes), *size, "-q"]) == 0
+    assert main(["stereo", PRESET, "-i", str(scenes), "-o", str(whole), "-q"]) == 0
+    command = ("stereo", PRESET, "-i", scenes, "-o", output, "--scheduler", cluster.address)
+    for worker in cluster.workers:  # nobody is there when the run begins
+        worker.kill()
+        worker.wait()
+    run = start(*command)
+    end = time.monotonic() + 60
+    while not list(output.glob(".partial-*")) and time.monotonic() < end:
+        time.sleep(0.05)
+    time.sleep(1)
+    late = cluster._start("dask_worker", "--no-nanny", "--nthreads", "1", environment=edited_copy(tmp_path / "copy"))
+    cluster.workers.append(late)
+    _, said = run.communicate(timeout=120)
+    assert run.returncode == 2, said
+    assert "has another depthcli" in said
+    assert "Traceback" not in said, said
+    assert not list(output.glob("*/record.json"))
+    run = start(*command)  # and it is refused where it is there at the start
+    _, said = run.communicate(timeout=120)
+    assert run.returncode == 2, said
+    assert "has another depthcli" in said
+
+
+@pytest.mark.slow
+def test_other_code_is_found_by_a_worker_whatever_its_version(tmp_path: Path):
+    cloudpickle = pytest.importorskip("cloudpickle", reason="no dask.distributed (the extra 'cluster')")
+    (tmp_path / "function").write_bytes(cloudpickle.dumps(chunk_function()))
+    sources = source_digest_function()()[1]
+    data = cloudpickle.dumps(([], None, "."))
+    code = f"""
+import cloudpickle, pickle
+function = cloudpickle.load(open({str(tmp_path / "function")!r}, "rb"))
+try:
+    print(function({sources!r}, {data!r}))
+except IndexError:
+    print("computes")
+"""
+    here = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(run_folder.__file__).parents[2]), *sys.path])}
+    for environment, expected in ((here, "computes"), (edited_copy(tmp_path / "copy"), "process")):
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert expected in done.stdout, done.stderr
+
+
+def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], made_scenes: Path):
+    pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
+    command = ["stereo", PRESET, "-i", str(made_scenes), "-o", str(tmp_path / "run"), "-q"]
+    assert main([*command, "--scheduler", "nonsense://x"]) == 2
+    assert "no scheduler answers there" in capsys.readouterr().err
+    for address in ("nope", "tcp://nope", "tcp://no.such.host.invalid:8786"):
+        start = time.monotonic()
+        assert main([*command, "--scheduler", address]) == 2
+        assert time.monotonic() - start < 15  # a name server may take its time
+        assert capsys.readouterr().err.count("\n") == 1
+    assert main([*command, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"]) == 2
+    assert "exclude each other" in capsys.readouterr().err
+
+
+class KilledWorker(Exception):  # noqa: N818
+    """Called as distributed's own, which comes back where several workers died with the same chunk."""
+
+
+class Lost:
+    """A future whose workers died whenever it held one of ``deadly``."""
+
+    def __init__(self, chunk: list[Task], deadly: set[str]) -> None:
+        self.chunk, self.bad = chunk, any(task.scene.name in deadly for task in chunk)
+        self.status = "error" if self.bad else "finished"
+
+    def done(self) -> bool:
+        return True
+
+    def exception(self) -> Exception:
+        return KilledWorker()
+
+    def result(self) -> tuple[list[dict[str, Any]], int, float]:
+        return [{"scene": task.scene.name, "status": "done", "seconds": {"a": 0.01}} for task in self.chunk], 0, 0.0
+
+
+def test_a_scene_that_kills_its_workers_fails_alone(tmp_path: Path):
+    class Client:
+        sent: ClassVar[list[int]] = []
+
+        def submit(self, function: Any, sources: str, data: bytes, **more: Any) -> Lost:
+            chunk = pickle.loads(data)[0]
+            self.sent.append(len(chunk))
+            return Lost(chunk, {"b"})
+
+    scenes = [StereoScene(name=name, folder=tmp_path, left=tmp_path / f"{name}.png") for name in "abc"]
+    tasks = [Task(scene, tmp_path, tmp_path, 0, "run", {}, "") for scene in scenes]
+    cluster = _Cluster(Client(), Run(None, None, RunOptions()))
+    cluster.submit(tasks)
+    rows: dict[str, dict[str, Any]] = {}
+    for _ in range(2):
+        for chunk in cluster.finished(Reporter(-1)):
+            rows |= {row["scene"]: row for row in chunk.rows}
+            assert not chunk.left
+    assert Client.sent == [3, 1, 1, 1]
+    assert {name: row["status"] for name, row in rows.items()} == {"a": "done", "b": "failed", "c": "done"}
+    assert "its worker died several times" in rows["b"]["error"]
+    cluster.workers = 2
+    assert cluster.chunk(10_000) == 500  # of 10 ms each
+    assert cluster.chunk(40) == 10
+    cluster.each = 2.0
+    assert cluster.chunk(10_000) == 2
+    cluster.each = 60.0
+    assert cluster.chunk(10_000) == 1
+
+
+@pytest.mark.system
+def test_workers_without_an_installed_plug_in_are_refused(cluster: Cluster, tmp_path: Path, made_scenes: Path):
+    packages = tmp_path / "packages"
+    info = packages / "far_cost-1.2.dist-info"
+    info.mkdir(parents=True)
+    source = "from depthcli.methods.stereo.cost.census import Census\nclass Far(Census):\n    '''Far.'''\n"
+    (packages / "far_cost.py").write_text(source)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: far-cost\nVersion: 1.2\n")
+    (info / "entry_points.txt").write_text("[depthcli.stereo.cost]\nfar = far_cost:Far\n")
+    command = ["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "out"), "--set", "cost=far"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(packages), os.environ["PYTHONPATH"]])}
+    done = subprocess.run(
+        [sys.executable, "-m", "depthcli", *command, "--scheduler", cluster.address],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert "has the plug-in far-cost missing, this machine 1.2; install the same there" in done.stderr

@@ -1,0 +1,649 @@
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
+from depthcli.core.result import Clock
+from depthcli.io.formats.files import atomic_path
+from depthcli.io.scenes import Scene
+from depthcli.run import records, resources
+from depthcli.run.command import Outcome
+from depthcli.run.console import Reporter, run_table
+from depthcli.run.install import discard, hidden_folder
+from depthcli.run.plan import plan_document
+from depthcli.run.records import RECORD_FILE
+from depthcli.run.reports import read_report
+from depthcli.run.runner import run_scenes
+from depthcli.run.sharing import Shard
+from depthcli.run.task import Run, RunOptions, Task, run_task
+
+
+class Config(BaseModel):
+    factor: int = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Text(Scene):
+    file: Path
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        return {"text": self.file}
+
+    def load(self) -> str:
+        return self.file.read_text()
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """Writes the item's text ``factor`` times; words in the text make it go wrong."""
+
+    log: Path | None = None
+    name: str = "repeat"
+    results: tuple[str, ...] = ()
+
+    def compute(self, config: Config, scene: Text, folder: Path, memory: int) -> Outcome:
+        text = scene.load()
+        if self.log is not None:
+            with self.log.open("a") as log:
+                log.write(scene.name + "\n")
+        (folder / "first.txt").write_text(text)
+        if text == "damaged":
+            raise InputError(f"{scene.file}: damaged")
+        if text == "bug":
+            raise KeyError("no such thing")
+        if text.startswith("disk full"):
+            with atomic_path(folder / "out.txt") as path:
+                path.write_text("half of it")
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        if text == "quota":
+            raise OSError(errno.EDQUOT, os.strerror(errno.EDQUOT), "/tmp/scratch/file")
+        if text == "huge":
+            raise MemoryError
+        if text == "stop":
+            raise KeyboardInterrupt
+        if text == "killed":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if text.startswith("killed once "):
+            mark = Path(text.removeprefix("killed once "))
+            if not mark.exists():
+                mark.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+            text = "spared"
+        if text.startswith("delete "):
+            shutil.rmtree(text.removeprefix("delete "))
+        (folder / "out.txt").write_text(text * config.factor)
+        return Outcome({"length": len(text)}, {"work": 0.5}, ["short"] if len(text) == 1 else [])
+
+    def files(self, config: Config, scene: Text) -> dict[str, Path]:
+        return scene.input_files
+
+    def settings(self, config: Config, scene: Text) -> dict[str, str]:
+        return {}
+
+    def effort(self, config: Config, scene: Text) -> None:
+        return None
+
+
+class Folder:
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.output = root / "run"
+        self.reporter = Reporter(-1)
+        self.results: tuple[str, ...] = ()
+        self.log = root / "log"
+        (root / "in").mkdir()
+        self.texts: dict[str, str] = {name: name * 3 for name in "abcd"}
+
+    def run(self, factor: int = 2, only: str = "abcd", **options: Any) -> dict[str, dict[str, Any]]:
+        scenes = []
+        for name in only:
+            file = self.root / "in" / name
+            file.write_text(self.texts[name])
+            scenes.append(Text(name=name, folder=file.parent, file=file))
+        self.log.write_text("")
+        config = Config(factor=factor)
+        work = Repeat(self.log, results=self.results)
+        rows = run_scenes(work, config, scenes, self.output, RunOptions(**options), self.reporter)
+        return {row["scene"]: row for row in rows}
+
+    def computed(self) -> list[str]:
+        return sorted(self.log.read_text().split())
+
+    def bytes(self) -> dict[str, bytes]:
+        files = [p for p in self.output.rglob("*") if p.is_file() and p.parent / p.name not in self.reports()]
+        return {str(p.relative_to(self.output)): p.read_bytes() for p in sorted(files)}
+
+    def reports(self) -> list[Path]:
+        return [self.output / "report.json", self.output / "report.csv"]
+
+    def report(self) -> dict[str, Any]:
+        return json.loads((self.output / "report.json").read_text())
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Folder:
+    return Folder(tmp_path)
+
+
+def test_what_is_done_is_not_done_again(folder: Folder):
+    first = folder.run()
+    assert folder.computed() == list("abcd")
+    before = folder.bytes()
+    assert folder.run() == first
+    assert folder.computed() == []
+    assert folder.bytes() == before
+    assert sorted(before) == sorted(
+        ["run.yaml", *(f"{s}/{f}" for s in "abcd" for f in ("first.txt", "out.txt", "record.json"))]
+    )
+
+
+def test_changed_input_is_computed_again(folder: Folder):
+    folder.run()
+    folder.texts["b"] = "new"
+    assert folder.run()["b"]["length"] == 3
+    assert folder.computed() == ["b"]
+    assert (folder.output / "b" / "out.txt").read_text() == "newnew"
+
+
+@pytest.mark.parametrize("lost", ["out.txt", "record.json"])
+def test_lost_or_cut_files_are_made_again(folder: Folder, lost: str):
+    folder.run()
+    before = folder.bytes()
+    (folder.output / "c" / lost).write_bytes(b"{")
+    folder.run()
+    assert folder.computed() == ["c"]
+    assert folder.bytes() == before
+
+
+def test_another_config_needs_overwrite(folder: Folder):
+    folder.run()
+    before = folder.bytes()
+    with pytest.raises(ConfigError, match=r"another config \(it says 'factor: 2', this run 'factor: 3'\).*--overwrite"):
+        folder.run(factor=3)
+    assert folder.bytes() == before
+    (folder.output / "a" / "notes.txt").write_text("mine")
+    folder.run(factor=3, only="ab", overwrite=True)
+    assert (folder.output / "a" / "out.txt").read_text() == "aaa" * 3
+    assert (folder.output / "a" / "notes.txt").read_text() == "mine"
+    assert not (folder.output / "c").exists()  # belonged to the run that was replaced
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_failures_are_rows(folder: Folder, jobs: int):
+    folder.texts |= {"a": "damaged", "b": "bug", "c": "huge"}
+    rows = folder.run(jobs=jobs)
+    assert [rows[s]["status"] for s in "abcd"] == ["failed", "failed", "failed", "done"]
+    assert rows["a"]["error"].endswith("in/a: damaged")
+    assert rows["b"]["error"].startswith("a bug in depthcli: KeyError: 'no such thing'; the traceback is in trace")
+    assert "no such thing" in (folder.output / "traceback-b.txt").read_text()
+    assert rows["c"]["error"].startswith("out of memory")
+    left = ["d", "report.csv", "report.json", "run.yaml", "traceback-b.txt"]
+    assert sorted(p.name for p in folder.output.iterdir()) == left
+    assert folder.report()["failed"] == 3
+    folder.texts |= {"a": "well", "b": "mended"}
+    assert folder.run(jobs=jobs)["a"]["status"] == "done"
+    assert folder.computed() == ["a", "b", "c"]
+    assert not (folder.output / "traceback-b.txt").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options", [{"jobs": 1}, {"jobs": 2}, {"shard": Shard(1, 1)}, {"shard": Shard(1, 1), "jobs": 2}]
+)
+def test_a_full_disk_ends_the_run_once(folder: Folder, capsys: pytest.CaptureFixture[str], options: dict[str, Any]):
+    folder.texts |= {name: f"disk full {name}" for name in "bcd"}
+    folder.reporter = Reporter(0)
+    said = (
+        rf"{folder.output}: No space left on device \(.*B free on that disk\); stopped, [01] of 4 scenes done, "
+        "0 failed, [34] not computed; make room there, the same command goes on where it stopped"
+    )
+    with pytest.raises(OutputError, match=said) as caught:
+        folder.run(**options)
+    assert "\n" not in str(caught.value)
+    assert "No space" not in capsys.readouterr().err
+    rows = read_report(folder.output)
+    assert {name: row["status"] for name, row in rows.items()} in ({}, {"a": "done"})
+    assert not list(folder.output.glob(".partial*"))
+    folder.texts |= {name: name for name in "bcd"}
+    assert {row["status"] for row in folder.run(**options).values()} == {"done"}
+    assert folder.computed()[-3:] == ["b", "c", "d"]
+
+
+def test_a_used_up_quota_elsewhere_is_named_by_its_place(folder: Folder):
+    folder.texts["b"] = "quota"
+    with pytest.raises(OutputError, match=r"^/tmp/scratch: Disk quota exceeded; stopped, 1 of 4 scenes done"):
+        folder.run()
+
+
+@pytest.mark.parametrize("texts", ["damaged b c d", "a damaged c d", "a b damaged damaged"])
+def test_what_a_run_that_stops_at_a_failure_has_done(folder: Folder, capsys: pytest.CaptureFixture[str], texts: str):
+    words = texts.split()
+    folder.texts = dict(zip("abcd", words, strict=True))
+    folder.reporter = Reporter(0)
+    folder.run(fail_fast=True)
+    n_done = words.index("damaged")
+    said = f"stopped at the first failure, {n_done} of 4 scenes done, 1 failed, {3 - n_done} not computed; the same"
+    assert said in capsys.readouterr().err
+
+
+def test_a_result_does_not_outlive_its_input(folder: Folder):
+    folder.run()
+    folder.texts["a"] = "damaged"
+    assert folder.run()["a"]["status"] == "failed"
+    assert not (folder.output / "a").exists()
+
+
+@pytest.mark.slow
+def test_a_dying_worker_takes_nothing_along(folder: Folder):
+    folder.texts["b"] = "killed"
+    rows = folder.run(jobs=2)
+    assert [rows[s]["status"] for s in "abcd"] == ["done", "failed", "done", "done"]
+    assert "killed, probably out of memory" in rows["b"]["error"]
+
+
+def test_interruption_leaves_a_folder_to_go_on_with(folder: Folder):
+    folder.texts["c"] = "stop"
+    with pytest.raises(KeyboardInterrupt):
+        folder.run()
+    assert [row["scene"] for row in folder.report()["scenes"]] == ["a", "b"]
+    folder.texts["c"] = "ccc"
+    rows = folder.run()
+    assert folder.computed() == ["c", "d"]
+    assert rows["a"]["seconds"] == {"work": 0.5}  # measured before the interruption
+
+
+def test_what_is_finished_when_the_signal_comes_is_reported(folder: Folder, monkeypatch: pytest.MonkeyPatch):
+    def interrupt() -> int:  # asked for when an item's files are in place, before its row is made
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(resources, "peak_memory", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            folder.run()
+    assert [(row["scene"], row["status"]) for row in folder.report()["scenes"]] == [("a", "done")]
+    folder.run()
+    assert folder.computed()[-3:] == ["b", "c", "d"]
+
+
+@pytest.mark.slow
+def test_workers_give_the_same_bytes(folder: Folder, tmp_path_factory: pytest.TempPathFactory):
+    folder.run(jobs=2)
+    other = Folder(tmp_path_factory.mktemp("other"))
+    other.run()
+    assert folder.bytes() == other.bytes()
+
+
+def test_leftovers_of_killed_runs_are_removed(folder: Folder):
+    folder.run()
+    before = folder.bytes()
+    leftover = folder.output / ".partial-12345" / "0"
+    leftover.mkdir(parents=True)
+    (leftover / "half").write_text("x")
+    (folder.output / ".report.json.1-2.partial~").write_text("x")
+    folder.run()
+    assert folder.bytes() == before
+
+
+def test_scenes_of_the_same_run_stay_in_the_report(folder: Folder):
+    folder.run(only="ab")
+    rows = folder.run(only="cd")
+    assert sorted(rows) == ["c", "d"]
+    assert [row["scene"] for row in folder.report()["scenes"]] == list("abcd")
+
+
+def test_inputs_are_never_written_over(folder: Folder):
+    folder.output = folder.root
+    scene = Text(name="in", folder=folder.root / "in", file=folder.root / "in" / "x")
+    scene.file.write_text("x")
+    with pytest.raises(ConfigError, match="over its own input"):
+        run_scenes(Repeat(), Config(), [scene], folder.root, RunOptions(), Reporter(-1))
+
+
+@pytest.mark.parametrize("name", ["", ".hidden", "..", "a/../b", "a//b"])
+def test_names_that_lead_astray_are_refused(folder: Folder, name: str):
+    scene = Text(name=name, folder=folder.root, file=folder.root / "in" / "x")
+    with pytest.raises(ConfigError, match="choose another name"):
+        run_scenes(Repeat(), Config(), [scene], folder.output, RunOptions(), Reporter(-1))
+
+
+def test_another_input_of_the_same_name_is_refused(folder: Folder):
+    folder.run(only="a")
+    before = folder.bytes()
+    other = folder.root / "elsewhere"
+    other.write_text("other")
+    scene = Text(name="a", folder=folder.root, file=other)
+
+    def again(**options: Any) -> list[dict[str, Any]]:
+        return run_scenes(Repeat(), Config(), [scene], folder.output, RunOptions(**options), Reporter(-1))
+
+    with pytest.raises(ConfigError, match=r"another 'a', made from .*in/a; this one is .*elsewhere"):
+        again()
+    assert folder.bytes() == before
+    other.write_text("aaa")  # the same content, moved: nothing to do
+    assert again()[0]["status"] == "done"
+    other.write_text("other")
+    again(overwrite=True)
+    assert (folder.output / "a" / "out.txt").read_text() == "otherother"
+
+
+def test_a_failed_first_try_does_not_lock_the_folder(folder: Folder):
+    folder.texts["a"] = "damaged"
+    folder.run(only="a", factor=3)
+    folder.texts["a"] = "well"
+    assert folder.run(only="a", factor=4)["a"]["status"] == "done"
+    with pytest.raises(ConfigError, match="another config"):
+        folder.run(only="a", factor=5)
+
+
+def test_overwrite_keeps_what_fits_and_other_runs(folder: Folder):
+    inner = Folder(folder.root / "in2") if (folder.root / "in2").mkdir() is None else folder
+    inner.output = folder.output / "inner"
+    inner.run(only="ab")
+    kept = inner.bytes()
+    folder.run(only="ab")
+    folder.run(only="ab", overwrite=True)
+    assert folder.computed() == []
+    folder.run(only="b", factor=3, overwrite=True)
+    assert folder.computed() == ["b"]
+    assert not (folder.output / "a").exists()
+    assert inner.bytes() == kept
+
+
+def test_edited_records_are_not_believed(folder: Folder):
+    folder.run(only="ab")
+    before = folder.bytes()
+    outside = folder.root / "precious"
+    outside.write_text("mine")
+    record = folder.output / "a" / RECORD_FILE
+    whole = json.loads(record.read_text())
+    for change in (
+        {"facts": {"length": 99}},
+        {"files": {"../../precious": ""}},
+        {"files": {"..": 1}},
+        {"files": []},
+        {"inputs": None},
+        {"run": 3},
+    ):
+        record.write_text(json.dumps(whole | change))
+        assert folder.run(only="ab", overwrite=True)["a"]["length"] == 3
+        assert folder.bytes() == before
+        assert outside.read_text() == "mine"
+    odd = '{"scenes": [3, {"scene": "../x"}, {"scene": "a", "seconds": [], "source": 3}]}'
+    for text in ("[]", "\x00", odd, "{" * 9999):
+        (folder.output / "report.json").write_text(text)
+        assert folder.run(only="ab")["a"]["status"] == "done"
+        assert folder.bytes() == before
+
+
+def test_damage_of_the_same_size_is_found(folder: Folder):
+    folder.run()
+    before = folder.bytes()
+    (folder.output / "b" / "out.txt").write_text("xxxxxx")
+    folder.run()
+    assert folder.computed() == ["b"]
+    assert folder.bytes() == before
+
+
+def test_leftover_folders_are_no_obstacle(folder: Folder):
+    # Of a process with the same machine and number, as in a container that was started again.
+    assert hidden_folder(folder.output) != hidden_folder(folder.output)
+    folder.run()
+    before = folder.bytes()
+    (folder.output / ".X.partial~" / "deep").mkdir(parents=True)
+    folder.run()
+    assert folder.bytes() == before
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_once_is_replaced(folder: Folder):
+    folder.texts["b"] = f"killed once {folder.root / 'mark'}"
+    rows = folder.run(jobs=2)
+    assert [rows[s]["status"] for s in "abcd"] == ["done"] * 4
+    assert (folder.output / "b" / "out.txt").read_text() == "spared" * 2
+
+
+def test_results_deleted_during_the_run_are_missed(folder: Folder):
+    folder.texts["b"] = f"delete {folder.output / 'a'}"
+    rows = folder.run()
+    assert [rows[s]["status"] for s in "abcd"] == ["failed", "done", "done", "done"]
+    assert "its files have gone since" in rows["a"]["error"]
+
+
+def test_a_report_that_cannot_be_written_is_told_after_the_work(folder: Folder, monkeypatch: pytest.MonkeyPatch):
+    def full(*_: object) -> None:
+        raise OutputError("report.json: cannot be written (No space left on device)")
+
+    monkeypatch.setattr("depthcli.run.report_parts.write_report", full)
+    with pytest.raises(IncompleteError, match="No space left"):
+        folder.run()
+    assert (folder.output / "d" / "out.txt").exists()
+
+
+def test_warnings_reach_people(folder: Folder, capsys: pytest.CaptureFixture[str]):
+    folder.texts |= {"a": "x", "b": "damaged"}
+    folder.reporter = Reporter(0)
+    folder.run()
+    assert "a: warning: short" in capsys.readouterr().err
+
+
+def test_compilation_is_not_the_method_s_time(monkeypatch: pytest.MonkeyPatch):
+    spent = iter([0.0, 1000.0])
+    monkeypatch.setattr(Clock, "untimed", staticmethod(lambda: next(spent)))
+    clock = Clock()
+    clock.start("stage")
+    assert 0 <= clock.seconds["stage"] < 1
+
+
+def test_two_runs_do_not_share_a_folder(folder: Folder):
+    fcntl = pytest.importorskip("fcntl")
+    folder.run()
+    handle = os.open(folder.output, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        with pytest.raises(ConfigError, match="another depthcli"):
+            folder.run()
+    finally:
+        os.close(handle)
+    folder.run()
+
+
+def test_of_many_items_the_table_shows_failures_and_totals():
+    rows = [
+        {
+            "scene": f"s{k}",
+            "status": "failed" if k == 7 else "done",
+            "error": "",
+            "seconds": {"a": 1.0},
+            "peak_memory": None,
+        }
+        for k in range(60)
+    ]
+    lines = run_table(rows, ()).splitlines()
+    assert [line.split()[0] for line in lines] == ["scene", "s7", "all"]
+    assert "59 done" in lines[-1]
+    assert "60.00" in lines[-1]
+    assert len(run_table(rows[:50], ()).splitlines()) == 51
+
+
+def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path: Path):
+    """A worker of a cluster may outlive its run: its half scene must not pass for a whole one, nor remove another's."""
+    made = dict.fromkeys(("a.txt", "b.txt"), "whole")
+    gone = []
+
+    class Slow(Repeat):
+        def compute(self, config, scene, folder, memory):
+            for number, (name, text) in enumerate(made.items()):
+                if number == 1 and not gone:
+                    gone.append(folder)
+                    discard(folder.parent)  # the run ends, and the next one makes the scene
+                    assert (
+                        run_task(task(tmp_path / "next"), Run(self, config, RunOptions()), memory)["status"] == "done"
+                    )
+                folder.mkdir(parents=True, exist_ok=True)  # as the writers of files do
+                (folder / name).write_text(text)
+            return Outcome()
+
+    def task(place: Path) -> Task:
+        scene = Text(name="item", folder=tmp_path, file=tmp_path / "item.txt")
+        return Task(scene, tmp_path / "run", place, 0, "run", {}, "")
+
+    row = run_task(task(tmp_path / "making"), Run(Slow(), None, RunOptions()), 1 << 30)
+    assert row["status"] == "failed"
+    assert "the run has ended" in row["error"]
+    known = records.read_record(tmp_path / "run/item")
+    assert set(known.files) == set(made)
+    assert known.is_done(tmp_path / "run/item", "run", {})
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_files_that_no_record_claims_are_never_replaced(folder: Folder, overwrite: bool):
+    """Own files in the place of a result, with a name of a result or of its record: the scene fails, they stay."""
+    for name, file in (("a", "out.txt"), ("b", "record.json"), ("c", "notes.txt")):
+        (folder.output / name).mkdir(parents=True)
+        (folder.output / name / file).write_text('{"my": 1}')
+    rows = folder.run(overwrite=overwrite)
+    assert [rows[name]["status"] for name in "abcd"] == ["failed", "failed", "done", "done"]
+    assert "a: out.txt would be replaced, but no record says that depthcli wrote it; move it away" in rows["a"]["error"]
+    assert "b: record.json would be" in rows["b"]["error"]
+    for name, file in (("a", "out.txt"), ("b", "record.json"), ("c", "notes.txt")):
+        assert (folder.output / name / file).read_text() == '{"my": 1}'
+    assert not (folder.output / "a/first.txt").exists()
+    (folder.output / "a/out.txt").unlink()
+    assert folder.run(only="a")["a"]["status"] == "done"
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_own_files_in_the_place_of_results_are_found_before_anything_is_computed(folder: Folder, overwrite: bool):
+    """They are named in one line, and nothing is written; results whose record is lost or damaged are ours."""
+    folder.results = ("out.*", "*/out.*")
+    for name in ("a/out.txt", "b/frame/out.png", "c/notes.txt", "d/out.txt", "d/out.png"):
+        (folder.output / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder.output / name).write_text("mine")
+    before = folder.bytes()
+    with pytest.raises(ConfigError, match=r"a/out\.txt, b/frame/out\.png, d/out\.png and 1 more would be replaced"):
+        folder.run(overwrite=overwrite)
+    assert folder.bytes() == before
+    assert not folder.computed()
+    assert not any(path.exists() for path in folder.reports())
+    scenes = [Text(name="a", folder=folder.root / "in", file=folder.root / "in/a")]
+    work = Repeat(results=folder.results)
+    plan = plan_document(work, Config(), scenes, folder.output, lambda *_: None, RunOptions())
+    assert "a/out.txt would be replaced" in plan["refused"]
+    for name in ("a/out.txt", "b/frame/out.png", "d/out.txt", "d/out.png"):
+        (folder.output / name).unlink()
+    folder.run(overwrite=overwrite)
+    (folder.output / "a/record.json").unlink()
+    (folder.output / "b/record.json").write_text("damaged")
+    for path in folder.reports():
+        path.unlink()
+    assert {row["status"] for row in folder.run(overwrite=overwrite).values()} == {"done"}
+    assert folder.computed() == ["a", "b"]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["run.yaml", "report.csv", "report.json", "legend.png", "traceback-a.txt"])
+def test_a_folder_with_own_files_is_no_run_folder(folder: Folder, name: str, overwrite: bool):
+    folder.output.mkdir()
+    (folder.output / name).write_text("pipeline: mine")
+    with pytest.raises(ConfigError, match=f"{name} would be replaced"):
+        folder.run(overwrite=overwrite)
+    assert [path.name for path in folder.output.iterdir()] == [name]
+    assert (folder.output / name).read_text() == "pipeline: mine"
+
+
+def test_scenes_of_another_run_need_overwrite(folder: Folder):
+    folder.run()
+    (folder.output / "run.yaml").unlink()
+    (folder.output / "report.json").unlink()
+    (folder.output / "report.csv").unlink()
+    before = folder.bytes()
+    with pytest.raises(ConfigError, match="holds a scene of another run"):
+        folder.run(factor=3)
+    assert folder.bytes() | before == folder.bytes()
+    folder.run(factor=3, overwrite=True)
+    assert (folder.output / "a/out.txt").read_text() == "a" * 9
+
+
+def test_results_behind_a_link_stay(folder: Folder):
+    folder.run()
+    before, mine = folder.bytes(), folder.output
+    folder.output = folder.root / "other"
+    folder.output.mkdir()
+    (folder.output / "a").symlink_to(mine / "a")
+    folder.texts["a"] = "new"
+    with pytest.raises(ConfigError, match="other: a is a link to"):
+        folder.run(overwrite=True)
+    folder.output = mine
+    assert folder.bytes() == before
+    (mine / "a").rename(mine.parent / "moved")  # a link in the place of a file is replaced, what it leads to is not
+    (mine.parent / "moved/out.txt").rename(folder.root / "precious")
+    (mine.parent / "moved/out.txt").symlink_to(folder.root / "precious")
+    (mine.parent / "moved").rename(mine / "a")
+    folder.run()
+    assert (folder.root / "precious").read_text() == "aaa" * 2
+
+
+@pytest.mark.parametrize("when", ["unlink", "replace"])
+def test_an_interrupted_replacement_is_known_as_ours(folder: Folder, monkeypatch: pytest.MonkeyPatch, when: str):
+    """At every step in which a scene's old files make room for new ones, a kill leaves files that a record claims."""
+    folder.run(only="a")
+    (folder.output / "a/notes.txt").write_text("mine")  # the folder cannot be renamed
+    for step in range(8):
+        folder.texts["a"] = f"text {step}"
+        left = [step]
+
+        def killed(*arguments: Any, original: Any, left: list[int] = left, **options: Any) -> Any:
+            left[0] -= 1
+            if left[0] < 0:
+                raise KeyboardInterrupt
+            return original(*arguments, **options)
+
+        with monkeypatch.context() as patched:
+            module: Any = {"unlink": Path, "replace": os}[when]
+            original = getattr(module, when)
+            patched.setattr(module, when, lambda *a, o=original, k=killed, **b: k(*a, original=o, **b))
+            with contextlib.suppress(KeyboardInterrupt):
+                folder.run(only="a")
+        assert folder.run(only="a")["a"]["status"] == "done"
+        assert (folder.output / "a/out.txt").read_text() == f"text {step}" * 2
+        assert sorted(path.name for path in (folder.output / "a").iterdir()) == [
+            "first.txt", "notes.txt", "out.txt", "record.json",
+        ]  # fmt: skip
+
+
+@pytest.mark.skipif(not Path("/proc/self/pagemap").exists(), reason="needs a file without an end")
+def test_a_file_without_an_end_is_not_read_for_hours():
+    assert records.file_digest(Path("/proc/self/pagemap")).startswith("unreadable")
+
+
+@pytest.mark.skipif(not Path("/proc/self/pagemap").exists(), reason="no file without size and end")
+def test_run_folders_with_files_that_never_end_are_read_at_once(tmp_path: Path):
+    """A link to a file of /proc counts as a damaged one: it is a regular file of no size that goes on for ever."""
+    for name in ("report.json", "run.yaml", "record.json"):
+        (tmp_path / name).symlink_to("/proc/self/pagemap")
+    code = f"""
+import resource
+resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
+from pathlib import Path
+from depthcli.run import records, reports, run_folder
+folder = Path({str(tmp_path)!r})
+print(reports.read_report(folder), reports.read_report(folder, facts=False), records.read_record(folder))
+print([run_folder.saved_config(folder)])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert done.stdout == "{} {} None\n['']\n", done.stderr

@@ -1,0 +1,155 @@
+"""Simulated Kinect measurements."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from depthcli.simulate.arrays.depth_sensor import simulate_kinect
+from depthcli.simulate.arrays.kinect_scenes import (
+    SCENE_KINDS,
+    SEQUENCE_KINDS,
+    make_kinect_scene,
+    make_kinect_sequence,
+)
+
+GREY = np.full((60, 120, 3), 128, np.uint8)
+
+
+def box_scene(near: float = 22.0, far: float = 10.0) -> np.ndarray:
+    truth = np.full((60, 120), far, np.float32)
+    truth[:, 50:80] = near
+    return truth
+
+
+@pytest.mark.parametrize("fattening", [0, 2, 4, 7])
+def test_a_box_gets_wider_and_casts_a_shadow_as_wide_as_the_jump(fattening):
+    truth = box_scene()
+    sample = simulate_kinect(GREY, truth, 0, fattening=fattening, noise=0.0, discs=0)
+    columns = np.arange(120)
+    wide = (columns >= 50 - fattening) & (columns < 80 + fattening)
+    shadow = (columns >= 50 - fattening - 12) & (columns < 50 - fattening)
+    for y in range(60):
+        np.testing.assert_array_equal(sample.occluded[y], shadow)
+        np.testing.assert_array_equal(sample.mismatch[y], wide & (truth[y] == 10))
+        np.testing.assert_array_equal(sample.disparity[y], np.where(shadow, np.nan, np.where(wide, 22, 10)))
+    np.testing.assert_array_equal(sample.measured, ~sample.occluded & ~sample.mismatch)
+    assert not sample.specular.any()
+
+
+def test_a_nearer_object_is_not_shadowed_by_a_farther_one():
+    truth = np.full((40, 120), 10, np.float32)
+    truth[:, 60:100] = 30  # its shadow reaches back to column 40 on what is at 10
+    truth[:, 44:50] = 25
+    sample = simulate_kinect(GREY[:40], truth, 0, fattening=0, noise=0.0, discs=0)
+    # At 25 the shadow starts 5 pixels before the edge; that object's own shadow reaches back to column 29.
+    assert not sample.occluded[:, 44:50].any()
+    assert sample.occluded[:, 29:44].all() and sample.occluded[:, 50:60].all()
+    assert not sample.occluded[:, :29].any() and not sample.occluded[:, 60:].any()
+
+
+def test_slopes_are_no_edges():
+    truth = np.tile(np.linspace(10, 60, 120, dtype=np.float32), (60, 1))
+    sample = simulate_kinect(GREY, truth, 0, noise=0.0, discs=0)
+    assert sample.measured.all()
+    np.testing.assert_array_equal(sample.disparity, truth)
+
+
+def test_masks_part_the_known_pixels_and_noise_is_as_asked_for():
+    color, truth = make_kinect_scene("foreground", 3)
+    truth = truth.copy()
+    truth[20:40, 100:140] = np.nan
+    before = truth.copy()
+    sample = simulate_kinect(color, truth, 5)
+    np.testing.assert_array_equal(truth, before)
+    parts = np.stack([sample.occluded, sample.specular, sample.mismatch, sample.measured]).sum(axis=0)
+    np.testing.assert_array_equal(parts, np.isfinite(truth))
+    np.testing.assert_array_equal(sample.gap, np.isfinite(truth) & np.isnan(sample.disparity))
+    assert min(mask.sum() for mask in (sample.occluded, sample.specular, sample.mismatch)) > 300
+    error = (sample.disparity - sample.truth)[sample.measured]
+    assert error.std() == pytest.approx(0.3, abs=0.01) and abs(error.mean()) < 0.01
+    assert (sample.disparity - sample.truth)[sample.mismatch].min() > 1 - 5 * 0.3
+    frame = sample.frame(50.0)
+    np.testing.assert_allclose(frame.disparity, sample.disparity, rtol=1e-5)
+    np.testing.assert_allclose(50.0 / sample.depth_true(50.0), truth, rtol=1e-5)
+
+
+def test_discs_have_the_radii_asked_for():
+    sample = simulate_kinect(
+        np.zeros((300, 300, 3), np.uint8), np.full((300, 300), 9.0), 1, discs=1, disc_radius=(9, 11)
+    )
+    assert np.pi * 8.5**2 < sample.specular.sum() < np.pi * 11.5**2
+
+
+def test_the_seed_alone_decides():
+    color, truth = make_kinect_scene("planes", 0, 160, 120, 24)
+    first, again, other = (simulate_kinect(color, truth, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.disparity, again.disparity)
+    assert np.mean(first.disparity != other.disparity) > 0.5
+
+
+@pytest.mark.parametrize("kind", SCENE_KINDS)
+def test_scenes(kind):
+    color, truth = make_kinect_scene(kind, 2, 200, 150, 30)
+    assert color.shape == (150, 200, 3) and color.dtype == np.uint8
+    assert truth.shape == (150, 200) and truth.dtype == np.float32
+    assert truth.min() > 0 and truth.max() <= 30
+    again = make_kinect_scene(kind, 2, 200, 150, 30)
+    np.testing.assert_array_equal(color, again[0])
+    np.testing.assert_array_equal(truth, again[1])
+
+
+def test_camouflaged_edges_show_in_depth_and_half_of_them_in_color():
+    color, truth = make_kinect_scene("camouflage", 4)
+    edge = np.abs(np.diff(truth, axis=1)) > 2
+    contrast = np.abs(np.diff(color.astype(int), axis=1)).max(axis=2)
+    plain = contrast[~edge].mean()
+    hidden, seen = np.percentile(contrast[edge], [25, 75])
+    assert hidden < 2.5 * plain < seen
+
+
+@pytest.mark.parametrize("kind", SEQUENCE_KINDS)
+def test_sequences(kind):
+    frames = make_kinect_sequence(kind, 4, 1, 200, 150, 30, speed=5)
+    assert len(frames) == 4
+    for first, second in itertools.pairwise(frames):
+        moved = (first.truth != second.truth).mean()
+        low, high = {"static": (-1, 0), "moving": (0.01, 0.3), "camera": (0.9, 1)}[kind]
+        assert low < moved <= high
+        assert np.mean(first.color != second.color) > 0.5
+        both = first.measured & second.measured
+        if kind != "camera":
+            assert np.nanstd((first.disparity - second.disparity)[both & (first.truth == second.truth)]) > 0.3
+
+
+def test_a_moving_camera_sees_the_same_points_from_its_poses():
+    first, *_, last = make_kinect_sequence("camera", 6, 1, 200, 150, 30)
+    assert first.pose is not None and last.pose is not None and first.intrinsics is not None
+    points = first.intrinsics.points(first.depth_true(), np.isfinite(first.truth))
+    motion = np.linalg.inv(last.pose) @ first.pose
+    x, y, z = motion[:3, :3] @ points.T + motion[:3, 3:]
+    columns = np.rint(first.intrinsics.fx * x / z + first.intrinsics.cx).astype(int)
+    rows = np.rint(first.intrinsics.fy * y / z + first.intrinsics.cy).astype(int)
+    inside = (columns >= 0) & (columns < 200) & (rows >= 0) & (rows < 150)
+    off = np.abs(43.5 / z - last.truth[rows.clip(0, 149), columns.clip(0, 199)])[inside]
+    assert np.median(off) < 0.05
+    assert (off < 0.5).mean() > 0.85  # the others are hidden
+    moved = np.hypot(columns - np.tile(np.arange(200), 150), rows - np.repeat(np.arange(150), 200))
+    assert np.median(moved) > 3
+
+
+def test_bad_arguments():
+    with pytest.raises(ValueError, match="differ in size"):
+        simulate_kinect(GREY, box_scene()[:-1])
+    with pytest.raises(ValueError, match="no pixel"):
+        simulate_kinect(GREY, np.full((60, 120), np.inf))
+    with pytest.raises(ValueError, match="fattening"):
+        simulate_kinect(GREY, box_scene(), fattening=-1)
+    with pytest.raises(ValueError, match="kind"):
+        make_kinect_scene("cave")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="max_disparity"):
+        make_kinect_scene("camouflage", max_disparity=1000)
+    with pytest.raises(ValueError, match="one frame"):
+        make_kinect_sequence("static", 0)

@@ -1,0 +1,281 @@
+"""Generated scenes: the truth must be what the pictures show."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.simulate.arrays import textures
+from depthcli.simulate.arrays.rendering import render, trace
+from depthcli.simulate.arrays.room import Room
+from depthcli.simulate.arrays.stereo_scenes import KINDS, Radiometry, SyntheticScene, make_scene
+from depthcli.simulate.arrays.surfaces import Surface, rotation
+
+CASES = [(kind, seed) for kind in KINDS for seed in (0, 3)]
+
+
+def mirror_nothing(patch: pytest.MonkeyPatch) -> None:
+    drawn = textures.surroundings
+    patch.setattr(textures, "surroundings", lambda *arguments: 0 * drawn(*arguments))
+
+
+@pytest.fixture(scope="module")
+def scenes() -> dict[tuple[str, int], SyntheticScene]:
+    with pytest.MonkeyPatch.context() as patch:  # what is mirrored is not where the truth says
+        mirror_nothing(patch)
+        return {(kind, seed): make_scene(kind, seed, 200, 150, 24) for kind, seed in CASES}
+
+
+def _warped(image: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+    rows, columns = np.indices(disparity.shape, np.float32)
+    position = np.asarray(columns - disparity, np.float32)
+    return cv2.remap(image.astype(np.float32), position, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_truth_maps_right_view_onto_left(scenes, case):
+    scene = scenes[case]
+    inner = scene.nonocc & ~scene.disc
+    shifts = np.linspace(-0.5, 0.5, 11)
+    errors = np.array(
+        [np.mean((_warped(scene.right, scene.disparity_left + s) - scene.left)[inner] ** 2) for s in shifts]
+    )
+    assert np.sqrt(errors[5]) < 4.0
+    # The error is smallest at the truth itself: a parabola through it has its vertex within a tenth of a
+    # pixel of 0, where rounding the disparity or taking pixel corners for centres would move it by a half.
+    curvature, slope, _ = np.polyfit(shifts, errors, 2)
+    assert curvature > 0
+    assert abs(-slope / (2 * curvature)) < 0.1
+    assert errors[[0, -1]].min() > 3 * errors[5]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_right_truth_maps_left_view_onto_right(scenes, case):
+    scene = scenes[case]
+    back = _warped(scene.disparity_left, -scene.disparity_right)
+    agree = np.abs(back - scene.disparity_right) < 0.5
+    here, before, after = (
+        np.abs(_warped(scene.left, shift - scene.disparity_right) - scene.right.astype(np.float32))[agree].mean()
+        for shift in (0.0, -0.5, 0.5)
+    )
+    assert agree.mean() > 0.8
+    assert here < 3.0
+    assert here < 0.6 * min(before, after)
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_occlusion_is_what_a_left_right_check_finds(scenes, case):
+    scene = scenes[case]
+    height, width = scene.nonocc.shape
+    found = np.zeros((height, width), bool)
+    for y in range(height):
+        for x in range(width):
+            d = scene.disparity_left[y, x]
+            if x - d < 0:
+                continue
+            low = int(np.floor(x - d))
+            neighbors = scene.disparity_right[y, low : low + 2]
+            # Visible where the right view's surface is no nearer than this point is.
+            found[y, x] = neighbors.min() <= d + 0.6
+    # The check sees the right view at whole pixels only, so it may differ at outlines.
+    assert np.mean(found != scene.nonocc) < (0.016 if case[0] == "street" else 0.012)  # poles are all outline
+    outline = cv2.dilate((~scene.nonocc).astype(np.uint8), np.ones((3, 3))) - cv2.erode(
+        (~scene.nonocc).astype(np.uint8), np.ones((3, 3))
+    )
+    edge = (outline > 0) | (
+        cv2.dilate((~found).astype(np.uint8), np.ones((3, 3))) - cv2.erode((~found).astype(np.uint8), np.ones((3, 3)))
+        > 0
+    )
+    assert not ((found != scene.nonocc) & ~edge).any()
+    assert 0.02 < np.mean(~scene.nonocc) < 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("width", "height", "top"), [(96, 72, 12), (16, 16, 8), (120, 40, 60), (40, 90, 4)])
+def test_every_pixel_has_a_disparity_in_range(kind, width, height, top):
+    for seed in range(3):
+        scene = make_scene(kind, seed, width, height, top, supersampling=1)
+        for disparity in (scene.disparity_left, scene.disparity_right):
+            assert disparity.shape == (height, width)
+            assert disparity.dtype == np.float32
+            assert np.all((disparity > 0) & (disparity <= top))
+        assert scene.left.shape == scene.right.shape == (height, width, 3)
+        assert scene.left.dtype == scene.right.dtype == np.uint8
+        assert not (scene.disc & ~scene.nonocc).any()
+
+
+@pytest.mark.slow
+def test_cars_mirror_the_same_surroundings_in_both_views(monkeypatch):
+    glossy = make_scene("street", 4, 240, 80, 30)
+    mirror_nothing(monkeypatch)
+    dull = make_scene("street", 4, 240, 80, 30)
+    mirrored = [getattr(glossy, view).astype(int) - getattr(dull, view) for view in ("left", "right")]
+    changed = [one.any(axis=2) for one in mirrored]
+    assert all(0.05 < one.mean() < 0.5 for one in changed)
+    both = changed[0] & changed[1] & (np.minimum(glossy.left, glossy.right) < 255).all(axis=2)
+    assert np.abs(mirrored[0] - mirrored[1])[both].mean() < 3
+
+
+def test_same_arguments_same_scene_and_another_seed_another_one():
+    one, same, other = (make_scene("curved", seed, 96, 72, 12, noise=2) for seed in (5, 5, 6))
+    for name in ("left", "right", "disparity_left", "disparity_right", "nonocc", "disc", "repetition"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(same, name))
+    assert np.mean(one.left != other.left) > 0.5
+    assert not np.array_equal(one.disparity_left, other.disparity_left)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_repetitive_pattern_matches_one_period_off(seed):
+    scene = make_scene("repetitive", seed, 400, 300, 48)
+    inner = np.isfinite(scene.repetition) & scene.nonocc & ~scene.disc
+    inner[:, :48] = False
+    assert inner.mean() > 0.3
+    d, period = scene.disparity_left, np.nan_to_num(scene.repetition)
+    assert np.all((d - period)[inner] >= 0)
+    assert np.all((d + period)[inner] <= scene.max_disparity)
+
+    def cost(at: np.ndarray) -> np.ndarray:
+        difference = np.abs(_warped(scene.right, at) - scene.left.astype(np.float32)).mean(axis=2)
+        return cv2.blur(difference, (9, 9))
+
+    for side in (-1, 1):
+        off = d + side * period
+        here = cost(off)
+        around = np.minimum(cost(off - 0.3 * period), cost(off + 0.3 * period))
+        # Stickers break the pattern, so not everywhere.
+        assert np.mean((here < 0.5 * around)[inner]) > 0.5
+    assert np.all(np.isnan(make_scene("planes", seed, 64, 48, 8).repetition))
+
+
+def test_stickers_tell_the_repetitions_apart():
+    scene = make_scene("repetitive", 1, 400, 300, 48)
+    inner = np.isfinite(scene.repetition) & scene.nonocc & ~scene.disc
+    period = np.nan_to_num(scene.repetition)
+    wrong = np.abs(_warped(scene.right, scene.disparity_left - period) - scene.left.astype(np.float32)).mean(axis=2)
+    assert 0.03 < np.mean(cv2.blur(wrong, (9, 9))[inner] > 20) < 0.6
+
+
+def test_noise_has_the_deviation_asked_for():
+    clean, noisy = (make_scene("planes", 1, 160, 120, 20, noise=sigma) for sigma in (0, 6))
+    np.testing.assert_array_equal(clean.disparity_left, noisy.disparity_left)
+    np.testing.assert_array_equal(clean.nonocc, noisy.nonocc)
+    parts = []
+    for before, after in ((clean.left, noisy.left), (clean.right, noisy.right)):
+        inside = (before > 30) & (before < 225)
+        parts.append((after.astype(float) - before)[inside])
+        assert abs(parts[-1].std() - 6) < 0.3
+        assert abs(parts[-1].mean()) < 0.2
+    assert not np.array_equal(noisy.left.astype(int) - clean.left, noisy.right.astype(int) - clean.right)
+
+
+def test_radiometry_changes_the_right_view_only_and_as_said():
+    plain = make_scene("foreground", 2, 96, 72, 12)
+    changed = make_scene("foreground", 2, 96, 72, 12, radiometry=Radiometry(0.8, 10, 1.2, 0.0))
+    np.testing.assert_array_equal(plain.left, changed.left)
+    np.testing.assert_array_equal(plain.disparity_left, changed.disparity_left)
+    expected = 255 * 0.8 * (plain.right / 255.0) ** 1.2 + 10
+    unclipped = plain.right < 255
+    np.testing.assert_allclose(changed.right[unclipped], expected[unclipped], atol=1.1)
+
+    dark = make_scene("foreground", 2, 96, 72, 12, radiometry=Radiometry(vignetting=0.5))
+    ratio = dark.right.astype(float).sum(axis=2) / np.maximum(plain.right.astype(float).sum(axis=2), 1)
+    assert ratio[0, 0] == pytest.approx(0.5, abs=0.03)
+    assert ratio[36, 48] == pytest.approx(1.0, abs=0.03)
+    assert Radiometry.of_strength(0) == Radiometry()
+
+
+def test_wall_contrast_fades_the_wall_only():
+    full, bare = (make_scene("planes", 0, 160, 120, 20, wall_contrast=c) for c in (1.0, 0.0))
+    np.testing.assert_array_equal(full.disparity_left, bare.disparity_left)
+
+    def roughness(scene: SyntheticScene) -> np.ndarray:
+        return np.abs(cv2.Laplacian(scene.left.astype(np.float32), cv2.CV_32F)).mean(axis=2)
+
+    changed = (full.left != bare.left).any(axis=2)
+    assert 0.1 < changed.mean() < 0.9
+    inner = cv2.erode(changed.astype(np.uint8), np.ones((5, 5))) > 0
+    assert roughness(bare)[inner].mean() < 0.3 * roughness(full)[inner].mean()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kind": "forest"}, "kind"),
+        ({"width": 10}, "16 x 16"),
+        ({"max_disparity": 60}, "max_disparity"),
+        ({"max_disparity": 2}, "max_disparity"),
+        ({"noise": -1}, "noise"),
+        ({"wall_contrast": 2}, "wall_contrast"),
+    ],
+)
+def test_impossible_arguments_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        make_scene(**{"kind": "planes", "width": 96, "height": 72, "max_disparity": 12, **change})
+
+
+@pytest.mark.parametrize("shape", ["sphere", "cylinder", "cone"])
+def test_rays_hit_curved_surfaces_where_marching_along_them_does(shape):
+    rng = np.random.default_rng(8)
+    half = np.array([1.2, 0.8, 0.9]) if shape == "sphere" else np.array([0.9, 1.1, 0.9])
+    turn = rotation(0.4, -0.3, 0.5)
+    surface = Surface(shape, np.array([0.3, -0.2, 6.0]), turn, half, np.zeros((2, 2, 3), np.float32))
+    direction = (*rng.uniform(-0.4, 0.4, (2, 300)), np.ones(300))
+    origin = (np.full(300, 1.0), np.zeros(300), np.zeros(300))
+    found = surface.hit(origin, direction)
+
+    steps = np.linspace(3, 9, 6001)
+    expected = np.full(300, np.inf)
+    for ray in range(300):
+        points = np.array([o[ray] for o in origin]) + steps[:, None] * np.array([d[ray] for d in direction])
+        x, y, z = (((points - surface.center) @ turn.T) / half).T
+        if shape == "sphere":
+            value, inside = x**2 + y**2 + z**2 - 1, np.ones(steps.size, bool)
+        elif shape == "cylinder":
+            value, inside = x**2 + z**2 - 1, np.abs(y) <= 1
+        else:
+            value, inside = x**2 + z**2 - ((y + 1) / 2) ** 2, np.abs(y) <= 1
+        crossings = np.flatnonzero((np.sign(value[1:]) != np.sign(value[:-1])) & inside[1:] & inside[:-1])
+        if crossings.size:
+            expected[ray] = steps[crossings[0]]
+    assert 20 < np.isfinite(expected).sum() < 280
+    differ = np.isfinite(found) != np.isfinite(expected)
+    assert differ.sum() <= 3  # grazing rays fall between two steps
+    both = np.isfinite(found) & np.isfinite(expected)
+    assert np.mean(np.abs(found[both] - expected[both]) < 2e-3) > 0.98
+
+
+def test_a_board_is_hit_inside_its_outline_only():
+    square = np.array([2.0, 1.0, 1.0])
+    board = Surface(
+        "plane", np.array([0.0, 0.0, 5.0]), rotation(), square, np.zeros((2, 2, 3), np.float32),
+        outline=lambda x, y: x + y < 1,
+    )  # fmt: skip
+    points = np.array([[0.0, 0.0], [1.9, 0.9], [-1.9, 0.9], [2.1, 0.0], [0.0, 1.1]])
+    direction = (points[:, 0] / 5, points[:, 1] / 5, np.ones(5))
+    zero = np.zeros(5)
+    np.testing.assert_allclose(board.hit((zero, zero, zero), direction), [5, np.inf, 5, np.inf, np.inf])
+
+
+def test_a_board_lies_where_pinhole_cameras_see_it():
+    room = Room(np.random.default_rng(0), 64, 48, 16, 1.0)
+    white, black = np.ones((2, 2, 3), np.float32), np.zeros((2, 2, 3), np.float32)
+    room.surfaces = [
+        Surface("plane", room.at(32, 24, 2), rotation(), np.ones(3), black, unbounded=True),
+        Surface("plane", room.at(25.5, 20, 8), rotation(), np.array([10.25, 8, 8]) / 8, white),
+    ]
+    for right, shift in ((False, 0), (True, 8)):
+        picture = render(room, [None, None], right, 4)[:, :, 0]
+        seen = picture / picture[20, 20]
+        # Edges at 15.25 and 35.75, rows 12 and 28: a pixel's value is the share of it that the board covers.
+        np.testing.assert_allclose(seen[20, np.array([14, 15, 16, 35, 36, 37]) - shift] > 0, [0, 1, 1, 1, 1, 0])
+        assert seen[20, 15 - shift] == pytest.approx(0.25, abs=0.03)
+        assert seen[20, 36 - shift] == pytest.approx(0.25, abs=0.03)
+        assert seen[12, 20] == pytest.approx(0.5, abs=0.03)
+        assert seen[28, 20] == pytest.approx(0.5, abs=0.03)
+        columns, rows = np.arange(64.0)[None], np.arange(48.0)[:, None]
+        depth, owner = trace(room, columns, rows, right)
+        np.testing.assert_array_equal(np.flatnonzero(owner[20] == 1), np.arange(16, 36) - shift)
+        np.testing.assert_allclose(room.focal / depth[20], np.where(owner[20] == 1, 8, 2))

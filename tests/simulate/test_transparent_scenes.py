@@ -1,0 +1,97 @@
+"""Generated glass, and emulated sparse stereo."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.walk import discover_scenes
+from depthcli.simulate.arrays.transparent_scenes import make_transparent_scene, sensor_through, sparse_samples
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_transparent_scene(1, 160, 120, 20)
+
+
+def test_the_sensor_is_right_outside_and_sees_farther_or_nothing_inside(scene):
+    outside = np.abs(scene.sensor - scene.disparity)[~scene.mask]
+    assert outside.max() < 0.6
+    assert outside.mean() == pytest.approx(0.08, abs=0.01)
+    inside = (scene.sensor - scene.disparity)[scene.mask]
+    assert np.isnan(inside).mean() == pytest.approx(0.5, abs=0.02)
+    assert np.nanmedian(inside) < -1
+    assert np.nanmax(inside) < 0.6
+    assert 0.03 < scene.mask.mean() < 0.4
+
+
+def test_what_is_behind_shines_through(scene):
+    """The picture inside depends on the background: a glass without any share of it would not."""
+    again = make_transparent_scene(1, 160, 120, 20)
+    np.testing.assert_array_equal(scene.color, again.color)
+    np.testing.assert_array_equal(scene.infrared, again.infrared)
+    other = make_transparent_scene(2, 160, 120, 20)
+    assert np.abs(scene.color.astype(int) - other.color).mean() > 5
+    assert scene.infrared.shape == scene.mask.shape
+
+
+def test_speckles_are_added_to_the_infrared_view_alone(scene):
+    dotted = make_transparent_scene(1, 160, 120, 20, speckles=0.02)
+    np.testing.assert_array_equal(dotted.color, scene.color)
+    assert np.mean(dotted.infrared.astype(int) - scene.infrared > 60) > 0.01
+
+
+def test_a_sensor_without_an_object_sees_all():
+    truth = np.full((20, 30), 5.0, np.float32)
+    seen = sensor_through(truth, truth, np.zeros(truth.shape, bool), noise=0.0)
+    np.testing.assert_array_equal(seen, truth)
+
+
+@pytest.mark.parametrize("clustered", [False, True])
+def test_samples_are_as_many_as_noisy_and_as_wrong_as_asked_for(clustered):
+    rng = np.random.default_rng(0)
+    color = rng.integers(0, 256, (120, 160, 3)).astype(np.uint8)
+    color[:, :80] = 90
+    depth = np.tile(np.linspace(0.5, 1.5, 120, dtype=np.float32)[:, None], (1, 160))
+    depth[:10] = np.nan
+    sparse = sparse_samples(depth, color, 0.1, noise=0.005, outliers=0.2, clustered=clustered, seed=3)
+    chosen = np.isfinite(sparse)
+    assert chosen.sum() == round(0.1 * depth.size)
+    assert not chosen[:10].any()
+    error = np.abs(sparse - depth)[chosen]
+    assert np.mean(error > 0.03) == pytest.approx(0.2 * 0.94, abs=0.03)
+    assert error[error < 0.02].std() < 0.006
+    flat = chosen[:, :78].mean() / chosen.mean()
+    assert flat < 0.01 if clustered else 0.9 < flat < 1.1
+    np.testing.assert_array_equal(sparse, sparse_samples(depth, color, 0.1, 0.005, 0.2, clustered, 3))
+
+
+def test_bad_shares_are_refused():
+    with pytest.raises(ValueError, match="shares"):
+        sparse_samples(np.ones((4, 4), np.float32), np.zeros((4, 4, 3), np.uint8), 1.5)
+
+
+def test_the_command_makes_frames_and_makes_them_from_others(tmp_path):
+    made, more = tmp_path / "made", tmp_path / "more"
+    assert main(["sample", "--transparent", "--width", "96", "--height", "72", "-o", str(made), "-q"]) == 0
+    assert main(["sample", "--transparent", "--from", str(made), "--share", "0.3", "-o", str(more), "-q"]) == 0
+    for folder, share in ((made, 0.02), (more, 0.3)):
+        scenes = discover_scenes(folder, (RgbdScene,))
+        assert [scene.name for scene in scenes] == ["glass_0", "glass_1"]
+        for scene in scenes:
+            assert isinstance(scene, RgbdScene)
+            frame, truth = scene.load_sparse(), scene.truth()
+            assert np.isfinite(frame.sparse).mean() == pytest.approx(share, abs=0.001)
+            assert truth.masks["transparent"].any()
+            assert truth.fb == (24.0 if folder == made else None)
+
+
+def test_a_frame_without_truth_is_a_failed_row(tmp_path, capsys):
+    made = tmp_path / "made"
+    assert main(["sample", "--transparent", "--width", "64", "--height", "48", "-o", str(made), "-q"]) == 0
+    (made / "glass_0" / "depth_true.pfm").unlink()
+    assert main(["sample", "--transparent", "--from", str(made), "-o", str(tmp_path / "more")]) == 3
+    said = capsys.readouterr()
+    assert "no true depth" in said.out + said.err
