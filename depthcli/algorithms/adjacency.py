@@ -33,7 +33,7 @@ def adjacency(
 
 
 @jit
-def region_adjacency(labels, count):  # type: ignore[no-untyped-def]
+def region_adjacency(labels, count):
     """Return the neighbors of the regions 0 .. count - 1 of a label map (H, W), in the form of :func:`adjacency`.
 
     The weights (int64) are lengths of common boundaries: numbers of 4-neighboring pairs of pixels. The neighbors of a

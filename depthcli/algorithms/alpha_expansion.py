@@ -94,7 +94,7 @@ def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArra
 
 
 @jit
-def _energy_change(labels, moved, rise, ends, strength):  # type: ignore[no-untyped-def]
+def _energy_change(labels, moved, rise, ends, strength):
     # Of the energy, where ``labels`` become ``moved``.
     change = 0.0
     for n in range(labels.size):
@@ -107,7 +107,7 @@ def _energy_change(labels, moved, rise, ends, strength):  # type: ignore[no-unty
 
 
 @jit
-def _candidates(labels, alpha, rise, starts, other, weight, total):  # type: ignore[no-untyped-def]
+def _candidates(labels, alpha, rise, starts, other, weight, total):
     # The (K,) int64 nodes, in order, that can be in a set whose switch lowers the energy. In the best case all
     # neighbors of a node that may switch do, which saves all its edges to them and to ``alpha``. Where that does not
     # outweigh ``rise``, the node stays, which raises the cost of switching for its neighbors, and so on.
@@ -136,7 +136,7 @@ def _candidates(labels, alpha, rise, starts, other, weight, total):  # type: ign
 
 
 @jit
-def _binary_problem(labels, alpha, rise, starts, other, weight, chosen):  # type: ignore[no-untyped-def]
+def _binary_problem(labels, alpha, rise, starts, other, weight, chosen):
     # Cost of x = 1 (switch) minus cost of x = 0 of the ``chosen`` nodes, and the edges between them.
     # Pair costs are E(0,0) = cut (0 where both have one label now), E(0,1) = E(1,0) = w, E(1,1) = 0, that is
     # E00 + (w - E00) x_p - w x_q + (2 w - E00) (1 - x_p) x_q. A neighbor at alpha adds w to x = 0;

@@ -49,7 +49,7 @@ def joint_bilateral_fill(
 
 
 @parallel_jit
-def _bilateral_means(color, values, pixels, spatial, likeness):  # type: ignore[no-untyped-def]
+def _bilateral_means(color, values, pixels, spatial, likeness):
     height, width = values.shape
     reach = spatial.shape[0] // 2
     means = np.empty(len(pixels), np.float32)

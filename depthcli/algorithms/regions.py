@@ -14,7 +14,7 @@ from depthcli.kernels.jit import jit
 
 
 @jit
-def root(parent, i):  # type: ignore[no-untyped-def]
+def root(parent, i):
     """Return the root of the set of i in a disjoint-set forest, given as (N,) parents, whose paths are shortened."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -23,7 +23,7 @@ def root(parent, i):  # type: ignore[no-untyped-def]
 
 
 @jit
-def join(parent, i, j):  # type: ignore[no-untyped-def]
+def join(parent, i, j):
     """Unite the sets of i and j; the smaller root stays, so that labels do not depend on the order of joining."""
     i, j = root(parent, i), root(parent, j)
     if i < j:
@@ -33,7 +33,7 @@ def join(parent, i, j):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _components(color, limit):  # type: ignore[no-untyped-def]
+def _components(color, limit):
     height, width, channels = color.shape
     parent = np.arange(height * width).astype(np.int32)
     for y in range(height):
@@ -52,7 +52,7 @@ def _components(color, limit):  # type: ignore[no-untyped-def]
 
 
 @jit
-def consecutive(parent):  # type: ignore[no-untyped-def]
+def consecutive(parent):
     """Return (N,) int32 numbers of the sets, counted in the order of their roots."""
     labels = np.empty(parent.size, np.int32)
     count = 0
@@ -95,7 +95,7 @@ class RegionPixels:
 
 
 @jit
-def _counting_sort(labels, chosen, count):  # type: ignore[no-untyped-def]
+def _counting_sort(labels, chosen, count):
     starts = np.zeros(count + 1, np.int64)
     for p in range(labels.size):
         if chosen[p]:
@@ -113,13 +113,13 @@ def _counting_sort(labels, chosen, count):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _join_all(parent, edges):  # type: ignore[no-untyped-def]
+def _join_all(parent, edges):
     for e in range(len(edges)):
         join(parent, edges[e, 0], edges[e, 1])
 
 
 @jit
-def _best_neighbors(edges, rank, selected):  # type: ignore[no-untyped-def]
+def _best_neighbors(edges, rank, selected):
     # The (N,) int32 neighbors of smallest rank of the selected regions, the first of equal ones; -1 where none.
     best = np.full(selected.size, -1, np.int32)
     min_rank = np.empty(selected.size, np.float64)

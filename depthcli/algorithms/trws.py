@@ -83,14 +83,14 @@ _DX = np.array([1, -1, 0, 1, -1, 1, 0, -1])
 
 
 @jit
-def _rank(y, height):  # type: ignore[no-untyped-def]
+def _rank(y, height):
     # The turn in which a row is visited: rows of different bands may share one, but no neighbors do.
     row = y % _BAND
     return _BAND if row == _BAND - 1 and y != height - 1 else row
 
 
 @jit
-def _order(nodes, count):  # type: ignore[no-untyped-def]
+def _order(nodes, count):
     # Share of a node's cost that each of its trees gets, (N,); bits of the neighbors visited before it, (N,).
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     share = np.empty(count, np.float32)
@@ -115,7 +115,7 @@ def _order(nodes, count):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _visit(  # type: ignore[no-untyped-def]
+def _visit(
     y, x, n, send_to_earlier, nodes, values, unary, weights, truncation, choices, share, earlier, messages, belief,
 ):  # fmt: skip
     # Update the messages from pixel (y, x), node n, to its earlier or later neighbors; return its part of the bound.
@@ -163,7 +163,7 @@ def _visit(  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _pass(nodes, values, unary, weights, truncation, choices, share, earlier, messages, backward, row_bounds):  # type: ignore[no-untyped-def]
+def _pass(nodes, values, unary, weights, truncation, choices, share, earlier, messages, backward, row_bounds):
     # A forward (0) or backward (1) pass; ``row_bounds`` (H,) float64 become the rows' parts of the lower bound.
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     for turn in range(2):
@@ -186,7 +186,7 @@ def _pass(nodes, values, unary, weights, truncation, choices, share, earlier, me
 
 
 @parallel_jit
-def _select(nodes, values, unary, weights, truncation, choices, earlier, messages, labels):  # type: ignore[no-untyped-def]
+def _select(nodes, values, unary, weights, truncation, choices, earlier, messages, labels):
     # Labels in the order of the visits: each from the labels of earlier and the messages of later neighbors.
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     bands = (height + _BAND - 1) // _BAND

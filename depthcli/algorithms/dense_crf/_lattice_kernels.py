@@ -11,7 +11,7 @@ _TILE = 64  # points whose simplices are computed together: their coordinates st
 
 
 @jit
-def _find(table, place, key):  # type: ignore[no-untyped-def]
+def _find(table, place, key):
     # Position of ``key`` in an open-addressed hash table, or of the free cell where it belongs.
     mask = np.uint64(table.size - 1)
     h = key * np.uint64(0x9E3779B97F4A7C15)
@@ -22,7 +22,7 @@ def _find(table, place, key):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _steps(shifts):  # type: ignore[no-untyped-def]
+def _steps(shifts):
     # What a key changes by along every axis, and in addition where the last coordinate wraps around.
     d = shifts.shape[0]
     steps = np.ones(d + 1, np.uint64)
@@ -34,7 +34,7 @@ def _steps(shifts):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def embed(features, scales, shifts, band, slots, weights, keys, sizes):  # type: ignore[no-untyped-def]
+def embed(features, scales, shifts, band, slots, weights, keys, sizes):
     """Find the simplex of every point: write its vertices to ``slots`` and its barycentric weights to ``weights``.
 
     Slots count from 0 in every band. ``keys`` gets the keys of their vertices, ``sizes`` their number per band, which
@@ -99,7 +99,7 @@ def embed(features, scales, shifts, band, slots, weights, keys, sizes):  # type:
 
 
 @jit
-def _nearest(elevated, base, rest, rank, off):  # type: ignore[no-untyped-def]
+def _nearest(elevated, base, rest, rank, off):
     # The vertex of remainder 0 of every point's simplex is ``base`` times d + 1: the nearest point whose coordinates
     # are multiples of d + 1, after some moved by one where their sum is not 0. ``rest`` is the residual in units of
     # d + 1, ``rank`` its rank among the coordinates, ``off`` scratch.
@@ -131,7 +131,7 @@ def _nearest(elevated, base, rest, rank, off):  # type: ignore[no-untyped-def]
 
 
 @jit
-def merge_vertices(keys, sizes, vertex, own, first_slot):  # type: ignore[no-untyped-def]
+def merge_vertices(keys, sizes, vertex, own, first_slot):
     """Write the vertex of every slot to ``vertex`` and the vertices' keys to ``own``.
 
     Returns the hash table of the vertices (keys, numbers) and their number.
@@ -156,7 +156,7 @@ def merge_vertices(keys, sizes, vertex, own, first_slot):  # type: ignore[no-unt
 
 
 @parallel_jit
-def find_neighbors(own, table, place, shifts, neighbors):  # type: ignore[no-untyped-def]
+def find_neighbors(own, table, place, shifts, neighbors):
     """Write the two neighbors of every vertex along every axis; the number of vertices stands for none."""
     axes, _, vertices = neighbors.shape
     steps, wrap = _steps(shifts)
@@ -173,7 +173,7 @@ def find_neighbors(own, table, place, shifts, neighbors):  # type: ignore[no-unt
 
 
 @parallel_jit
-def spread(values, slots, weights, first_slot, band, partial):  # type: ignore[no-untyped-def]
+def spread(values, slots, weights, first_slot, band, partial):
     """Add (N, C) values, weighted, to the (T, C) slots of their simplices: ``partial``."""
     count, corners = slots.shape
     for b in prange(first_slot.size - 1):
@@ -186,7 +186,7 @@ def spread(values, slots, weights, first_slot, band, partial):  # type: ignore[n
 
 
 @parallel_jit
-def read(values, slots, vertex, weights, result):  # type: ignore[no-untyped-def]
+def read(values, slots, vertex, weights, result):
     """Write to ``result`` (N, C) the weighted sums of the (V + 1, C) ``values`` at the vertices of every simplex."""
     count, corners = slots.shape
     for n in prange(count):
@@ -199,7 +199,7 @@ def read(values, slots, vertex, weights, result):  # type: ignore[no-untyped-def
 
 
 @parallel_jit
-def compute_own_share(slots, vertex, weights, neighbors, factors, density, result):  # type: ignore[no-untyped-def]
+def compute_own_share(slots, vertex, weights, neighbors, factors, density, result):
     """Write to ``result`` the weight of every point's own value (see ``Lattice.own_share``)."""
     axes = factors.shape[0]
     for n in prange(result.size):
@@ -218,7 +218,7 @@ def compute_own_share(slots, vertex, weights, neighbors, factors, density, resul
 
 
 @jit
-def _response(slots, vertex, neighbors, start, stop, turn):  # type: ignore[no-untyped-def]
+def _response(slots, vertex, neighbors, start, stop, turn):
     # Response of the blur at one vertex of a simplex to another one. The path takes one step along each axis between
     # the two, plus ``turn`` steps along every axis, which cancel.
     axes = neighbors.shape[0]
@@ -241,7 +241,7 @@ def _response(slots, vertex, neighbors, start, stop, turn):  # type: ignore[no-u
 
 
 @parallel_jit
-def gather_vertices(partial, order, first, values, width):  # type: ignore[no-untyped-def]
+def gather_vertices(partial, order, first, values, width):
     """Write to ``values`` the sum of the slots of every vertex; all are rows of ``width`` numbers."""
     for v in prange(first.size - 1):
         to = v * width
@@ -253,7 +253,7 @@ def gather_vertices(partial, order, first, values, width):  # type: ignore[no-un
 
 
 @parallel_jit
-def blur_axis(source, left, right, target, width):  # type: ignore[no-untyped-def]
+def blur_axis(source, left, right, target, width):
     """Write to ``target`` the vertices' rows of ``width`` numbers, blurred by [1/2 1 1/2] along one axis."""
     half = splat(np.float32(0.5))
     for v in prange(left.size):

@@ -13,7 +13,7 @@ _BLOCK = 4 * LANES  # labels that are held in registers together
 
 
 @parallel_jit
-def join_lattices(slots, weights, density, share, weight, offset, column, all_slots, all_weights, own):  # type: ignore[no-untyped-def]
+def join_lattices(slots, weights, density, share, weight, offset, column, all_slots, all_weights, own):
     """Write slots and normalized weights of one lattice to the columns from ``column`` on of those of all lattices."""
     for n in prange(own.size):
         scale = np.sqrt(weight / density[n])
@@ -24,7 +24,7 @@ def join_lattices(slots, weights, density, share, weight, offset, column, all_sl
 
 
 @parallel_jit
-def update(  # type: ignore[no-untyped-def]
+def update(
     unary, q, labels, near, slots, vertex, weights, corners, own, truncation, bands, width, receive, send, partial,
 ):  # fmt: skip
     """Write the marginals of all points to ``q``, and spread them over the slots in ``partial`` if ``send``.
@@ -64,7 +64,7 @@ def update(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _clear(partial, bands, b, width):  # type: ignore[no-untyped-def]
+def _clear(partial, bands, b, width):
     zero = splat(np.float32(0.0))
     for k in range(0, bands.shape[1], 2):
         for i in range(bands[b, k] * width, bands[b, k + 1] * width, LANES):
@@ -72,7 +72,7 @@ def _clear(partial, bands, b, width):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _spread(tile, stride, total, slots, weights, corners, first, size, width, partial):  # type: ignore[no-untyped-def]
+def _spread(tile, stride, total, slots, weights, corners, first, size, width, partial):
     # Adds the marginals of points, the rows of a tile divided by their ``total``, to their slots.
     for p in range(size):
         factor = np.float32(1.0) / total[p]
@@ -94,7 +94,7 @@ def _spread(tile, stride, total, slots, weights, corners, first, size, width, pa
 
 
 @jit
-def _read(near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride, spare):  # type: ignore[no-untyped-def]
+def _read(near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride, spare):
     # Writes the messages of points to the rows of a tile: values of their vertices without their own share.
     for p in range(size):
         begin, at, to = (first + p) * corners, (first + p) * labels, lead + p * stride
@@ -125,7 +125,7 @@ def _read(near, width, slots, vertex, weights, corners, own, q, labels, first, s
 
 
 @jit
-def _window(source, length, target):  # type: ignore[no-untyped-def]
+def _window(source, length, target):
     # target[i] = source[i] + ... + source[i + length - 1]. The window doubles once for every further binary digit of
     # its length, and grows by one where that is 1: more additions than a running sum, but on sixteen labels at a time.
     digit = 0
@@ -147,7 +147,7 @@ def _window(source, length, target):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _energies(unary, labels, first, size, gain, begin, stride, tile):  # type: ignore[no-untyped-def]
+def _energies(unary, labels, first, size, gain, begin, stride, tile):
     # tile = unary - gain, row by row.
     for p in range(size):
         at, source, to = (first + p) * labels, begin + p * stride, p * stride
@@ -158,7 +158,7 @@ def _energies(unary, labels, first, size, gain, begin, stride, tile):  # type: i
 
 
 @jit
-def _softmax(tile, stride, labels, width, size, total):  # type: ignore[no-untyped-def]
+def _softmax(tile, stride, labels, width, size, total):
     # tile = exp(smallest energy - energy), row by row, 0 behind the labels; total = sums of the rows.
     for p in range(size):
         at = p * stride
@@ -182,7 +182,7 @@ def _softmax(tile, stride, labels, width, size, total):  # type: ignore[no-untyp
 
 
 @jit
-def _write(tile, stride, total, q, first, labels, size):  # type: ignore[no-untyped-def]
+def _write(tile, stride, total, q, first, labels, size):
     # q = the rows of a tile divided by their ``total``.
     for p in range(size):
         factor = np.float32(1.0) / total[p]

@@ -56,7 +56,7 @@ def filter_sizes(octave: int) -> list[int]:
 
 
 @jit
-def _box(integral, y, x, height, width):  # type: ignore[no-untyped-def]
+def _box(integral, y, x, height, width):
     # Sum of the pixels [y, y + height) x [x, x + width) inside the image.
     rows, columns = integral.shape
     y0 = min(max(y, 0), rows - 1)
@@ -67,7 +67,7 @@ def _box(integral, y, x, height, width):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _hessian(integral, step, size, responses, signs):  # type: ignore[no-untyped-def]
+def _hessian(integral, step, size, responses, signs):
     # Determinant of the box-filter Hessian, normalized by the filter's area; 0 where the filter does not fit.
     height, width = integral.shape[0] - 1, integral.shape[1] - 1
     lobe, half = size // 3, size // 2
@@ -99,7 +99,7 @@ def _hessian(integral, step, size, responses, signs):  # type: ignore[no-untyped
 
 
 @jit
-def _maxima(responses, signs, step, first_size, size_step, threshold):  # type: ignore[no-untyped-def]
+def _maxima(responses, signs, step, first_size, size_step, threshold):
     # Maxima over 3 x 3 x 3 cells, moved to the peak of the parabola through them.
     layers, rows, columns = responses.shape
     points = np.empty((256, 5), np.float32)
@@ -127,7 +127,7 @@ def _maxima(responses, signs, step, first_size, size_step, threshold):  # type: 
 
 
 @jit
-def _is_peak(responses, k, j, i):  # type: ignore[no-untyped-def]
+def _is_peak(responses, k, j, i):
     value = responses[k, j, i]
     for dk in range(-1, 2):
         for dj in range(-1, 2):
@@ -141,7 +141,7 @@ def _is_peak(responses, k, j, i):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _offset(r, k, j, i):  # type: ignore[no-untyped-def]
+def _offset(r, k, j, i):
     # Peak of the second-order Taylor polynomial around a cell, in cells; 9 where there is none.
     gx = 0.5 * (r[k, j, i + 1] - r[k, j, i - 1])
     gy = 0.5 * (r[k, j + 1, i] - r[k, j - 1, i])
@@ -170,7 +170,7 @@ def _offset(r, k, j, i):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _describe(integral, points, descriptors):  # type: ignore[no-untyped-def]
+def _describe(integral, points, descriptors):
     # (N, 64) from 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9.
     for n in prange(points.shape[0]):
         cx, cy, scale = points[n, 0], points[n, 1], points[n, 2]

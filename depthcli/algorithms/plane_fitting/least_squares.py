@@ -14,19 +14,19 @@ MAD_TO_SIGMA = 1.4826
 
 
 @jit
-def biweight_root(residual):  # type: ignore[no-untyped-def]
+def biweight_root(residual):
     """Return ``max(0, 1 - r^2)``, the root of Tukey's biweight, of a float32 residual in units of its gate."""
     return max(np.float32(0), np.float32(1) - residual * residual)
 
 
 @jit
-def huber_weight(residual, limit):  # type: ignore[no-untyped-def]
+def huber_weight(residual, limit):
     """Return Huber's weight of a residual: 1 up to ``limit``, ``limit / |r|`` beyond it."""
     return min(1.0, limit / max(abs(residual), 1e-30))
 
 
 @jit
-def plane_slopes(xx, xy, yy, xd, yd, determinant):  # type: ignore[no-untyped-def]
+def plane_slopes(xx, xy, yy, xd, yd, determinant):
     """Return the slopes (a, b) of ``d = a x + b y + c`` by Cramer's rule.
 
     Parameters
@@ -38,7 +38,7 @@ def plane_slopes(xx, xy, yy, xd, yd, determinant):  # type: ignore[no-untyped-de
 
 
 @jit
-def plane_moments(x, y, d, weights):  # type: ignore[no-untyped-def]
+def plane_moments(x, y, d, weights):
     """Return the sums of w, wx, wy, wd, wxx, wxy, wyy, wxd and wyd over samples, (N,) float64 each."""
     s = sx = sy = sd = sxx = sxy = syy = sxd = syd = 0.0
     for i in range(d.size):
@@ -57,7 +57,7 @@ def plane_moments(x, y, d, weights):  # type: ignore[no-untyped-def]
 
 
 @jit
-def solve_cholesky(matrix, right, terms, solution):  # type: ignore[no-untyped-def]
+def solve_cholesky(matrix, right, terms, solution):
     """Write the ``solution`` of normal equations by Cholesky's method; return False if the system is singular.
 
     The first ``terms`` unknowns are solved for. Only the lower half of ``matrix`` is read; it is overwritten. Singular
@@ -90,7 +90,7 @@ def solve_cholesky(matrix, right, terms, solution):  # type: ignore[no-untyped-d
 
 
 @jit
-def smallest(values, k):  # type: ignore[no-untyped-def]
+def smallest(values, k):
     """Return the k-th smallest of ``values``, counted from 0, by Hoare's selection, which reorders them."""
     low, high = 0, values.size - 1
     while low < high:

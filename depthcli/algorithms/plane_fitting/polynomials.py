@@ -53,7 +53,7 @@ class Surfaces:
 
 
 @jit
-def surface_at(coefficients, center, bounds, unit, s, y, x):  # type: ignore[no-untyped-def]
+def surface_at(coefficients, center, bounds, unit, s, y, x):
     """Return the value of surface ``s`` at (y, x), given the arrays of :class:`Surfaces`; for other kernels."""
     u = (x - center[s, 1]) / unit
     v = (y - center[s, 0]) / unit
@@ -65,7 +65,7 @@ def surface_at(coefficients, center, bounds, unit, s, y, x):  # type: ignore[no-
 
 
 @parallel_jit
-def _evaluate(labels, coefficients, center, bounds, unit, values):  # type: ignore[no-untyped-def]
+def _evaluate(labels, coefficients, center, bounds, unit, values):
     height, width = labels.shape
     for y in prange(height):
         for x in range(width):
@@ -112,7 +112,7 @@ def fit_polynomials(
 
 
 @parallel_jit
-def _fit(  # type: ignore[no-untyped-def]
+def _fit(
     order, begins, values, coefficients, center, bounds, scale, unit, degree, huber, iterations, warm_iterations, floor,
     samples,
 ):  # fmt: skip
@@ -128,7 +128,7 @@ def _fit(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iterations, floor, samples):  # type: ignore[no-untyped-def]
+def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iterations, floor, samples):
     # Fits ``beta`` (6,), ``center`` (2,) and ``bounds`` (2,) in place; returns the scale of the residuals.
     width = values.shape[1]
     total = pixels.size
@@ -181,7 +181,7 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
 
 
 @jit
-def _normal_equations(z, u, v, weights, terms, normal, right):  # type: ignore[no-untyped-def]
+def _normal_equations(z, u, v, weights, terms, normal, right):
     # Lower half of sum w b b' and sum w b z over the pixels' basis b = (1, u, v, u^2, uv, v^2).
     w0, wu, wv, wz, wuu, wuv, wvv, wuz, wvz = plane_moments(u, v, z, weights)
     normal[0, 0], normal[1, 0], normal[2, 0] = w0, wu, wv
@@ -203,7 +203,7 @@ def _normal_equations(z, u, v, weights, terms, normal, right):  # type: ignore[n
 
 
 @jit
-def _residuals(z, u, v, beta, out):  # type: ignore[no-untyped-def]
+def _residuals(z, u, v, beta, out):
     for k in range(out.size):
         out[k] = z[k] - (
             beta[0] + u[k] * (beta[1] + u[k] * beta[3]) + v[k] * (beta[2] + u[k] * beta[4] + v[k] * beta[5])
@@ -211,7 +211,7 @@ def _residuals(z, u, v, beta, out):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _spread(residuals, scratch, floor):  # type: ignore[no-untyped-def]
+def _spread(residuals, scratch, floor):
     # Standard deviation by the median absolute deviation of evenly spread residuals, at least ``floor``.
     n = residuals.size
     count = min(n, _SCALE_SAMPLES)

@@ -82,7 +82,7 @@ class SamplePlaneFit(BaseModel):
 
 
 @parallel_jit
-def _fit(  # type: ignore[no-untyped-def]
+def _fit(
     nearest, rows, columns, values, image, at_rows, at_columns, noise, color_rate, slope, steps, marks, result, sigma,
     confidence, mark,
 ):  # fmt: skip
@@ -116,7 +116,7 @@ def _fit(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _start(dx, dy, v, w, noise, slope):  # type: ignore[no-untyped-def]
+def _start(dx, dy, v, w, noise, slope):
     # The value of the sample that the largest weight agrees with, and the standard deviation of slopes at its depth.
     best = np.float32(-1.0)
     start = v[0]
@@ -134,7 +134,7 @@ def _start(dx, dy, v, w, noise, slope):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _plane(dx, dy, v, w, m, total, noise, steep, start, steps):  # type: ignore[no-untyped-def]
+def _plane(dx, dy, v, w, m, total, noise, steep, start, steps):
     # Value at the pixel, its standard deviation, the weighted share of inliers and their mean mark.
     a, b, c = start, np.float32(0.0), np.float32(0.0)
     variance = np.float32(1.0)

@@ -76,7 +76,7 @@ class Samples:
 
 
 @parallel_jit
-def _nearest(rows, columns, order, first, side, across, down, at_rows, at_columns, skip_own, nearest):  # type: ignore[no-untyped-def]
+def _nearest(rows, columns, order, first, side, across, down, at_rows, at_columns, skip_own, nearest):
     count = nearest.shape[1]
     for p in prange(at_rows.size):
         y, x = at_rows[p], at_columns[p]
@@ -108,7 +108,7 @@ def _nearest(rows, columns, order, first, side, across, down, at_rows, at_column
 
 
 @jit
-def _insert(best, have, key):  # type: ignore[no-untyped-def]
+def _insert(best, have, key):
     count = best.size
     if have == count and key >= best[count - 1]:
         return have

@@ -122,7 +122,7 @@ class SegmentPlaneFit(BaseModel):
 
 
 @parallel_jit
-def _fit(  # type: ignore[no-untyped-def]
+def _fit(
     values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center,
 ):  # fmt: skip
     for k in prange(chosen.size):
@@ -166,7 +166,7 @@ def _fit(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _next(state):  # type: ignore[no-untyped-def]
+def _next(state):
     # xorshift64*: three shifts are enough to pick pixels.
     state ^= state >> np.uint64(12)
     state ^= state << np.uint64(25)
@@ -175,7 +175,7 @@ def _next(state):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state):  # type: ignore[no-untyped-def]
+def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state):
     # The plane through three pixels with the smallest misfit, or the flat one.
     count = px.size
     stride = max(1, count // _SAMPLED_PIXELS)
@@ -205,7 +205,7 @@ def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state):  # type: ign
 
 
 @jit
-def _refit(px, py, pd, a, b, c, tolerance, max_slope):  # type: ignore[no-untyped-def]
+def _refit(px, py, pd, a, b, c, tolerance, max_slope):
     # Least squares over the inliers, as long as the misfit falls.
     for _ in range(_REFITS):
         n, sx, sy, sd = _inlier_sums(px, py, pd, a, b, c, tolerance)
@@ -238,7 +238,7 @@ def _refit(px, py, pd, a, b, c, tolerance, max_slope):  # type: ignore[no-untype
 
 
 @jit
-def _inlier_sums(px, py, pd, a, b, c, tolerance):  # type: ignore[no-untyped-def]
+def _inlier_sums(px, py, pd, a, b, c, tolerance):
     # Number of inliers, and the sums of their x, y and disparity.
     n, sx, sy, sd = 0, 0.0, 0.0, 0.0
     for i in range(px.size):
@@ -251,7 +251,7 @@ def _inlier_sums(px, py, pd, a, b, c, tolerance):  # type: ignore[no-untyped-def
 
 
 @jit
-def _misfit(px, py, pd, stride, a, b, c, tolerance, enough):  # type: ignore[no-untyped-def]
+def _misfit(px, py, pd, stride, a, b, c, tolerance, enough):
     # Sum of squared distances, each at most tolerance squared (MSAC); stops once it exceeds ``enough``.
     limit = tolerance * tolerance
     total = 0.0
@@ -264,7 +264,7 @@ def _misfit(px, py, pd, stride, a, b, c, tolerance, enough):  # type: ignore[no-
 
 
 @jit
-def _distinct(coefficients, center, slope_tolerance, offset_tolerance, max_planes, stands_for):  # type: ignore[no-untyped-def]
+def _distinct(coefficients, center, slope_tolerance, offset_tolerance, max_planes, stands_for):
     kept = np.empty(coefficients.shape[0], np.int64)
     count = 0
     for k in range(coefficients.shape[0]):

@@ -79,7 +79,7 @@ def window_planes(
 
 
 @parallel_jit
-def _fit(disparity, trust, affected, first_gate, growth, gate, value, slope_x, slope_y, scale):  # type: ignore[no-untyped-def]
+def _fit(disparity, trust, affected, first_gate, growth, gate, value, slope_x, slope_y, scale):
     # Rows side by side, in blocks; within a block all pixels at once, one offset of the window after the other.
     height, width = value.shape
     for y in prange(height):
@@ -94,7 +94,7 @@ def _fit(disparity, trust, affected, first_gate, growth, gate, value, slope_x, s
 
 
 @jit
-def _fit_block(disparity, trust, y, left, width, first_gate, growth, gate, sums, value, slope_x, slope_y, scale):  # type: ignore[no-untyped-def]
+def _fit_block(disparity, trust, y, left, width, first_gate, growth, gate, sums, value, slope_x, slope_y, scale):
     one, zero = np.float32(1), np.float32(0)
     s, sx, sy, sd, sxx = sums[0, :width], sums[1, :width], sums[2, :width], sums[3, :width], sums[4, :width]
     sxy, syy, sxd, syd, sdd = sums[5, :width], sums[6, :width], sums[7, :width], sums[8, :width], sums[9, :width]

@@ -92,7 +92,7 @@ def window_sampling(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
 
 
 @parallel_jit
-def _fit(values, valid, planes, step, limits, spread, result):  # type: ignore[no-untyped-def]
+def _fit(values, valid, planes, step, limits, spread, result):
     # Differences and weights of all samples of a block of pixels are kept while planes are fitted to them.
     _, height, width = result.shape
     side = limits.shape[0]
@@ -153,7 +153,7 @@ def color_differences(colors: Any, at: int, plane_size: int, red: Any, green: An
 
 
 @jit
-def _fitted(weights, apart, side, step, shift):  # type: ignore[no-untyped-def]
+def _fitted(weights, apart, side, step, shift):
     # Slopes along the row and the column, and the offset at the center, of the planes through the samples.
     zero = splat(np.float32(0))
     s, sx, sy, sxx, sxy, syy, sd, sxd, syd = zero, zero, zero, zero, zero, zero, zero, zero, zero
@@ -188,13 +188,13 @@ def _fitted(weights, apart, side, step, shift):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _residual(apart, at, i, j, side, step, slope_x, slope_y, offset):  # type: ignore[no-untyped-def]
+def _residual(apart, at, i, j, side, step, slope_x, slope_y, offset):
     dy, dx = splat(np.float32((i - side // 2) * step)), splat(np.float32((j - side // 2) * step))
     return load(apart, at) - offset - slope_x * dx - slope_y * dy
 
 
 @jit
-def _reweight(weights, apart, side, step, shift, slope_x, slope_y, offset):  # type: ignore[no-untyped-def]
+def _reweight(weights, apart, side, step, shift, slope_x, slope_y, offset):
     one, zero = splat(np.float32(1)), splat(np.float32(0))
     for i in range(side):
         for j in range(side):
@@ -204,7 +204,7 @@ def _reweight(weights, apart, side, step, shift, slope_x, slope_y, offset):  # t
 
 
 @jit
-def _residual_variance(weights, apart, side, step, shift, slope_x, slope_y, offset):  # type: ignore[no-untyped-def]
+def _residual_variance(weights, apart, side, step, shift, slope_x, slope_y, offset):
     # The weighted mean of the squared residuals.
     one, total, squares = splat(np.float32(1)), splat(np.float32(0)), splat(np.float32(0))
     for i in range(side):

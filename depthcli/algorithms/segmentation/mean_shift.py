@@ -53,7 +53,7 @@ def mode_colors(image: NDArray[np.uint8], spatial_radius: float, color_radius: f
 
 
 @parallel_jit
-def _shift(planes, radius, limit, modes):  # type: ignore[no-untyped-def]
+def _shift(planes, radius, limit, modes):
     # Sums of a window stay separate by lane until all its rows are added: six sums of vectors, no branch.
     height, width, _ = modes.shape
     for y in prange(height):

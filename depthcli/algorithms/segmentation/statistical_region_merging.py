@@ -94,14 +94,14 @@ def _pixel_sums(image: NDArray[np.uint8], depth: NDArray[np.int16]) -> NDArray[n
 
 
 @jit
-def _bound(size, log_pixels, complexity, levels):  # type: ignore[no-untyped-def]
+def _bound(size, log_pixels, complexity, levels):
     # b^2 of the paper for a region of ``size`` pixels whose values span ``levels``.
     spread = min(size, _LEVELS) * np.log(1.0 + size) + np.log(6.0) + 2 * log_pixels
     return np.float32(levels * levels * spread / (2 * complexity * size))
 
 
 @jit
-def _bounds(log_pixels, complexity, levels):  # type: ignore[no-untyped-def]
+def _bounds(log_pixels, complexity, levels):
     table = np.zeros(_TABLE, np.float32)
     for size in range(1, _TABLE):
         table[size] = _bound(size, log_pixels, complexity, levels)
@@ -109,12 +109,12 @@ def _bounds(log_pixels, complexity, levels):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _look_up(table, size, log_pixels, complexity, levels):  # type: ignore[no-untyped-def]
+def _look_up(table, size, log_pixels, complexity, levels):
     return table[size] if size < _TABLE else _bound(size, log_pixels, complexity, levels)
 
 
 @jit
-def _merge(pairs, sums, guided, complexities, guidance, min_size, labels):  # type: ignore[no-untyped-def]
+def _merge(pairs, sums, guided, complexities, guidance, min_size, labels):
     _, height, width = labels.shape
     pixels = height * width
     log_pixels = np.log(float(pixels))
@@ -167,7 +167,7 @@ def _merge(pairs, sums, guided, complexities, guidance, min_size, labels):  # ty
 
 
 @jit
-def _without_small(parent, size, pairs, width, min_size):  # type: ignore[no-untyped-def]
+def _without_small(parent, size, pairs, width, min_size):
     # Labels after small regions have joined along the most similar of the ``pairs`` that were not joined.
     parent = parent.copy()
     for pair in pairs:

@@ -151,7 +151,7 @@ def _pixel_motion(motion: NDArray[np.float64], camera: Intrinsics) -> tuple[NDAr
 
 
 @jit
-def _splat(disparity, a, b, fb, source, values):  # type: ignore[no-untyped-def]
+def _splat(disparity, a, b, fb, source, values):
     height, width = disparity.shape
     for y in range(height):
         for x in range(width):
@@ -174,7 +174,7 @@ def _splat(disparity, a, b, fb, source, values):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _close(source, values, max_step):  # type: ignore[no-untyped-def]
+def _close(source, values, max_step):
     # Gaps of one pixel, first along rows, then along columns.
     height, width = values.shape
     for dy, dx in ((0, 1), (1, 0)):
@@ -189,7 +189,7 @@ def _close(source, values, max_step):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _places(values, a, b, fb, columns, rows):  # type: ignore[no-untyped-def]
+def _places(values, a, b, fb, columns, rows):
     # Where the pixels of the next view lie in the frame before; -1 where they are not seen.
     height, width = values.shape
     for y in prange(height):

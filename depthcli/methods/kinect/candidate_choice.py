@@ -75,7 +75,7 @@ def choose_candidates(
 
 
 @parallel_jit
-def _costs(  # type: ignore[no-untyped-def]
+def _costs(
     pixels, values, shares, lab, disparity, p_correct, unreliable, value, slope_x, slope_y, noise, smoothness,
     truncation, candidates, unary, weights,
 ):  # fmt: skip
@@ -123,7 +123,7 @@ def _costs(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _drop_expensive(unary, candidates, count):  # type: ignore[no-untyped-def]
+def _drop_expensive(unary, candidates, count):
     # Moves the cheap candidates to the front, in order; the cost of the others becomes infinite.
     cheapest = np.float32(np.inf)
     for i in range(count):

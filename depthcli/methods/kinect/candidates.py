@@ -124,7 +124,7 @@ def cast_votes(
 
 
 @jit
-def _gather(  # type: ignore[no-untyped-def]
+def _gather(
     y, x, light, a, b, planes, colors, weight, stride, inner, reach, limit, limit_factor, similarity, space, low, unit,
     bins, votes, extent,
 ):  # fmt: skip
@@ -161,7 +161,7 @@ def _gather(  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _vote(  # type: ignore[no-untyped-def]
+def _vote(
     pixels, scale, lab, planes, colors, weight, limit, limit_factor, background, extra_share, continued,
     continued_share, similarity, space, low, unit, bins, values, shares,
 ):  # fmt: skip
@@ -206,7 +206,7 @@ def _vote(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _modes(votes, extent, total, values, shares):  # type: ignore[no-untyped-def]
+def _modes(votes, extent, total, values, shares):
     # Takes the modes out of a histogram, the strongest first.
     for i in range(values.size):
         best, top = np.float32(0), -1

@@ -102,12 +102,12 @@ def outline_offsets(lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump
 
 
 @jit
-def _is_edge(d, last, x, jump):  # type: ignore[no-untyped-def]
+def _is_edge(d, last, x, jump):
     return abs(d[x] - d[last]) > max(jump, np.float32(_MAX_SLOPE) * np.float32(abs(x - last)))
 
 
 @parallel_jit
-def _contrast_profiles(lab, disparity, jump, sums, counts):  # type: ignore[no-untyped-def]
+def _contrast_profiles(lab, disparity, jump, sums, counts):
     height, width = disparity.shape
     for y in prange(height):
         d = disparity[y]
@@ -128,7 +128,7 @@ def _contrast_profiles(lab, disparity, jump, sums, counts):  # type: ignore[no-u
 
 
 @parallel_jit
-def _probability(disparity, jump, near, far, gap_probability, widths, shadowed, out):  # type: ignore[no-untyped-def]
+def _probability(disparity, jump, near, far, gap_probability, widths, shadowed, out):
     height, width = disparity.shape
     for y in prange(height):
         d, q = disparity[y], out[y]
@@ -159,7 +159,7 @@ def _probability(disparity, jump, near, far, gap_probability, widths, shadowed, 
 
 
 @jit
-def _lower(d, q, x, step, k, jump, wrong, probability):  # type: ignore[no-untyped-def]
+def _lower(d, q, x, step, k, jump, wrong, probability):
     # Lowers the probabilities q from x on, at distance k from the edge, to the end of the surface or of ``wrong``: the
     # probability, by distance, that a measurement is wrong.
     last = x
@@ -174,7 +174,7 @@ def _lower(d, q, x, step, k, jump, wrong, probability):  # type: ignore[no-untyp
 
 
 @jit
-def _raise_thin_runs(d, q, jump):  # type: ignore[no-untyped-def]
+def _raise_thin_runs(d, q, jump):
     # A run nearer than a neighboring one shows an object, however thin: somewhere in it the value is right.
     start, last = -1, -1
     raised = False

@@ -56,7 +56,7 @@ def edge_distance(disparity: NDArray[np.float32], jump: float = 1.5, gap_toleran
 
 
 @parallel_jit
-def _distance_along_rows(disparity, jump, tolerance, nearest):  # type: ignore[no-untyped-def]
+def _distance_along_rows(disparity, jump, tolerance, nearest):
     height, width = disparity.shape
     for y in prange(height):
         d, out = disparity[y], nearest[y]

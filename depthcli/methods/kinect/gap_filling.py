@@ -98,7 +98,7 @@ def _smoothed(
 
 
 @jit
-def _exchange(low, high):  # type: ignore[no-untyped-def]
+def _exchange(low, high):
     for i in range(low.size):
         p, q = low[i], high[i]
         low[i] = p if p < q else q
@@ -106,7 +106,7 @@ def _exchange(low, high):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _median(source, pixels, lab, stride, out):  # type: ignore[no-untyped-def]
+def _median(source, pixels, lab, stride, out):
     # Nine samples a pixel, sorted by a network as far as their median needs. A sample of another color, or outside of
     # the map, counts as the pixel itself does.
     height, width = source.shape
@@ -134,7 +134,7 @@ def _median(source, pixels, lab, stride, out):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _join(pixels, lab, segments, limit, values, start, total):  # type: ignore[no-untyped-def]
+def _join(pixels, lab, segments, limit, values, start, total):
     # Raster sweeps in turn from both ends, as of a chamfer distance; paths that wind more often are missed.
     height, width = limit.shape
     count = len(pixels)

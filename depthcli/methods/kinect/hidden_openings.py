@@ -56,7 +56,7 @@ def hidden_openings(
 
 
 @parallel_jit
-def _test_openings(lab, value, slope_x, slope_y, trusted, planes, colors, weight, similarity, space, jump, hidden):  # type: ignore[no-untyped-def]
+def _test_openings(lab, value, slope_x, slope_y, trusted, planes, colors, weight, similarity, space, jump, hidden):
     for j in prange(hidden.shape[0]):
         y = _OPENING_GRID * j
         for i in range(hidden.shape[1]):

@@ -229,7 +229,7 @@ def combine(
 
 
 @jit
-def _insert(sorted_values, count, value):  # type: ignore[no-untyped-def]
+def _insert(sorted_values, count, value):
     i = count
     while i > 0 and sorted_values[i - 1] > value:
         sorted_values[i] = sorted_values[i - 1]
@@ -238,7 +238,7 @@ def _insert(sorted_values, count, value):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _median(sorted_values, count):  # type: ignore[no-untyped-def]
+def _median(sorted_values, count):
     middle = count >> 1
     if count & 1:
         return sorted_values[middle]
@@ -246,7 +246,7 @@ def _median(sorted_values, count):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _decide(values, scales, own, disparity, reliable, tolerance, noise, smooth, out, scale, status):  # type: ignore[no-untyped-def]
+def _decide(values, scales, own, disparity, reliable, tolerance, noise, smooth, out, scale, status):
     layers, height, width = values.shape
     for y in prange(height):
         value, spread = np.empty(layers, np.float32), np.empty(layers, np.float32)

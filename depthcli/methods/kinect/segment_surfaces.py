@@ -57,7 +57,7 @@ def join_segments(
 
 
 @jit
-def _statistics(labels, color, limit, count):  # type: ignore[no-untyped-def]
+def _statistics(labels, color, limit, count):
     # Mean color, center (y, x), and mean limit of every segment; inf where at most a third has a limit.
     height, width = labels.shape
     sums = np.zeros((count, 8), np.int64)  # size, three colors, y, x, pixels with a limit
@@ -88,7 +88,7 @@ def _statistics(labels, color, limit, count):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coefficients, center, bounds, unit):  # type: ignore[no-untyped-def]
+def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coefficients, center, bounds, unit):
     waiting: Any = [(0.0, s, s) for s in range(owners.size) if owners[s] == s]
     heapq.heapify(waiting)
     modelled = owners >= 0
@@ -141,7 +141,7 @@ def add_detail(
 
 
 @parallel_jit
-def _residuals(surface, known, labels, scale, decay, residuals, weights):  # type: ignore[no-untyped-def]
+def _residuals(surface, known, labels, scale, decay, residuals, weights):
     height, width = surface.shape
     back = np.float32(1) - decay * decay  # the second pass adds to the sums of the first
     for y in prange(height):
@@ -164,7 +164,7 @@ def _residuals(surface, known, labels, scale, decay, residuals, weights):  # typ
 
 
 @parallel_jit
-def _spread_down(labels, decay, residuals, weights):  # type: ignore[no-untyped-def]
+def _spread_down(labels, decay, residuals, weights):
     height, width = labels.shape
     back = np.float32(1) - decay * decay
     for task in prange((width + _COLUMNS - 1) // _COLUMNS):
@@ -183,7 +183,7 @@ def _spread_down(labels, decay, residuals, weights):  # type: ignore[no-untyped-
 
 
 @parallel_jit
-def _add(surface, residuals, weights):  # type: ignore[no-untyped-def]
+def _add(surface, residuals, weights):
     height, width = surface.shape
     for y in prange(height):
         for x in range(width):

@@ -101,7 +101,7 @@ def _turned(right: bool, *maps: Any) -> tuple[Any, ...]:
 
 
 @jit
-def _rim_contrast(lab, d, y, u, left, right):  # type: ignore[no-untyped-def]
+def _rim_contrast(lab, d, y, u, left, right):
     # Smallest difference of color between pixel u and the first few known ones beyond the rims of its gap.
     smallest = np.int32(1000)
     for k in range(8):
@@ -115,7 +115,7 @@ def _rim_contrast(lab, d, y, u, left, right):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _limits(  # type: ignore[no-untyped-def]
+def _limits(
     lab, disparity, value, slope_x, jump, tolerance, factors, scale, covered, holes, limit, limit_factor
 ):  # fmt: skip
     for y in prange(disparity.shape[0]):
@@ -142,7 +142,7 @@ def _limits(  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _background(disparity, value, slope_x, jump, low, high, scale, covered, background, extra_share):  # type: ignore[no-untyped-def]
+def _background(disparity, value, slope_x, jump, low, high, scale, covered, background, extra_share):
     for y in prange(disparity.shape[0]):
         d = disparity[y]
         for last, x in gaps_of(d, False):
@@ -184,7 +184,7 @@ def max_disparity_in_gaps(
 
 
 @parallel_jit
-def _max_in_gaps(disparity, jump, tolerance, scale, covered, behind, limit):  # type: ignore[no-untyped-def]
+def _max_in_gaps(disparity, jump, tolerance, scale, covered, behind, limit):
     for y in prange(disparity.shape[0]):
         d = disparity[y]
         for last, x in gaps_of(d, False):

@@ -154,7 +154,7 @@ def _shadow(gaps: NDArray[np.float32], prior: float) -> tuple[Shadow, float]:
 
 
 @jit
-def gaps_of(d, first):  # type: ignore[no-untyped-def]
+def gaps_of(d, first):
     """Return (n, 2), the known pixels beside every gap of a row; for other kernels.
 
     Gaps at the row's ends are left out, but the first one if ``first``: its left pixel is -1.
@@ -171,12 +171,12 @@ def gaps_of(d, first):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _is_shadow_like(d, last, x, jump):  # type: ignore[no-untyped-def]
+def _is_shadow_like(d, last, x, jump):
     return x - last > 2 and abs(d[x] - d[last]) > jump
 
 
 @parallel_jit
-def _count_gaps(disparity, jump, counts):  # type: ignore[no-untyped-def]
+def _count_gaps(disparity, jump, counts):
     for y in prange(disparity.shape[0]):
         for last, x in gaps_of(disparity[y], False):
             if _is_shadow_like(disparity[y], last, x, jump):
@@ -184,7 +184,7 @@ def _count_gaps(disparity, jump, counts):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _list_gaps(disparity, jump, starts, gaps):  # type: ignore[no-untyped-def]
+def _list_gaps(disparity, jump, starts, gaps):
     # (n, 2): width and step of every gap beside a step.
     for y in prange(disparity.shape[0]):
         d = disparity[y]
@@ -196,7 +196,7 @@ def _list_gaps(disparity, jump, starts, gaps):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _count_fits(gaps, scales, covered, found, pairs):  # type: ignore[no-untyped-def]
+def _count_fits(gaps, scales, covered, found, pairs):
     # Gaps as wide as a shadow of their own step, and, of ``pairs`` of gaps, as one of the other gap's different step.
     n = len(gaps)
     for k in range(n):
@@ -211,7 +211,7 @@ def _count_fits(gaps, scales, covered, found, pairs):  # type: ignore[no-untyped
 
 
 @parallel_jit
-def _count_holes(disparity, jump, holes):  # type: ignore[no-untyped-def]
+def _count_holes(disparity, jump, holes):
     for y in prange(disparity.shape[0]):
         d = disparity[y]
         for last, x in gaps_of(d, False):

@@ -91,7 +91,7 @@ def _search(
 
 
 @jit
-def _comparable(shift, low, high, sign, other_sign, scale, other_scale, max_scale_ratio):  # type: ignore[no-untyped-def]
+def _comparable(shift, low, high, sign, other_sign, scale, other_scale, max_scale_ratio):
     if shift < low or shift > high or sign != other_sign:
         return False
     return scale <= max_scale_ratio * other_scale and other_scale <= max_scale_ratio * scale

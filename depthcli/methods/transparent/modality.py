@@ -131,7 +131,7 @@ def mean_cost(volume: CostVolume) -> NDArray[np.float32]:
 
 
 @parallel_jit
-def _fade(costs, left, right, out):  # type: ignore[no-untyped-def]
+def _fade(costs, left, right, out):
     height, width, n_disparities = costs.shape
     half = np.float32(0.5)
     for y in prange(height):

@@ -53,7 +53,7 @@ class Smoothing(BaseModel):
 
 
 @parallel_jit
-def _smooth(values, image, wanted, radius, rate, result):  # type: ignore[no-untyped-def]
+def _smooth(values, image, wanted, radius, rate, result):
     height, width = values.shape
     for y in prange(height):
         for x in range(width):

@@ -97,7 +97,7 @@ class Realsense(SequencePipeline):
 
 
 @parallel_jit
-def _smooth_lines(values, alpha, delta):  # type: ignore[no-untyped-def]
+def _smooth_lines(values, alpha, delta):
     # Every row there and back; edges are steps of the unfiltered values, as in librealsense.
     for y in prange(values.shape[0]):
         line = values[y]
@@ -116,7 +116,7 @@ def _smooth_lines(values, alpha, delta):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _temporal(values, last, history, alpha, delta, min_valid, n_frames, carried):  # type: ignore[no-untyped-def]
+def _temporal(values, last, history, alpha, delta, min_valid, n_frames, carried):
     height, width = values.shape
     for y in prange(height):
         for x in range(width):
@@ -140,7 +140,7 @@ def _temporal(values, last, history, alpha, delta, min_valid, n_frames, carried)
 
 
 @jit
-def _fill(values, mode):  # type: ignore[no-untyped-def]
+def _fill(values, mode):
     # In raster order: filled values count for later pixels. Farthest is the smallest disparity.
     height, width = values.shape
     for y in range(height):

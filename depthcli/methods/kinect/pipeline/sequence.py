@@ -167,7 +167,7 @@ class Sequence(SequencePipeline, Dsrm):
 
 
 @parallel_jit
-def _blend(disparity, scale, status, previous, still, drift):  # type: ignore[no-untyped-def]
+def _blend(disparity, scale, status, previous, still, drift):
     # Filled values of still pixels: weighted mean with the previous ones, whose variance grows by the drift.
     height, width = disparity.shape
     for y in prange(height):
@@ -227,7 +227,7 @@ def carried_labels(
 
 
 @parallel_jit
-def _held(labels, still, reliable, limit, coefficients, center, bounds, unit, scale, jump, cost):  # type: ignore[no-untyped-def]
+def _held(labels, still, reliable, limit, coefficients, center, bounds, unit, scale, jump, cost):
     # 0 where a pixel keeps its segment, else infinite.
     height, width = labels.shape
     for y in prange(height):
@@ -243,7 +243,7 @@ def _held(labels, still, reliable, limit, coefficients, center, bounds, unit, sc
 
 
 @jit
-def _sweep(cost, labels, own, color, reliable, limit, coefficients, center, bounds, unit, weight):  # type: ignore[no-untyped-def]
+def _sweep(cost, labels, own, color, reliable, limit, coefficients, center, bounds, unit, weight):
     height, width = labels.shape
     held = cost.copy()
     for step in (1, -1):

@@ -76,7 +76,7 @@ def discrepancy(
 
 
 @parallel_jit
-def _discrepancy(values, width, order, starts, coefficients, weight, truncation, unary):  # type: ignore[no-untyped-def]
+def _discrepancy(values, width, order, starts, coefficients, weight, truncation, unary):
     for t in prange(unary.shape[0]):
         first = starts[t]
         m = starts[t + 1] - first
@@ -120,7 +120,7 @@ def matching_cost(
 
 
 @parallel_jit
-def _matching_cost(costs, width, order, starts, coefficients, weight, unary):  # type: ignore[no-untyped-def]
+def _matching_cost(costs, width, order, starts, coefficients, weight, unary):
     n_disparities = costs.shape[1]
     for t in prange(unary.shape[0]):
         for i in range(starts[t], starts[t + 1]):
@@ -151,7 +151,7 @@ def visibility(
 
 
 @parallel_jit
-def _visibility(right, order, starts, coefficients, weight, unary):  # type: ignore[no-untyped-def]
+def _visibility(right, order, starts, coefficients, weight, unary):
     width = right.shape[1]
     for t in prange(unary.shape[0]):
         for i in range(starts[t], starts[t + 1]):
@@ -174,7 +174,7 @@ def out_of_range(
 
 
 @parallel_jit
-def _out_of_range(order, starts, width, coefficients, max_disparity, unary):  # type: ignore[no-untyped-def]
+def _out_of_range(order, starts, width, coefficients, max_disparity, unary):
     lowest, highest = np.float32(-1), np.float32(max_disparity + 1)
     for t in prange(unary.shape[0]):
         count = starts[t + 1] - starts[t]
