@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import OutputError
-from depthcli.core.result import RefinedDepth, Result
+from depthcli.core.result import DepthResult, Result
 from depthcli.io.formats.depth import write_depth_png, write_ply
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.files import write_text
@@ -86,7 +86,7 @@ def save_map_confidence(
 
 
 def save_depth(
-    result: RefinedDepth,
+    result: DepthResult,
     folder: Path,
     scale: float,
     rotate: int = 0,

@@ -21,8 +21,7 @@ from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.core.result import Clock, Result
-from depthcli.core.result import RefinedDepth as RefinedDepthDetails
+from depthcli.core.result import Clock, DepthResult, Result
 from depthcli.io.formats.depth import MILLIMETERS
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import frame_by_frame
@@ -210,7 +209,7 @@ def complete_transparent(
 def refined_frame(
     config: RefineKinectConfig,
     frame: RgbdFrame,
-    refine: Callable[[RgbdFrame], RefinedDepthDetails],
+    refine: Callable[[RgbdFrame], DepthResult],
     clock: Clock,
     scale: float,
     rotate: int = 0,

@@ -23,7 +23,7 @@ from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.networks import networks_in
 from depthcli.methods.stereo.networks.runtime import network_device
 from depthcli.methods.stereo.search_range import KeyPointRange, SearchRange, complete_range
-from depthcli.methods.stereo.stages import Matcher
+from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.volume import StereoResult
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ _MAX_SHARE_AT_END = 0.05  # of the measured pixels at an end of the search range
 
 
 def match_pair(
-    matcher: Matcher,
+    matcher: PairMatcher,
     pair: StereoPair,
     ends: tuple[int | str, int | str | None],
     limits: Limits,

@@ -17,7 +17,7 @@ from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import Image
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
-from depthcli.core.result import RefinedDepth as RefinedDepthDetails
+from depthcli.core.result import DepthResult
 from depthcli.io.formats.depth import MILLIMETERS
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.pair_geometry import read_geometry, write_geometry
@@ -200,7 +200,7 @@ class RefinedDepth(DepthMap):
 
     color: NDArray[np.uint8]
     camera: Intrinsics | None
-    details: RefinedDepthDetails
+    details: DepthResult
     seconds: Mapping[str, float]
     scale: float = MILLIMETERS
     rotate: int = 0

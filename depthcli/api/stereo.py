@@ -26,7 +26,7 @@ from depthcli.core.result import Clock
 from depthcli.io.formats.stereo_images import pair_of
 from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
 from depthcli.methods.stereo.config import StereoConfig
-from depthcli.methods.stereo.stages import Matcher as Method
+from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.programs.program import ProgramRun
 from depthcli.run.resources import available_memory
 
@@ -192,7 +192,7 @@ class _Matching:
     def __init__(self, config: StereoConfig | FuseConfig, volumes: Mapping[str, ArrayLike] | None = None) -> None:
         self.config = config
         self._memory = 0, 0.0
-        self.method: Method = config.pipeline if isinstance(config, StereoConfig) else config
+        self.method: PairMatcher = config.pipeline if isinstance(config, StereoConfig) else config
         if isinstance(config, FuseConfig) and (wanted := {m.volume for m in config.measures if m.volume is not None}):
             given = {name: np.asarray(volume) for name, volume in (volumes or {}).items()}
             if wanted - set(given):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from depthcli.io.formats.pictures import Palette
     from depthcli.methods.stereo.config import PairConfig
     from depthcli.methods.stereo.matching import Limits
-    from depthcli.methods.stereo.stages import Matcher
+    from depthcli.methods.stereo.stages import PairMatcher
 
 PairConfigT = TypeVar("PairConfigT", bound="PairConfig")
 
@@ -59,7 +59,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         return config.model_copy(update={"calibration": config.calibration.model_copy(update={"unit": unit})})
 
     @abstractmethod
-    def matcher(self, config: PairConfigT, scene: StereoScene) -> Matcher:
+    def matcher(self, config: PairConfigT, scene: StereoScene) -> PairMatcher:
         """Return what matches the scene's pair."""
 
     def device(self, config: PairConfigT) -> Device | None:

@@ -12,7 +12,7 @@ from depthcli.run.command import Values
 
 if TYPE_CHECKING:
     from depthcli.methods.fusion.config import FuseConfig
-    from depthcli.methods.stereo.stages import Matcher
+    from depthcli.methods.stereo.stages import PairMatcher
 
 
 class FuseCommand(PairCommand["FuseConfig"]):
@@ -43,7 +43,7 @@ class FuseCommand(PairCommand["FuseConfig"]):
         network = {} if name is None else {"network": network_path(name)}
         return super().files(config, scene) | self._volumes(config, scene) | network
 
-    def matcher(self, config: FuseConfig, scene: StereoScene) -> Matcher:
+    def matcher(self, config: FuseConfig, scene: StereoScene) -> PairMatcher:
         """Return fusion; volumes made elsewhere are read when the pair is matched."""
         from depthcli.io.formats.npy import map_npy
         from depthcli.methods.fusion.config import FusionWithVolumes

@@ -26,7 +26,7 @@ from depthcli.run.json_csv import Row
 
 if TYPE_CHECKING:
     from depthcli.core.frames import RgbdFrame
-    from depthcli.core.result import RefinedDepth
+    from depthcli.core.result import DepthResult
     from depthcli.io.formats.pictures import Palette
     from depthcli.methods.kinect.config import RefineKinectConfig
 
@@ -195,7 +195,7 @@ def _refine_frame(
     scene: RgbdScene,
     folder: Path,
     memory: int,
-    refine: Callable[[RgbdFrame], RefinedDepth],
+    refine: Callable[[RgbdFrame], DepthResult],
 ) -> Outcome:
     import numpy as np
 

@@ -12,7 +12,7 @@ from depthcli.run.command import Values
 if TYPE_CHECKING:
     from depthcli.device import Device
     from depthcli.methods.stereo.config import StereoConfig
-    from depthcli.methods.stereo.stages import Matcher
+    from depthcli.methods.stereo.stages import PairMatcher
 
 _DEVICE = Option(
     "device", str, "Where to match: cpu, auto (a GPU if there is one), opencl or cuda, also with :N. Default: cpu.",
@@ -46,7 +46,7 @@ class StereoCommand(PairCommand["StereoConfig"]):
 
         return with_address(super().config(values))
 
-    def matcher(self, config: StereoConfig, scene: StereoScene) -> Matcher:
+    def matcher(self, config: StereoConfig, scene: StereoScene) -> PairMatcher:
         return config.pipeline
 
     def device(self, config: StereoConfig) -> Device | None:

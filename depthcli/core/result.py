@@ -37,7 +37,7 @@ class Result:
 
 
 @dataclass
-class RefinedDepth(Result):
+class DepthResult(Result):
     """A refined depth map and the uncertainty of its values.
 
     Attributes

@@ -8,7 +8,7 @@ import numpy as np
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus, Status
-from depthcli.core.result import RefinedDepth
+from depthcli.core.result import DepthResult
 from depthcli.core.volumes import RegisteredPair
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.registration.pipeline import RegistrationPipeline
@@ -74,7 +74,7 @@ def memory_grows_with_the_pair(pipeline: StereoPipeline) -> None:
     assert 0 < small <= large, f"peak_bytes says {small} bytes of 60 x 100 pixels, {large} of 600 x 1000"
 
 
-def _check_depth(result: RefinedDepth, frame: RgbdFrame) -> None:
+def _check_depth(result: DepthResult, frame: RgbdFrame) -> None:
     depth = result.depth
     assert depth.values.shape == frame.shape, f"want {frame.shape}, got {depth.values.shape}"
     assert depth.values.dtype == np.float32, f"want float32, got {depth.values.dtype}"

@@ -12,7 +12,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.method import RootConfig
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.config import PairConfig
-from depthcli.methods.stereo.stages import Matcher
+from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.volume import StereoResult
 
 
@@ -23,7 +23,7 @@ class FuseConfig(PairConfig, Fusion, RootConfig):
 
 
 @dataclass(frozen=True)
-class FusionWithVolumes(Matcher):
+class FusionWithVolumes(PairMatcher):
     """Fusion with cost volumes that were made elsewhere.
 
     Attributes

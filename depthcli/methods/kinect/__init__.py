@@ -1,6 +1,6 @@
 """Refinement of Kinect depth maps: gaps filled, depth edges moved to color edges, noise smoothed (thesis, chapter 4).
 
-In: an ``RgbdFrame``, color (H, W, 3) uint8 and depth (H, W) float32, m. Out: a ``RefinedDepth`` with depth, status and
+In: an ``RgbdFrame``, color (H, W, 3) uint8 and depth (H, W) float32, m. Out: a ``DepthResult`` with depth, status and
 standard deviation. Start at ``pipeline``: one file per pipeline, its steps in order. All pipelines compute with the
 sensor's disparity, in pixels, which is proportional to inverse depth; ``disparity`` has what they begin and end with:
 the measured disparity, its noise, the way back to depth.

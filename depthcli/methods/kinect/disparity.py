@@ -10,7 +10,7 @@ from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 
 _NOISE_SAMPLES = 60_000  # second differences along either axis: as many give the median within a percent
 _NOISE_REACH = 3  # pixels between values of a second difference: noise that neighbors share shows there
@@ -79,7 +79,7 @@ def refined_depth(
     noise: float,
     clock: Clock,
     fallback: NDArray[np.bool_] | None = None,
-) -> RefinedDepth:
+) -> DepthResult:
     """Convert a refined disparity to depth, with a status that says what became of every measurement.
 
     Parameters
@@ -107,7 +107,7 @@ def refined_depth(
     if fallback is not None:
         status[~known & fallback] = DepthStatus.FALLBACK
     status[np.isnan(depth)] = DepthStatus.EMPTY
-    return RefinedDepth(
+    return DepthResult(
         seconds=clock.seconds, depth=DepthMap(depth, status), sigma=deviation_of_depth(sigma, depth, frame.fb)
     )
 

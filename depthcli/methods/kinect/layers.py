@@ -12,7 +12,7 @@ from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
-from depthcli.core.result import RefinedDepth
+from depthcli.core.result import DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.correct_probability import correct_probability
 from depthcli.methods.kinect.disparity import deviation_of_depth, measured_disparity, noise_level
@@ -193,13 +193,13 @@ class RefinedDisparity:
         scale = np.where(filled, np.float32(noise), self.scale)
         return RefinedDisparity(values, scale, np.where(filled, np.uint8(DepthStatus.FALLBACK), self.status))
 
-    def to_depth(self, frame: RgbdFrame) -> RefinedDepth:
+    def to_depth(self, frame: RgbdFrame) -> DepthResult:
         """Convert to depth; kept measurements have the sensor's exact value."""
         depth = depth_of_disparity(self.disparity, frame.fb)
         kept = self.status == DepthStatus.KEPT
         depth[kept] = frame.depth[kept]
         status = np.where(np.isnan(depth), np.uint8(DepthStatus.EMPTY), self.status)
-        return RefinedDepth(depth=DepthMap(depth, status), sigma=deviation_of_depth(self.scale, depth, frame.fb))
+        return DepthResult(depth=DepthMap(depth, status), sigma=deviation_of_depth(self.scale, depth, frame.fb))
 
 
 def combine(

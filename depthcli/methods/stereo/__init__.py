@@ -8,7 +8,7 @@ Start at :func:`.matching.match`. In the order of the data:
 | ``rectification`` | two images of uncalibrated cameras -> the same images with matches on one row |
 | ``search_range`` | pair, ends given by the user or "auto" -> the disparities to search (by ``keypoint_matching``) |
 | ``matching`` | matcher, pair, largest disparity, limits -> ``StereoResult``; matched whole, in tiles or on a device |
-| ``stages`` | ``Matcher``, the interface of all that match a pair; ``CostStages``, the families below in one object |
+| ``stages`` | ``PairMatcher``, the base of all matchers; ``CostStages``, the families below in one object |
 | ``pipeline/`` | the matchers of ``stereo``, one file each: pair, largest disparity -> ``StereoResult`` |
 | ``tiling/`` | a matcher and a pair too large to be matched whole -> ``StereoResult``, tile by tile, coarse to fine |
 | ``volume`` | the types that stages hand to each other: ``CostVolume``, ``RefinementContext``, ``StereoResult`` |

@@ -17,7 +17,7 @@ from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import Device
 from depthcli.methods.stereo.on_device import DevicePair, run_stage
-from depthcli.methods.stereo.stages import Matcher
+from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.tiling.coarse_to_fine import match_in_tiles
 from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES, Memory
 from depthcli.methods.stereo.volume import StereoResult
@@ -48,7 +48,7 @@ class Limits:
     device: Device | None = None
 
 
-def match(matcher: Matcher, pair: StereoPair, max_disparity: int, limits: Limits) -> StereoResult:
+def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Limits) -> StereoResult:
     """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive, in the way that ``limits`` ask for.
 
     On the device, where one is given and the matcher has an implementation for it; in tiles, where the whole pair needs
@@ -86,13 +86,13 @@ def match(matcher: Matcher, pair: StereoPair, max_disparity: int, limits: Limits
     return result
 
 
-def host_bytes(matcher: Matcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> int:
+def host_bytes(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> int:
     """Estimate the memory of this machine that :func:`match` takes for a pair of (H, W) ``shape``, bytes."""
     need, has_tiles = _needs(matcher, shape, max_disparity, limits)
     return min(need, limits.tile_memory) if has_tiles else need
 
 
-def _needs(matcher: Matcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> tuple[int, bool]:
+def _needs(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> tuple[int, bool]:
     # The memory of this machine for the whole pair, bytes, and whether it may be matched in tiles instead.
     if limits.device is None or matcher.device_bytes(shape, max_disparity) is None:
         return matcher.peak_bytes(shape, max_disparity), limits.tiles != "never" and matcher.tile_halo() is not None

@@ -1,4 +1,4 @@
-"""``Matcher``, what anything that matches a pair declares; ``CostStages``, the stages of methods that compute costs."""
+"""``PairMatcher``, the base of all that match a pair; ``CostStages``, the stages of methods that compute costs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from depthcli.methods.stereo.volume import CostVolume, RefinementContext, Stereo
 _TILE_HALO = 64  # pixels, for methods of which nothing is known
 
 
-class Matcher(ABC):
+class PairMatcher(ABC):
     """Anything that matches a pair (pipelines, fusion), with what :func:`..matching.match` needs to know of it."""
 
     uses_devices: ClassVar[bool] = True
@@ -51,7 +51,7 @@ class Matcher(ABC):
         """Return the stages whose costs can be computed tile by tile; None: tiles are matched as pairs of their own."""
         return None
 
-    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, Matcher]:
+    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, PairMatcher]:
         """Apply the steps that need the whole images; return the new pair, and the matcher without these steps.
 
         For pairs that are matched in tiles or on a device; ``__call__`` includes these steps.

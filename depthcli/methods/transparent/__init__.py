@@ -1,7 +1,7 @@
 """Depth of transparent objects, which the sensor sees through, by sparse depth from elsewhere (thesis, section 5.1).
 
 In: a ``SparseFrame`` (color, the sensor's depth, sparse depth; (H, W), meters), or an ``RgbIrFrame`` (color, infrared,
-the sensor's depth), of which ``cross_modal`` makes one. Out: a ``RefinedDepth``: (H, W) meters, with a status and a
+the sensor's depth), of which ``cross_modal`` makes one. Out: a ``DepthResult``: (H, W) meters, with a status and a
 standard deviation. ``config`` is the root of the command's config; start reading at ``pipeline/robust``. In the order
 in which they are used:
 

@@ -12,7 +12,7 @@ from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
 from depthcli.algorithms.plane_fitting.samples import Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, DepthStatus
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 
 # Values that the presets were published with; nothing in the repository varies them.
@@ -93,7 +93,7 @@ def refined_depth(
     sigma: NDArray[np.floating[Any]] | float = np.nan,
     sampled: NDArray[np.bool_] | None = None,
     figures: dict[str, float] | None = None,
-) -> RefinedDepth:
+) -> DepthResult:
     """Convert inverse depth to the result of a pipeline.
 
     Parameters
@@ -115,6 +115,6 @@ def refined_depth(
     status[(status != DepthStatus.KEPT) & sampled] |= np.uint8(DepthStatus.SAMPLED)
     status[np.isnan(depth)] = DepthStatus.EMPTY
     pictures = {"unreliable": np.where(unreliable & known, np.uint8(255), np.uint8(0))}
-    return RefinedDepth(
+    return DepthResult(
         DepthMap(depth, status), deviation, seconds=clock.seconds, pictures=pictures, figures=figures or {}
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.programs.depth import MAP_BYTES, DepthProgram
@@ -20,7 +20,7 @@ class Command(DepthProgram, KinectPipeline):
 
     bytes_per_pixel = MAP_BYTES
 
-    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+    def __call__(self, frame: RgbdFrame) -> DepthResult:
         """Write the frame, run the program, read its map; ProgramError where it failed."""
         clock = Clock()
         noise = noise_level(measured_disparity(frame))

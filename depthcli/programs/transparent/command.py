@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.frames import SparseFrame
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.programs.depth import MAP_BYTES, DepthProgram
@@ -23,7 +23,7 @@ class Command(DepthProgram, TransparentPipeline):
         0.01, ge=0, le=10, description="difference from the sensor above which its value counts as replaced, meters"
     )
 
-    def __call__(self, frame: SparseFrame) -> RefinedDepth:
+    def __call__(self, frame: SparseFrame) -> DepthResult:
         """Write the frame, run the program, read its map; ProgramError where it failed."""
         clock = Clock()
         depth = self.new_depth(frame, {"sparse": frame.sparse}, clock)

@@ -34,7 +34,7 @@ from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
-from depthcli.methods.stereo.stages import Matcher
+from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.tiling import coarse_to_fine, tile_by_tile
 from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Tile
 from depthcli.methods.stereo.tiling.winners import TiledWinners
@@ -51,7 +51,7 @@ def preset(name: str):
     return load_config(StereoConfig, find_config("stereo", name), [], lambda n: find_preset("stereo", n)).pipeline
 
 
-def match_in_tiles(matcher: Matcher, pair: StereoPair, top: int, memory: int) -> StereoResult:
+def match_in_tiles(matcher: PairMatcher, pair: StereoPair, top: int, memory: int) -> StereoResult:
     return match(matcher, pair, top, Limits(memory, tiles="always"))
 
 

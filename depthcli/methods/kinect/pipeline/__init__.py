@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.method import Method, method_of
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 
 DisparityArray = NDArray[np.float32]
@@ -25,7 +25,7 @@ class KinectPipeline(Method):
     """Estimate of the peak working memory."""
 
     @abstractmethod
-    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+    def __call__(self, frame: RgbdFrame) -> DepthResult:
         """Refine the depth map of ``frame``.
 
         A pixel that no model and no neighbor reaches stays NaN with status ``EMPTY``.
@@ -56,7 +56,7 @@ class FilterPipeline(KinectPipeline):
         clock : stopped after every stage
         """
 
-    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+    def __call__(self, frame: RgbdFrame) -> DepthResult:
         clock = Clock()
         measured = measured_disparity(frame)
         noise = noise_level(measured)
@@ -69,7 +69,7 @@ class SequencePipeline(KinectPipeline):
     """A refinement that carries a state from frame to frame."""
 
     @abstractmethod
-    def step(self, frame: RgbdFrame, state: Any) -> tuple[RefinedDepth, Any]:
+    def step(self, frame: RgbdFrame, state: Any) -> tuple[DepthResult, Any]:
         """Refine the next frame.
 
         Parameters
@@ -78,18 +78,18 @@ class SequencePipeline(KinectPipeline):
         state : as the last step returned it; None before the first frame
         """
 
-    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+    def __call__(self, frame: RgbdFrame) -> DepthResult:
         """Refine a frame that belongs to no sequence."""
         return self.step(frame, None)[0]
 
 
-def frame_by_frame(pipeline: KinectPipeline) -> Callable[[RgbdFrame], RefinedDepth]:
+def frame_by_frame(pipeline: KinectPipeline) -> Callable[[RgbdFrame], DepthResult]:
     """Return what refines the next frame of a sequence, with the state that a :class:`SequencePipeline` carries."""
     if not isinstance(pipeline, SequencePipeline):
         return pipeline
     state = None
 
-    def step(frame: RgbdFrame) -> RefinedDepth:
+    def step(frame: RgbdFrame) -> DepthResult:
         nonlocal state
         result, state = pipeline.step(frame, state)
         return result

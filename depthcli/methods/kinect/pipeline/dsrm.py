@@ -14,7 +14,7 @@ from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.kinect.depth_edges import edge_distance
 from depthcli.methods.kinect.layers import Layer, Measurement, RefinedDisparity, combine, fit_layer
 from depthcli.methods.kinect.model import Model
@@ -59,10 +59,10 @@ class Dsrm(KinectPipeline):
     )  # fmt: skip
     details: bool = Field(False, description="write the segments of every layer as pictures")
 
-    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+    def __call__(self, frame: RgbdFrame) -> DepthResult:
         return self.refine(frame)[0]
 
-    def refine(self, frame: RgbdFrame) -> tuple[RefinedDepth, Measurement, list[Layer], NDArray[np.float32]]:
+    def refine(self, frame: RgbdFrame) -> tuple[DepthResult, Measurement, list[Layer], NDArray[np.float32]]:
         """Return the result and the state of a sequence: measurement, layers (none ``in_turn``), disparity."""
         clock = Clock()
         clock.start("unreliable")

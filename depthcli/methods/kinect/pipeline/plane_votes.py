@@ -10,7 +10,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_planes import RADIUS, window_planes
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.kinect.candidate_choice import AGREEMENT, choose_candidates
 from depthcli.methods.kinect.candidates import LEVELS, ExtraVotes, Voters, cast_votes
 from depthcli.methods.kinect.disparity import nearest_fill, refined_depth
@@ -70,7 +70,7 @@ class PlaneVotes(KinectPipeline):
     iterations: int = Field(5, ge=1, le=100, description="number of iterations of the message passing")
     passes: int = Field(2, ge=1, le=5, description="repetitions, each on the map refined so far")
 
-    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+    def __call__(self, frame: RgbdFrame) -> DepthResult:
         clock = Clock()
         clock.start("unreliable")
         lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB), np.uint8)

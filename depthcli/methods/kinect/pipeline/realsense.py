@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.pipeline import SequencePipeline
@@ -61,7 +61,7 @@ class Realsense(SequencePipeline):
         "farthest", description="gaps take the value on their left, or the farthest or nearest of those around"
     )
 
-    def step(self, frame: RgbdFrame, state: RealsenseState | None) -> tuple[RefinedDepth, RealsenseState]:
+    def step(self, frame: RgbdFrame, state: RealsenseState | None) -> tuple[DepthResult, RealsenseState]:
         """Filter the next frame; the state is a :class:`RealsenseState`, None before the first.
 
         Raises

@@ -14,7 +14,7 @@ from depthcli.algorithms.plane_fitting.polynomials import surface_at
 from depthcli.core.cameras.camera import typical_intrinsics
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.camera_motion import View, displacement, estimated_motion, view_after
 from depthcli.methods.kinect.layers import Layer, Measurement, combine
@@ -72,7 +72,7 @@ class Sequence(SequencePipeline, Dsrm):
         1.0, ge=0, description="standard deviation of a filled value's change per frame, multiples of the noise"
     )
 
-    def step(self, frame: RgbdFrame, state: SequenceState | None) -> tuple[RefinedDepth, SequenceState]:
+    def step(self, frame: RgbdFrame, state: SequenceState | None) -> tuple[DepthResult, SequenceState]:
         """Refine the next frame; the state is a :class:`SequenceState`, None before the first.
 
         Raises
@@ -121,7 +121,7 @@ class Sequence(SequencePipeline, Dsrm):
             tuple(layers), frame.color, refined.disparity, state.noise, state.age + 1, frame.pose
         )
 
-    def start(self, frame: RgbdFrame) -> tuple[RefinedDepth, SequenceState]:
+    def start(self, frame: RgbdFrame) -> tuple[DepthResult, SequenceState]:
         """Refine the first frame of a sequence."""
         result, measurement, layers, disparity = self.refine(frame)
         result.words["motion"] = "new"

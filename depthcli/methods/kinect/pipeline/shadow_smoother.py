@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.kinect.depth_edges import edge_distance
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
@@ -47,7 +47,7 @@ class ShadowSmoother(KinectPipeline):
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
     max_change: float = Field(2.0, ge=0, description="largest change of a reliable measurement, multiples of the noise")
 
-    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+    def __call__(self, frame: RgbdFrame) -> DepthResult:
         clock = Clock()
         clock.start("confidence")
         measured = measured_disparity(frame)

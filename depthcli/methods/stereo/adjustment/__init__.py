@@ -26,7 +26,7 @@ from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
-from depthcli.methods.stereo.stages import Matcher, finish
+from depthcli.methods.stereo.stages import PairMatcher, finish
 
 Adjust = Annotated[
     tuple[Literal["noise", "rows", "light"], ...],
@@ -108,12 +108,12 @@ def _aligned(pair: StereoPair, max_disparity: int, what: Adjust) -> StereoPair:
     return pair
 
 
-class AdjustingMatcher(Matcher, BaseModel):
+class AdjustingMatcher(PairMatcher, BaseModel):
     """A matcher that first adjusts the right image to the left one."""
 
     adjust: Adjust = ()
 
-    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, Matcher]:
+    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, PairMatcher]:
         """Return the pair with an adjusted right image, and the matcher without that step."""
         return adjusted(pair, max_disparity, self.adjust, clock), self.model_copy(update={"adjust": ()})
 

@@ -18,10 +18,10 @@ from pydantic import Field
 from depthcli.core.method import Method, method_of
 from depthcli.methods.stereo.adjustment import AdjustingMatcher
 from depthcli.methods.stereo.cost import Cost
-from depthcli.methods.stereo.stages import Matcher
+from depthcli.methods.stereo.stages import PairMatcher
 
 
-class StereoPipeline(Matcher, Method):
+class StereoPipeline(PairMatcher, Method):
     """A complete stereo method; in a config its name stands under ``pipeline``."""
 
 

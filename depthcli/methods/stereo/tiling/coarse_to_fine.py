@@ -24,7 +24,7 @@ from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
-from depthcli.methods.stereo.stages import CostStages, Matcher
+from depthcli.methods.stereo.stages import CostStages, PairMatcher
 from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, Candidates, Memory
 from depthcli.methods.stereo.tiling.tile_by_tile import Prior, match_by_costs, match_by_patches, refined_map
 from depthcli.methods.stereo.volume import StereoResult
@@ -50,7 +50,7 @@ _COARSE_STAGES = CostStages(
 
 
 def match_in_tiles(
-    matcher: Matcher, pair: StereoPair, max_disparity: int, available: Memory, clock: Clock
+    matcher: PairMatcher, pair: StereoPair, max_disparity: int, available: Memory, clock: Clock
 ) -> StereoResult:
     """Match a pair over disparities 0 .. ``max_disparity`` inclusive in at most the ``available`` memory.
 

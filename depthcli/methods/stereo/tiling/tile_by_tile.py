@@ -20,7 +20,7 @@ from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
-from depthcli.methods.stereo.stages import CostStages, Matcher
+from depthcli.methods.stereo.stages import CostStages, PairMatcher
 from depthcli.methods.stereo.tiling.plan import Candidates, Margins, Memory, Tile
 from depthcli.methods.stereo.tiling.winners import TiledWinners
 from depthcli.methods.stereo.volume import CostMinima, CostVolume, FixedPoint, RefinementContext, StereoResult
@@ -103,7 +103,7 @@ def match_by_costs(
 
 
 def match_by_patches(
-    matcher: Matcher, pair: StereoPair, candidates: Candidates, available: Memory, clock: Clock
+    matcher: PairMatcher, pair: StereoPair, candidates: Candidates, available: Memory, clock: Clock
 ) -> StereoResult:
     """Match every tile as a pair of its own, over one range from the smallest to the largest of its ``candidates``."""
     clock.start("plan")

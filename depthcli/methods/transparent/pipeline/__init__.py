@@ -7,14 +7,14 @@ from typing import Annotated
 
 from depthcli.core.frames import SparseFrame
 from depthcli.core.method import Method, method_of
-from depthcli.core.result import RefinedDepth
+from depthcli.core.result import DepthResult
 
 
 class TransparentPipeline(Method):
     """A complete method; in a config its name stands under ``pipeline``."""
 
     @abstractmethod
-    def __call__(self, frame: SparseFrame) -> RefinedDepth:
+    def __call__(self, frame: SparseFrame) -> DepthResult:
         """Compute dense depth of ``frame``.
 
         Status ``KEPT`` is the sensor's value, ``CORRECTED`` replaces an unreliable one, ``GAP_FILLED`` was unknown to

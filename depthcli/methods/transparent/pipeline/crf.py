@@ -13,7 +13,7 @@ from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
 from depthcli.algorithms.plane_fitting.samples import Samples
 from depthcli.core.frames import SparseFrame
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.fitted_frame import FittedFrame, fit_frame, inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.unreliable import UnreliableRegions
@@ -71,7 +71,7 @@ class DenseCrf(TransparentPipeline):
     )
     iterations: int = Field(2, ge=0, le=100, description="iterations of mean field inference")
 
-    def __call__(self, frame: SparseFrame) -> RefinedDepth:
+    def __call__(self, frame: SparseFrame) -> DepthResult:
         clock = Clock()
         if self.unreliable is None:
             sensor, samples = inverse_depth(frame.depth), Samples.of(inverse_depth(frame.sparse))

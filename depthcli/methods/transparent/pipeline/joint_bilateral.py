@@ -8,7 +8,7 @@ from pydantic import Field
 from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
 from depthcli.core.frames import SparseFrame
 from depthcli.core.method import Odd
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.pipeline.nearest import NearestSample, nearest_depth
@@ -21,7 +21,7 @@ class JointBilateralFilling(TransparentPipeline):
     sigma_space: float = Field(5.0, gt=0, description="standard deviation of the weight by distance, pixels")
     sigma_color: float = Field(15.0, gt=0, description="standard deviation of the weight by color, grey levels")
 
-    def __call__(self, frame: SparseFrame) -> RefinedDepth:
+    def __call__(self, frame: SparseFrame) -> DepthResult:
         clock = Clock()
         clock.start("fill")
         unreliable = NearestSample().unreliable(frame, nearest_depth(frame))

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.samples import Samples
 from depthcli.core.frames import SparseFrame
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 
@@ -27,7 +27,7 @@ class NearestSample(TransparentPipeline):
         40.0, ge=0, description="largest distance of a sample that the sensor is compared with, pixels"
     )
 
-    def __call__(self, frame: SparseFrame) -> RefinedDepth:
+    def __call__(self, frame: SparseFrame) -> DepthResult:
         clock = Clock()
         clock.start("fill")
         dense = nearest_depth(frame)

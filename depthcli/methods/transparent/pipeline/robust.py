@@ -9,7 +9,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
 from depthcli.core.frames import SparseFrame
-from depthcli.core.result import Clock, RefinedDepth
+from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.fitted_frame import fit_frame, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.smoothing import Smoothing
@@ -29,7 +29,7 @@ class RobustPlanes(TransparentPipeline):
         default_factory=Smoothing, description="how the planes are smoothed where they replace the sensor"
     )
 
-    def __call__(self, frame: SparseFrame) -> RefinedDepth:
+    def __call__(self, frame: SparseFrame) -> DepthResult:
         clock = Clock()
         fitted = fit_frame(frame, self.fit, self.unreliable, clock)
         clock.start("decode")
