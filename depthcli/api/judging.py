@@ -21,12 +21,10 @@ from depthcli.io.formats.images import png_bytes
 from depthcli.io.formats.networks import network_path, read_network
 from depthcli.methods.given_maps import MapJudge, MapJudgment, Networks, map_measures
 from depthcli.methods.given_maps.fusion import MAX_MAPS, GivenMapsFusion
-from depthcli.methods.given_maps.several_baselines import with_agreed_values
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
 
 _TOP_SHARE = 0.999  # of the values; larger ones do not widen the range of the costs
-_MAX_RATIO = 1.2  # of the disparities of two pairs to what their baselines say
 _MAX_OUTSIDE = 0.5  # share of a map's values that may lie outside of the range
 _MIN_EXPECTED = 0.3  # mean probability below which a map has a warning
 
@@ -170,64 +168,25 @@ def judge(
     )  # fmt: skip
 
 
-def check_baselines(baselines: Sequence[float]) -> None:
-    """Refuse baselines that are zero or not finite, and a negative first one, by a ConfigError."""
-    if not all(math.isfinite(one) and one != 0 for one in baselines) or baselines[0] < 0:
-        raise ConfigError(
-            f"baselines: want lengths other than 0, the first one positive (got {', '.join(map(str, baselines))})"
-        )
-
-
 def fused(
     method: GivenMapsFusion,
     pair: StereoPair,
     maps: Mapping[str, NDArray[np.float32]],
     max_disparity: int | None,
     memory: int,
-    baselines: Mapping[str, float] | None = None,
 ) -> Disparity:
-    """Fuse maps; what Python's function and the command have in common. Parameters and errors as for :func:`judge`.
-
-    Parameters
-    ----------
-    baselines : name of a map -> baseline of its pair, and of the pair itself, which comes first; negative: the other
-        camera stands to the left. Maps become disparities of the pair itself: inverse depths
-    """
+    """Fuse maps; what Python's function and the command have in common. Parameters and errors as for :func:`judge`."""
     if not 1 <= len(maps) <= MAX_MAPS:
         raise InputError(f"maps: want 1 to {MAX_MAPS} (got {len(maps)})")
-    if baselines is not None:
-        own = next(iter(baselines.values()))
-        contradictions = _contradictions(maps, baselines)
-        maps = {name: one * np.float32(own / baselines[name]) for name, one in maps.items()}
     top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity)
     _check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory)
     found, judgment = method(pair, clean, top)
-    if baselines is not None and len(maps) > 1:
-        warnings += contradictions
-        found = with_agreed_values(found, clean, [baselines[name] / own for name in maps])
     result = StereoResult(
         disparity=found, seconds=judgment.seconds, confidence={"probability": judgment.probability}
     )  # fmt: skip
     return Disparity(
         found.values, found.status, pair.left, SearchRange(0, top), result, dict(judgment.seconds), tuple(warnings)
     )
-
-
-def _contradictions(maps: Mapping[str, NDArray[np.float32]], baselines: Mapping[str, float]) -> list[str]:
-    """Return a line for each map whose disparities are no multiple of the first one's by the baselines."""
-    (first, reference), *others = maps.items()
-    lines = []
-    for name, values in others:
-        with np.errstate(all="ignore"):
-            ratios = (values / reference)[np.isfinite(values) & (np.abs(reference) > 1)]
-        wanted = baselines[name] / baselines[first]
-        found = float(np.median(ratios)) if ratios.size else wanted
-        if not 1 / _MAX_RATIO < found / wanted < _MAX_RATIO:
-            lines.append(
-                f"the disparities of {name} are {found:.3g} times those of {first} in the median, the baselines say "
-                f"{wanted:.3g}: are they in the order of the maps?"
-            )
-    return lines
 
 
 def _prepared(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.arrays import as_image, as_map
-from depthcli.api.judging import MapConfidence, check_baselines, fused, fusion_of, judge, judge_by_one_view, judge_of
+from depthcli.api.judging import MapConfidence, fused, fusion_of, judge, judge_by_one_view, judge_of
 from depthcli.api.results import Disparity
 from depthcli.api.running import computing
 from depthcli.api.wording import worded
@@ -82,7 +82,6 @@ def fuse_maps(
     right: ArrayLike,
     maps: Sequence[ArrayLike],
     *,
-    baselines: Sequence[float] | None = None,
     max_disparity: int | None = None,
     within: float = 1.0,
     surfaces: bool = False,
@@ -93,9 +92,6 @@ def fuse_maps(
     ----------
     left, right : the images, as for :func:`stereo`
     maps : (H, W) pixels each, maps of the left view by any programs; NaN, infinite and negative ones = no value
-    baselines : one a map, in any unit, where the left view was matched with several cameras. The first map is that of
-        ``left`` and ``right``; the others are scaled to its baseline. Negative: that camera stands to the left.
-        Best is the longest baseline first
     max_disparity : largest disparity that is compared with, pixels; None: that of the maps
     within : error up to which a value counts as right in ``confidence["probability"]``, pixels, 0.25 to 8
     surfaces : whether planes of segments are proposed, too; slower
@@ -120,14 +116,8 @@ def fuse_maps(
     True
     """
     pair, arrays = _inputs(left, right, {f"maps[{k}]": one for k, one in enumerate(maps)})
-    lengths = None
-    if baselines is not None:
-        if len(baselines) != len(arrays):
-            raise ConfigError(f"baselines: want one a map, {len(arrays)} (got {len(baselines)})")
-        lengths = dict(zip(arrays, map(float, baselines), strict=True))
-        check_baselines(list(lengths.values()))
     with computing():
-        return fused(fusion_of(within, surfaces), pair, arrays, max_disparity, available_memory(), lengths)
+        return fused(fusion_of(within, surfaces), pair, arrays, max_disparity, available_memory())
 
 
 def _inputs(

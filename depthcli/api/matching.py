@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli import device
 from depthcli.api.results import Disparity
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
@@ -43,7 +40,6 @@ def match_pair(
     limits: Limits,
     clock: Clock,
     known: KeyPointRange | None = None,
-    axis: Literal["horizontal", "vertical"] = "horizontal",
 ) -> Disparity:
     """Match a pair; what Python's functions and the commands that match pairs have in common.
 
@@ -52,20 +48,12 @@ def match_pair(
     ends : of the search range, pixels or "auto"; the upper one None: as key points suggest
     clock : books ``range``, where key points are matched, the stages of the method, and ``other``
     known : the range of the key points of the pair's sequence; None: that of the pair's own, where it is wanted
-    axis : vertical: left ``(y, x)`` matches right ``(y - d, x)``. The images are turned, and the maps turned back
 
     Raises
     ------
     InputError
-        The range is empty, too few key points match, the memory does not suffice, or volumes were made elsewhere for a
-        vertical pair.
+        The range is empty, too few key points match, or the memory does not suffice.
     """
-    if axis == "vertical":
-        from depthcli.methods.fusion.config import FusionWithVolumes
-
-        if isinstance(matcher, FusionWithVolumes):
-            raise InputError("vertical pairs cannot be fused with volumes made elsewhere")
-        return _turned_back(match_pair(matcher, pair.turned, ends, limits, clock, known), pair)
     if known is None and (ends[1] is None or "auto" in ends):
         clock.start("range")
     search, key_points = complete_range(*ends, pair, known)
@@ -76,22 +64,6 @@ def match_pair(
     warnings = tuple(_warnings(pair, result, search, key_points, limits))
     found = result.disparity
     return Disparity(found.values, found.status, pair.left, search, result, dict(clock.seconds), warnings, key_points)
-
-
-def _turned_back(found: Disparity, pair: StereoPair) -> Disparity:
-    """Return the result of the turned ``pair`` as that of the pair itself."""
-
-    def back(array: NDArray[ScalarT]) -> NDArray[ScalarT]:
-        return np.ascontiguousarray(np.rot90(array, -1))
-
-    disparity = DisparityMap(back(found.values), back(found.status))
-    details = replace(
-        found.details,
-        disparity=disparity,
-        confidence={name: back(each) for name, each in found.details.confidence.items()},
-        pictures={name: back(each) for name, each in found.details.pictures.items()},
-    )
-    return replace(found, values=disparity.values, status=disparity.status, left=pair.left, details=details)
 
 
 def limits_of(config: PairConfig, memory: int, device: Device | None) -> Limits:

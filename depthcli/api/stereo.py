@@ -57,8 +57,7 @@ def stereo(
     preset : name of a preset of ``depthcli stereo``, path of a YAML file, or a config
     overrides : config keys -> values, as ``--set`` has them, such as ``{"cost.window": 9}``
     **fields : the same for keys that are Python names, such as ``min_disparity=-8``, or ``calibration``: a file, a list
-        of files, or a mapping as in a config; the map is then that of the rectified left image. ``axis="vertical"``:
-        ``left`` is the upper and ``right`` the lower view of a rectified pair
+        of files, or a mapping as in a config; the map is then that of the rectified left image
 
     Returns
     -------
@@ -212,7 +211,7 @@ class _Matching:
         ends = self.config.min_disparity or 0, "auto" if given is None else given
         limits = limits_of(self.config, self._free_memory(), self.device)
         with self.turn, computing():
-            found = match_pair(self.method, pair, ends, limits, Clock(), axis=self.config.axis)
+            found = match_pair(self.method, pair, ends, limits, Clock())
         if rig is not None:
             found = replace(found, geometry=rig.geometry)
         if given is not None:

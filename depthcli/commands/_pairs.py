@@ -29,12 +29,6 @@ if TYPE_CHECKING:
 PairConfigT = TypeVar("PairConfigT", bound="PairConfig")
 
 
-_RIGHT = Option("right", Path, "Right image, likewise; repeatable, with --baselines.", "FILE", repeatable=True,
-                group="Input")  # fmt: skip
-_BASELINES = Option("baselines", str, "Of several --right: 0.3,0.1. Their maps are fused.", "LENGTHS", group="Input")
-_AXIS = Option("axis", str, "vertical: --left is the upper view. Default: horizontal.", "AXIS", sets="axis")
-
-
 class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
     """Reads a pair, matches it, writes the left view's map."""
 
@@ -44,9 +38,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     @property
     def options(self) -> tuple[Option, ...]:
-        given = [_RIGHT if option.name == "right" else option for option in super().options]
-        place = given.index(_RIGHT) + 1
-        return (*given[:place], _BASELINES, *given[place:], UNIT, _AXIS)
+        return (*super().options, UNIT)
 
     def config(self, values: Values) -> PairConfigT:
         """Return the config, with the unit of its calibration where that is given."""
@@ -85,7 +77,6 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         if not (isinstance(min_disparity, int) and isinstance(max_disparity, int)):
             return None
         shape, limits = image_size(scene.left)[:2], self.limits(config, 0)
-        shape = shape if config.axis == "horizontal" else (shape[1], shape[0])
         return host_bytes(self.matcher(config, scene), shape, max_disparity - min_disparity, limits)
 
     def effort(self, config: PairConfigT, scene: StereoScene) -> int | None:
@@ -119,23 +110,13 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         return (0, int(Status.SMOOTHED), *reasons, *(bit | int(Status.FILLED) for bit in reasons))
 
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Run as every such command; a calibration that cannot be read is an error before any scene is opened.
-
-        With several right views, a run for each pair, and one of their maps, fused.
-        """
-        config, given = self.config(values), values["right"]
-        rights = given if isinstance(given, list) else [given]  # a single one of a pair of several cameras
-        if len(rights) > 1:
-            from depthcli.commands._several_cameras import run_pairs
-
-            return run_pairs(self, config, rights, values, reporter)
-        if values.get("baselines") is not None:
-            raise ConfigError("--baselines wants a --right for each of them")
+        """Run as every such command; a calibration that cannot be read is an error before any scene is opened."""
+        config = self.config(values)
         if config.calibration is not None:
             from depthcli.api.rectification import read_rig
 
             read_rig(config.calibration)
-        return super().run({**values, "right": rights[0] if rights else None}, reporter)
+        return super().run(values, reporter)
 
     def files(self, config: PairConfigT, scene: StereoScene) -> dict[str, Path]:
         """Return the files of the pair, the calibration that rectifies it, and the frames that give its range."""
@@ -195,13 +176,13 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         if config.calibration is None:
             clock.start("load")
             pair = scene.load()
-            if scene.right is not None and scene.frame_number is None and config.axis == "horizontal":
+            if scene.right is not None and scene.frame_number is None:
                 current_scene().originals = pair, (scene.left, scene.right)
         else:
             clock.start("rectify")
             pair, save, facts, warnings = rectified_pair(config.calibration, scene, folder)
         with _meanwhile(save):
-            found = match_pair(matcher, pair, (min_disparity, max_disparity), limits, clock, known, config.axis)
+            found = match_pair(matcher, pair, (min_disparity, max_disparity), limits, clock, known)
         clock.start("save")
         found.save(folder)
         search, key_points = found.search, found.key_points
@@ -240,8 +221,6 @@ def _range_frames(config: PairConfig, scene: StereoScene) -> tuple[StereoScene, 
     of each pair by itself.
     """
     ends = config.min_disparity, config.max_disparity
-    if config.axis == "vertical":
-        return ()
     if "auto" in ends or config.max_disparity is not None or scene.max_disparity is not None:
         return ()
     return scene.sequence if config.calibration is not None or scene.frame_number is not None else ()

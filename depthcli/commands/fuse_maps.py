@@ -6,12 +6,9 @@ corrected.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypedDict
 
-from depthcli.commands._baselines import baselines_of
 from depthcli.commands._flags import FLAGS
 from depthcli.commands._given_maps import (
     CODING,
@@ -31,10 +28,7 @@ from depthcli.run.command import Outcome, Values
 from depthcli.run.console import SIZE, Column, Reporter, percent
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from depthcli.api.results import Disparity
+    pass
 
 
 class FuseMapsOptions(TypedDict):
@@ -43,7 +37,6 @@ class FuseMapsOptions(TypedDict):
     max_disparity: int | None
     within: float
     surfaces: bool
-    baselines: dict[str, float] | None
 
 
 class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
@@ -57,7 +50,6 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         Option("maps", str, "Run folder, or map; repeatable; NAME=DIR names it.", "RUN", repeatable=True,
                required=True, group="Input"),
         *CODING,
-        Option("baselines", str, "Of the maps' pairs, this pair's first: 0.1,0.3.", "LENGTHS", group="Input"),
         OUTPUT,
         NAME, LAYOUT, SCENES,
         Option("within", float, "Error up to which a value is right, pixels.", "PX", default=1.0),
@@ -82,9 +74,8 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         if len(values["maps"]) > MAX_MAPS:
             raise ConfigError(f"--maps: at most {MAX_MAPS} (got {len(values['maps'])})")
         config = FuseMapsOptions(
-            max_disparity=largest_of(values), within=threshold_of(values), surfaces=values["surfaces"],
-            baselines=_baselines(values),
-        )  # fmt: skip
+            max_disparity=largest_of(values), within=threshold_of(values), surfaces=values["surfaces"]
+        )
         return self.run_on(config, find_map_scenes(values, reporter, values["maps"]), values, reporter)
 
     def memory_of(self, config: FuseMapsOptions, scene: MapsScene) -> int | None:
@@ -117,9 +108,7 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         maps = {one.run: loaded(one, pair.shape) for one in scene.maps}
         clock.start("other")
         method = fusion_of(config["within"], config["surfaces"])
-        found = fused(method, pair, maps, config["max_disparity"] or scene.max_disparity, memory, config["baselines"])
-        if config["baselines"] is not None:
-            found = _with_filled(found, [one.filled() for one in scene.maps])
+        found = fused(method, pair, maps, config["max_disparity"] or scene.max_disparity, memory)
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder)
@@ -133,31 +122,6 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         }
         absent = [f"no map of {run}: fused without it" for run in scene.absent]
         return Outcome(columns, clock.seconds, [*absent, *found.warnings])
-
-
-def _with_filled(found: Disparity, filled: Sequence[NDArray[np.bool_] | None]) -> Disparity:
-    """Return the map, of which what all given maps have filled is filled, too, though they agree."""
-    import numpy as np
-
-    from depthcli.core.maps import DisparityMap, Status
-
-    known = [one for one in filled if one is not None and one.shape == found.status.shape]
-    if len(known) < len(filled):
-        return found
-    all_filled = np.logical_and.reduce(known) & ((found.status & Status.FILLED) == 0)
-    status = np.where(all_filled, found.status | np.uint8(Status.MISMATCH | Status.FILLED), found.status)
-    details = replace(found.details, disparity=DisparityMap(found.values, status))
-    return replace(found, status=status, details=details)
-
-
-def _baselines(values: Values) -> dict[str, float] | None:
-    """Return run -> baseline, or None where all maps are of one pair."""
-    from depthcli.commands._runs import find_runs
-
-    if values["baselines"] is None:
-        return None
-    runs = list(find_runs(values["maps"]))
-    return dict(zip(runs, baselines_of(values["baselines"], len(runs), "maps"), strict=True))
 
 
 COMMAND = FuseMapsCommand()

@@ -74,13 +74,6 @@ class StereoPair:
         return _eight_bit(luma(left)), _eight_bit(luma(right))
 
     @property
-    def turned(self) -> StereoPair:
-        """The pair, both images turned by 90 degrees counterclockwise: matches above each other come to lie in rows."""
-        left, right = (cast(Image, np.ascontiguousarray(np.rot90(each))) for each in (self.left, self.right))
-        trust = None if self.light_trust is None else np.ascontiguousarray(np.rot90(self.light_trust))
-        return StereoPair(left, right, self.bits, trust)
-
-    @property
     def top(self) -> int:
         """Largest value that a sample can have."""
         return (1 << (self.bits or 8 * self.left.itemsize)) - 1

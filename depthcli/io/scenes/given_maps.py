@@ -56,17 +56,6 @@ class GivenMap:
                 )
         return values
 
-    def filled(self) -> NDArray[np.bool_] | None:
-        """Return where the map was filled, not measured, (H, W), by the status beside it; None where there is none."""
-        from depthcli.core.maps import Status
-        from depthcli.io.formats.pictures import read_status
-
-        beside = self.path.parent / "status.png"
-        if not (storage.is_file(beside) and storage.is_file(self.path.parent / "record.json")):
-            return None
-        filled: NDArray[np.bool_] = (read_status(beside) & Status.FILLED) != 0
-        return filled
-
 
 @dataclass(frozen=True, kw_only=True)
 class MapsScene(StereoScene):

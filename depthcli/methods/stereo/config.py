@@ -63,10 +63,6 @@ class PairConfig(BaseModel):
     calibration: Calibration | None = Field(
         None, description="calibration by which pairs are rectified first; null: they are rectified already"
     )
-    axis: Literal["horizontal", "vertical"] = Field(
-        "horizontal",
-        description="along what matches lie: rows; or columns, where left is the upper and right the lower view",
-    )
     tiles: TileMode = Field(
         "auto",
         description="whether pairs are matched in tiles, coarse to fine where costs are not local; auto: where the "
@@ -87,14 +83,6 @@ class PairConfig(BaseModel):
                 "empty_range", "should be greater than the smallest disparity, {smallest}", {"smallest": smallest}
             )
             error: InitErrorDetails = {"type": problem, "loc": ("max_disparity",), "input": largest}
-            raise ValidationError.from_exception_data(type(self).__name__, [error])
-        return self
-
-    @model_validator(mode="after")
-    def _is_rectified_if_vertical(self) -> Self:
-        if self.axis == "vertical" and self.calibration is not None:
-            problem = PydanticCustomError("vertical", "vertical pairs have to be rectified; leave calibration out")
-            error: InitErrorDetails = {"type": problem, "loc": ("axis",), "input": self.axis}
             raise ValidationError.from_exception_data(type(self).__name__, [error])
         return self
 
