@@ -22,7 +22,6 @@ What ``compute`` does:
 ``depth``                 read a run's disparity map and its calibration; triangulate; write depth, and points
 ``rectify``               load the views; match key points; warp by the calibration or the points; write both views,
                           calib.txt and the search range
-``extract``               read the times of a recording's messages; match them; write images, calibration and poses
 ``sample``                draw a scene of known truth; write images, truth and masks
 ========================  ============================================================================================
 
@@ -34,7 +33,6 @@ The others:
 ``sweep``     makes a config of every combination; runs each as its command does; evaluates all; writes the tables
 ``export``    finds the maps of a benchmark's scenes; checks all; writes the archive as its server takes it
 ``calibrate`` finds a board's corners in photos; solves for lenses and places without outliers; writes rig and report
-``cloud``     moves the clouds of a run's frames by their poses; joins what lies in one voxel; writes one cloud
 ``merge``     joins the reports of the processes that shared a run
 ``help``      explains columns, layouts, files and other topics, from the code
 ``presets``   lists the configs that are shipped, or prints one with its fields
@@ -82,7 +80,7 @@ _GROUPS = {
         "fuse-maps",
         "register-confidence",
     ),
-    "Prepare and convert": ("sample", "extract", "calibrate", "rectify", "depth", "cloud"),
+    "Prepare and convert": ("sample", "calibrate", "rectify", "depth"),
     "Evaluate and report": ("evaluate", "sweep", "export", "merge"),
     "Inspect and set up": ("help", "presets", "devices", "warmup"),
 }

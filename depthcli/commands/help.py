@@ -88,9 +88,8 @@ def _columns() -> Page:
         "report.csv of confidence, fuse maps": _rows(report.GIVEN_MAPS),
         "report.csv of register-confidence": _rows(report.REGISTRATION),
         "report.csv of sample": _rows(report.SAMPLES),
-        "report.csv of extract": _rows(report.RECORDINGS),
         "planes.csv, segment_labels.csv, keypoints.csv": _rows(report.SEGMENTS),
-        "Printed by devices, warmup, --list-topics, cloud, --dry-run": _rows(report.LISTS),
+        "Printed by devices, warmup, --dry-run": _rows(report.LISTS),
     }
 
 
@@ -179,7 +178,6 @@ def _formats() -> Page:
              "codes"),
             *others,
             ("volumes", " ".join(VOLUME_SUFFIXES)),
-            ("arrays in HDF5", ".dsp5 .hdf5 .mat of layouts hypersim, nyu-v2, spring: pip install 'depthcli[hdf5]'"),
         ],
         "Maps of a run, by the protocol that scores them": [(", ".join(which), ends) for ends, which in maps.items()],
     }  # fmt: skip

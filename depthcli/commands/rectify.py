@@ -98,9 +98,6 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
     def files(self, config: RectifyOptions, scene: StereoScene) -> dict[str, Path]:
         return scene.input_files | {f"calibration_{k}": file for k, file in enumerate(self._calibration)}
 
-    def settings(self, config: RectifyOptions, scene: StereoScene) -> dict[str, str]:
-        return {} if scene.pose is None else {"pose": f"{scene.pose}"}
-
     def memory_of(self, config: RectifyOptions, scene: StereoScene) -> None:
         """Return None, since it is little more than the images; InputError where the calibration cannot be read."""
         if not config["uncalibrated"]:
@@ -161,10 +158,6 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
             facts |= search
         except InputError as error:
             warnings.append(str(error))
-        if isinstance(found, RectifiedRig) and scene.pose is not None:  # the rectified camera is turned
-            turn = np.eye(4)
-            turn[:3, :3] = found.rotation.T
-            meta["pose"] = (np.array(scene.pose).reshape(4, 4) @ turn).round(12).tolist()
         if isinstance(found, RectifiedRig):
             facts |= {"focal": found.geometry.left.fx, "baseline": found.geometry.baseline}
         _rectified.save_views(folder, {"left": views[0], "right": views[1]}, found, meta.get("max_disparity"))

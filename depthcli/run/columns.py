@@ -115,21 +115,7 @@ SAMPLES = (
 )
 """Columns of ``sample``, beside those of the commands that read its scenes."""
 
-RECORDINGS = (
-    Column("frames", "frames whose images were written"),
-    Column("unmatched", "messages of the larger topic without a partner within the tolerance"),
-    Column("damaged", "messages that could not be read, and places where the recording contradicts itself"),
-    Column("median_offset, max_offset", "median and largest difference of the times of a frame's images", "ms",
-           ("median offset", "max offset"), "(median|max)_offset"),
-    Column("tolerance", "largest difference of times that was allowed", "ms"),
-    Column("poses", "frames with a pose"),
-    Column("calibration", "files that hold it; none: the recording has none; refused: it contradicts itself"),
-    Column("left_topic, right_topic, color_topic, depth_topic", "topics that the images are of",
-           pattern="(left|right|color|depth)_topic"),
-)  # fmt: skip
-"""Columns of ``extract``."""
-
-OF_RUNS = (*REPORT, *MAPS, *DEPTH, *REGISTRATION, *GIVEN_MAPS, *SAMPLES, *RECORDINGS)
+OF_RUNS = (*REPORT, *MAPS, *DEPTH, *REGISTRATION, *GIVEN_MAPS, *SAMPLES)
 """Columns of the reports of all runs."""
 
 SEGMENTS = (
@@ -151,22 +137,10 @@ LISTS = (
     Column("device", "name of a device for --set device"),
     Column("name", "as its driver calls it"),
     Column("memory", "of the device; of a scene: estimated peak of its computation"),
-    Column("recording", "file or folder of a recording, without ending"),
-    Column("topic", "of the messages of a recording"),
-    Column("type", "of the messages of a topic"),
-    Column("messages", "number of messages of a topic"),
-    Column("rate", "messages a second, over the whole recording", "Hz"),
-    Column(
-        "frames, without",
-        "frames whose clouds were joined, and those that lack a cloud or a pose",
-        pattern="frames|without",
-    ),
-    Column("points, voxels", "points of all frames, and of the cloud they became", pattern="points|voxels"),
-    Column("extent", "of a cloud, along x, y and z", "m", pattern="extent|size"),
     Column("bandwidth", "measured speed of copies in its memory", "GB/s"),
     Column("driver", "version of the driver"),
     Column("kernel", "compiled function"),
     Column("arguments", "types that it is compiled for"),
     Column("done", "scenes of a run that are done"),
 )
-"""Columns of ``devices``, ``warmup``, ``--list-topics``, ``cloud`` and ``--dry-run``, beside those of a report."""
+"""Columns of ``devices``, ``warmup`` and ``--dry-run``, beside those of a report."""

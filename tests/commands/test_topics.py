@@ -26,7 +26,6 @@ REPORTS = {
     "stereo": report_columns.MAPS,
     "fuse": report_columns.MAPS,
     "rectify": report_columns.MAPS,
-    "extract": report_columns.RECORDINGS,
     "refine-kinect": report_columns.DEPTH,
     "transparent": report_columns.DEPTH,
     "depth": (*report_columns.DEPTH, *report_columns.MAPS),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -68,46 +66,6 @@ def test_broken_frames_of_diode(tmp_path: Path):
         find(tmp_path)[0].load()
 
 
-def hypersim(images: Path, distance: np.ndarray, name: str = "dataset") -> Path:
-    h5py = pytest.importorskip("h5py")
-    write_png(images / "scene_cam_00_final_preview" / "frame.0003.tonemap.jpg", COLOR)
-    write_png(images / "scene_cam_00_final_preview" / "frame.0003.gamma.jpg", COLOR)
-    path = images / "scene_cam_00_geometry_hdf5" / "frame.0003.depth_meters.hdf5"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    (path.parent / "frame.0003.semantic.hdf5").write_bytes(b"")
-    with h5py.File(path, "w") as file:
-        file.create_dataset(name, data=distance.astype(np.float16))
-    return path
-
-
-def test_distances_of_hypersim_become_depths(tmp_path: Path):
-    focal = WIDTH / 2 / math.tan(math.radians(30))
-    x, y = np.meshgrid(np.arange(WIDTH) - 3.5, np.arange(HEIGHT) - 2.5)
-    distance = 2.5 * np.sqrt(x**2 + y**2 + focal**2) / focal  # of a plane at 2.5 m
-    distance[0, 0] = np.nan
-    hypersim(tmp_path / "ai_001_001" / "images", distance)
-    (scene,) = find(tmp_path)
-    assert (scene.name, scene.layout) == ("ai_001_001/images/scene_cam_00_frame.0003", "hypersim")
-    assert scene.intrinsics == pytest.approx((886.81, 886.81, 511.5, 383.5), abs=1e-3)
-    depth = scene.truth().depth
-    assert np.isnan(depth[0, 0])
-    np.testing.assert_allclose(depth.ravel()[1:], 2.5, rtol=1e-3)
-    check("hypersim", tmp_path / "ai_001_001")
-
-
-def test_broken_frames_of_hypersim(tmp_path: Path):
-    path = hypersim(tmp_path / "images", DEPTH, "other")
-    with pytest.raises(InputError, match=r"depth_meters\.hdf5: no array called dataset"):
-        find(tmp_path)[0].load()
-    path.unlink()
-    hypersim(tmp_path / "images", DEPTH[0])
-    with pytest.raises(InputError, match=r"depth_meters\.hdf5: want distances of shape \(H, W\)"):
-        find(tmp_path)[0].load()
-    (tmp_path / "images" / "scene_cam_00_final_preview" / "frame.0003.tonemap.jpg").unlink()
-    with pytest.raises(InputError, match=r"a frame without its color, .*frame\.0003\.tonemap\.jpg"):
-        find(tmp_path)[0].load()
-
-
 _MATRIX = "{0} 0 {1} 0\n0 {0} {2} 0\n0 0 1 0\n0 0 0 1\n"
 
 
@@ -151,51 +109,3 @@ def test_broken_cameras_of_scannet(tmp_path: Path, text: str, said: str):
     (folder / "intrinsic" / "intrinsic_color.txt").unlink()
     with pytest.raises(InputError, match=r"no intrinsic/intrinsic_color\.txt"):
         find(folder)
-
-
-def nyu(folder: Path, **arrays: np.ndarray) -> Path:
-    h5py = pytest.importorskip("h5py")
-    raw = DEPTH.copy()
-    raw[:2] = 0
-    given = {
-        "images": np.stack([COLOR, 255 - COLOR]).transpose(0, 3, 2, 1),  # the axes of MATLAB in reverse
-        "rawDepths": np.stack([raw, raw + 1]).transpose(0, 2, 1),
-        "depths": np.stack([DEPTH, DEPTH + 1]).transpose(0, 2, 1),
-    }
-    folder.mkdir(exist_ok=True)
-    with h5py.File(folder / "nyu_depth_v2_labeled.mat", "w", userblock_size=512) as file:
-        for name, array in (given | arrays).items():
-            file.create_dataset(name, data=array)
-    return folder
-
-
-def test_nyu_v2(tmp_path: Path):
-    nyu(tmp_path / "nyu")
-    first, second = find(tmp_path)
-    assert (first.name, second.name, first.layout) == ("nyu/0001", "nyu/0002", "nyu-v2")
-    frame = second.load()
-    np.testing.assert_array_equal(frame.color, 255 - COLOR)
-    np.testing.assert_array_equal(frame.depth[2:], DEPTH[2:] + 1)
-    assert np.isnan(first.load().depth[:2]).all()
-    np.testing.assert_array_equal(second.truth().depth, DEPTH + 1)
-    assert second.frame_size() == (HEIGHT, WIDTH)
-    assert frame.intrinsics is not None
-    assert frame.intrinsics.fx == 518.8579
-    check("nyu-v2", tmp_path)
-
-
-@pytest.mark.parametrize(("arrays", "said"), [
-    ({"images": np.zeros((2, 1, 8, 6), np.uint8)}, "images: want colors of 8 bit"),
-    ({"rawDepths": np.zeros((2, 8), np.float32)}, "rawDepths: want entries of 2 axes"),
-    ({"rawDepths": np.zeros((1, 8, 6), np.float32)}, "rawDepths: no entry 1, there are 1"),
-])  # fmt: skip
-def test_broken_files_of_nyu_v2(tmp_path: Path, arrays: dict[str, np.ndarray], said: str):
-    with pytest.raises(InputError, match=rf"nyu_depth_v2_labeled\.mat: [^\n]*{said}"):
-        find(nyu(tmp_path, **arrays))[1].load()
-
-
-def test_what_is_said_of_nyu_v2_without_its_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (tmp_path / "nyu_depth_v2_labeled.mat").write_bytes(b"MATLAB 7.3")
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(InputError, match=r"\.mat: HDF5 files need h5py: pip install 'depthcli\[hdf5\]'"):
-        find(tmp_path)

@@ -1,7 +1,7 @@
 """Protocols: how a benchmark, or a kind of ground truth, scores a map; one file each, the folder is the registry.
 
 ``_disparity`` has what the protocols of disparity maps share: ``middlebury_v2``, ``middlebury_v3``, ``eth3d``,
-``kitti_2012``, ``kitti_2015``, ``scene_flow``, ``spring`` and ``booster``. ``depth`` scores depth maps,
+``kitti_2012``, ``kitti_2015``, ``scene_flow`` and ``booster``. ``depth`` scores depth maps,
 ``registration`` expected registration errors, whose metrics are in ``_registration``. ``load`` returns the class of a
 name, :class:`Protocol` says what it has to have.
 """

@@ -54,7 +54,6 @@ class DisparityTruth:
     scale : codes per pixel of the truth's files, or None
     max_disparity, round_disparity : values of an estimate are clipped, and rounded (Middlebury v3)
     factor : size of the benchmark's full image / size of this one (Middlebury v3)
-    finer : (2 H, 2 W) float32, pixels of the estimate, where the truth has four values for each of its pixels (Spring)
     """
 
     disparity: Disparity
@@ -64,7 +63,6 @@ class DisparityTruth:
     max_disparity: int | None = None
     round_disparity: bool = False
     factor: int = 1
-    finer: Disparity | None = None
 
 
 class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
@@ -113,7 +111,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         masks = self.masks(stored)
         ordered = {name: masks[name] for name in self.ordered(masks)}
         return DisparityTruth(stored.disparity, ordered, stored.noc, stored.scale, scene.max_disparity,
-                              scene.round_disparity, finer=stored.finer)  # fmt: skip
+                              scene.round_disparity)  # fmt: skip
 
     def scene_of_file(self, truth: Path) -> Scene:
         """Return a scene of one disparity map without masks; integer codes have the scale of the settings."""

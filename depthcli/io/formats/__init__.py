@@ -10,7 +10,6 @@
 ``depth``            depths in meters, codes of sensors, point clouds
 ``kinect``           raw codes of a Kinect v1 and its calibration
 ``npy``              NumPy arrays
-``hdf5``             arrays in HDF5, and in MATLAB's files of version 7.3
 ``stereo_images``    the two images of a pair, of one size and range
 ``videos``           frames of videos
 ``plain_text``       numbers, key-value lines and JSON objects, as calibrations hold them

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import read_plane
-from depthcli.io.formats.files import read_bytes, shown, warn, write_bytes
+from depthcli.io.formats.files import shown, warn, write_bytes
 from depthcli.io.formats.images import write_png
 
 MILLIMETERS = 1000.0
@@ -221,23 +220,3 @@ def _ply_header(count: int) -> str:
     return "\n".join(
         ["ply", "format binary_little_endian 1.0", f"element vertex {count}", *properties, "end_header", ""]
     )
-
-
-def read_points(path: Path | str) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Read points (N, 3) and colors (N, 3) RGB of a PLY file as :func:`write_points` writes it.
-
-    Raises
-    ------
-    InputError
-        Not readable, truncated, or another kind of PLY; one line that names the file.
-    """
-    data = read_bytes(path)
-    head, mark, body = data.partition(b"end_header\n")
-    count = re.search(rb"^element vertex (\d{1,12})$", head, re.MULTILINE)
-    if not mark or count is None or head + mark != _ply_header(int(count[1])).encode("ascii"):
-        raise InputError(f"{shown(path)}: no point cloud of depthcli (binary PLY with x, y, z, red, green, blue)")
-    if len(body) != int(count[1]) * _VERTEX.itemsize:
-        raise InputError(f"{shown(path)}: damaged: {len(body)} bytes, want {int(count[1]) * _VERTEX.itemsize}")
-    vertices = np.frombuffer(body, _VERTEX)
-    points, color = (np.stack([vertices[name] for name in names], axis=1) for names in (_AXES, _CHANNELS))
-    return points, color

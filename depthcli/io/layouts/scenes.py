@@ -16,7 +16,7 @@ class Scenes(Layout):
     protocol = "middlebury_v2"
     wants = (
         "`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), `calib.txt` "
-        "(as `middlebury-v3`), `meta.json` (`max_disparity`, `min_disparity`, `disp_scale`, `protocol`, `pose`)"
+        "(as `middlebury-v3`), `meta.json` (`max_disparity`, `min_disparity`, `disp_scale`, `protocol`)"
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -47,7 +47,6 @@ class Scenes(Layout):
                 objects=folder.one("objects", IMAGE_SUFFIXES),
                 round_disparity=meta.fields.get("isint") is True,
                 calibration=folder.one("calib", (".txt",)),
-                pose=meta.pose(),
                 **meta.disparities(),
             )
         ]

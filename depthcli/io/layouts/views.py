@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from depthcli.core.errors import InputError
 from depthcli.io import storage
-from depthcli.io.formats.files import warn
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import map_suffixes
-from depthcli.io.formats.poses import Pose, read_poses
 from depthcli.io.layouts import Folder, Layout
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.stereo import StereoScene
 
-_NUMBER = re.compile(r"(\d{1,18})$")
 # Folders of the left and the right view that are recognized.
 _VIEWS = (
     ("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"), ("image_left", "image_right"),
@@ -29,7 +25,7 @@ class Views(Layout):
     kind = StereoScene
     wants = (
         "`left/NAME.*`, `right/NAME.*` (also `image_left`, `cam0`, `cam0/data`); where known `disp_left/NAME.*`, and "
-        "`calib.txt`, `meta.json` of all pairs, `poses.txt` by the numbers at the ends of their names"
+        "`calib.txt`, `meta.json` of all pairs"
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -48,8 +44,6 @@ def pair_scenes(
     """Return a scene for every name of either view; the folder's meta.json and calib.txt are those of all."""
     scenes = []
     names = sorted({**left, **right})
-    numbers = {name: int(found[1]) for name in names if (found := _NUMBER.search(name))}
-    poses = _poses(folder, list(numbers.values()))
     for name in names:
         one, other = left.get(name), right.get(name)
         problem = ""
@@ -66,22 +60,10 @@ def pair_scenes(
                 disparity_left=truth.get(name),
                 disparity_scale=folder.meta.positive("disp_scale"),
                 calibration=folder.one("calib", (".txt",)),
-                pose=poses.get(numbers.get(name, -1)),
                 **folder.meta.disparities(),
             )
         )
     return scenes
-
-
-def _poses(folder: Folder, numbers: list[int]) -> dict[int, Pose | None]:
-    """Poses by number; matching goes without, so that a file of another kind is no more than a warning."""
-    if not folder.has("poses.txt"):
-        return {}
-    try:
-        return read_poses(folder.path / "poses.txt").of_frames(numbers)
-    except InputError as error:
-        warn(f"{error}; the poses are not used")
-        return {}
 
 
 def view_images(place: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:

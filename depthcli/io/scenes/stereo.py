@@ -41,7 +41,6 @@ class StereoTruth:
     objects : (H, W) bool, foreground objects (KITTI 2015), or None
     masks : name -> (H, W) bool, True = evaluate
     scale : codes per pixel that the files were read with; None = what their kind says
-    finer : (2 H, 2 W) float32, pixels of the image, where the truth is known at twice its resolution (Spring); or None
     """
 
     disparity: NDArray[np.float32]
@@ -50,7 +49,6 @@ class StereoTruth:
     objects: NDArray[np.bool_] | None = None
     masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     scale: float | None = None
-    finer: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +72,6 @@ class StereoScene(Scene):
     calibration : file that says how disparities become depth, or None
     cameras : numbers of the pair's cameras in a calibration of several (KITTI)
     geometry : how disparities become depth, where the data set says so in another way; or None
-    pose : (4, 4), row by row, from the left camera's coordinates to the world's, meters; or None
     sequence : the first, the middle and the last frame of the sequence that this one belongs to, in order; empty for a
         single pair; see :func:`with_sequences`
     """
@@ -107,7 +104,6 @@ class StereoScene(Scene):
     calibration: Path | None = None
     cameras: tuple[int, int] = (2, 3)
     geometry: PairGeometry | None = None
-    pose: tuple[float, ...] | None = None
     sequence: tuple[StereoScene, ...] = ()
 
     @classmethod
