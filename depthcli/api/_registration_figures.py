@@ -11,7 +11,6 @@ from scipy import ndimage
 from depthcli.algorithms.body import body_of_volume
 from depthcli.algorithms.resampling import block_means, resample
 from depthcli.core.errors import InputError
-from depthcli.core.region_columns import ERROR, MEAN, QUANTILE, VOLUME, region_column
 from depthcli.io.registered_volumes import LoadedPair
 from depthcli.io.scenes.volume_pair import VolumePairScene
 from depthcli.methods.registration.pipeline import RegistrationResult
@@ -67,17 +66,17 @@ def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volume
     for file, _ in scene.regions:
         try:
             for name, mask in scene.region_masks(file, loaded.grid):
-                if region_column(VOLUME, name) in figures:
+                if f"region_volume_{name}" in figures:
                     twice = f"{scene.folder}: two regions are called {name}: give one of them another name"
-                    figures.setdefault(region_column(ERROR, file), twice)
+                    figures.setdefault(f"region_error_{file}", twice)
                     continue
                 known = error[_in_blocks(mask, loaded.blocks)]
-                figures[region_column(VOLUME, name)] = round(int(np.count_nonzero(mask)) * voxel, 4)
+                figures[f"region_volume_{name}"] = round(int(np.count_nonzero(mask)) * voxel, 4)
                 if known.size:
-                    figures[region_column(MEAN, name)] = round(float(known.mean(dtype=np.float64)), 4)
-                    figures[region_column(QUANTILE, name)] = round(float(np.quantile(known, 0.95)), 4)
+                    figures[f"region_mean_{name}"] = round(float(known.mean(dtype=np.float64)), 4)
+                    figures[f"region_95_{name}"] = round(float(np.quantile(known, 0.95)), 4)
         except InputError as problem:
-            figures[region_column(ERROR, file)] = str(problem)
+            figures[f"region_error_{file}"] = str(problem)
     return figures
 
 

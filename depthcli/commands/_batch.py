@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Generic
 
-from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_table, flags_of
+from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flags_of
 from depthcli.commands._options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
 from depthcli.commands._page import PAGE_BUDGET, PAGE_FILE, new_page, write_page
 from depthcli.commands._tables import print_place, print_tables
 from depthcli.commands.evaluate import evaluate
 from depthcli.core.errors import DepthcliError
-from depthcli.core.flags import Flags
+from depthcli.core.flags import Condition, Flags
 from depthcli.core.method import used_files
 from depthcli.core.option import Option
 from depthcli.core.text import one_line
@@ -24,7 +24,6 @@ from depthcli.run.console import Column, Reporter, run_table
 from depthcli.run.json_csv import Row, to_json
 
 if TYPE_CHECKING:
-    from depthcli.core.conditions import Condition
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.io.formats.pictures import Palette
     from depthcli.report.run_without_truth import RunWithoutTruth
@@ -126,7 +125,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         elif evaluation is not None:
             print_tables(evaluation, values, reporter)
         if conditions and not (values["json"] or values["quiet"]):
-            reporter.data(flagged_table(flags))
+            reporter.data(flags.text())
         total = len(scenes) if options.shard is None else len(rows)
         reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {output}")
         if evaluation is not None:

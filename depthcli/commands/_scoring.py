@@ -44,7 +44,6 @@ class Scoring:
     settings : options of the protocols
     page : is given every map; or None
     map_options : run -> how its maps are named and coded, of those that it was given for, or that were recognized
-    parquet : whether ``scores.parquet`` is written to ``output``
     protocols : name -> protocol, of those that were used
     hints : what was assumed, one line each
     maps : the files that were read as maps of the runs
@@ -58,7 +57,6 @@ class Scoring:
     settings: Settings
     page: Page | None = None
     map_options: dict[str, MapOptions] = field(default_factory=dict)
-    parquet: bool = False
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)
     hints: list[str] = field(default_factory=list)
     maps: set[Path] = field(default_factory=set)

@@ -13,9 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_table, flags_of_scores
+from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flags_of_scores
 from depthcli.commands._options import LAYOUT, SCENES
-from depthcli.commands._other_tools import OTHER_TOOLS, check_other_tools, log_runs, scores_parquet
 from depthcli.commands._page import HTML, PAGE_FILE, RESULTS, new_page
 from depthcli.commands._tables import TABLES, check_tables, print_place, print_tables
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
@@ -29,7 +28,7 @@ from depthcli.run.json_csv import Row, to_csv, to_json
 
 if TYPE_CHECKING:
     from depthcli.commands._scoring import Scoring
-    from depthcli.core.conditions import Condition
+    from depthcli.core.flags import Condition
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.map_files import MapOptions
     from depthcli.evaluation.protocols import AnyProtocol, Settings
@@ -68,7 +67,6 @@ class EvaluateCommand(Command):
         *TABLES,
         *FLAGS,
         *HTML,
-        *OTHER_TOOLS,
     )  # fmt: skip
 
     page = "how_to/compare_maps"
@@ -80,31 +78,28 @@ class EvaluateCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Evaluate and print the tables; return the exit code."""
-        from depthcli.commands._runs import find_runs, given_map_options
+        from depthcli.commands._runs import given_map_options
         from depthcli.evaluation.protocols import Settings
 
         resolution, resize = (values["resolution"] or "").upper() or None, _size(values["resize"])
         scale, invalid, map_options = given_map_options(values)
         settings = Settings(scale, resolution, values["threshold"], resize, invalid)
         check_tables(values)
-        check_other_tools(values)
         conditions = conditions_of(values)
         page = new_page(self, values, values["output"])
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
             values["protocol"], settings, reporter, page=page,
-            map_options=map_options, conditions=conditions, parquet=values["parquet"],
+            map_options=map_options, conditions=conditions,
         )  # fmt: skip
         if values["json"]:
             reporter.data(to_json(report.to_dict()))
         else:
             print_tables(report, values, reporter)
             if conditions and not values["quiet"]:
-                reporter.data(flagged_table(report.flags))
+                reporter.data(report.flags.text())
         if values["output"] is not None:
             print_place(values["output"], page is not None and page.written, reporter)
-        if values["log"] is not None:
-            log_runs(report, find_runs(values["runs"]), values["log"], reporter)
         return exit_code(bool(report.failed), report.flags, values)
 
 
@@ -122,7 +117,6 @@ def evaluate(
     map_options: Mapping[str, MapOptions] | None = None,
     conditions: Sequence[Condition] = (),
     rows: Mapping[str, Row] | None = None,
-    parquet: bool = False,
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
@@ -145,7 +139,6 @@ def evaluate(
     map_options : run -> how its maps are named and coded; what is not given is recognized
     conditions : on scores and on columns of the runs' reports, by which scenes are flagged
     rows : scene -> row of the report of the only run; None: read from the runs
-    parquet : ``scores.parquet`` is written to ``output``, too
 
     Raises
     ------
@@ -174,7 +167,7 @@ def evaluate(
         if page is not None and folder is not None:
             page.folder = folder
         report = _scored(
-            Scoring(places, truth, folder, scored_by, settings, page, dict(map_options or {}), parquet),
+            Scoring(places, truth, folder, scored_by, settings, page, dict(map_options or {})),
             found, reporter, conditions, rows,
         )  # fmt: skip
     for line in report.warning_lines:
@@ -279,15 +272,13 @@ def _find_truth(
 
 def _write(report: EvaluationReport, scoring: Scoring, reporter: Reporter) -> None:
     from depthcli.evaluation.printing import report_markdown
-    from depthcli.io.formats.files import write_bytes, write_text
+    from depthcli.io.formats.files import write_text
     from depthcli.run.run_folder import saved_config
 
     scores = to_json(report.to_dict())
     if scoring.output is not None:
         write_text(scoring.output / "scores.csv", to_csv([record.row() for record in report.records()]))
         write_text(scoring.output / "scores.json", scores)
-        if scoring.parquet:
-            write_bytes(scoring.output / "scores.parquet", scores_parquet(report, scoring.runs))
         write_text(scoring.output / "report.md", report_markdown(report))
         scoring.sheet.write(scoring.output / "contact_sheet.png")
     if scoring.page is not None:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.option import Option
-from depthcli.core.region_columns import ERROR, VOLUME, region_column
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.volume_pair import VolumePairScene
 from depthcli.run.command import Outcome, Values
@@ -65,7 +64,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
 
     def problems(self, rows: Sequence[Row]) -> list[str]:
         """Return a line for each region whose mask could not be used."""
-        start = region_column(ERROR)
+        start = "region_error_"
         found = ((row, value) for row in rows for key, value in row.items() if key.startswith(start))
         return [f"{row['scene']}: left out, as a region: {value}" for row, value in found if value]
 
@@ -73,7 +72,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         self, config: RegisterConfidenceConfig, scenes: Sequence[VolumePairScene], rows: Sequence[Row]
     ) -> list[str]:
         """Return a line for each label map of which some pairs hold the first label alone, so that it has no number."""
-        start = region_column(VOLUME)
+        start = "region_volume_"
         own = {str(row["scene"]): {key.removeprefix(start) for key in row if key.startswith(start)} for row in rows}
         masks = {scene.name: {name for name, _ in scene.regions} for scene in scenes if own.get(scene.name)}
         numbered = {

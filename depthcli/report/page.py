@@ -141,7 +141,7 @@ class Page:
             scenes=[_scene_data(report, saved.view) for saved in scored] if report else [], without=without,
             data=[_embedded(saved, factor) for saved in self._saved],
             page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=[*map(_swatches, kinds)],
-            flags=self.flags, verdicts=_verdict_table(self.flags),
+            flags=self.flags,
             number_of={saved.view.name: i for i, saved in enumerate(self._saved)},
         )  # fmt: skip
         write_text(self.folder / "report.html", text)
@@ -255,22 +255,6 @@ def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
             curves = [(c.region, c.confidence, c.of, Number(c.line.auc, 4)) for c in r.curves]
             runs.append({"result": r, "figures": figures, "curves": curves, "thumbs": view.thumbs.get(r.run, {})})
     return {"name": view.name, "protocol": view.protocol, "thumbs": view.thumbs.get("", {}), "runs": runs}
-
-
-def _verdict_table(flags: Flags) -> dict[str, Any] | None:
-    """Return the verdicts as a table, scenes with the most flagged regions first; None for none, or too many."""
-    regions = flags.regions
-    rows: dict[tuple[str, str], dict[str, Any]] = {}
-    for each in flags.verdicts:
-        rows.setdefault((each.scene, each.run), {})[each.region] = each
-    if not regions or len(rows) * len(regions) > _MAX_CELLS:
-        return None
-    worst = sorted(rows.items(), key=lambda row: -sum(each.verdict == "flagged" for each in row[1].values()))
-    return {
-        "regions": regions,
-        "runs": any(run for _, run in rows),
-        "rows": [(scene, run, [found.get(region) for region in regions]) for (scene, run), found in worst],
-    }
 
 
 def _swatches(names: tuple[str, ...]) -> list[tuple[str, str, str]]:

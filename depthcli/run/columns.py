@@ -90,9 +90,9 @@ REGISTRATION = (
     Column("inside_mean", "mean expected error within the mask, or else within the body", "mm", ("mean mm",)),
     Column("inside_95", "expected error that 95 % of the voxels in the mask or body stay below", "mm",
            ("95 % mm", "expected_error_p95")),
-    Column("region_mean_NAME, region_95_NAME", "mean expected error in a region, and its 95 % quantile; in conditions "
-           "without _NAME, of each region", "mm", ("region_mean", "region_95"), "region_(mean|95)_.+"),
-    Column("region_volume_NAME", "size of a region", "mL", ("region_volume",), "region_volume_.+"),
+    Column("region_mean_NAME, region_95_NAME", "mean expected error in a region, and its 95 % quantile", "mm",
+           pattern="region_(mean|95)_.+"),
+    Column("region_volume_NAME", "size of a region", "mL", pattern="region_volume_.+"),
     Column("region_error_NAME", "why mask_NAME could not be used", pattern="region_error_.+"),
     Column("inside_max", "largest expected error in the mask or body", "mm", ("largest mm",)),
     Column("above_3mm", "volume of the mask or body whose expected error is above 3 mm", "mL", ("above 3 mm, mL",)),

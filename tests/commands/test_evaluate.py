@@ -556,8 +556,7 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
         ("output", "maps", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize", "invalid")
     )
     values |= {"runs": [tmp_path / "m.pfm"], "truth": truth / "a" / "disp_left.png", "json": True, "quiet": False}
-    values |= dict.fromkeys(("format", "tables", "columns", "caption", "log"), None) | {"html": False}
-    values["parquet"] = False
+    values |= dict.fromkeys(("format", "tables", "columns", "caption"), None) | {"html": False}
     assert COMMAND.run(values, Reporter(-1)) == 0
     assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
 

@@ -15,7 +15,6 @@ import pytest
 from depthcli.cli import main
 from depthcli.commands.evaluate import evaluate
 from depthcli.io.formats.disparity import read_disparity, read_plane
-from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.report.packing import unpack
 from depthcli.report.page import Page
 from tests.report.conftest import ODD, SHAPE, truth_of
@@ -283,24 +282,4 @@ def test_flagged_scenes_come_first_and_open(browser: Any, tmp_path: Path, scenes
     rows.nth(1).locator("a").click()
     visit.ready(1)
     assert visit.page.locator("#which option:checked").inner_text() == "plain"
-    visit.close()
-
-
-def test_verdicts_by_region_open_their_pair(browser: Any, volumes: Path, tmp_path: Path):
-    pair = tmp_path / "in" / "pair"
-    shutil.copytree(next(volumes.parent.rglob("fixed.nii.gz")).parent, pair)
-    grid = read_volume(pair / "fixed.nii.gz").grid
-    labels = np.ones(grid.shape, np.uint8)
-    labels[grid.shape[0] // 2 :] = 2
-    write_array(pair / "mask_half.nii.gz", grid, labels)
-    words = ["register-confidence", "mind", "-i", str(tmp_path / "in"), "-o", str(tmp_path / "run"), "--html", "-q"]
-    small = ["--set", "radius=2", "--set", "half_window=1"]
-    assert main([*words, *small, "--flag", "region_95>=0", "--flag", "region_95_half_2<0"]) == 0
-    visit = Visit(browser, tmp_path / "run" / "evaluation" / "report.html")
-    table = visit.page.locator("#verdicts")
-    assert table.locator("thead th").all_inner_texts()[-2:] == ["half_1", "half_2"]
-    assert all("flagged" in text for text in table.locator("td.lost").all_inner_texts())
-    assert table.locator("td.lost").count() == 2
-    table.locator("tbody a").click()
-    visit.ready(0)
     visit.close()
