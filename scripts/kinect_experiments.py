@@ -1,29 +1,25 @@
 #!/usr/bin/env python3
 """Chapter 4: what refinements of a Kinect's depth maps are worth, in tables.
 
-    scripts/kinect_experiments.py DATA [--only simulated,ablations] [--fattening 4] [--presets dsrm,fast] [--frames 300]
+    scripts/kinect_experiments.py DATA [--only simulated,ablations] [--fattening 4] [--presets dsrm,fast]
 
 DATA holds the Middlebury sets and the folders ``rgbd_*``. ``simulated``: Kinect-like measurements of every
 scene with a true disparity (``depthcli sample --kinect``), mean absolute error in pixels of disparity in gaps, at
 mismatched edges and on measured pixels; ``ablations``: the parts of dsrm, in the same figures; ``real``: 10 % of the
 known pixels of real frames taken out in blocks of 20 to 40 pixels, and bands of 6 pixels on the near or the far side of
 depth edges, mean absolute error there, mm, with and without the color image; ``variants``: simulated sensors that
-differ in what a Kinect does, the settings chosen on one half of sensors and scenes, on the other half not; ``view``:
-the left image warped into the right view by the refined depth, PSNR where both see; ``speed``: seconds at 640 x 480,
-paired with ``cv2.inpaint`` (Telea) in the same process; ``sequence``: generated sequences, along them and frame by
-frame; ``soak``: seconds and memory along one sequence of ``--frames``; ``upsampling``: depth maps of a quarter of the
-color image's width and height with noise of .3 px, mean absolute error in pixels of disparity, all, near steps and
-elsewhere.
+differ in what a Kinect does, the settings chosen on one half of sensors and scenes, on the other half not; ``speed``:
+seconds at 640 x 480, paired with ``cv2.inpaint`` (Telea) in the same process; ``sequence``: generated sequences, along
+them and frame by frame.
 """
 
 from __future__ import annotations
 
 import argparse
-import resource
 import statistics
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,8 +29,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.color_and_depth import registered
-from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
+from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, color8
 from depthcli.evaluation.render import Number, Table
@@ -43,7 +38,6 @@ from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.kinect.config import RefineKinectConfig
-from depthcli.methods.kinect.disparity import nearest_fill
 from depthcli.run.presets import find_config, list_presets
 from depthcli.simulate.arrays.depth_sensor import KinectSample, Sensor, simulate_kinect
 from depthcli.simulate.arrays.kinect_scenes import SEQUENCE_KINDS, make_kinect_sequence
@@ -105,7 +99,7 @@ def sample(scene: StereoScene, fattening: int) -> KinectSample:
     return simulate_kinect(color8(read_image(scene.left)), scene.truth().disparity, 0, fattening=fattening)
 
 
-def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, title: str) -> None:
+def simulated(data: Path, methods: Mapping[str, Refine | None], fattening: int, title: str) -> None:
     """Print a row a method: MAE by set and region, means over scenes."""
     cells: dict[tuple[str, str, str], list[float]] = {}
     for folder in SETS:
@@ -128,7 +122,7 @@ def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, tit
     print(Table(f"{title}, fattening {fattening} px: MAE, px, of estimated pixels", header, tuple(rows)).markdown())
 
 
-def variants(data: Path, methods: dict[str, Refine | None]) -> None:
+def variants(data: Path, methods: dict[str, Refine]) -> None:
     """Print a row a sensor: MAE, px, in gaps / at wrong edges, means over scenes; and the means of both halves."""
     header = ("sensor", *methods)
     for half, sensors in VARIANTS.items():
@@ -153,7 +147,7 @@ def variants(data: Path, methods: dict[str, Refine | None]) -> None:
         print(Table(f"Simulated sensors, {half}: MAE, px, gaps / wrong edges", header, tuple(rows)).markdown())
 
 
-def real(data: Path, methods: dict[str, Refine | None]) -> None:
+def real(data: Path, methods: dict[str, Refine]) -> None:
     """Print tables of MAE, mm, at pixels that were taken out of real frames: blocks, bands, blocks without color."""
     frames = _real_frames(data)
     blocks = f"Blocks of 20 to 40 px taken out of real frames: MAE, mm, mean of {PATTERNS} patterns"
@@ -173,7 +167,7 @@ def real(data: Path, methods: dict[str, Refine | None]) -> None:
                 if not color:
                     holed = RgbdFrame.without_color(depth, frame.fb, frame.intrinsics)
                 for name, run in methods.items():
-                    values = holed.depth if run is None else run(holed).depth.values
+                    values = run(holed).depth.values
                     error = 1000 * np.abs(values[holes] - frame.depth[holes])
                     errors[name].append(_mean(error[np.isfinite(error)].tolist()))
             means = {name: _mean(errors[name]) for name in methods}
@@ -224,42 +218,7 @@ def _blocks(frame: RgbdFrame, seed: int) -> NDArray[np.bool_]:
     return taken & known
 
 
-def view(data: Path, methods: dict[str, Refine | None], fattening: int) -> None:
-    """Print a row a method: PSNR of the left image moved to the right view; scenes where it beats the first."""
-    found: dict[str, list[float]] = {name: [] for name in methods}
-    for folder in SETS:
-        for scene in scenes(data, folder):
-            pair, made = scene.load(), sample(scene, fattening)
-            for name, run in methods.items():
-                found[name].append(_psnr(*pair.color8, refined(name, run, made.frame())))
-    first = next(iter(methods))
-    rows = [
-        (
-            name,
-            Number(_mean(values), 2),
-            f"{sum(a > b for a, b in zip(values, found[first], strict=True))}/{len(values)}",
-        )
-        for name, values in found.items()
-    ]
-    print(Table("Virtual view: PSNR, dB", ("method", "PSNR", f"better than {first}"), tuple(rows)).markdown())
-
-
-def _psnr(left: NDArray[np.uint8], right: NDArray[np.uint8], disparity: NDArray[np.float32]) -> float:
-    """Return the PSNR, dB, of the left image moved to the right view; of several pixels the nearest stays."""
-    rows, cols = np.nonzero(np.isfinite(disparity))
-    d = disparity[rows, cols]
-    target = np.rint(cols - d).astype(np.int64)
-    inside = (target >= 0) & (target < left.shape[1])
-    rows, cols, d, target = rows[inside], cols[inside], d[inside], target[inside]
-    order = np.lexsort((d, rows * left.shape[1] + target))
-    warped = np.full(left.shape, -1, np.int16)
-    warped[rows[order], target[order]] = left[rows[order], cols[order]]
-    both = warped[..., 0] >= 0
-    error = warped[both].astype(np.float64) - right[both]
-    return float(10 * np.log10(255**2 / np.mean(error**2)))
-
-
-def speed(methods: dict[str, Refine | None]) -> None:
+def speed(methods: dict[str, Refine]) -> None:
     """Print a row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
     from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene
 
@@ -268,8 +227,6 @@ def speed(methods: dict[str, Refine | None]) -> None:
     codes = np.nan_to_num(1000 * frame.depth).astype(np.uint16)
     rows = []
     for name, run in methods.items():
-        if run is None:
-            continue
         times: tuple[list[float], list[float]] = ([], [])
         for _ in range(8):
             start = time.perf_counter()
@@ -341,54 +298,6 @@ def same_points(first: KinectSample, other: KinectSample) -> NDArray[np.int64]:
     return result
 
 
-def soak(frames: int) -> None:
-    """Print seconds a frame and memory along one sequence of 640 x 480."""
-    pipeline = preset("sequence")
-    shown = [made.frame() for made in make_kinect_sequence("moving", 40, 0, 640, 480, 40)]
-    state, rows, times = None, [], []
-    for number_ in range(frames):
-        start = time.perf_counter()
-        _, state = pipeline.step(shown[min(number_ % 80, 79 - number_ % 80)], state)  # type: ignore[attr-defined]
-        times.append(time.perf_counter() - start)
-        if number_ + 1 in (frames // 10, frames // 2, frames):
-            memory = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
-            mean, middle = statistics.fmean(times), statistics.median(times)
-            rows.append((str(number_ + 1), Number(1000 * mean, 1), Number(1000 * middle, 1), Number(memory, 1)))
-    header = ("frames", "mean, ms", "median, ms", "resident, MiB")
-    print(Table("A sequence of 640 x 480", header, tuple(rows)).markdown())
-
-
-def upsampling(data: Path, methods: dict[str, Refine | None], factor: int = 4) -> None:
-    """Print a row a method: MAE of depth maps ``factor`` times smaller than color, mean of the half-size scenes."""
-    band = factor // 4  # a sample's edge is off by so much on average
-    narrow = [f"row_band={band}", f"column_band={band}"]
-    if "fast" in methods:
-        methods = methods | {f"fast {' '.join(narrow)}": preset("fast", narrow)}
-    rows: dict[str, list[list[float]]] = {}
-    for scene in scenes(data, "middlebury_half"):
-        height, width = (side // factor * factor for side in scene.truth().disparity.shape)
-        known = scene.truth().disparity[:height, :width]
-        truth = np.where(np.isfinite(known), known, np.nan).astype(np.float32)
-        small = truth[factor // 2 :: factor, factor // 2 :: factor]
-        small = small + 0.3 * np.random.Generator(np.random.PCG64(0)).standard_normal(small.shape, np.float32)
-        depth = registered(depth_of_disparity(small, RgbdFrame.fb), truth.shape, None, None, None).depth
-        frame = RgbdFrame(color8(read_image(scene.left))[:height, :width].copy(), depth)
-        found = {
-            f"cv2.resize, {name}": cv2.resize(nearest_fill(small), (width, height), interpolation=how)
-            for name, how in (("nearest", cv2.INTER_NEAREST), ("bilinear", cv2.INTER_LINEAR))
-        }
-        found |= {name: refined(name, run, frame) for name, run in methods.items()}
-        step = cv2.morphologyEx(nearest_fill(truth), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 2
-        near = cv2.dilate(step.astype(np.uint8), np.ones((2 * factor + 1,) * 2, np.uint8)) > 0
-        for name, values in found.items():
-            error = np.abs(values - truth)
-            means = [float(np.nanmean(error[where])) for where in (near | ~near, near, ~near)]
-            rows.setdefault(name, []).append([*means, 100 * float(np.mean(error[np.isfinite(error)] > 1))])
-    cells = [(name, *(Number(_mean([*each]), 3) for each in zip(*of, strict=True))) for name, of in rows.items()]
-    header = ("method", "all", f"within {factor} px of a step", "elsewhere", "over 1 px, %")
-    print(Table(f"Depth of 1 / {factor} of the color image's size: MAE, px", header, tuple(cells)).markdown())
-
-
 def _mean(values: list[float]) -> float:
     there = [value for value in values if value == value]
     return statistics.fmean(there) if there else float("nan")
@@ -397,33 +306,26 @@ def _mean(values: list[float]) -> float:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parts = ("simulated", "variants", "ablations", "real", "view", "speed", "sequence", "soak", "upsampling")
+    parts = ("simulated", "variants", "ablations", "real", "speed", "sequence")
     _env.add_list(parser, "--only", parts, choices=parts)
     parser.add_argument("--fattening", type=int, default=4)
-    parser.add_argument("--frames", type=int, default=300, help="of the soak")
     presets = [name for _, name, _ in list_presets("refine-kinect") if name != "sequence"]
     _env.add_list(parser, "--presets", presets)
     options = parser.parse_args()
-    methods: dict[str, Refine | None] = {"raw": None, **{name: preset(name) for name in options.presets}}
+    methods: dict[str, Refine] = {name: preset(name) for name in options.presets}
     if "simulated" in options.only:
-        simulated(options.data, methods, options.fattening, "Simulated Kinect")
+        simulated(options.data, {"raw": None, **methods}, options.fattening, "Simulated Kinect")
     if "variants" in options.only:
-        variants(options.data, {name: run for name, run in methods.items() if run is not None})
+        variants(options.data, methods)
     if "ablations" in options.only:
-        parts_of = {name: preset("dsrm", settings) for name, settings in ABLATIONS.items()}
-        simulated(options.data, dict(parts_of), options.fattening, "Parts of dsrm")
+        of_dsrm = {name: preset("dsrm", settings) for name, settings in ABLATIONS.items()}
+        simulated(options.data, of_dsrm, options.fattening, "Parts of dsrm")
     if "real" in options.only:
-        real(options.data, {name: run for name, run in methods.items() if run is not None})
-    if "view" in options.only:
-        view(options.data, {name: run for name, run in methods.items() if run is not None}, options.fattening)
+        real(options.data, methods)
     if "speed" in options.only:
         speed(methods)
     if "sequence" in options.only:
         sequence(seeds=5)
-    if "soak" in options.only:
-        soak(options.frames)
-    if "upsampling" in options.only:
-        upsampling(options.data, methods)
     return 0
 
 

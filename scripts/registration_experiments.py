@@ -1,16 +1,15 @@
 #!/usr/bin/env python3
 """Chapter 7: how well confidence and expected error of registrations say where they are wrong, in tables.
 
-    scripts/registration_experiments.py PAIRS [--only real,synthetic,search,parameters,baselines,shifts,speed]
-                                        [--presets NAME,NAME] [--pairs GLOB,GLOB] [--data DATA]
+    scripts/registration_experiments.py PAIRS [--only real,synthetic,search,parameters,baselines,speed]
+                                        [--presets NAME,NAME] [--pairs GLOB,GLOB]
 
 PAIRS is what ``scripts/register_pairs.py`` wrote. ``real``: every measure at the landmarks of registered pairs,
 Spearman, AUC above 3 mm, mean absolute error of expected against true; ``synthetic``: the fixed volumes moved by
 random B-splines of at most 3, 6 and 10 mm, with noise (25 HU, or 3 % of the range of a magnetic resonance image), at
 every voxel of interest; ``search``: planes and axes beside the cube; ``parameters``: k, h and R on the lung pairs;
-``baselines``: local variance, the Jacobian's determinant, and with DATA, for which it registers again, inverse
-consistency and the variance over five registrations; ``shifts``: identical volumes, and whole shifts of 1 to 4
-voxels; ``speed``: seconds for 3.2 million voxels. Everything is seeded.
+``baselines``: local variance and the
+Jacobian's determinant; ``speed``: seconds for 3.2 million voxels. Everything is seeded.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ import _env  # (first: continues in the checkout's environment)
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.resampling import resample, trilinear
+from depthcli.algorithms.resampling import trilinear
 from depthcli.core.config_file import load_config
 from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.render import Number, Table
@@ -46,7 +45,7 @@ from depthcli.simulate.arrays.deformed_volumes import smooth_noise
 Values = NDArray[np.floating[Any]]
 
 SEED = 11
-PARTS = ("real", "synthetic", "search", "parameters", "baselines", "shifts", "speed")
+PARTS = ("real", "synthetic", "search", "parameters", "baselines", "speed")
 HEAD = ("pair", "what", "Spearman", "AUC > 3 mm", "MAE mm", "expected mm", "true mm", "points")
 
 
@@ -187,7 +186,7 @@ def parameters(scenes: list[VolumePairScene]) -> list[Table]:
     return varied(chosen, "Parameters (k = 0.5 / sharpness)", changes)
 
 
-def baselines(scenes: list[VolumePairScene], data: Path | None) -> list[Table]:
+def baselines(scenes: list[VolumePairScene]) -> list[Table]:
     from depthcli.io.formats.fields import in_millimeters, read_field
 
     rows = []
@@ -206,55 +205,7 @@ def baselines(scenes: list[VolumePairScene], data: Path | None) -> list[Table]:
             determinant = np.linalg.det(slopes + np.eye(3)).astype(np.float32)
             change = trilinear(np.abs(1 - determinant), places)
             rows.append(row(scene.name, "|1 - Jacobian|", change, truth.error, False))
-    if data is not None:
-        rows += registered_again(scenes, data)
     return [Table("Baselines without a search", HEAD, tuple(rows))]
-
-
-def registered_again(scenes: list[VolumePairScene], data: Path) -> list[tuple[str, ...]]:
-    """Inverse consistency and the variance over five registrations, for pairs of kind a."""
-    from dataclasses import replace
-
-    from scripts.register_pairs import EARLY, pairs, register
-
-    rows = []
-    wanted = {scene.name.removesuffix("_a"): scene for scene in scenes if scene.name.endswith("_a")}
-    for pair in pairs(data):
-        if pair.name not in wanted:
-            continue
-        truth = wanted[pair.name].truth()
-        transforms = [register(pair, **{**EARLY, "levels": [(knots, 4, 2)]}, seed=SEED + k)
-                      for k, knots in enumerate((50, 55, 60, 65, 70))]  # fmt: skip
-        moved_points = np.array([[t.TransformPoint(p) for p in truth.points.tolist()] for t in transforms])
-        spread = np.sqrt(moved_points.var(axis=0).sum(axis=1))
-        rows.append(row(pair.name, "deviation over 5 registrations", spread, truth.error))
-        masks = None if pair.masks is None else pair.masks[::-1]
-        back = register(replace(pair, fixed=pair.moving, moving=pair.fixed, masks=masks), **EARLY)
-        returned = np.array([back.TransformPoint(p) for p in moved_points[2].tolist()])
-        rows.append(row(pair.name, "inverse consistency", np.linalg.norm(returned - truth.points, axis=1), truth.error))
-    return rows
-
-
-def shifts(scenes: list[VolumePairScene]) -> list[Table]:
-    rows = []
-    for scene in [scene for scene in scenes if scene.name.startswith(("lung_a", "dataset19_cyc_1_6_a"))]:
-        pair = scene.load().pair
-        method = pipeline("mind")
-        shape, step, start = method.grid(pair.shape, pair.spacing)
-        cubes = resample(np.maximum(pair.fixed, -1000), shape, step, start)
-        inside = np.ones(shape, np.bool_)
-        if pair.mask is not None:
-            inside = resample(pair.mask.astype(np.float32), shape, step, start) >= 0.5
-        inside[:, :, :12] = inside[:, :, -12:] = False
-        for shift in range(5):
-            shifted = np.ascontiguousarray(np.roll(cubes, shift, axis=2))
-            result = method(RegisteredPair(cubes, shifted, (1.0, 1.0, 1.0)))
-            chosen = inside[::2, ::2, ::2]
-            confidence, error = (float(v[chosen].mean()) for v in (result.certainty, result.expected_error))
-            sure = 100 * float((result.certainty[chosen] > 0.95).mean())
-            rows.append((scene.name, str(shift), f"{confidence:.3f}", f"{sure:.1f} %", Number(error)))
-    head = ("pair", "shift", "mean confidence", "above .95", "expected")
-    return [Table("Whole shifts, in voxels, inside the mask", head, tuple(rows))]
 
 
 def speed() -> list[Table]:
@@ -283,7 +234,6 @@ def main() -> int:
     _env.add_list(parser, "--only", PARTS, choices=PARTS)
     _env.add_list(parser, "--presets", ["mind", "cost0", "intensity", "coarse"], help="of `real`")
     _env.add_list(parser, "--pairs", ["*"], help="patterns of names")
-    parser.add_argument("--data", type=Path, help="with it, baselines register again")
     options = parser.parse_args()
     found = discover_scenes(options.folder, (VolumePairScene,), None, tuple(options.pairs))
     scenes = [scene for scene in found if isinstance(scene, VolumePairScene) and scene.has_truth]
@@ -292,8 +242,7 @@ def main() -> int:
         "synthetic": lambda: synthetic(scenes),
         "search": lambda: varied(scenes, "Fast searches", [(), ("search=planes",), ("search=axes", "sharpness=2")]),
         "parameters": lambda: parameters(scenes),
-        "baselines": lambda: baselines(scenes, options.data),
-        "shifts": lambda: shifts(scenes),
+        "baselines": lambda: baselines(scenes),
         "speed": speed,
     }
     for part in options.only:

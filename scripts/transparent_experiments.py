@@ -18,9 +18,6 @@ census, ZNCC) are compared in 11 x 11 windows without optimization.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-import resource
-import time
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +26,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
@@ -172,101 +168,16 @@ def _near_outline(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(plane, square) > cv2.erode(plane, square), np.bool_)
 
 
-def speed(width: int, height: int, labels: int) -> None:
-    """Print seconds of the mean field solver, in turn with pydensecrf where that is installed, and its memory."""
-    rng = np.random.default_rng(0)
-    y, x = np.mgrid[:height, :width].astype(np.float32)
-    color = cv2.GaussianBlur(rng.integers(0, 256, (height, width, 3)).astype(np.uint8), (0, 0), 4)
-    color = np.clip(3.0 * (color.astype(np.float32) - 127) + 127, 0, 255).astype(np.uint8)
-    center = (0.3 + 0.2 * np.sin(x / 100) + 0.2 * y / height) * labels
-    label = np.arange(labels, dtype=np.float32)
-    unary = label - center.reshape(-1, 1).astype(np.float32)
-    np.minimum(np.abs(unary, out=unary), 6, out=unary)
-    for row in unary.reshape(height, -1):  # by rows: the peak of memory shall be the solver's
-        row += rng.random(row.size, np.float32)
-    place = np.stack([x, y], axis=-1).reshape(-1, 2)
-    wide = np.concatenate([place / 20, color.reshape(-1, 3).astype(np.float32) / 20], axis=1)
-    kernels = [GaussianKernel(wide, 1.0), GaussianKernel(place / 3, 0.3)]
-    mean_field(unary, kernels, 8, 5)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    ours, theirs = [], []
-    for _ in range(5):
-        ours.append(_seconds(lambda: mean_field(unary, kernels, 8, 5)))
-        theirs.append(_pydensecrf_seconds(color, unary, label))
-    best = [min(times, key=lambda pair: pair[0]) for times in (ours, theirs)]
-    text = "  ".join(f"{name} {wall:.3f} s ({cpu:.3f} s CPU)" for name, (wall, cpu) in zip(
-        ("ours", "pydensecrf"), best, strict=True))  # fmt: skip
-    print(f"{width} x {height} x {labels}, 5 iterations: {text}  peak of the process {memory:.0f} MiB", flush=True)
-
-
-def _seconds(run: Any) -> tuple[float, float]:
-    wall, cpu = time.perf_counter(), time.process_time()
-    run()
-    return time.perf_counter() - wall, time.process_time() - cpu
-
-
-def _pydensecrf_seconds(color: NDArray[np.uint8], unary: Map, label: Map) -> tuple[float, float]:
-    try:
-        import pydensecrf.densecrf as dcrf  # type: ignore[import-not-found]
-    except ImportError:
-        return float("nan"), float("nan")
-    height, width = color.shape[:2]
-    energies = np.ascontiguousarray(unary.T)
-
-    def run() -> None:
-        crf = dcrf.DenseCRF2D(width, height, unary.shape[1])
-        crf.setUnaryEnergy(energies)
-        crf.addPairwiseGaussian(sxy=3, compat=0.3)
-        crf.addPairwiseBilateral(sxy=20, srgb=20, rgbim=color, compat=1.0)  # Potts: its fastest
-        crf.inference(5)
-
-    return _seconds(run)
-
-
-def agreement() -> None:
-    """Print how far our marginals are from pydensecrf's, for one Potts energy."""
-    import pydensecrf.densecrf as dcrf  # type: ignore[import-not-found]
-
-    rng = np.random.default_rng(1)
-    height, width, labels = 120, 160, 5
-    y, x = np.mgrid[:height, :width].astype(np.float32)
-    waves = 128 + 60 * np.sin(x / 17)[..., None] + rng.normal(0, 12, (height, width, 3))
-    color = np.clip(waves, 0, 255).astype(np.uint8)
-    unary = (2 * rng.random((height * width, labels))).astype(np.float32)
-    place = np.stack([x, y], axis=-1).reshape(-1, 2)
-    wide = np.concatenate([place / 20, color.reshape(-1, 3).astype(np.float32) / 20], axis=1)
-    kernels = [GaussianKernel(wide, 2.0), GaussianKernel(place / 3, 1.0)]
-    ours = mean_field(unary, kernels, 1, 5)
-    crf = dcrf.DenseCRF2D(width, height, labels)
-    crf.setUnaryEnergy(np.ascontiguousarray(unary.T))
-    crf.addPairwiseGaussian(sxy=3, compat=1.0)
-    crf.addPairwiseBilateral(sxy=20, srgb=20, rgbim=np.ascontiguousarray(color), compat=2.0)
-    theirs = np.array(crf.inference(5)).T
-    same = np.mean(ours.argmax(axis=1) == theirs.argmax(axis=1))
-    print(f"pydensecrf: marginals differ by {np.abs(ours - theirs).mean():.4f} in the mean, at most "
-          f"{np.abs(ours - theirs).max():.4f}; the same label at {100 * same:.2f} %")  # fmt: skip
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", help="frames with masks named 'transparent'")
     parser.add_argument("--preset", action="append", help="only this one; repeatable")
     parser.add_argument("--cross-modal", type=Path, action="append", metavar="FOLDER", help="stereo pairs instead")
-    parser.add_argument("--speed", action="store_true", help="time of the CRF solver instead")
-    parser.add_argument("--agreement", action="store_true", help="the solver's marginals beside pydensecrf's instead")
     options = parser.parse_args()
-    if options.agreement:
-        agreement()
-    elif options.speed:
-        spawn = multiprocessing.get_context("spawn")  # a process a size: peak memory never falls again
-        for size in ((320, 240, 64), (640, 480, 32), (640, 480, 64), (1280, 720, 64)):
-            process = spawn.Process(target=speed, args=size)
-            process.start()
-            process.join()
-    elif options.cross_modal:
+    if options.cross_modal:
         cross_modal(options.cross_modal)
     elif options.folder is None:
-        parser.error("want a folder, --cross-modal or --speed")
+        parser.error("a folder or --cross-modal is required")
     else:
         accuracy(options.folder, options.preset or list(PRESETS))
 
