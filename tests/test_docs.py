@@ -20,7 +20,7 @@ from depthcli.core.method import Family
 from depthcli.evaluation import protocols
 from depthcli.io.layouts import layouts
 from depthcli.methods.registration.search import MEASURES
-from depthcli.run.command import EXIT_CODES
+from depthcli.run.batch import EXIT_CODES
 from depthcli.run.presets import list_presets
 
 ROOT = Path(__file__).parent.parent

@@ -14,7 +14,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.commands import load_command
-from depthcli.commands._batch import ConfigCommand
+from depthcli.commands._old_batch import ConfigCommand
 from depthcli.core.config_file import dump_config, load_config, parse_config
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.kernels.jit import set_threads

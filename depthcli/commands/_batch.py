@@ -1,264 +1,233 @@
-"""Commands that go through a folder scene by scene: what they have in common."""
+"""A run from its scenes to its exit code: compute, evaluate where requested, print."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
+import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Generic
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flags_of
-from depthcli.commands._options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
+from pydantic import BaseModel
+
+from depthcli.commands._flags import conditions_of, exit_code, flags_of
+from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._page import PAGE_BUDGET, PAGE_FILE, new_page, write_page
 from depthcli.commands._tables import print_place, print_tables
 from depthcli.commands.evaluate import evaluate
-from depthcli.core.errors import DepthcliError
+from depthcli.core.config_file import load_config
+from depthcli.core.errors import ConfigError, DepthcliError
 from depthcli.core.flags import Condition, Flags
 from depthcli.core.method import used_files
-from depthcli.core.option import Option
 from depthcli.core.text import one_line
+from depthcli.io import storage
+from depthcli.io.formats.pictures import write_legend
 from depthcli.io.scenes import Scene
-from depthcli.run.command import Command, ConfigT, ModelT, Outcome, SceneT, Values
-from depthcli.run.console import Column, Reporter, run_table
+from depthcli.io.scenes.rgbd_sequence import SequenceScene
+from depthcli.run.batch import Batch, Outcome, SceneT
+from depthcli.run.console import run_table
 from depthcli.run.json_csv import Row, to_json
+from depthcli.run.plan import plan_document, plan_text, scenes_of_shard
+from depthcli.run.presets import find_config, find_preset
+from depthcli.run.reports import report_document
+from depthcli.run.resources import parse_bytes
+from depthcli.run.run_folder import LEGEND_FILE
+from depthcli.run.runner import run_scenes
+from depthcli.run.sharing import parse_shard
+from depthcli.run.task import BUG
+from depthcli.run.task import RunOptions as _Options
 
 if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport
-    from depthcli.io.formats.pictures import Palette
     from depthcli.report.run_without_truth import RunWithoutTruth
-    from depthcli.run.task import RunOptions
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
 
 DEPTH_RESULTS = ("depth.*", "sigma.pfm", "status.png", "preview.png", "confidence_*", "points.ply")
 """Shell patterns of the files that commands write for a map of depth."""
 
 
-class BatchCommand(Command, Generic[ConfigT, SceneT]):
-    """A command that computes scenes one by one, into a run folder."""
+def config_of(
+    command: str, model: type[ModelT], config: str, settings: Sequence[str] | None, **options: object
+) -> ModelT:
+    """Return the config of a command with all overrides.
 
-    results: ClassVar[tuple[str, ...]] = ()
-    """Shell patterns of the files that it writes into a scene's folder: own files there are no surprise at the end."""
-    results_note: ClassVar[str] = ""
-    """What ``depthcli help outputs`` says behind them."""
-    shown_as: ClassVar[str] = ""
-    """Protocol of its maps, which says how the page shows them where there is no truth."""
+    Parameters
+    ----------
+    command, model : whose presets ``config`` may name, and the class of its configs
+    config, settings : the CONFIG argument, and the values of ``--set``
+    options : config key -> value of the option of that name; None: not given
 
-    @abstractmethod
-    def compute(self, config: ConfigT, scene: SceneT, folder: Path, memory: int) -> Outcome:
-        """Compute ``scene`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
+    Raises
+    ------
+    ConfigError
+        All that is wrong, or a file that a method uses is missing.
+    """
+    given: list[str | tuple[str, str]] = list(settings or [])
+    for key, value in options.items():
+        if value is not None:
+            given.append((f"--{key.replace('_', '-')}", f"{key}={value}"))
+    found = load_config(model, find_config(command, config), given, lambda name: find_preset(command, name))
+    used_files(found)  # missing ones are an error before any scene is opened
+    return found
 
-    @abstractmethod
-    def columns(self) -> tuple[Column, ...]:
-        """Return the columns of the table, beside scene, status, seconds and memory."""
 
-    def page_columns(self) -> tuple[Column, ...]:
-        """Return the columns that a page of scenes without truth shows beside its own figures: all, unless fewer."""
-        return self.columns()
+def run_batch(
+    batch: Batch[SceneT],
+    scenes: Sequence[SceneT],
+    options: RunOptions,
+    source: SceneOptions | None = None,
+    config: str = "",
+) -> int:
+    """Compute scenes into the run folder, evaluate where requested, print table or JSON, and return the exit code.
 
-    def files(self, config: ConfigT, scene: SceneT) -> dict[str, Path]:
-        """Return role -> file, for all files whose content the result depends on."""
-        return scene.input_files
+    Parameters
+    ----------
+    source : the options that the scenes were found by, whose folder may hold ground truth
+    config : the CONFIG argument, by which a preset is known
+    """
+    reporter = options.reporter
+    conditions = conditions_of(vars(options))
+    how, command = _options_of(options), _AsCommand(batch)
+    if options.dry_run or options.list_scenes:
+        if options.dry_run:
+            document = plan_document(command, batch.config, scenes, options.output, command.memory_of, how)
+            reporter.data(to_json(document) if options.json else plan_text(document, batch.config))
+        else:
+            names = [scene.name for scene in scenes_of_shard(command, batch.config, scenes, how)]
+            lines = "".join(f"{one_line(name)}\n" for name in names)
+            reporter.data(to_json({"command": batch.command, "scenes": names}) if options.json else lines)
+        return 0
+    rows = run_scenes(command, batch.config, scenes, options.output, how, reporter)
+    for line in batch.notes(rows) if batch.notes is not None else ():
+        reporter.info(f"warning: {line}")
+    problems = batch.problems(rows) if batch.problems is not None else []
+    for line in problems:
+        reporter.error(line)
+    failed = [row for row in rows if row["status"] == "failed"]
+    if batch.palette is not None and len(failed) < len(rows):
+        write_legend(options.output / LEGEND_FILE, batch.palette, batch.legend)
+    evaluation, page_file, flags = _evaluated(batch, scenes, rows, options, source, conditions)
+    if options.json:
+        document = report_document(batch.command, rows) | flags.to_dict()
+        reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
+    elif evaluation is not None:
+        print_tables(evaluation, vars(options), reporter)
+    elif not options.quiet:
+        reporter.data(run_table(rows, batch.columns))
+    if conditions and not (options.json or options.quiet):
+        reporter.data(flags.text())
+    total = len(scenes) if how.shard is None else len(rows)
+    reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {options.output}")
+    if evaluation is not None:
+        print_place(options.output / "evaluation", page_file is not None, reporter)
+    elif page_file is not None:
+        reporter.info(f"page to open in a browser: {page_file}")
+    if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
+        return 1
+    incomplete = failed or problems or (evaluation is not None and evaluation.failed)
+    return exit_code(bool(incomplete), flags, vars(options))
 
-    def settings(self, config: ConfigT, scene: SceneT) -> dict[str, str]:
-        """Return what the result depends on beside the config and files: facts that the layout found."""
-        return {}
 
-    def effort(self, config: ConfigT, scene: SceneT) -> int | None:
-        """Return an estimate of the computing time in any unit; None: in proportion to the size of its files."""
+def _evaluated(
+    batch: Batch[SceneT],
+    scenes: Sequence[SceneT],
+    rows: Sequence[Row],
+    options: RunOptions,
+    source: SceneOptions | None,
+    conditions: Sequence[Condition],
+) -> tuple[EvaluationReport | None, Path | None, Flags]:
+    """Compare scenes with their truth, and write the page of these and of the others, where requested.
+
+    Returns the evaluation, the page's file, and what the conditions flag.
+    """
+    reporter = options.reporter
+    if not (options.evaluate or options.html):
+        return None, None, flags_of(conditions, rows, reporter)
+    output, truth = options.output / "evaluation", source.input if source is not None else None
+    in_folder = truth is not None and not storage.is_file(truth)  # pairs of a table have no truth
+    scored = [scene for scene in scenes if in_folder and scene.has_truth]
+    page = None
+    if options.html:
+        page = new_page(reporter.command_line, {"html_budget": PAGE_BUDGET, "html": True}, output)
+        if page is not None and len(scored) < len(scenes):
+            page.run = _without_truth(batch, [s for s in scenes if s not in scored], rows, options.output)
+    if scored and source is not None and truth is not None:
+        report = evaluate(
+            [options.output], truth, output, source.patterns, source.layout, reporter=reporter, page=page,
+            kinds=batch.truth_kinds or {type(scene) for scene in scenes}, conditions=conditions,
+            rows={str(row["scene"]): row for row in rows},
+        )  # fmt: skip
+        return report, None if page is None or not page.written else output / PAGE_FILE, report.flags
+    shows = ": the page shows the maps without scores" if page is not None else ", nothing to compare with"
+    reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
+    flags = flags_of(conditions, rows, reporter)
+    if page is None:
+        return None, None, flags
+    page.flags = flags
+    try:
+        write_page(page, reporter)
+    except DepthcliError as error:  # the maps are there
+        reporter.error(f"no {PAGE_FILE}: {error}")
+        return None, None, flags
+    return None, output / PAGE_FILE, flags
+
+
+def _without_truth(
+    batch: Batch[SceneT], scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path
+) -> RunWithoutTruth:
+    """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
+    from depthcli.evaluation.comparison import run_names
+    from depthcli.evaluation.protocols import load
+    from depthcli.report.run_without_truth import RunWithoutTruth
+
+    by_name, shown, row_of = {str(row["scene"]): row for row in rows}, list[Scene](), dict[str, Row]()
+    for scene in scenes:
+        row = by_name.get(scene.name, {})
+        if isinstance(scene, SequenceScene):  # its row has means over the frames
+            shown += scene.frames
+            row_of |= {frame.name: {key: row.get(key, "") for key in ("status", "error")} for frame in scene.frames}
+        else:
+            shown.append(scene)
+            row_of[scene.name] = row
+    (name,) = run_names([folder])
+    columns = batch.columns if batch.page_columns is None else batch.page_columns
+    return RunWithoutTruth(name, folder, load(batch.shown_as)(), batch.palette, shown, row_of, columns)
+
+
+def _options_of(options: RunOptions) -> _Options:
+    """Return how a run is carried out; ConfigError for a wrong size or shard, or options that exclude each other."""
+    memory = parse_bytes(options.max_memory) if options.max_memory else None
+    shard = parse_shard(options.shard, os.environ)
+    if shard is not None and (options.evaluate or options.html):
+        raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
+    if options.scheduler is not None and options.jobs != 1:
+        raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
+    keep = tuple(name.strip() for name in (options.keep or "").split(",") if name.strip())
+    return _Options(
+        jobs=options.jobs, threads=options.threads, max_memory=memory, overwrite=options.overwrite, shard=shard,
+        fail_fast=options.fail_fast, keep=keep, scheduler=options.scheduler,
+    )  # fmt: skip
+
+
+class _AsCommand:
+    """A batch with the interface that ``run`` knows today."""
+
+    def __init__(self, batch: Batch[Any]) -> None:
+        self.batch, self.name, self.results = batch, batch.command, batch.results
+
+    def compute(self, config: Any, scene: Any, folder: Path, memory: int) -> Outcome:
+        return self.batch.compute(scene, folder, memory)
+
+    def files(self, config: Any, scene: Any) -> dict[str, Path]:
+        if self.batch.files is not None:
+            return self.batch.files(scene)
+        return scene.input_files | (used_files(config) if isinstance(config, BaseModel) else {})
+
+    def settings(self, config: Any, scene: Any) -> dict[str, str]:
+        return self.batch.settings(scene)
+
+    def effort(self, config: Any, scene: Any) -> int | None:
         return None
 
-    def memory_of(self, config: ConfigT, scene: SceneT) -> int | None:
-        """Return an estimate of the peak memory, bytes, from file headers alone; None where there is none."""
-        return None
-
-    def truth_kinds(self, scenes: Sequence[SceneT]) -> tuple[type[Scene], ...]:
-        """Return the kinds of scene that ``--evaluate`` looks for in the input."""
-        return tuple({type(scene) for scene in scenes})
-
-    def palette(self) -> Palette | None:
-        """Return the colors of the status maps that the command writes; None: it writes none."""
-        return None
-
-    def legend_values(self) -> tuple[int, ...] | None:
-        """Return the combinations of status bits that the legend shows; None: each bit alone."""
-        return None
-
-    def notes(self, config: ConfigT, scenes: Sequence[SceneT], rows: Sequence[Row]) -> list[str]:
-        """Return warnings about a whole run, once its ``rows`` are there."""
-        return []
-
-    def problems(self, rows: Sequence[Row]) -> list[str]:
-        """Return what could not be done of scenes that are done, a line each; the exit code says that there is some."""
-        return []
-
-    def run_on(self, config: ConfigT, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> int:
-        """Compute scenes, evaluate where asked, print table or JSON; or only list the scenes. Return the exit code."""
-        options, output, conditions = run_options(values), values["output"], conditions_of(values)
-        if values.get("dry_run") or values["list_scenes"]:
-            self._list(config, scenes, values, options, reporter)
-            return 0
-        from depthcli.io.formats.pictures import write_legend
-        from depthcli.run.presets import preset_of
-        from depthcli.run.reports import report_document
-        from depthcli.run.run_folder import LEGEND_FILE
-        from depthcli.run.runner import run_scenes
-        from depthcli.run.task import BUG
-
-        if options.shard is not None:
-            reporter.info(f"shard {options.shard} of {len(scenes)} scenes")
-        options = replace(options, preset=preset_of(self.name, values.get("config") or "") or self.name)
-        rows = run_scenes(self, config, scenes, output, options, reporter)
-        for line in self.notes(config, scenes, rows):
-            reporter.info(f"warning: {line}")
-        for line in (problems := self.problems(rows)):
-            reporter.error(line)
-        failed = [row for row in rows if row["status"] == "failed"]
-        if (palette := self.palette()) is not None and len(failed) < len(rows):
-            write_legend(output / LEGEND_FILE, palette, self.legend_values())
-        evaluation, page_file, flags = self._evaluation(scenes, rows, values, conditions, reporter)
-        if values["json"]:
-            document = report_document(self.name, rows)
-            document |= flags.to_dict()
-            reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
-        elif evaluation is None and not values["quiet"]:
-            reporter.data(run_table(rows, self.columns()))
-        elif evaluation is not None:
-            print_tables(evaluation, values, reporter)
-        if conditions and not (values["json"] or values["quiet"]):
-            reporter.data(flags.text())
-        total = len(scenes) if options.shard is None else len(rows)
-        reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {output}")
-        if evaluation is not None:
-            print_place(output / "evaluation", page_file is not None, reporter)
-        elif page_file is not None:
-            reporter.info(f"page to open in a browser: {page_file}")
-        if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
-            return 1
-        incomplete = failed or problems or (evaluation is not None and evaluation.failed)
-        return exit_code(bool(incomplete), flags, values)
-
-    def _list(
-        self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
-    ) -> None:
-        from depthcli.run.plan import plan_document, plan_text, scenes_of_shard
-
-        if values.get("dry_run"):
-            document = plan_document(self, config, scenes, values["output"], self.memory_of, options)
-            reporter.data(to_json(document) if values["json"] else plan_text(document, config))
-            return
-        names = [scene.name for scene in scenes_of_shard(self, config, scenes, options)]
-        lines = "".join(f"{one_line(name)}\n" for name in names)
-        reporter.data(to_json({"command": self.name, "scenes": names}) if values["json"] else lines)
-
-    def _evaluation(
-        self,
-        scenes: Sequence[SceneT],
-        rows: Sequence[Row],
-        values: Values,
-        conditions: Sequence[Condition],
-        reporter: Reporter,
-    ) -> tuple[EvaluationReport | None, Path | None, Flags]:
-        """Compare scenes with their truth, and write the page of these and of the others, where requested.
-
-        Returns the evaluation, the page's file, and what the conditions flag.
-        """
-        if not (values.get("evaluate") or values.get("html")):
-            return None, None, flags_of(conditions, rows, reporter)
-        from depthcli.io import storage
-
-        output, truth = values["output"] / "evaluation", values.get("input")
-        in_folder = truth is not None and not storage.is_file(truth)  # pairs of a table have no truth
-        scored = [scene for scene in scenes if in_folder and scene.has_truth]
-        page = None
-        if values.get("html"):
-            page = new_page(self, {"html_budget": PAGE_BUDGET, **values}, output)
-            if page is not None and len(scored) < len(scenes):
-                page.run = self._without_truth([s for s in scenes if s not in scored], rows, values["output"])
-        if scored:
-            report = evaluate(
-                [values["output"]], values["input"], output, values["scenes"] or ["*"], values["layout"],
-                reporter=reporter, kinds=self.truth_kinds(scenes), page=page, conditions=conditions,
-                rows={str(row["scene"]): row for row in rows},
-            )  # fmt: skip
-            return report, None if page is None or not page.written else output / PAGE_FILE, report.flags
-        shows = ": the page shows the maps without scores" if page is not None else ", nothing to compare with"
-        reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
-        flags = flags_of(conditions, rows, reporter)
-        if page is None:
-            return None, None, flags
-        page.flags = flags
-        try:
-            write_page(page, reporter)
-        except DepthcliError as error:  # the maps are there
-            reporter.error(f"no {PAGE_FILE}: {error}")
-            return None, None, flags
-        return None, output / PAGE_FILE, flags
-
-    def _without_truth(self, scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path) -> RunWithoutTruth:
-        """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
-        from depthcli.evaluation.comparison import run_names
-        from depthcli.evaluation.protocols import load
-        from depthcli.io.scenes.rgbd_sequence import SequenceScene
-        from depthcli.report.run_without_truth import RunWithoutTruth
-
-        by_name, shown, row_of = {str(row["scene"]): row for row in rows}, list[Scene](), dict[str, Row]()
-        for scene in scenes:
-            row = by_name.get(scene.name, {})
-            if isinstance(scene, SequenceScene):  # its row has means over the frames
-                shown += scene.frames
-                row_of |= {frame.name: {key: row.get(key, "") for key in ("status", "error")} for frame in scene.frames}
-            else:
-                shown.append(scene)
-                row_of[scene.name] = row
-        (name,) = run_names([folder])
-        return RunWithoutTruth(name, folder, load(self.shown_as)(), self.palette(), shown, row_of, self.page_columns())
-
-
-class ConfigCommand(BatchCommand[ModelT, SceneT]):
-    """A batch command with a config: ``depthcli COMMAND CONFIG --input DIR --output DIR ...``."""
-
-    kinds: ClassVar[tuple[type[Scene], ...]]
-    """Kinds of scene that the command reads."""
-
-    arguments = (CONFIG,)
-
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """The options of the kinds of scene, between those of all batch commands."""
-        own = {option.name: option for kind in self.kinds for option in kind.options}
-        return (INPUT, *own.values(), OUTPUT, *SELECT, *RUN, EVALUATE, HTML_FLAG, *FLAGS, DRY_RUN)
-
-    @abstractmethod
-    def config_model(self) -> type[ModelT]:
-        """Return the model of the config file."""
-
-    def run(self, values: Values, reporter: Reporter) -> int:
-        """Compute every scene, then evaluate where that is asked for; return the exit code."""
-        run_options(values)  # wrong ones are reported before any file is read
-        conditions_of(values)
-        config = self.config(values)
-        return self.run_on(config, self.find(values, reporter), values, reporter)
-
-    def find(self, values: Values, reporter: Reporter) -> list[SceneT]:
-        """Return the scenes that the command line names."""
-        from depthcli.commands._scenes import find_scenes
-
-        return find_scenes(self.kinds, values, reporter)  # type: ignore[arg-type]  # kinds cannot be generic
-
-    def config(self, values: Values) -> ModelT:
-        """Return the config with all overrides; ConfigError with all that is wrong."""
-        from depthcli.core.config_file import load_config
-        from depthcli.run.presets import find_config, find_preset
-
-        settings: list[str | tuple[str, str]] = list(values["set"] or [])
-        for option in self.options:
-            if option.sets and values[option.name] is not None:
-                settings.append((option.flag, f"{option.sets}={values[option.name]}"))
-        file = find_config(self.name, values["config"])
-        config = load_config(self.config_model(), file, settings, lambda name: find_preset(self.name, name))
-        used_files(config)  # missing ones are an error before any scene is opened
-        return config
-
-    def files(self, config: ModelT, scene: SceneT) -> dict[str, Path]:
-        """Return the files of the scene, and those that the methods of the config use."""
-        return scene.input_files | used_files(config)
+    def memory_of(self, config: Any, scene: Any) -> int | None:
+        return None if self.batch.memory is None else self.batch.memory(scene)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from depthcli.core.errors import ConfigError
 from depthcli.core.flags import Condition, Flags, flag_rows, plain_name
 from depthcli.core.option import Option
-from depthcli.run.command import FLAGGED, SOME_FAILED, Values
+from depthcli.run.batch import FLAGGED, SOME_FAILED
+from depthcli.run.command import Values
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row
 

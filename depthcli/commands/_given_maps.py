@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.commands._batch import BatchCommand
+from depthcli.commands._old_batch import BatchCommand
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.io import storage

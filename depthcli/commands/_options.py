@@ -1,63 +1,195 @@
-"""Options that several commands have in common."""
+"""Options that several commands have in common, as typer reads them from the types of parameters.
+
+A command takes single options (``set: SetOption = None``) and groups of them (``run: RunOptions``), dataclasses whose
+fields become options of their own.
+"""
 
 from __future__ import annotations
 
+import functools
+import inspect
 import os
+import re
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated, Any, TypeAlias, get_type_hints
 
-from depthcli.core.errors import ConfigError
-from depthcli.core.option import Option
-from depthcli.run.command import Values
+import typer
+from typer import Argument, Option
 
-if TYPE_CHECKING:
-    from depthcli.run.task import RunOptions
+from depthcli.run.console import Reporter
 
-CONFIG = Option("config", str, "YAML file, or the name of a preset.", "CONFIG", required=True)
-INPUT = Option("input", Path, "Folder, archive or URL of scenes, or CSV of pairs.", "DIR", short="-i", group="Input")
-OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True, group="Output")
-LAYOUT = Option("layout", str, "Layout of the folder. Default: recognized.", "NAME", group="Input")
-SCENES = Option("scenes", str, "Only scenes whose name matches; repeatable.", "GLOB", repeatable=True, group="Input")
-NAME = Option("name", str, "Name of a single scene. Default: from its file.", "NAME", group="Input")
-SET = Option("set", str, "Override one key of the config; repeatable.", "KEY=VALUE", repeatable=True)
-EVALUATE = Option("evaluate", bool, "Compare the results with the input's ground truth.", default=False, group="Report")
-HTML_FLAG = Option("html", bool, "Also write evaluation/report.html.", default=False, group="Report")
-DRY_RUN = Option("dry_run", bool, "Print config, scenes and memory; compute nothing.", default=False, group="Run")
-SELECT = (NAME, LAYOUT, SCENES, SET)
-RUN = (
-    Option("overwrite", bool, "Replace an earlier run that had another config.", default=False, group="Output"),
-    Option("keep", str, "Files kept, as disp_left.pfm,status.png. Default: all.", "NAMES", group="Output"),
-    Option("jobs", int, "Scenes at a time, each in a process.", "N", default=1, short="-j",
-           min_value=1, max_value=512, group="Run"),
-    Option("threads", int, "Threads of a process. Default: cores / --jobs.", "N",
-           min_value=1, max_value=1024, group="Run"),
-    Option("max_memory", str, "Memory to use, such as 2GiB. Default: all free.", "SIZE", group="Run"),
-    Option("shard", str, "Compute part I of N. Default: from Slurm.", "I/N", group="Run"),
-    Option("scheduler", str, "tcp://HOST:PORT of a dask.distributed cluster.", "ADDRESS", group="Run"),
-    Option("fail_fast", bool, "Stop at the first scene that fails.", default=False, group="Run"),
-    Option("list_scenes", bool, "Print the names of the scenes; compute nothing.", default=False, group="Run"),
-)  # fmt: skip
+_URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one slash
 
 
-def run_options(values: Values) -> RunOptions:
-    """Return how a run is carried out; ConfigError for a wrong size or shard, or options that exclude each other."""
-    from depthcli.run.resources import parse_bytes
-    from depthcli.run.sharing import parse_shard
-    from depthcli.run.task import RunOptions
+def _local(output: Path | None) -> Path | None:
+    if output is not None and _URL.match(str(output)) and not os.path.lexists(output.parts[0]):
+        raise typer.BadParameter("results are written to this machine, not to URLs; give a folder")
+    return output
 
-    memory = parse_bytes(values["max_memory"]) if values["max_memory"] else None
-    shard = parse_shard(values["shard"], os.environ)
-    if shard is not None and (values.get("evaluate") or values.get("html")):
-        raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
-    if values["scheduler"] is not None and values["jobs"] != 1:
-        raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
-    return RunOptions(
-        jobs=values["jobs"],
-        threads=values["threads"],
-        max_memory=memory,
-        overwrite=values["overwrite"],
-        shard=shard,
-        fail_fast=values["fail_fast"],
-        keep=tuple(name.strip() for name in (values["keep"] or "").split(",") if name.strip()),
-        scheduler=values["scheduler"],
-    )
+
+ConfigArgument: TypeAlias = Annotated[str, Argument(metavar="CONFIG", help="YAML file, or the name of a preset.")]
+OutputOption: TypeAlias = Annotated[
+    Path, Option("--output", "-o", metavar="DIR", help="Folder to write into.", callback=_local)
+]
+InputOption: TypeAlias = Annotated[
+    Path | None, Option("--input", "-i", metavar="DIR", help="Folder, archive or URL of scenes, or CSV of pairs.")
+]
+LayoutOption: TypeAlias = Annotated[
+    str | None, Option("--layout", metavar="NAME", help="Layout of the folder. Default: recognized.")
+]
+ScenesOption: TypeAlias = Annotated[
+    list[str] | None, Option("--scenes", metavar="GLOB", help="Only scenes whose name matches; repeatable.")
+]
+NameOption: TypeAlias = Annotated[
+    str | None, Option("--name", metavar="NAME", help="Name of a single scene. Default: from its file.")
+]
+SetOption: TypeAlias = Annotated[
+    list[str] | None, Option("--set", metavar="KEY=VALUE", help="Override one key of the config; repeatable.")
+]
+OverwriteOption: TypeAlias = Annotated[
+    bool, Option("--overwrite", help="Replace an earlier run that had another config.")
+]
+KeepOption: TypeAlias = Annotated[
+    str | None, Option("--keep", metavar="NAMES", help="Files kept, as disp_left.pfm,status.png. Default: all.")
+]
+JobsOption: TypeAlias = Annotated[
+    int, Option("--jobs", "-j", metavar="N", min=1, max=512, help="Scenes at a time, each in a process.")
+]
+ThreadsOption: TypeAlias = Annotated[
+    int | None, Option("--threads", metavar="N", min=1, max=1024, help="Threads of a process. Default: cores / --jobs.")
+]
+MemoryOption: TypeAlias = Annotated[
+    str | None, Option("--max-memory", metavar="SIZE", help="Memory to use, such as 2GiB. Default: all free.")
+]
+ShardOption: TypeAlias = Annotated[
+    str | None, Option("--shard", metavar="I/N", help="Compute part I of N. Default: from Slurm.")
+]
+SchedulerOption: TypeAlias = Annotated[
+    str | None, Option("--scheduler", metavar="ADDRESS", help="tcp://HOST:PORT of a dask.distributed cluster.")
+]
+FailFastOption: TypeAlias = Annotated[bool, Option("--fail-fast", help="Stop at the first scene that fails.")]
+ListScenesOption: TypeAlias = Annotated[
+    bool, Option("--list-scenes", help="Print the names of the scenes; compute nothing.")
+]
+DryRunOption: TypeAlias = Annotated[bool, Option("--dry-run", help="Print config, scenes and memory; compute nothing.")]
+EvaluateOption: TypeAlias = Annotated[
+    bool, Option("--evaluate", help="Compare the results with the input's ground truth.")
+]
+HtmlOption: TypeAlias = Annotated[bool, Option("--html", help="Also write evaluation/report.html.")]
+FlagOption: TypeAlias = Annotated[
+    list[str] | None,
+    Option("--flag", metavar="CONDITION", help="Flag rows, such as 'measured<0.6'; repeatable, any of them."),
+]
+FailFlaggedOption: TypeAlias = Annotated[bool, Option("--fail-flagged", help="Exit with 4 where a row is flagged.")]
+JsonOption: TypeAlias = Annotated[bool, Option("--json", help="Print one JSON document instead of a table.")]
+VerboseOption: TypeAlias = Annotated[bool, Option("--verbose", "-v", help="Print details on stderr.")]
+QuietOption: TypeAlias = Annotated[bool, Option("--quiet", "-q", help="Print only errors, and no table.")]
+PluginOption: TypeAlias = Annotated[
+    list[Path] | None,
+    Option(
+        "--plugin", metavar="FILE.py", help="Python file with methods, layouts or commands of your own; repeatable."
+    ),
+]
+"""Read by ``cli`` before all else, since the file may hold the command itself."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Printing:
+    """What a command prints."""
+
+    json: JsonOption = False
+    verbose: VerboseOption = False
+    quiet: QuietOption = False
+
+    @cached_property
+    def reporter(self) -> Reporter:
+        """What takes messages and data."""
+        return Reporter(-1 if self.quiet else int(self.verbose))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """Which scenes a command works on; a group of a command adds the options that name the files of a single one."""
+
+    input: InputOption = None
+    name: NameOption = None
+    layout: LayoutOption = None
+    scenes: ScenesOption = None
+
+    @property
+    def patterns(self) -> list[str]:
+        """The shell patterns of ``--scenes``, or the one that every name matches."""
+        return self.scenes or ["*"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(Printing):
+    """How the scenes are computed, where the results go, and what is reported of them.
+
+    ``evaluate`` and ``html`` become options of commands whose group declares them so, see :class:`ScoredRunOptions`.
+    """
+
+    output: OutputOption
+    overwrite: OverwriteOption = False
+    keep: KeepOption = None
+    jobs: JobsOption = 1
+    threads: ThreadsOption = None
+    max_memory: MemoryOption = None
+    shard: ShardOption = None
+    scheduler: SchedulerOption = None
+    fail_fast: FailFastOption = False
+    list_scenes: ListScenesOption = False
+    dry_run: DryRunOption = False
+    flag: FlagOption = None
+    fail_flagged: FailFlaggedOption = False
+    evaluate: bool = False
+    html: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoredRunOptions(RunOptions):
+    """The options of a run whose results can be compared with ground truth of its input."""
+
+    evaluate: EvaluateOption = False
+    html: HtmlOption = False
+
+
+def with_groups(function: Callable[..., int]) -> Callable[..., int]:
+    """Return a command's function with the signature that typer reads: the fields of groups are options of their own.
+
+    Parameters
+    ----------
+    function : each parameter is annotated as typer wants it, or with a dataclass of such fields
+    """
+    groups: dict[str, tuple[type, list[str]]] = {}
+    parameters = [inspect.Parameter("plugin", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=PluginOption)]
+    hints = get_type_hints(function, include_extras=True)
+    for name, parameter in inspect.signature(function).parameters.items():
+        kind = hints[name]
+        if not is_dataclass(kind):
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind))
+            continue
+        types = get_type_hints(kind, include_extras=True)
+        own = [field for field in fields(kind) if hasattr(types[field.name], "__metadata__")]
+        groups[name] = kind, [field.name for field in own]  # type: ignore[assignment]
+        for field in own:
+            default = inspect.Parameter.empty if field.default is MISSING else field.default
+            parameters.append(
+                inspect.Parameter(
+                    field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=types[field.name]
+                )
+            )
+
+    @functools.wraps(function)
+    def callback(**values: Any) -> int:
+        values.pop("plugin")
+        for name, (kind, names) in groups.items():
+            values[name] = kind(**{each: values.pop(each) for each in names})
+        return function(**values)
+
+    callback.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    callback.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return callback

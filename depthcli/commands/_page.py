@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.run.command import Command, Values
+from depthcli.run.command import Values
 from depthcli.run.console import Reporter
 
 if TYPE_CHECKING:
@@ -50,8 +50,11 @@ def write_page(page: Page, reporter: Reporter) -> None:
         page.write(None, "{}", {page.run.name: saved_config(page.run.folder)})
 
 
-def new_page(command: Command, values: Values, output: Path | None) -> Page | None:
-    """Return the page that ``--html`` requests, or None; ConfigError where there is no folder for it."""
+def new_page(line: str, values: Values, output: Path | None) -> Page | None:
+    """Return the page that ``--html`` requests, which shows the command ``line``; None without ``--html``.
+
+    ConfigError where there is no folder for it.
+    """
     if not values["html"]:
         return None
     if output is None:
@@ -59,4 +62,4 @@ def new_page(command: Command, values: Values, output: Path | None) -> Page | No
     from depthcli.report.page import Page
     from depthcli.run.resources import parse_bytes
 
-    return Page(output, command.line(values), parse_bytes(values["html_budget"], "--html-budget"))
+    return Page(output, line, parse_bytes(values["html_budget"], "--html-budget"))

@@ -9,13 +9,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
-from depthcli.commands._batch import ConfigCommand
+from depthcli.commands._old_batch import ConfigCommand
 from depthcli.commands._rectified import UNIT, check_unit
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.run.command import Outcome, Values
+from depthcli.run.batch import Outcome
+from depthcli.run.command import Values
 from depthcli.run.console import SIZE, Column, Reporter, percent
 from depthcli.run.json_csv import Row
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.run.command import SOME_FAILED, Command, Values
+from depthcli.run.batch import SOME_FAILED
+from depthcli.run.command import Command, Values
 from depthcli.run.console import Reporter
 
 if TYPE_CHECKING:

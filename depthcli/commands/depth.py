@@ -11,15 +11,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypedDict
 
-from depthcli.commands._batch import DEPTH_RESULTS, BatchCommand
 from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.commands._flags import FLAGS
-from depthcli.commands._options import DRY_RUN, HTML_FLAG, LAYOUT, OUTPUT, RUN, SCENES
+from depthcli.commands._old_batch import DEPTH_RESULTS, BatchCommand
+from depthcli.commands._old_options import DRY_RUN, HTML_FLAG, LAYOUT, OUTPUT, RUN, SCENES
 from depthcli.commands._scenes import find_maps
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.io.scenes.disparity_map import DisparityScene
-from depthcli.run.command import Outcome, Values
+from depthcli.run.batch import Outcome
+from depthcli.run.command import Values
 from depthcli.run.console import SIZE, Column, Reporter, percent
 from depthcli.run.json_csv import Row
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flags_of_scores
-from depthcli.commands._options import LAYOUT, SCENES
+from depthcli.commands._old_options import LAYOUT, SCENES
 from depthcli.commands._page import HTML, PAGE_FILE, RESULTS, new_page
 from depthcli.commands._tables import TABLES, check_tables, print_place, print_tables
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
@@ -86,7 +86,7 @@ class EvaluateCommand(Command):
         settings = Settings(scale, resolution, values["threshold"], resize, invalid)
         check_tables(values)
         conditions = conditions_of(values)
-        page = new_page(self, values, values["output"])
+        page = new_page(reporter.command_line, values, values["output"])
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
             values["protocol"], settings, reporter, page=page,

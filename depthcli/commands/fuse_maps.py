@@ -20,11 +20,12 @@ from depthcli.commands._given_maps import (
     memory_for,
     threshold_of,
 )
-from depthcli.commands._options import DRY_RUN, EVALUATE, HTML_FLAG, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
+from depthcli.commands._old_options import DRY_RUN, EVALUATE, HTML_FLAG, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.io.scenes.given_maps import MapsScene
-from depthcli.run.command import Outcome, Values
+from depthcli.run.batch import Outcome
+from depthcli.run.command import Values
 from depthcli.run.console import SIZE, Column, Reporter, percent
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, TypeAlias
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.core.registry import with_package
-from depthcli.run.command import EXIT_CODES, Command, Values
+from depthcli.run.batch import EXIT_CODES
+from depthcli.run.command import Command, Values
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import to_json
 
@@ -118,7 +119,7 @@ def _presets() -> Page:
 def _outputs() -> Page:
     """Return the files that every command writes."""
     from depthcli.commands import command_names, load_command
-    from depthcli.commands._batch import BatchCommand
+    from depthcli.commands._old_batch import BatchCommand
     from depthcli.commands._page import RESULTS
     from depthcli.run.records import RUN_FILE
     from depthcli.run.reports import REPORT_FILES

@@ -8,10 +8,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from depthcli.commands._batch import BatchCommand
+from depthcli.commands._old_batch import BatchCommand
 from depthcli.core.errors import InputError
 from depthcli.core.option import Option
-from depthcli.run.command import SOME_FAILED, Command, Values
+from depthcli.run.batch import SOME_FAILED
+from depthcli.run.command import Command, Values
 from depthcli.run.console import Column, Reporter, run_table
 from depthcli.run.json_csv import Row, to_json
 

@@ -42,7 +42,7 @@ class PresetsCommand(Command):
 def _show(name: str) -> str:
     """Return a preset as YAML with every field and its description; ``name`` may be ``command/name``."""
     from depthcli.commands import find_command
-    from depthcli.commands._batch import ConfigCommand
+    from depthcli.commands._old_batch import ConfigCommand
     from depthcli.core.config_file import load_config
     from depthcli.run.presets import describe, find_preset, leading_comment, presets
 

@@ -11,15 +11,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal, TypedDict
 
-from depthcli.commands._batch import BatchCommand
 from depthcli.commands._flags import FLAGS
-from depthcli.commands._options import DRY_RUN, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
+from depthcli.commands._old_batch import BatchCommand
+from depthcli.commands._old_options import DRY_RUN, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
 from depthcli.commands._rectified import UNIT, check_unit
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.run.command import Outcome, Values
+from depthcli.run.batch import Outcome
+from depthcli.run.command import Values
 from depthcli.run.console import SIZE, Column, Reporter, percent
 from depthcli.run.json_csv import Row
 

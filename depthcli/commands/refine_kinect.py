@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.commands._clouds import check_limits, empty_cloud
+from depthcli.commands._old_batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.core.yaml_source import short
@@ -20,7 +20,8 @@ from depthcli.io.layouts.rgbd import cameras
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.scenes.rgbd_sequence import SequenceScene, sequences
-from depthcli.run.command import Outcome, Values
+from depthcli.run.batch import Outcome
+from depthcli.run.command import Values
 from depthcli.run.console import SIZE, Column, Reporter, percent
 from depthcli.run.json_csv import Row
 

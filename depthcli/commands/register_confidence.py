@@ -8,11 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.commands._batch import ConfigCommand
+from depthcli.commands._old_batch import ConfigCommand
 from depthcli.core.option import Option
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.volume_pair import VolumePairScene
-from depthcli.run.command import Outcome, Values
+from depthcli.run.batch import Outcome
+from depthcli.run.command import Values
 from depthcli.run.console import Column, Reporter, percent
 from depthcli.run.json_csv import Row
 

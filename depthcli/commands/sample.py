@@ -7,12 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
-from depthcli.commands._batch import BatchCommand
-from depthcli.commands._options import DRY_RUN, OUTPUT, RUN
+from depthcli.commands._old_batch import BatchCommand
+from depthcli.commands._old_options import DRY_RUN, OUTPUT, RUN
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.core.registry import with_package
-from depthcli.run.command import Outcome, Values
+from depthcli.run.batch import Outcome
+from depthcli.run.command import Values
 from depthcli.run.console import SIZE, Column, Reporter, percent
 from depthcli.simulate.samples import SampleScene, samples
 

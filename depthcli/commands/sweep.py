@@ -12,13 +12,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.commands._batch import ConfigCommand
-from depthcli.commands._options import CONFIG, LAYOUT, OUTPUT, RUN, SCENES, run_options
+from depthcli.commands._old_batch import ConfigCommand
+from depthcli.commands._old_options import CONFIG, LAYOUT, OUTPUT, RUN, SCENES, run_options
 from depthcli.commands._page import HTML, PAGE_FILE, new_page
 from depthcli.commands.evaluate import evaluate
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.run.command import SOME_FAILED, Command, Values
+from depthcli.run.batch import SOME_FAILED
+from depthcli.run.command import Command, Values
 from depthcli.run.console import Reporter, aligned
 from depthcli.run.json_csv import Row, to_csv, to_json
 
@@ -162,7 +163,7 @@ def _evaluate(sweep: SweepCommand, values: Values, names: Sequence[str], reporte
     runs = [values["output"] / _RUNS / name for name in names]
     return evaluate(
         runs, values["input"], target, values["scenes"] or ["*"], values["layout"], reporter=reporter,
-        page=new_page(sweep, values, target),
+        page=new_page(reporter.command_line, values, target),
     )  # fmt: skip
 
 

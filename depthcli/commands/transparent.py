@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
+from depthcli.commands._old_batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.core.errors import InputError
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd import RgbdScene
-from depthcli.run.command import Outcome
+from depthcli.run.batch import Outcome
 from depthcli.run.console import SIZE, Column, percent
 
 if TYPE_CHECKING:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.run.command import SOME_FAILED, Command, Values
+from depthcli.run.batch import SOME_FAILED
+from depthcli.run.command import Command, Values
 from depthcli.run.console import Reporter, aligned
 from depthcli.run.json_csv import to_json
 

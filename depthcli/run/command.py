@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, TypeVar
 
 from depthcli.core.option import Option
 from depthcli.core.registry import registered_name
 from depthcli.io.scenes import Scene
+from depthcli.run.batch import Outcome
 from depthcli.run.console import Reporter
 
 if TYPE_CHECKING:
@@ -23,23 +22,6 @@ SceneT = TypeVar("SceneT", bound=Scene)
 
 Values: TypeAlias = Mapping[str, Any]
 """Name -> value of every argument and option of one call, each of the type that its :class:`Option` declares."""
-
-SOME_FAILED = 3
-"""Exit code of a command that finished, but not for every scene."""
-
-FLAGGED = 4
-"""Exit code of a command with ``--fail-flagged`` that flagged a row."""
-
-EXIT_CODES = {
-    0: "all done",
-    1: "a bug in depthcli; the traceback is printed",
-    2: "wrong usage, config or folder, nothing was computed; or the disk became full",
-    SOME_FAILED: "finished, but something failed or could not be written; the report says what",
-    FLAGGED: "finished, and rows are flagged that count as failures here, or a condition has no values",
-    130: "ended by Ctrl-C; the same command goes on where it stopped",
-    143: "ended by SIGTERM; the same command goes on where it stopped",
-}
-"""Exit code -> what it means."""
 
 
 class Command(ABC):
@@ -70,23 +52,6 @@ class Command(ABC):
         """Options beside ``--json``, ``--verbose`` and ``--quiet``."""
         return ()
 
-    def line(self, values: Values) -> str:
-        """Return the command line that gives these values."""
-        words = ["depthcli", self.name]
-        for argument in self.arguments:
-            value = values[argument.name]
-            words += [] if value is None else [*map(str, value)] if argument.repeatable else [str(value)]
-        for option in self.options:
-            value = values[option.name]
-            if value == option.default or value is None or value == []:
-                continue
-            if option.type is bool:
-                words.append(option.flag)
-                continue
-            for each in value if isinstance(value, list) else [value]:
-                words += [option.flag, str(each)]
-        return shlex.join(words)
-
     @abstractmethod
     def run(self, values: Values, reporter: Reporter) -> int:
         """Run the command and return the exit code.
@@ -101,22 +66,6 @@ class Command(ABC):
         DepthcliError
             The config, the options or the folders are wrong; nothing was computed.
         """
-
-
-@dataclass
-class Outcome:
-    """What the report says of one scene.
-
-    Attributes
-    ----------
-    facts : columns of the report that are the same in every run (size, density, counts)
-    seconds : time by stage, in order
-    warnings : lines that are shown to the user
-    """
-
-    facts: dict[str, Any] = field(default_factory=dict)
-    seconds: dict[str, float] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
 
 
 _Config = TypeVar("_Config", contravariant=True)

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, ClassVar, TextIO
 
 from depthcli.core.errors import IncompleteError
 from depthcli.core.plugins import PluginWarning
@@ -43,7 +43,13 @@ class Reporter:
     Parameters
     ----------
     level : -1 only errors, 0 also messages, 1 also details
+
+    Attributes
+    ----------
+    command_line : the words of this call as a shell takes them, for reports
     """
+
+    command_line: ClassVar[str] = ""
 
     def __init__(self, level: int = 0) -> None:
         self.level = level

@@ -24,7 +24,8 @@ from depthcli.io.layouts import layout_plugins
 from depthcli.io.scenes import Scene
 from depthcli.programs.scene import computing
 from depthcli.run import resources
-from depthcli.run.command import Outcome, SceneCommand
+from depthcli.run.batch import Outcome
+from depthcli.run.command import SceneCommand
 from depthcli.run.install import install, remove_results
 from depthcli.run.json_csv import Row
 from depthcli.run.records import Record, digest, digests_below, read_record

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from depthcli.cli import main
-from depthcli.commands._batch import BatchCommand
+from depthcli.commands._old_batch import BatchCommand
 from depthcli.run.command import Command
 from depthcli.run.records import RECORD_FILE
 from depthcli.run.reports import REPORT_FILES

@@ -19,7 +19,7 @@ import yaml
 
 from depthcli.cli import main
 from depthcli.commands import load_command
-from depthcli.commands._batch import BatchCommand
+from depthcli.commands._old_batch import BatchCommand
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status

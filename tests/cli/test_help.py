@@ -9,11 +9,11 @@ from typing import Any, get_args
 
 import pytest
 import typer
+from depthcli.cli.help_text import START
 
 from depthcli.cli import app, main
-from depthcli.cli.help_text import START
 from depthcli.commands import command_names, grouped_commands, help_of, load_command
-from depthcli.commands._batch import ConfigCommand
+from depthcli.commands._old_batch import ConfigCommand
 from depthcli.core.option import OptionGroup
 from depthcli.run.combinations import parse_axis
 

@@ -36,7 +36,8 @@ CALLERS = {
     "depthcli.commands._page": {"evaluate"},  # of --html-budget; a page of other commands is where --html was given
     "depthcli.api.masks": {"depth", "refine-kinect"},
     "depthcli.run.combinations": {"sweep"},
-    "depthcli.commands._options": SCENES - {"depth", "rectify"},  # where --evaluate was given, and of all options here
+    "depthcli.commands._old_options": SCENES
+    - {"depth", "rectify"},  # where --evaluate was given, and of all options here
     "depthcli.commands._tables": {"evaluate"},
     "depthcli.commands._scenes": SCENES - {"depth", "rectify"},  # where --evaluate or --name was given
     "depthcli.core.config_file": {"stereo", "fuse", "sweep"},  # where --set was given

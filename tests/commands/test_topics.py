@@ -11,7 +11,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.commands import command_names, load_command
-from depthcli.commands._batch import BatchCommand
+from depthcli.commands._old_batch import BatchCommand
 from depthcli.commands.evaluate import evaluate
 from depthcli.commands.help import TOPICS
 from depthcli.core.columns import ColumnHelp, find_column

@@ -114,7 +114,7 @@ def test_scenes_with_and_without_truth_share_a_page(pairs: Path, tmp_path: Path,
 def test_beyond_the_budget_each_scene_is_loaded_from_its_own_file(
     pairs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("depthcli.commands._batch.PAGE_BUDGET", "2kB")
+    monkeypatch.setattr("depthcli.commands._old_batch.PAGE_BUDGET", "2kB")
     assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "*a*") == 3
     folder = tmp_path / "run" / "evaluation"
     page = json.loads(read(folder).scripts["page"])

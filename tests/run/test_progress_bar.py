@@ -22,7 +22,7 @@ from depthcli.core.progress import Activity, announce_stage, counted
 from depthcli.core.result import Clock
 from depthcli.io.scenes import Scene
 from depthcli.run.activities import Announcer, Board, Running
-from depthcli.run.command import Outcome
+from depthcli.run.batch import Outcome
 from depthcli.run.console import Reporter
 from depthcli.run.progress_bar import Progress
 from depthcli.run.runner import run_scenes

@@ -20,7 +20,7 @@ from depthcli.core.result import Clock
 from depthcli.io.formats.files import atomic_path
 from depthcli.io.scenes import Scene
 from depthcli.run import records, resources
-from depthcli.run.command import Outcome
+from depthcli.run.batch import Outcome
 from depthcli.run.console import Reporter, run_table
 from depthcli.run.install import discard, hidden_folder
 from depthcli.run.plan import plan_document

@@ -13,7 +13,7 @@ from depthcli.core.method import RootConfig
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.run.command import Outcome
+from depthcli.run.batch import Outcome
 from depthcli.run.console import SIZE, Column
 
 

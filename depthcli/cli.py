@@ -1,0 +1,218 @@
+"""The command line: finds the command that is named, gives its function to typer, and maps errors to exit codes.
+
+Exit codes: 0 all done; 1 a bug; 2 wrong usage or config, or a full disk; 3 finished, but something failed; 4 rows are
+flagged that count as failures; 130 Ctrl-C; 143 SIGTERM. Nothing heavy is imported before a command runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import inspect
+import os
+import shlex
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from depthcli import __version__, commands
+from depthcli.commands._options import PluginOption, with_groups
+from depthcli.core.errors import DepthcliError, IncompleteError
+from depthcli.core.plugins import load_file
+from depthcli.run.batch import SOME_FAILED
+from depthcli.run.console import Reporter, silence_warnings
+
+_STREAM_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
+"""System errors of a stream whose disk is full or whose device fails."""
+
+_SETTINGS: dict[str, Any] = {
+    "rich_markup_mode": None,
+    "pretty_exceptions_enable": False,
+    "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": 80},
+}
+
+
+class _Terminated(BaseException):
+    """SIGTERM arrived: end as by Ctrl-C, with another exit code."""
+
+
+class _Commands(TyperGroup):
+    """The commands of ``commands/``; each is imported when it is named."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = dict.fromkeys(commands.names())  # type: ignore[assignment]  # read for "did you mean" only
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return commands.names()
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        return command_of(cmd_name)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        for heading, names in commands.grouped_names().items():
+            with formatter.section(heading):
+                formatter.write_dl([(f"{name:<19}", commands.help_of(name)) for name in names])
+
+
+def command_of(name: str) -> Any:
+    """Return the command of that name as typer builds it, None where there is none."""
+    found = commands.find(name)
+    if found is None:
+        return None
+    app = typer.Typer(add_completion=False, **_SETTINGS)
+    text = commands.text_of(found).replace("\nExamples:\n", "\n\b\nExamples:\n")  # \b: these lines are not wrapped
+    app.command(name.replace("_", "-"), help=text)(with_groups(found) if inspect.isfunction(found) else _old(found))
+    return get_command(app)
+
+
+app = typer.Typer(
+    name="depthcli",
+    cls=_Commands,
+    no_args_is_help=True,
+    epilog="Begin with docs/tutorial.md: sample makes scenes, stereo accurate matches them, evaluate compares.",
+    **_SETTINGS,
+)
+
+
+def _print_version(value: bool) -> None:
+    if value:
+        Reporter().data(f"depthcli {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def depthcli(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+    plugin: PluginOption = None,
+) -> None:
+    """Depth from images and its evaluation, in batches: YAML configs and folders in, maps and reports out."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command and return its exit code; messages go to stderr, never a traceback except for a bug."""
+    words = sys.argv[1:] if arguments is None else arguments
+    _repair_streams()
+    silence_warnings()
+    with contextlib.suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGTERM, _terminate)
+    try:
+        Reporter.command_line = shlex.join(["depthcli", *words])
+        _load_plugins(words)
+        return _run(words)
+    except IncompleteError as error:
+        _print_error(f"depthcli: {error}")
+        return SOME_FAILED
+    except DepthcliError as error:  # several lines are the problems of a config, each with its place
+        _print_error(f"depthcli: {error}" if "\n" not in str(error) else str(error))
+        return 2
+    except _Terminated:
+        _print_error("depthcli: terminated; the same command goes on where it stopped")
+        return 143
+    except KeyboardInterrupt:
+        _print_error("depthcli: interrupted; the same command goes on where it stopped")
+        return 130
+    except Exception:
+        _print_error(traceback.format_exc().rstrip())
+        _print_error("depthcli: this is a bug, not something you did; please report the lines above")
+        return 1
+    finally:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+        try:
+            sys.stderr.flush()
+        except (OSError, ValueError):  # the interpreter's last flush would fail, and with it the exit code
+            Reporter.close(sys.stderr)
+
+
+def _run(words: list[str]) -> int:
+    """Parse the command line, run its command and return the exit code; what typer raises becomes one of ours."""
+    try:
+        code = int(app(words, prog_name="depthcli", standalone_mode=False) or 0)
+    except typer.Abort:
+        code = 130
+    except SystemExit as error:
+        if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
+            raise
+        return 0  # the reader of a help text has closed the pipe (--help | head)
+    except OSError as error:
+        if error.filename is not None or error.errno not in _STREAM_ERRORS:
+            raise
+        Reporter.close(sys.stdout)
+        raise IncompleteError(f"stdout: cannot be written ({error.strerror})") from error
+    except Exception as error:
+        if getattr(error, "exit_code", None) != 2 or not hasattr(error, "show"):
+            raise
+        with contextlib.suppress(OSError):
+            error.show()
+        return 2
+    if code == 130:
+        raise KeyboardInterrupt
+    return code
+
+
+def _load_plugins(words: Sequence[str]) -> None:
+    """Read the files of all ``--plugin``, which may hold the command itself; one without a value is left to typer."""
+    for option, value in pairwise([*words, ""]):
+        if option == "--":
+            return
+        name, equals, inside = option.partition("=")
+        if name == "--plugin" and (inside or (not equals and value)):
+            load_file(Path(inside or value))
+
+
+def _repair_streams() -> None:
+    """Keep a closed stream, or one that cannot encode a name, from ending a run."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed; the next file that is opened would take its number
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
+        with contextlib.suppress(AttributeError, ValueError, OSError):
+            getattr(sys, name).reconfigure(errors="backslashreplace")
+
+
+def _terminate(number: int, frame: Any) -> None:
+    raise _Terminated
+
+
+def _print_error(text: str) -> None:
+    Reporter(-1).error(text)
+
+
+def _old(command: Any) -> Callable[..., int]:
+    """Return the function that typer calls for a command that still declares its options as data."""
+
+    def callback(**values: Any) -> int:
+        run: int = command.run(values, Reporter(-1 if values["quiet"] else int(values["verbose"])))
+        return run
+
+    def parameter(option: Any, positional: bool) -> inspect.Parameter:
+        default = ... if option.required else option.default
+        texts: dict[str, Any] = {"metavar": option.metavar or None, "help": option.help}
+        if positional:
+            declared = typer.Argument(default, **texts)
+        else:
+            names = (option.flag, option.short) if option.short else (option.flag,)
+            declared = typer.Option(default, *names, min=option.min_value, max=option.max_value, **texts)
+        kind: Any = list[option.type] if option.repeatable else option.type  # type: ignore[name-defined]
+        annotation = kind if option.required or option.type is bool else kind | None
+        return inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=declared, annotation=annotation)
+
+    parameters = [parameter(argument, True) for argument in command.arguments]
+    parameters += [parameter(option, False) for option in command.options]
+    for name, short in (("json", ""), ("verbose", "-v"), ("quiet", "-q")):
+        names = (f"--{name}", short) if short else (f"--{name}",)
+        declared = typer.Option(False, *names)
+        parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=declared, annotation=bool))
+    callback.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    callback.__annotations__ = {each.name: each.annotation for each in parameters}
+    return callback
