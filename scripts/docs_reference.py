@@ -3,8 +3,7 @@
 
     scripts/docs_reference.py FOLDER
 
-``scripts/docs`` calls it. What a command prints under ``depthcli help TOPIC`` is not said twice: pages of the topics
-hold the same rows.
+``scripts/docs`` calls it.
 """
 
 from __future__ import annotations
@@ -16,22 +15,49 @@ import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import _env  # noqa: F401  (first: continues in the checkout's environment)
+import typer
 
 import depthcli
 from depthcli import testing
 from depthcli.api.config import COMMANDS
-from depthcli.cli import _COMMON
-from depthcli.commands import grouped_commands, help_of, load_command
-from depthcli.commands.help import METHOD_PACKAGES, TOPICS
+from depthcli.cli import command_of
+from depthcli.commands import grouped_names, help_of
+from depthcli.commands._page import RESULTS
+from depthcli.core.columns import ColumnHelp
+from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
-from depthcli.core.option import Option, OptionGroup
+from depthcli.core.registry import with_package
+from depthcli.evaluation import columns as evaluation
 from depthcli.evaluation import protocols
+from depthcli.io.formats.images import IMAGE_SUFFIXES
+from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
+from depthcli.io.formats.volumes import VOLUME_SUFFIXES
 from depthcli.io.layouts import layouts
+from depthcli.methods.confidence import measures
+from depthcli.methods.given_maps import map_measures
 from depthcli.methods.registration.search import MEASURES
+from depthcli.run import columns as report
+from depthcli.run.batch import EXIT_CODES
 from depthcli.run.presets import find_config, list_presets
+from depthcli.run.records import RUN_FILE
+from depthcli.run.reports import REPORT_FILES
+
+Rows = dict[str, list[tuple[str, str]]]
+"""Heading -> names with their explanations."""
+
+METHOD_PACKAGES = tuple(
+    f"depthcli.{package}"
+    for package in (
+        "methods.stereo.pipeline", "methods.stereo.cost", "methods.stereo.aggregation", "methods.stereo.optimization",
+        "methods.stereo.refinement", "methods.confidence", "methods.fusion.choice", "methods.kinect.pipeline",
+        "methods.kinect.model", "methods.transparent.pipeline", "methods.registration.pipeline",
+        "methods.registration.feature", "algorithms.segmentation", "algorithms.keypoints",
+    )
+)  # fmt: skip
+"""Packages of all families of methods, in the order in which they are explained."""
 
 CONFIGS: dict[str, Any] = {command: getattr(depthcli, name) for name, command in COMMANDS.items()}
 """Command -> class of its config."""
@@ -78,36 +104,16 @@ def _index(title: str, about: str, names: Iterable[str]) -> str:
 
 def command_line() -> str:
     """Return the page of all commands with their options."""
-    parts = [
-        "# Command line\n\nEvery command has `--help`; `depthcli help TOPIC` explains columns, layouts and more.\n"
-    ]
-    for group, names in grouped_commands().items():
+    parts = ["# Command line\n\nEvery command has `--help`.\n"]
+    for group, names in grouped_names().items():
         parts.append(f"## {group}\n")
         for name in names:
-            command = load_command(name)
-            parts.append(f"(command-{name})=\n### `depthcli {name}`\n\n{help_of(name)}\n")
-            options = [*command.arguments, *command.options]
-            for heading in get_args(OptionGroup):
-                found = [each for each in options if each.group == heading]
-                rows = [(f"`{_option(each, each in command.arguments)}`", _option_text(each)) for each in found]
-                parts.append(_table((heading, ""), rows) if rows else "")
-            parts.append("```text\n" + "\n".join(command.examples) + "\n```\n")
-    rows = [(f"`{_option(each, False)}`", _option_text(each)) for each in _COMMON]
-    parts.append("## Options of all commands\n\n" + _table(("Option", ""), rows))
+            command = command_of(name)
+            context = typer.Context(command)
+            records = (each.get_help_record(context) for each in command.get_params(context))
+            rows = [(f"`{option}`", text) for option, text in filter(None, records)]
+            parts.append(f"(command-{name})=\n### `depthcli {name}`\n\n{help_of(name)}\n\n{_table(('', ''), rows)}")
     return "\n".join(parts)
-
-
-def _option(option: Option, is_argument: bool) -> str:
-    value = option.metavar or option.name.upper()
-    if is_argument:
-        return value
-    names = ", ".join(filter(None, (option.short, option.flag)))
-    return names if option.type is bool else f"{names} {value}"
-
-
-def _option_text(option: Option) -> str:
-    default = "" if option.default in (None, False) else f" Default: `{option.default}`."
-    return option.help + (" Required." if option.required else default)
 
 
 def presets() -> str:
@@ -216,8 +222,94 @@ def protocol_page() -> str:
     return "\n".join(parts)
 
 
+def _columns() -> Rows:
+    return {
+        "Metrics (evaluate)": _rows(evaluation.METRICS),
+        "Regions (evaluate)": _rows(evaluation.REGIONS),
+        "Other columns of evaluate and sweep": _rows(evaluation.TABLES),
+        "scores.csv": _rows(evaluation.SCORES),
+        "points.csv, points/RUN/SCENE.csv": _rows(evaluation.POINTS),
+        "Sensitivity, sweep.csv": _rows(evaluation.SWEEP),
+        "report.csv of every run": _rows(report.REPORT),
+        "report.csv of stereo, fuse, rectify": _rows(report.MAPS),
+        "report.csv of refine-kinect, transparent, depth": _rows(report.DEPTH),
+        "report.csv of confidence, fuse maps": _rows(report.GIVEN_MAPS),
+        "report.csv of register-confidence": _rows(report.REGISTRATION),
+        "report.csv of sample": _rows(report.SAMPLES),
+        "planes.csv, segment_labels.csv, keypoints.csv": _rows(report.SEGMENTS),
+        "Printed by devices, warmup, --dry-run": _rows(report.LISTS),
+    }
+
+
+def _rows(columns: Iterable[ColumnHelp]) -> list[tuple[str, str]]:
+    return [(column.headings, column.about) for column in columns]
+
+
+def _status() -> Rows:
+    return {
+        "Disparity maps": [(str(int(bit)), text) for bit, text in STATUS_HELP.items()],
+        "Depth maps": [(str(int(bit)), text) for bit, text in DEPTH_STATUS_HELP.items()],
+    }
+
+
+def _formats() -> Rows:
+    others = [(suffix, with_package(type(of), _first_paragraph(type(of)))) for suffix, of in map_formats().items()]
+    maps: dict[str, list[str]] = {}
+    for name in protocols.names():
+        maps.setdefault(" ".join(protocols.load(name).files.endings), []).append(name)
+    return {
+        "Files, by their endings; the content decides": [
+            ("images", " ".join(IMAGE_SUFFIXES)),
+            ("disparity and depth maps", f"{' '.join(MAP_SUFFIXES)}: PFM and floats hold pixels or meters, integers "
+             "codes"),
+            *others,
+            ("volumes", " ".join(VOLUME_SUFFIXES)),
+        ],
+        "Maps of a run, by the protocol that scores them": [(", ".join(which), ends) for ends, which in maps.items()],
+    }  # fmt: skip
+
+
+def _first_paragraph(kind: type) -> str:
+    return " ".join((kind.__doc__ or "").split("\n\n")[0].split())
+
+
+def _measures() -> Rows:
+    return {
+        "Of costs (confidence: in configs of stereo and fuse)": list(measures().items()),
+        "Of given maps (confidence --measure NAME)": list(map_measures().items()),
+    }
+
+
+def _outputs() -> Rows:
+    maps, depth = "disp_left.*, status.png, preview.png, confidence_*", "depth.*, sigma.pfm, status.png, preview.png"
+    return {
+        "In every run folder": [
+            (RUN_FILE, "the config with all values, versions and seed; itself a config"),
+            (", ".join(REPORT_FILES), "a row for every scene: status, seconds, memory; see Columns of tables"),
+            ("SCENE/record.json", "inputs and files of a scene, by their digests: by it a run is resumed"),
+        ],
+        "In the folder of a scene": [
+            ("stereo, fuse", maps),
+            ("confidence", f"confidence.*, {maps}"),
+            ("refine-kinect, transparent, depth", f"{depth}, confidence_*, points.ply"),
+            ("register-confidence", "confidence.*, expected_error.*, shift.*, preview.png, points.csv"),
+            ("rectify", "left.png, right.png, calib.txt, meta.json"),
+            ("sample", "*.png, *.pfm, *.nii.gz, meta.json, calib.json"),
+        ],
+        "In the folder of an evaluation": [("evaluate", ", ".join(RESULTS))],
+    }
+
+
+def _exit_codes() -> Rows:
+    return {"Exit codes": [(str(code), text) for code, text in EXIT_CODES.items()]}
+
+
+TOPICS = {"columns": _columns, "exit-codes": _exit_codes, "formats": _formats, "measures": _measures,
+          "outputs": _outputs, "status": _status}  # fmt: skip
+
+
 def topic_page(title: str, *topics: str) -> str:
-    """Return a page that holds what ``depthcli help`` prints of these topics."""
+    """Return a page of topics, each a table of names and explanations."""
     return f"# {title}\n\n" + "\n".join(_topic(topic) for topic in topics)
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import _env
 
-from depthcli.commands import command_names, help_of
+from depthcli.commands import help_of, own_names
 
 README, CONTRIBUTING = _env.ROOT / "README.md", _env.ROOT / "CONTRIBUTING.md"
 TABLE = re.compile(r"(<!-- table: commands -->\n)(.*?)(<!-- end -->)", re.DOTALL)
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def table() -> str:
     """Return the table of all commands as Markdown."""
-    rows = [("command", "what it does"), ("---", "---"), *((f"`{name}`", help_of(name)) for name in command_names())]
+    rows = [("command", "what it does"), ("---", "---"), *((f"`{name}`", help_of(name)) for name in own_names())]
     return "".join(f"| {a} | {b} |\n" for a, b in rows)
 
 

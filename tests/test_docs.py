@@ -13,8 +13,8 @@ import docs_reference
 import pytest
 
 import depthcli
-from depthcli.commands import command_names, load_command
-from depthcli.commands.help import METHOD_PACKAGES, TOPICS
+from depthcli.cli import command_of
+from depthcli.commands import own_names
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.evaluation import protocols
@@ -47,17 +47,17 @@ def test_notebooks_run(
 def test_every_name_of_the_program_is_in_the_reference():
     """Commands with options, presets, methods with fields, layouts, protocols, columns, bits: asked of the code."""
     pages = docs_reference.pages()
-    for name in command_names():
-        command = load_command(name)
+    for name in own_names():
+        command = command_of(name)
         section = pages["command_line"].partition(f"(command-{name})=")[2].partition("(command-")[0]
-        for option in (*command.options, *command.arguments):
-            assert option.help.split("|")[0].rstrip() in section, (name, option.name)
+        for option in command.params:
+            assert f"{option.opts[0]} " in section.replace("`", " "), (name, option.name)
     for command, preset, _ in list_presets():
         assert f"### `{command} {preset}`" in pages["presets"]
     sources = (path for path in (ROOT / "depthcli").rglob("__init__.py") if "method_of(" in path.read_text("utf-8"))
     families = {".".join(path.parent.relative_to(ROOT).parts) for path in sources}
-    assert families <= set(METHOD_PACKAGES) | {"depthcli.core"}
-    for package in METHOD_PACKAGES:
+    assert families <= set(docs_reference.METHOD_PACKAGES) | {"depthcli.core"}
+    for package in docs_reference.METHOD_PACKAGES:
         family = Family.of(package)
         text = "".join(text for page, text in pages.items() if page.startswith("methods/") and family.group in text)
         for name in family.own_names:
@@ -69,8 +69,8 @@ def test_every_name_of_the_program_is_in_the_reference():
         (protocols.names(), "protocols"),
         ([str(int(bit)) for bit in (*STATUS_HELP, *DEPTH_STATUS_HELP)], "outputs"),
         (map(str, EXIT_CODES), "outputs"),
-        ([name for rows in TOPICS["columns"]().values() for name, _ in rows], "columns"),
-        ([name for rows in TOPICS["formats"]().values() for name, _ in rows], "data"),
+        ([name for rows in docs_reference.TOPICS["columns"]().values() for name, _ in rows], "columns"),
+        ([name for rows in docs_reference.TOPICS["formats"]().values() for name, _ in rows], "data"),
         (MEASURES, "methods/registration_feature"),
     ):
         assert all(f"`{name}`".replace("|", "\\|") in pages[page] for name in found), page

@@ -17,10 +17,13 @@ import pkgutil
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from depthcli import programs  # noqa: F401  adds pipelines to the families of methods
 from depthcli.core.plugins import plugins_in
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 GROUP = "depthcli.commands"
 """Group of the entry points of plug-ins that add commands: name -> ``module:function``."""
@@ -31,6 +34,21 @@ _GROUPS = {
     "Evaluate and report": ("evaluate", "sweep", "export", "presets"),
 }
 """Headings of ``depthcli --help``; commands that are listed nowhere come last, under a heading of their own."""
+
+
+_CONFIGS = {
+    "stereo": "stereo:StereoConfig",
+    "fuse": "fusion:FuseConfig",
+    "refine-kinect": "kinect:RefineKinectConfig",
+    "transparent": "transparent:TransparentConfig",
+    "register-confidence": "registration:RegisterConfidenceConfig",
+}
+"""Commands with configs -> package of ``methods`` and class; by name, so that listing presets imports none."""
+
+CONFIG_COMMANDS = tuple(_CONFIGS)
+"""Our own commands that take a config."""
+
+CommandT = TypeVar("CommandT", bound=Callable[..., int])
 
 
 def names() -> list[str]:
@@ -53,12 +71,36 @@ def grouped_names() -> dict[str, list[str]]:
     return groups
 
 
+def command(config: type[BaseModel] | None = None) -> Callable[[CommandT], CommandT]:
+    """Return a decorator that makes a function of a plug-in a command, of an installed package or of ``--plugin FILE``.
+
+    Parameters
+    ----------
+    config : class of its configs, for ``depthcli presets show``
+    """
+
+    def mark(function: CommandT) -> CommandT:
+        vars(function).update(plugin_group=GROUP, config=config)
+        return function
+
+    return mark
+
+
+def config_model(name: str) -> type[BaseModel] | None:
+    """Return the class of a command's configs; None where it has no configs, or there is no such command."""
+    if name in _CONFIGS:
+        module, _, kind = _CONFIGS[name].partition(":")
+        model: type[BaseModel] = getattr(importlib.import_module(f"depthcli.methods.{module}.config"), kind)
+        return model
+    return None if name in own_names() else getattr(find(name), "config", None)
+
+
 def find(name: str) -> Callable[..., int] | None:
     """Return the function of a command, ours or a plug-in's; None where there is none of that name."""
     plain = name.replace("-", "_")
     if plain.replace("_", "-") in own_names():
         module = importlib.import_module(f"{__name__}.{plain}")
-        found: Any = getattr(module, plain, None) or module.COMMAND
+        found: Any = getattr(module, "COMMAND", None) or getattr(module, plain)
         return found
     return next((plugin.load() for plugin in plugins_in(GROUP) if plugin.name == plain), None)
 

@@ -49,6 +49,9 @@ NameOption: TypeAlias = Annotated[
 SetOption: TypeAlias = Annotated[
     list[str] | None, Option("--set", metavar="KEY=VALUE", help="Override one key of the config; repeatable.")
 ]
+DepthScaleOption: TypeAlias = Annotated[
+    float | None, Option("--depth-scale", metavar="CODES", help="Codes a meter of the depth files.")
+]
 OverwriteOption: TypeAlias = Annotated[
     bool, Option("--overwrite", help="Replace an earlier run that had another config.")
 ]
@@ -123,6 +126,26 @@ class SceneOptions:
     def patterns(self) -> list[str]:
         """The shell patterns of ``--scenes``, or the one that every name matches."""
         return self.scenes or ["*"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairOptions(SceneOptions):
+    """Image pairs: a folder of them, or the files of one, or of several by patterns or videos."""
+
+    left: Annotated[
+        Path | None, Option("--left", metavar="FILE", help="Left image, pattern, folder or video; replaces --input.")
+    ] = None
+    right: Annotated[Path | None, Option("--right", metavar="FILE", help="Right image, likewise.")] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameOptions(SceneOptions):
+    """Frames of color and depth: a folder of them, or the files of one."""
+
+    color: Annotated[Path | None, Option("--color", metavar="FILE", help="Color image, instead of --input.")] = None
+    depth: Annotated[
+        Path | None, Option("--depth", metavar="FILE", help="Depth map, registered to --color if given.")
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,7 @@ _MAP = "disp_left.pfm"
 _MIN_SCENES_TO_FREEZE = 1000  # scenes, whose objects take long to look through
 
 
-def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Reporter) -> list[SceneT]:
+def find_scenes(kinds: tuple[type[SceneT], ...], source: SceneOptions, run: RunOptions) -> list[SceneT]:
     """Return the scenes that ``--input``, or the options for the files of a single scene, name.
 
     Raises
@@ -35,16 +35,12 @@ def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Repor
     InputError
         As :func:`depthcli.io.walk.discover_scenes`.
     """
-    place, name, patterns = values["input"], values["name"], values["scenes"] or ["*"]
-    evaluates = values.get("evaluate")
-    flags = (
-        " and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path and o.name in values) for kind in kinds
-    )
-    single = ", or ".join(filter(None, flags))
-    if named := next((scenes for kind in kinds if (scenes := kind.named(values))), []):
+    place, name, patterns = source.input, source.name, source.patterns
+    single, remedy = source.single_files, source.named_by
+    if named := next((scenes for kind in kinds if (scenes := kind.named(vars(source)))), []):
         if place is not None:
             raise ConfigError(f"--input and {single} exclude each other")
-        if evaluates:
+        if run.evaluate:
             raise ConfigError("--evaluate needs --input: a single scene has no ground truth")
         if name is None:
             return _chosen(named, patterns, "the command line")
@@ -55,13 +51,12 @@ def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Repor
         raise ConfigError(f"give --input DIR, or {single}")
     if name is not None:
         raise ConfigError(f"--name is for a single scene, given by {single}")
-    if evaluates and storage.is_file(place):
+    if run.evaluate and storage.is_file(place):
         raise ConfigError(f"{place}: --evaluate needs a folder of scenes, with their ground truth")
     try:
-        return scenes_at(place, kinds, values["layout"], patterns, reporter)
+        return scenes_at(place, kinds, source.layout, patterns, run.reporter)
     except NoScenesError as error:
-        remedy = f"; give files of other names by {kinds[0].named_by}" if kinds[0].named_by else ""
-        raise NoScenesError(f"{error}{remedy}") from error
+        raise NoScenesError(f"{error}; give files of other names by {remedy}" if remedy else str(error)) from error
 
 
 def scenes_at(

@@ -208,15 +208,16 @@ def _module_name(path: Path) -> str:
     return _FILE_MODULE + re.sub(r"\W", "_", path.stem)
 
 
-def _classes(module: ModuleType) -> Iterator[type]:
+def _classes(module: ModuleType) -> Iterator[Any]:
+    """Yield the public classes of a module that are not abstract, and the functions that name a group themselves."""
     for value in vars(module).values():
-        own = isinstance(value, type) and value.__module__ == module.__name__
-        if own and not value.__name__.startswith("_") and not inspect.isabstract(value):
+        own = isinstance(value, type) or hasattr(value, "plugin_group")
+        if own and value.__module__ == module.__name__ and value.__name__[0] != "_" and not inspect.isabstract(value):
             yield value
 
 
-def _plugins_of(kind: type, file: str, version: str) -> Iterator[Plugin]:
-    group = next(groups_of(kind), None)
+def _plugins_of(kind: Any, file: str, version: str) -> Iterator[Plugin]:
+    group = next(groups_of(kind), None) if isinstance(kind, type) else kind.plugin_group
     if group is not None:
         name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", kind.__name__).lower()
         yield Plugin(name, group, file, version, f"{kind.__module__}:{kind.__qualname__}")

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from depthcli.cli import main
-from depthcli.commands._old_batch import BatchCommand
-from depthcli.run.command import Command
 from depthcli.run.records import RECORD_FILE
 from depthcli.run.reports import REPORT_FILES
 
 _WIDTH = 79
 
 
-def check_command(command: Command, arguments: Sequence[str | Path], folder: Path) -> None:
+def check_command(command: Callable[..., int], arguments: Sequence[str | Path], folder: Path) -> None:
     """Raise AssertionError unless a command has a help that fits, and its runs give the same bytes again.
 
     The command must be known by its name: ours, of an installed package, or of a file that was read.
@@ -27,26 +25,24 @@ def check_command(command: Command, arguments: Sequence[str | Path], folder: Pat
     arguments : of a call that succeeds, without ``--output``
     folder : an empty folder to write into
     """
-    code, text = _run([command.name, "--help"])
+    name = command.__name__.replace("_", "-")
+    code, text = _run([name, "--help"])
     assert code == 0, f"--help exits with {code}"
     long = [line for line in text.splitlines() if len(line) > _WIDTH]
     assert not long, f"a line of the help has more than {_WIDTH} characters: {long[0]}"
-    for example in command.examples:
-        assert example.startswith(f"depthcli {command.name}"), f"an example calls something else: {example}"
-        assert f"  {example}" in text, f"the help lacks the example {example}"
-    if not isinstance(command, BatchCommand):
-        code, _ = _run([command.name, *arguments])
-        assert code == 0, f"{command.name} exits with {code}"
+    if "--output" not in text:
+        code, _ = _run([name, *arguments])
+        assert code == 0, f"{name} exits with {code}"
         return
     once, twice = folder / "once", folder / "twice"
     for output in (once, twice):
-        code, _ = _run([command.name, *arguments, "--output", output, "--quiet"])
-        assert code == 0, f"{command.name} exits with {code}"
+        code, _ = _run([name, *arguments, "--output", output, "--quiet"])
+        assert code == 0, f"{name} exits with {code}"
     first, times = _files(once), _times(once)
     assert first == _files(twice), f"the same run gives other files: {_different(first, _files(twice))}"
     assert any(path.name == RECORD_FILE for path in once.rglob("*")), "no scene was computed"
-    code, _ = _run([command.name, *arguments, "--output", once, "--quiet"])
-    assert code == 0, f"{command.name}, resumed, exits with {code}"
+    code, _ = _run([name, *arguments, "--output", once, "--quiet"])
+    assert code == 0, f"{name}, resumed, exits with {code}"
     assert _times(once) == times, "a run that is resumed writes scenes again that are done"
 
 

@@ -1,20 +1,26 @@
-"""Write the same disparity everywhere."""
+"""Write the same disparity everywhere.
+
+Examples:
+  depthcli constant five -i scenes -o runs/five
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
 
-from depthcli.commands import ConfigCommand
+from depthcli.commands import command
+from depthcli.commands._batch import config_of, run_batch
+from depthcli.commands._options import ConfigArgument, PairOptions, ScoredRunOptions, SetOption
+from depthcli.commands._scenes import find_scenes
 from depthcli.core.method import RootConfig
 from depthcli.io.formats.disparity import write_pfm
-from depthcli.io.scenes import Scene
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.run.batch import Outcome
-from depthcli.run.console import SIZE, Column
+from depthcli.run.batch import Batch, Outcome
+from depthcli.run.console import SIZE
 
 
 class ConstantConfig(RootConfig):
@@ -25,26 +31,32 @@ class ConstantConfig(RootConfig):
     disparity: float = Field(5.0, ge=0, le=100, description="disparity of every pixel, pixels")
 
 
-class ConstantCommand(ConfigCommand[ConstantConfig, StereoScene]):
-    """Write the same disparity everywhere.
+@dataclass(frozen=True)
+class Constant:
+    """Computes one scene; it is sent to worker processes."""
 
-    ``ConfigCommand`` goes through the scenes, with progress, resuming, reports and workers.
-    """
+    config: ConstantConfig
 
-    kinds: ClassVar[tuple[type[Scene], ...]] = (StereoScene,)
-    results = ("disp_left.pfm",)
-    examples = ("depthcli constant five -i scenes -o runs/five",)
-
-    def config_model(self) -> type[ConstantConfig]:
-        """Return the model of the config file."""
-        return ConstantConfig
-
-    def columns(self) -> tuple[Column, ...]:
-        """Return the size of the image."""
-        return (SIZE,)
-
-    def compute(self, config: ConstantConfig, scene: StereoScene, folder: Path, memory: int) -> Outcome:
+    def __call__(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Write ``disp_left.pfm``."""
         height, width = scene.load().shape
-        write_pfm(folder / "disp_left.pfm", np.full((height, width), config.disparity, np.float32))
+        write_pfm(folder / "disp_left.pfm", np.full((height, width), self.config.disparity, np.float32))
         return Outcome({"width": width, "height": height}, {"write": 0.0})
+
+
+@command(config=ConstantConfig)
+def constant(config: ConfigArgument, pairs: PairOptions, run: ScoredRunOptions, set: SetOption = None) -> int:
+    """Write the same disparity everywhere.
+
+    ``run_batch`` goes through the scenes, with progress, resuming, reports and workers.
+    """
+    found = config_of("constant", ConstantConfig, config, set)
+    batch = Batch(
+        command="constant",
+        config=found,
+        compute=Constant(found),
+        columns=(SIZE,),
+        results=("disp_left.pfm",),
+        shown_as="middlebury-v2",
+    )
+    return run_batch(batch, find_scenes((StereoScene,), pairs, run), run, pairs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from depthcli_example.command import ConstantCommand
+from depthcli_example.command import constant
 from depthcli_example.cost import SquaredDifference
 from depthcli_example.layout import TwoFiles
 from depthcli_example.map_format import Table
@@ -35,4 +35,4 @@ def test_protocol(scenes: Path):
 def test_command(scenes: Path, tmp_path: Path):
     config = tmp_path / "five.yaml"
     config.write_text("disparity: 5\n")
-    check_command(ConstantCommand(), [config, "--input", scenes], tmp_path / "runs")
+    check_command(constant, [config, "--input", scenes], tmp_path / "runs")
