@@ -51,7 +51,7 @@ def test_every_name_of_the_program_is_in_the_reference():
         command = command_of(name)
         section = pages["command_line"].partition(f"(command-{name})=")[2].partition("(command-")[0]
         for option in command.params:
-            assert f"{option.opts[0]} " in section.replace("`", " "), (name, option.name)
+            assert (option.help or "").split("|")[0].rstrip() in section, (name, option.name)
     for command, preset, _ in list_presets():
         assert f"### `{command} {preset}`" in pages["presets"]
     sources = (path for path in (ROOT / "depthcli").rglob("__init__.py") if "method_of(" in path.read_text("utf-8"))

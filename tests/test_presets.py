@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.commands import load_command
-from depthcli.commands._old_batch import ConfigCommand
+from depthcli.commands import config_model
 from depthcli.core.config_file import dump_config, load_config, parse_config
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.kernels.jit import set_threads
@@ -64,11 +63,9 @@ def test_there_are_presets():
 def test_names_are_found_in_any_case_and_bases_are_resolved():
     assert find_preset("stereo", "OpenCV_SGBM") == preset_folder() / "stereo" / "opencv-sgbm.yaml"
     assert find_preset("stereo", "cross") == preset_folder() / "stereo" / "thesis" / "cross.yaml"
-    command = load_command("stereo")
-    assert isinstance(command, ConfigCommand)
-    texts = [
-        dump_config(load_config(command.config_model(), find_config("stereo", n))) for n in ("segments", "segments-kp")
-    ]
+    model = config_model("stereo")
+    assert model is not None
+    texts = [dump_config(load_config(model, find_config("stereo", n))) for n in ("segments", "segments-kp")]
     differing = [pair for pair in zip(*(text.splitlines() for text in texts), strict=True) if pair[0] != pair[1]]
     assert len(differing) == 1
     assert "matching_cost" in differing[0][1]
@@ -77,9 +74,8 @@ def test_names_are_found_in_any_case_and_bases_are_resolved():
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "name"), PRESETS)
 def test_shown_with_every_field_it_is_the_same_config(command: str, name: str, capsys: pytest.CaptureFixture[str]):
-    batch = load_command(command)
-    assert isinstance(batch, ConfigCommand)
-    model = batch.config_model()
+    model = config_model(command)
+    assert model is not None
     assert main(["presets", "show", f"{command}/{name}"]) == 0
     shown = capsys.readouterr().out
     resolved = dump_config(load_config(model, find_config(command, name)))
@@ -130,7 +126,8 @@ def test_the_methods_that_fuse_writes_out_are_those_of_stereo():
     """A network knows the maps of these methods and of no others: a change of one copy must not be forgotten."""
 
     def loaded(command: str, name: str) -> Any:
-        model = load_command(command).config_model()  # type: ignore[attr-defined]
+        model = config_model(command)
+        assert model is not None
         return load_config(model, find_config(command, name), (), partial(find_preset, command))
 
     def own(name: str) -> Any:

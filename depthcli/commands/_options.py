@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, get_type_hints
+from typing import Annotated, Any, ClassVar, TypeAlias, get_type_hints
 
 import typer
 from typer import Argument, Option
@@ -117,6 +117,9 @@ class Printing:
 class SceneOptions:
     """Which scenes a command works on; a group of a command adds the options that name the files of a single one."""
 
+    single_files: ClassVar[str] = ""
+    """The options that name the files of a single scene, for messages."""
+
     input: InputOption = None
     name: NameOption = None
     layout: LayoutOption = None
@@ -132,6 +135,8 @@ class SceneOptions:
 class PairOptions(SceneOptions):
     """Image pairs: a folder of them, or the files of one, or of several by patterns or videos."""
 
+    single_files: ClassVar[str] = "--left FILE and --right FILE"
+
     left: Annotated[
         Path | None, Option("--left", metavar="FILE", help="Left image, pattern, folder or video; replaces --input.")
     ] = None
@@ -141,6 +146,8 @@ class PairOptions(SceneOptions):
 @dataclass(frozen=True, kw_only=True)
 class FrameOptions(SceneOptions):
     """Frames of color and depth: a folder of them, or the files of one."""
+
+    single_files: ClassVar[str] = "--color FILE and --depth FILE"
 
     color: Annotated[Path | None, Option("--color", metavar="FILE", help="Color image, instead of --input.")] = None
     depth: Annotated[

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
+from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io import storage
 from depthcli.io.pairs import TABLE_SUFFIXES
@@ -25,7 +26,9 @@ _MAP = "disp_left.pfm"
 _MIN_SCENES_TO_FREEZE = 1000  # scenes, whose objects take long to look through
 
 
-def find_scenes(kinds: tuple[type[SceneT], ...], source: SceneOptions, run: RunOptions) -> list[SceneT]:
+def find_scenes(
+    kinds: tuple[type[SceneT], ...], source: SceneOptions | Values, run: RunOptions | Reporter
+) -> list[SceneT]:
     """Return the scenes that ``--input``, or the options for the files of a single scene, name.
 
     Raises
@@ -35,12 +38,23 @@ def find_scenes(kinds: tuple[type[SceneT], ...], source: SceneOptions, run: RunO
     InputError
         As :func:`depthcli.io.walk.discover_scenes`.
     """
-    place, name, patterns = source.input, source.name, source.patterns
-    single, remedy = source.single_files, source.named_by
-    if named := next((scenes for kind in kinds if (scenes := kind.named(vars(source)))), []):
+    if isinstance(run, Reporter):  # of a command that still declares its options as data
+        assert isinstance(source, Mapping)
+        values: Values = source
+        evaluates, reporter = values.get("evaluate"), run
+        flags = (
+            " and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path and o.name in values)
+            for kind in kinds
+        )
+        single = ", or ".join(filter(None, flags))
+    else:
+        assert isinstance(source, SceneOptions)
+        values, evaluates, reporter, single = vars(source), run.evaluate, run.reporter, source.single_files
+    place, name, patterns = values["input"], values["name"], values["scenes"] or ["*"]
+    if named := next((scenes for kind in kinds if (scenes := kind.named(values))), []):
         if place is not None:
             raise ConfigError(f"--input and {single} exclude each other")
-        if run.evaluate:
+        if evaluates:
             raise ConfigError("--evaluate needs --input: a single scene has no ground truth")
         if name is None:
             return _chosen(named, patterns, "the command line")
@@ -51,12 +65,13 @@ def find_scenes(kinds: tuple[type[SceneT], ...], source: SceneOptions, run: RunO
         raise ConfigError(f"give --input DIR, or {single}")
     if name is not None:
         raise ConfigError(f"--name is for a single scene, given by {single}")
-    if run.evaluate and storage.is_file(place):
+    if evaluates and storage.is_file(place):
         raise ConfigError(f"{place}: --evaluate needs a folder of scenes, with their ground truth")
     try:
-        return scenes_at(place, kinds, source.layout, patterns, run.reporter)
+        return scenes_at(place, kinds, values["layout"], patterns, reporter)
     except NoScenesError as error:
-        raise NoScenesError(f"{error}; give files of other names by {remedy}" if remedy else str(error)) from error
+        remedy = f"; give files of other names by {kinds[0].named_by}" if kinds[0].named_by else ""
+        raise NoScenesError(f"{error}{remedy}") from error
 
 
 def scenes_at(

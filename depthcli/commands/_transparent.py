@@ -44,7 +44,7 @@ def complete_frames(
 ) -> int:
     """Complete every frame that the options name; return the exit code."""
     found = config_of("transparent", TransparentConfig, config, settings, depth_scale=depth_scale)
-    scenes = find_scenes((RgbdScene,), vars(frames) | {"evaluate": run.evaluate}, run.reporter)
+    scenes = find_scenes((RgbdScene,), frames, run)
     complete = _Complete(found)
     batch = Batch(
         command="transparent",

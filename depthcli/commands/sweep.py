@@ -117,12 +117,11 @@ def _check_output(output: Path) -> None:
 
 
 def _command(name: str) -> ConfigCommand[BaseModel, Scene]:
-    from depthcli.commands import command_names, find_command, load_command
+    from depthcli.commands import CONFIG_COMMANDS, find
 
-    found = find_command(name)
+    found = find(name) if name in CONFIG_COMMANDS else None
     if not isinstance(found, ConfigCommand):
-        takes = [each for each in command_names() if isinstance(load_command(each), ConfigCommand)]
-        raise ConfigError(f"--command: must be one of {', '.join(takes)} (got {name!r})")
+        raise ConfigError(f"--command: must be one of {', '.join(CONFIG_COMMANDS)} (got {name!r})")
     return found
 
 

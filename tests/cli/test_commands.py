@@ -18,8 +18,6 @@ import pytest
 import yaml
 
 from depthcli.cli import main
-from depthcli.commands import load_command
-from depthcli.commands._old_batch import BatchCommand
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
@@ -330,40 +328,9 @@ def test_own_files_in_the_place_of_results_stop_a_run_before_it_begins(made_scen
     assert "planes_0/disp_left.pfm would be replaced" in capsys.readouterr().out
 
 
-def test_every_file_of_a_result_is_looked_for_before_a_run(made_scenes: Path, tmp_path: Path):
-    calibration = tmp_path / "calib.txt"
-    calibration.write_text("cam0=[100 0 48; 0 100 32; 0 0 1]\ncam1=[100 0 48; 0 100 32; 0 0 1]\ndoffs=0\nbaseline=100\n"
-                           "width=96\nheight=64\nndisp=16\n")  # fmt: skip
-    sets = tmp_path / "sets"
-    assert run("sample", "--kinect", "--frames", "0", "-o", sets / "kinect", "-q") == 0
-    commands: dict[str, list[str | Path]] = {
-        "stereo": [FAST, "-i", made_scenes, "--scenes", "planes_0"],
-        "depth": [tmp_path / "stereo", "--ply", "--calibration", calibration],
-        "rectify": ["--uncalibrated", "-i", made_scenes, "--scenes", "planes_0"],
-        "refine-kinect": ["nearest", "-i", sets / "kinect"],
-        "sample": ["-n", "1", "--max-disparity", "8"],
-    }
-    for name, arguments in commands.items():
-        assert run(name, *arguments, "-o", tmp_path / name, "-q") == 0
-        record = next((tmp_path / name).rglob("record.json"))
-        command = load_command(name)
-        assert isinstance(command, BatchCommand)
-        files = {path for path in record.parent.rglob("*") if path.is_file() and path != record}
-        known = {path for pattern in command.results for path in record.parent.glob(pattern)}
-        assert files
-        assert files <= known
-
-
 def test_results_are_not_written_to_urls(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for words in (["sample", "-o", "s3://bucket/out"], ["stereo", "fast", "-i", ".", "-o", "https://host/out"]):
         assert main(words) == 2
         assert "results are written to this machine, not to URLs" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("words", [["fuse", "maps", "--maps", "m"], ["rectify"], ["confidence", "--maps", "m"]])
-def test_an_input_that_is_given_twice_is_refused(tmp_path, capsys, words):
-    files = ["--left", "l.png", "--right", "r.png", "--right=n.png", "-o", str(tmp_path / "out")]
-    assert main([*words, *files]) == 2
-    assert "--right: given 2 times, takes one value" in capsys.readouterr().err

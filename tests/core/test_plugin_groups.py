@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.commands import load_command
+from depthcli.commands import config_model
 from depthcli.core import registry
 from depthcli.core.config_file import load_config, parse_config
 from depthcli.core.errors import InputError
@@ -189,20 +189,11 @@ def test_a_layout_alone_is_recorded(file: Path, scenes: Path, tmp_path: Path):
 )
 def test_methods_of_every_command_are_configured(file: Path, command: str, text: str):
     load_file(file)
-    config = load_config(load_command(command).config_model(), parse_config(text, "x"))  # type: ignore[attr-defined]
+    model = config_model(command)
+    assert model is not None
+    config = load_config(model, parse_config(text, "x"))
     assert {plugin.package for plugin in used_plugins(config)} == {"mine.py"}
     assert {plugin.name for plugin in used_plugins(config)} == {re.search("my_[a-z]+", text)[0]}
-
-
-def test_help_names_the_file(file: Path, capsys: pytest.CaptureFixture[str]):
-    for topic, said in (
-        ("methods", "my_feature  (mine.py "), ("layouts", "my-layout"), ("protocols", "my-protocol"),
-        ("formats", ".numbers"),
-    ):  # fmt: skip
-        assert main(["help", topic, "--plugin", str(file)]) == 0
-        text = " ".join(capsys.readouterr().out.replace("  (", "(").split())
-        assert " ".join(said.replace("  (", "(").split()) in text
-        assert topic == "formats" or "(mine.py " in text
 
 
 def test_a_process_without_the_plug_in_says_so(file: Path):
