@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import pickle
-import re
 import threading
 import time
 from pathlib import Path
@@ -17,12 +15,10 @@ from numpy.typing import NDArray
 
 import depthcli
 from depthcli.algorithms.filters import single_thread
-from depthcli.api.wording import in_python
 from depthcli.cli import main
 from depthcli.core import memory
 from depthcli.io.formats.images import read_image
 from depthcli.kernels import jit
-from tests.commands.test_messages import texts
 
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
@@ -237,17 +233,3 @@ def test_opencv_gets_its_threads_back_when_the_last_has_left():
             outer.pop_all().close()  # the one that came first leaves first
             assert cv2.getNumThreads() == 1
         assert cv2.getNumThreads() == before
-
-
-def test_messages_name_keywords_not_options():
-    """Every option that a message of a module below the interface can name becomes a keyword, or is left out."""
-    assert in_python("1 GiB; see --max-memory, --jobs, --max-disparity") == "1 GiB; see max_disparity"
-    assert in_python("see --min-disparity") == "see min_disparity"
-    assert in_python("a; see --max-memory, --jobs") == "a"
-    assert in_python("1 GiB; see --max-memory, --jobs, max_voxels, iso") == "1 GiB; see max_voxels, iso"
-    assert in_python("by --set levels=... or iso=...") == "by levels=... or iso=..."
-    assert in_python("no value -1, a-b --") == "no value -1, a-b --"
-    rooms = ("core", "methods", "algorithms", "device", "programs")
-    for file in (file for room in rooms for file in (Path(depthcli.__file__).parent / room).rglob("*.py")):
-        for text in texts(ast.parse(file.read_text("utf-8"))):
-            assert not re.search(r"--[a-z]", in_python(text)), (file, text)
