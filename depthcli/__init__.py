@@ -8,13 +8,11 @@ from importlib import import_module
 __version__ = "0.2.0"
 
 _MODULES = {
-    "api.config": ("load_config",),
+    "api.inputs": ("load_config",),
     "api.depth": ("complete_transparent", "refine_depth"),
-    "api.judging": ("MapConfidence",),
-    "api.maps": ("fuse_maps", "map_confidence"),
-    "api.points": ("PointCloud",),
+    "api.maps": ("MapConfidence", "fuse_maps", "map_confidence"),
     "api.registration": ("RegistrationConfidence", "registration_confidence"),
-    "api.results": ("Depth", "Disparity", "RefinedDepth"),
+    "api.results": ("Depth", "Disparity", "PointCloud", "RefinedDepth"),
     "api.scores": ("Scores", "evaluate"),
     "api.stereo": ("Matcher", "fuse", "matcher", "stereo"),
     "core.errors": ("ConfigError", "DepthcliError", "InputError", "OutputError"),

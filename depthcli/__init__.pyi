@@ -1,14 +1,14 @@
-from depthcli.api.config import load_config as load_config
 from depthcli.api.depth import complete_transparent as complete_transparent
 from depthcli.api.depth import refine_depth as refine_depth
-from depthcli.api.judging import MapConfidence as MapConfidence
+from depthcli.api.inputs import load_config as load_config
+from depthcli.api.maps import MapConfidence as MapConfidence
 from depthcli.api.maps import fuse_maps as fuse_maps
 from depthcli.api.maps import map_confidence as map_confidence
-from depthcli.api.points import PointCloud as PointCloud
 from depthcli.api.registration import RegistrationConfidence as RegistrationConfidence
 from depthcli.api.registration import registration_confidence as registration_confidence
 from depthcli.api.results import Depth as Depth
 from depthcli.api.results import Disparity as Disparity
+from depthcli.api.results import PointCloud as PointCloud
 from depthcli.api.results import RefinedDepth as RefinedDepth
 from depthcli.api.scores import Scores as Scores
 from depthcli.api.scores import evaluate as evaluate

@@ -22,7 +22,7 @@ import typer
 
 import depthcli
 from depthcli import testing
-from depthcli.api.config import COMMANDS
+from depthcli.api.inputs import COMMANDS
 from depthcli.cli import command_of
 from depthcli.commands import grouped_names, help_of
 from depthcli.commands._page import RESULTS

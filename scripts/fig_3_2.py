@@ -21,7 +21,7 @@ from pathlib import Path
 
 import _env  # (first: continues in the checkout's environment)
 
-from depthcli.api.config import load_config
+from depthcli.api.inputs import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.device import Device, open_device

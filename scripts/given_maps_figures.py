@@ -23,7 +23,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from depthcli.api.judging import fusion_of, judge_of, networks
+from depthcli.api.maps import fusion_of, judge_of, networks
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status

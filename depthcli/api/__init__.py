@@ -6,16 +6,14 @@ users import are listed in ``depthcli/__init__.pyi``; all others may change.
 | module | holds |
 |---|---|
 | ``stereo`` | ``stereo``, ``fuse`` and ``matcher``: a rectified pair -> ``Disparity`` |
+| ``matching`` | the part of these that the commands that match or rectify pairs call, too |
 | ``depth`` | ``refine_depth``, ``complete_transparent``: color and a sensor's depth -> ``RefinedDepth`` |
 | ``registration`` | ``registration_confidence``: two volumes on one grid -> ``RegistrationConfidence`` |
-| ``maps`` | ``map_confidence``, ``fuse_maps``: maps made before -> ``MapConfidence``, ``Disparity`` |
-| ``judging`` | what these share with the commands on given maps |
+| ``registration_preview`` | its picture |
+| ``maps`` | ``map_confidence``, ``fuse_maps``: maps of any program -> ``MapConfidence``, ``Disparity`` |
 | ``scores`` | ``evaluate``: an estimate and the truth -> ``Scores`` |
-| ``results``, ``points`` | what the first two return, and point clouds made of it |
-| ``config`` | presets, files and overrides -> config |
-| ``matching`` | what ``stereo`` shares with the commands that match pairs |
-| ``running`` | what every computation is wrapped in |
-| ``arrays`` | the arrays that users have -> images and maps as methods take them |
+| ``results`` | ``Disparity``, ``Depth``, ``RefinedDepth``, ``PointCloud``, and the files that they write |
+| ``inputs`` | ``load_config``; arrays that users have -> images, maps and volumes as methods take them |
 """
 
 from depthcli import programs  # noqa: F401  adds pipelines to the families of methods

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, overload
@@ -10,19 +11,19 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.api._frames import color_infrared_pair, depth_camera, rgbd_frame
-from depthcli.api.arrays import as_color8, as_depth, as_map
-from depthcli.api.config import Overrides, load_config
-from depthcli.api.masks import masked
-from depthcli.api.results import RefinedDepth
-from depthcli.api.running import computing
-from depthcli.api.wording import worded
+from depthcli.api.inputs import Overrides, as_depth, as_image, as_map, computing, load_config
+from depthcli.api.results import RefinedDepth, masked
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.color_and_depth import Place, registered
 from depthcli.core.cameras.kinect import sensor_fb
-from depthcli.core.errors import InputError
-from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame, color8, infrared_image
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, DepthResult, Result
 from depthcli.io.formats.depth import MILLIMETERS
+from depthcli.io.formats.files import naming, warn
+from depthcli.io.formats.plain_text import numbers
+from depthcli.io.formats.rigs import read_color_infrared_rig
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import frame_by_frame
 from depthcli.methods.transparent.config import TransparentConfig
@@ -56,7 +57,6 @@ def refine_depth(
     depth_to_color: tuple[ArrayLike, ArrayLike] | None = None,
     **fields: object,
 ) -> list[RefinedDepth]: ...
-@worded
 def refine_depth(
     color: Image | Sequence[Image | None] | None,
     depth: Image | Sequence[Image],
@@ -109,30 +109,70 @@ def refine_depth(
     (False, 40)
     """
     config = load_config(RefineKinectConfig, preset, overrides, **fields)
-    cameras = depth_camera(depth_intrinsics, depth_to_color)
+    cameras = _depth_camera(depth_intrinsics, depth_to_color)
+    scale = config.depth_scale or MILLIMETERS
     if color is None and isinstance(depth, list | tuple):
         color = [None] * len(depth)
-    many = isinstance(color, list | tuple), isinstance(depth, list | tuple)
-    if color is None or many == (False, False):
-        frame = rgbd_frame(config, color, depth, fb, cameras, "")
+    lists = isinstance(color, list | tuple), isinstance(depth, list | tuple)
+    if color is None or lists == (False, False):
+        frame = _rgbd_frame(config, color, depth, fb, cameras, "")
         with computing():
-            return refined_frame(config, frame, config.pipeline, Clock(), config.depth_scale or MILLIMETERS)
-    if many != (True, True) or len(color) != len(depth):
-        counts = (str(len(each)) if is_list else "no" for each, is_list in zip((color, depth), many, strict=True))
+            return refined_frame(config, frame, config.pipeline, Clock(), scale)
+    if lists != (True, True) or len(color) != len(depth):
+        counts = (str(len(each)) if is_list else "no" for each, is_list in zip((color, depth), lists, strict=True))
         raise InputError("want lists of as many frames (got {} of color and {} of depth)".format(*counts))
     refine = frame_by_frame(config.pipeline)
     refined: list[RefinedDepth] = []
     for number, (image, measured) in enumerate(zip(color, depth, strict=True)):
-        frame = rgbd_frame(config, image, measured, fb, cameras, f"frame {number}: ")
+        frame = _rgbd_frame(config, image, measured, fb, cameras, f"frame {number}: ")
         if refined and frame.shape != refined[0].values.shape:
             (height, width), (first_height, first_width) = frame.shape, refined[0].values.shape
             raise InputError(f"frame {number}: {width} x {height}, but frame 0 is {first_width} x {first_height}")
         with computing():
-            refined.append(refined_frame(config, frame, refine, Clock(), config.depth_scale or MILLIMETERS))
+            refined.append(refined_frame(config, frame, refine, Clock(), scale))
     return refined
 
 
-@worded
+def _depth_camera(
+    intrinsics: Sequence[float] | None, depth_to_color: tuple[ArrayLike, ArrayLike] | None
+) -> tuple[Intrinsics | None, Place | None]:
+    """Return the depth camera and its place, if given; InputError where they are not the numbers of such."""
+    camera = None if intrinsics is None else Intrinsics(*numbers(list(intrinsics), "depth_intrinsics", (4,)).tolist())
+    if depth_to_color is None:
+        return camera, None
+    if len(depth_to_color) != 2:
+        raise InputError(f"depth_to_color: want rotation and translation (got {len(depth_to_color)} parts)")
+    rotation, translation = (
+        tuple(numbers(np.ravel(np.asarray(part)).tolist(), f"depth_to_color: {name}", (count,)).tolist())
+        for part, name, count in zip(depth_to_color, ("rotation", "translation"), (9, 3), strict=True)
+    )
+    return camera, (rotation, translation)
+
+
+def _rgbd_frame(
+    config: RefineKinectConfig,
+    color: Any,
+    depth: Any,
+    fb: float | None,
+    depth_camera: tuple[Intrinsics | None, Place | None],
+    where: str,
+) -> RgbdFrame:
+    """Return color and depth of one size; InputError as for :func:`refine_depth`, begun with ``where``."""
+    measured = as_depth(depth, f"{where}depth", config.depth_scale or MILLIMETERS)
+    image = None if color is None else color8(as_image(color, f"{where}color"))
+    shape = measured.shape if image is None else (image.shape[0], image.shape[1])
+    check_memory(config.pipeline.peak_bytes(shape), available_memory(), f"{shape[1]} x {shape[0]} pixels")
+    camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+    if image is None:
+        camera = camera or depth_camera[0]
+        return RgbdFrame.without_color(measured, fb or sensor_fb(camera), camera)
+    with naming(f"{where}depth"):
+        found = registered(measured, shape, camera, *depth_camera)
+    if found.note:
+        warn(f"{where}depth: {found.note}")
+    return RgbdFrame(image, found.depth, fb or sensor_fb(camera), camera, found.interpolated)
+
+
 def complete_transparent(
     color: Image,
     depth: Image,
@@ -187,23 +227,52 @@ def complete_transparent(
     chosen = preset if preset is not None else "sparse" if sparse is not None else "kinect"
     config = load_config(TransparentConfig, chosen, overrides, **fields)
     scale, clock = config.depth_scale or MILLIMETERS, Clock()
-    image = as_color8(color, "color")
+    image = color8(as_image(color, "color"))
     height, width = image.shape[:2]
     measured = as_depth(depth, "depth", scale, (height, width))
-    need = config.pipeline.peak_bytes((height, width))
-    if config.stereo is not None:
-        need = max(need, config.stereo.peak_bytes((height, width)))
-    check_memory(need, available_memory(), f"{width} x {height} pixels")
+    check_completion_memory(config, config.stereo, (height, width), available_memory())
     with computing():
-        if config.stereo is None:
-            if sparse is None:
-                raise InputError("this config wants sparse depth: give sparse, or a preset with stereo")
-            second = as_depth(sparse, "sparse", scale, measured.shape)
-            surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
-            frame = SparseFrame(image, measured, fb or sensor_fb(None), sparse=second, sparse_confidence=surer)
-            return completed_frame(config, frame, Result(), clock, scale)
-        pair = color_infrared_pair(image, measured, infrared, calibration, fb)
-        return completed_frame(config, *sparse_by_stereo(config.stereo, pair, scale, clock), clock, scale)
+        if config.stereo is not None:
+            pair = _color_infrared_pair(image, measured, infrared, calibration, fb)
+            return completed_frame(config, *sparse_by_stereo(config.stereo, pair, scale, clock), clock, scale)
+        if sparse is None:
+            raise InputError("this config wants sparse depth: give sparse, or a preset with stereo")
+        second = as_depth(sparse, "sparse", scale, measured.shape)
+        surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
+        frame = SparseFrame(image, measured, fb or sensor_fb(None), sparse=second, sparse_confidence=surer)
+        return completed_frame(config, frame, Result(), clock, scale)
+
+
+def _color_infrared_pair(
+    color: NDArray[np.uint8],
+    depth: NDArray[np.float32],
+    infrared: Image | None,
+    calibration: str | Path | None,
+    fb: float | None,
+) -> RgbIrFrame:
+    """Return the frame with its infrared image; InputError or ConfigError where the calibration does not fit it."""
+    if infrared is None:
+        raise InputError("this config wants an infrared image: give infrared, or sparse with another preset")
+    if (calibration is None) == (fb is None):
+        raise ConfigError("an infrared image wants either the calibration of both cameras, or fb of a rectified pair")
+    grey = infrared_image(as_image(infrared, "infrared"))
+    rig: Any = fb
+    if calibration is not None:
+        sizes = ((each.shape[1], each.shape[0]) for each in (color, grey))
+        rig = read_color_infrared_rig(Path(calibration), *sizes)
+    if not isinstance(rig, int | float):
+        return RgbIrFrame(color, grey, depth, rig)
+    if grey.shape != depth.shape:
+        raise InputError("infrared: a rectified pair has one size")
+    return RgbIrFrame(color, grey, depth, None, float(rig))
+
+
+def check_completion_memory(
+    config: TransparentConfig, stereo: CrossModal | None, shape: tuple[int, int], memory: int
+) -> None:
+    """Raise InputError where ``memory`` bytes do not suffice for a frame of (H, W) ``shape``."""
+    need = max(each.peak_bytes(shape) for each in (config.pipeline, stereo) if each is not None)
+    check_memory(need, memory, f"{shape[1]} x {shape[0]} pixels")
 
 
 def refined_frame(
@@ -214,7 +283,7 @@ def refined_frame(
     scale: float,
     rotate: int = 0,
 ) -> RefinedDepth:
-    """Refine a frame; what :func:`refine_depth` and the command ``refine-kinect`` have in common.
+    """Refine a frame.
 
     Parameters
     ----------
@@ -222,20 +291,12 @@ def refined_frame(
     clock : books the stages, and ``other``
     scale, rotate : of the codes that are written
     """
-    clock.start("other")
-    result = refine(frame)
-    clock.include(result.seconds)
-    found, cloud = result.depth, None
-    if frame.interpolated:
-        found.status[found.kept] |= np.uint8(DepthStatus.SMOOTHED)
-    if config.ply:
-        maps = result.confidence or {"sigma": -result.sigma}  # a small expected error is a high confidence
-        sure = {name: partial(np.asarray, values) for name, values in maps.items()}
-        chosen = masked(config.mask, np.isfinite(found.values), found.filled, sure)
-        cloud = chosen & (found.values >= config.near) & (found.values <= config.far)
-    return RefinedDepth(
-        found.values, found.status, frame.color, frame.intrinsics, result, dict(clock.seconds), scale, rotate, cloud
-    )
+    found = _refined(refine, frame, clock, scale, rotate)
+    if not config.ply:
+        return found
+    maps = found.confidence or {"sigma": -found.sigma}  # a small expected error is a high confidence
+    chosen = masked(config.mask, found, {name: partial(np.asarray, values) for name, values in maps.items()})
+    return replace(found, cloud=chosen & (found.values >= config.near) & (found.values <= config.far))
 
 
 def sparse_by_stereo(stereo: CrossModal, pair: RgbIrFrame, scale: float, clock: Clock) -> tuple[SparseFrame, Result]:
@@ -257,7 +318,7 @@ def sparse_by_stereo(stereo: CrossModal, pair: RgbIrFrame, scale: float, clock: 
 def completed_frame(
     config: TransparentConfig, frame: SparseFrame, stereo: Result, clock: Clock, scale: float, rotate: int = 0
 ) -> RefinedDepth:
-    """Complete a frame; what :func:`complete_transparent` and the command ``transparent`` have in common.
+    """Complete a frame.
 
     Parameters
     ----------
@@ -265,15 +326,21 @@ def completed_frame(
     clock : books the stages, and ``other``
     scale, rotate : of the codes that are written
     """
+    found = _refined(config.pipeline, frame, clock, scale, rotate)
+    found.details.figures |= stereo.figures
+    found.details.pictures |= stereo.pictures
+    found.details.confidence |= stereo.confidence
+    return found
+
+
+def _refined(
+    refine: Callable[[Any], DepthResult], frame: RgbdFrame, clock: Clock, scale: float, rotate: int
+) -> RefinedDepth:
     clock.start("other")
-    result = config.pipeline(frame)
+    result = refine(frame)
     clock.include(result.seconds)
-    result.figures |= stereo.figures
-    result.pictures |= stereo.pictures
-    result.confidence |= stereo.confidence
     found = result.depth
     if frame.interpolated:
         found.status[found.kept] |= np.uint8(DepthStatus.SMOOTHED)
-    return RefinedDepth(
-        found.values, found.status, frame.color, frame.intrinsics, result, dict(clock.seconds), scale, rotate
-    )
+    seconds = dict(clock.seconds)
+    return RefinedDepth(found.values, found.status, frame.color, frame.intrinsics, result, seconds, scale, rotate)

@@ -1,21 +1,27 @@
-"""What Python's functions and the commands that match pairs have in common: from a config and a pair to a result."""
+"""Pairs to disparity maps: what the functions for Python share with the commands that match or rectify pairs."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, TypeVar
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from depthcli import device
 from depthcli.api.results import Disparity
+from depthcli.core.cameras.rig import RectifiedRig, Rig
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
+from depthcli.io.formats import rigs
 from depthcli.io.formats.networks import network_path, read_network
-from depthcli.methods.stereo.config import PairConfig, StereoConfig
+from depthcli.methods.stereo.config import Calibration, PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.networks import networks_in
 from depthcli.methods.stereo.networks.runtime import network_device
@@ -26,7 +32,6 @@ from depthcli.methods.stereo.volume import StereoResult
 if TYPE_CHECKING:
     from depthcli.methods.fusion.config import FuseConfig
 
-ScalarT = TypeVar("ScalarT", bound=np.generic)
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
 _MIN_MEASURED_SHARE = 0.5  # of the pixels; with fewer a map has a warning
@@ -41,7 +46,7 @@ def match_pair(
     clock: Clock,
     known: KeyPointRange | None = None,
 ) -> Disparity:
-    """Match a pair; what Python's functions and the commands that match pairs have in common.
+    """Match a pair.
 
     Parameters
     ----------
@@ -125,6 +130,40 @@ def _with_networks(config: PairConfigT, address: str) -> PairConfigT:
     return config
 
 
+def read_rig(calibration: Calibration) -> Rig:
+    """Read the two cameras of a calibration; InputError where it cannot be read."""
+    paths = [Path(file) for file in calibration.files]
+    return rigs.read_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
+
+
+def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[Any]) -> RectifiedRig:
+    """Return how images of these sizes are rectified; InputError where the calibration is not theirs.
+
+    The latest one is kept, with its maps, for the following images of the same sizes, until the files change.
+    """
+    sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
+    return _rectified_rig(calibration, file_states(*map(Path, calibration.files)), *sizes)
+
+
+@lru_cache(maxsize=1)  # of 12 megapixels the maps take 190 MB
+def _rectified_rig(
+    calibration: Calibration, files: object, size: tuple[int, int], right_size: tuple[int, int]
+) -> RectifiedRig:
+    return read_rig(calibration).rectified(size, right_size, calibration.alpha)
+
+
+def file_states(*files: Path) -> tuple[object, ...]:
+    """Return what changes when the files do: time, size and number of each; nothing of one that is missing."""
+    found = []
+    for file in files:
+        try:
+            state = os.stat(file)
+            found.append((state.st_mtime_ns, state.st_size, state.st_ino))
+        except (OSError, ValueError):  # reading it says why
+            found.append((0, 0, 0))
+    return tuple(found)
+
+
 def partly_used(pair: StereoPair) -> bool:
     """Return whether the samples have fewer bits than their type."""
     return pair.bits is not None and pair.bits < 8 * pair.left.dtype.itemsize
@@ -142,14 +181,14 @@ def _warnings(
             f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
             "not rectified, search range too small, or no texture?"
         )
-    ends = ((search.min_disparity, "--min-disparity"), (search.max_disparity, "--max-disparity"))
+    ends = ((search.min_disparity, "min_disparity"), (search.max_disparity, "max_disparity"))
     for share, (end, option) in zip(search.share_at_ends(result.disparity), ends, strict=True):
         if share > _MAX_SHARE_AT_END:
             warnings.append(
                 f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
             )
     if key_points and search.min_disparity > key_points["range_low"] and key_points["range_low"] < 0:
-        warnings.append(f"key points have disparities down to {key_points['range_low']}; see --min-disparity")
+        warnings.append(f"key points have disparities down to {key_points['range_low']}; see min_disparity")
     if search.min_disparity < 0:
         warnings.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
     if result.figures.get("exact") == 0 and limits.memory < limits.tile_memory:

@@ -2,35 +2,39 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
-from depthcli.algorithms.resampling import block_means
-from depthcli.api import _save_registration as _save
-from depthcli.api._registration_figures import inside_figures
-from depthcli.api._registration_preview import registration_preview
-from depthcli.api._save import made
-from depthcli.api.arrays import as_volume
-from depthcli.api.config import Overrides, load_config
-from depthcli.api.running import computing
-from depthcli.api.wording import worded
+from depthcli.algorithms.body import body_of_volume
+from depthcli.algorithms.resampling import block_means, resample, trilinear
+from depthcli.api.inputs import Overrides, as_volume, computing, load_config
+from depthcli.api.registration_preview import registration_preview
+from depthcli.api.results import made
 from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
 from depthcli.core.volumes import Grid
-from depthcli.io.formats.images import png_bytes
-from depthcli.io.formats.volumes import simple_itk
+from depthcli.io.formats.files import write_text
+from depthcli.io.formats.images import png_bytes, write_png
+from depthcli.io.formats.volumes import Slab, simple_itk, write_volume
 from depthcli.io.registered_volumes import LoadedPair, blocks_of, joined, usable
+from depthcli.io.scenes.volume_pair import VolumePairScene
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult
+from depthcli.run.json_csv import to_csv
 from depthcli.run.resources import available_memory, check_memory
 
 _MAX_BORDER_SHARE = 0.2  # of best matches on the border of the search; above it errors exceed its range
+_WRONG_MM = 3.0  # expected errors above it are located
+_DECIMALS = {"x": 4, "y": 4, "z": 4, "confidence": 5, "expected_error": 4, "shift_x": 4, "shift_y": 4, "shift_z": 4}
+"""Columns of the table of landmarks; those of the shift of pipelines that look for matches."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,24 +64,35 @@ class RegistrationConfidence:
     @cached_property
     def values(self) -> NDArray[np.float32]:
         """(Z, Y, X) float32, mm: the expected error."""
-        return _save.on_fixed_grid(self.details, self.loaded, self.details.expected_error)
+        return self._on_fixed_grid(self.details.expected_error)
 
     @cached_property
     def confidence(self) -> NDArray[np.float32]:
         """(Z, Y, X) float32 in [0, 1]: exp(-expected error / 3 mm)."""
-        return _save.on_fixed_grid(self.details, self.loaded, self.details.certainty)
+        return self._on_fixed_grid(self.details.certainty)
 
     @cached_property
     def shift(self) -> NDArray[np.float32]:
         """(Z, Y, X, 3) float32, mm along x, y, z: where the match of a voxel lies; InputError without one."""
-        return _save.shift_on_fixed_grid(self.details, self.loaded)
+        return self._shift()
 
     def at(self, points: ArrayLike) -> list[dict[str, float]]:
         """Return position, confidence, expected error and any shift at points (N, 3) x, y, z, mm; a row for each."""
         places = np.asarray(points, np.float64)
         if places.ndim != 2 or places.shape[1] != 3:
-            raise InputError(f"points: want (N, 3) positions in mm (got {places.shape})")
-        return _save.rows_at(self.details, self.loaded, places)
+            raise InputError(f"points: expected (N, 3) positions in mm, got {places.shape}")
+        starts, steps = self.loaded.on_grid(self.details.start, self.details.step)
+        found = (self.grid.to_index(places) - np.array(starts)) / np.array(steps)
+        values = [trilinear(each, found) for each in (self.details.certainty, self.details.expected_error)]
+        columns: list[NDArray[Any]] = [places, *(each[:, None] for each in values)]
+        if self.details.shift is not None:
+            own = np.stack([trilinear(self.details.shift[axis], found) for axis in (2, 1, 0)], axis=-1)
+            columns.append(own @ self.grid.axes.T)
+        columns_and_decimals = tuple(_DECIMALS.items())[: 8 if self.details.shift is not None else 5]
+        return [
+            {name: round(float(value), n) for (name, n), value in zip(columns_and_decimals, row, strict=True)}
+            for row in np.hstack(columns)
+        ]
 
     def save(self, folder: str | Path, suffix: str = ".nii.gz", landmarks: ArrayLike | None = None) -> None:
         """Write the files that ``depthcli register-confidence`` writes for a scene, with the same bytes.
@@ -89,19 +104,45 @@ class RegistrationConfidence:
         landmarks : (N, 3) positions x, y, z, mm, for the table ``points.csv``; None: no table
         """
         if suffix not in (".nii.gz", ".nii", ".mha", ".nrrd"):
-            raise InputError(f"suffix: want .nii.gz, .nii, .mha or .nrrd (got {suffix!r})")
-        points = None if landmarks is None else np.asarray(landmarks, np.float64)
-        _save.save_registration(self.details, self.loaded, points, made(folder), suffix, self.neurological)
+            raise InputError(f"suffix: must be .nii.gz, .nii, .mha or .nrrd (got {suffix!r})")
+        files = made(folder)
+        for name, values in (("confidence", self.details.certainty), ("expected_error", self.details.expected_error)):
+            slabs: Slab = partial(self._on_fixed_grid, values)
+            write_volume(files / f"{name}{suffix}", self.grid, slabs)
+        if self.details.shift is not None:
+            write_volume(files / f"shift{suffix}", self.grid, self._shift, vector=True)
+        write_png(files / "preview.png", self._preview())
+        if landmarks is not None:
+            write_text(files / "points.csv", to_csv(self.at(landmarks)))
+
+    def _on_fixed_grid(
+        self, values: NDArray[np.float32], first: int = 0, last: int | None = None
+    ) -> NDArray[np.float32]:
+        """Return slices ``first`` .. ``last`` (None: all) of a map of the method, on the fixed volume's grid."""
+        shape = self.grid.shape
+        starts, steps = self.loaded.on_grid(self.details.start, self.details.step)
+        back = [1 / step for step in steps]
+        place = [-start / step for start, step in zip(starts, steps, strict=True)]
+        wanted = ((shape[0] if last is None else last) - first, shape[1], shape[2])
+        return resample(values, wanted, back, (place[0] + first * back[0], place[1], place[2]))
+
+    def _shift(self, first: int = 0, last: int | None = None) -> NDArray[np.float32]:
+        if self.details.shift is None:
+            raise InputError("shift: this pipeline searches for no matches, so there is none")
+        parts = [self._on_fixed_grid(self.details.shift[axis], first, last) for axis in (2, 1, 0)]
+        return np.asarray(np.stack(parts, axis=-1) @ self.grid.axes.T, np.float32)
+
+    def _preview(self) -> NDArray[np.uint8]:
+        return registration_preview(self.details, self.loaded, self.neurological)
 
     def __repr__(self) -> str:
         error, size = self.details.figures["mean_error"], " x ".join(map(str, self.grid.size))
         return f"RegistrationConfidence({size} voxels, {error:.2f} mm expected)"
 
     def _repr_png_(self) -> bytes:
-        return png_bytes(registration_preview(self.details, self.loaded, self.neurological))
+        return png_bytes(self._preview())
 
 
-@worded
 def registration_confidence(
     fixed: Any,
     warped: Any,
@@ -172,7 +213,7 @@ def registration_confidence(
 
 
 def measured_pair(config: RegisterConfidenceConfig, loaded: LoadedPair, clock: Clock) -> RegistrationConfidence:
-    """Measure a pair; what :func:`registration_confidence` and the command have in common.
+    """Measure a pair.
 
     Parameters
     ----------
@@ -186,7 +227,7 @@ def measured_pair(config: RegisterConfidenceConfig, loaded: LoadedPair, clock: C
     if result.figures.get("border", 0.0) > _MAX_BORDER_SHARE:
         warnings.append(
             f"{100 * result.figures['border']:.0f} % of the best matches lie on the border of the search: the "
-            "registration may be off by more than its range; search farther by --set levels=..., radius=... or iso=..."
+            "registration may be off by more than its range; a larger levels, radius or iso searches farther"
         )
     return RegistrationConfidence(loaded, result, dict(clock.seconds), tuple(warnings), config.neurological)
 
@@ -195,7 +236,7 @@ def check_voxels(config: RegisterConfidenceConfig, loaded: LoadedPair, memory: i
     """Raise InputError where ``memory`` bytes do not suffice for a pair."""
     need = peak_bytes(config, loaded.grid, loaded.pair.shape, loaded.pair.spacing)
     size = f"{' x '.join(map(str, loaded.grid.size))} voxels"
-    check_memory(need, memory, size, "--max-memory, --jobs, max_voxels, iso")
+    check_memory(need, memory, size, "max_voxels, iso")
 
 
 def peak_bytes(
@@ -207,6 +248,82 @@ def peak_bytes(
     working = config.pipeline.peak_bytes(shape, spacing) + 8 * voxels
     reading = 6 * grid.size[0] * grid.size[1] * grid.size[2]  # one whole volume, 2 bytes as stored and 4 converted
     return max(working, reading)
+
+
+def inside_figures(result: RegistrationResult, loaded: LoadedPair) -> dict[str, float]:
+    """Return figures of the expected error in the mask, or else in the body; empty where no voxel lies there.
+
+    Returns
+    -------
+    ``inside_mean``, ``inside_95`` (quantile) and ``inside_max``, mm; ``above_3mm``, the volume of larger errors, mL;
+    where there are any, ``above_x``, ``above_y`` and ``above_z``: center of their largest connected region, mm, LPS.
+    """
+    pair, grid = loaded.pair, loaded.grid
+    inside = pair.mask
+    if inside is None:
+        order, flipped = grid.anatomical_axes()
+        turned = np.flip(body_of_volume(grid.turned(pair.fixed)), flipped)
+        inside = turned.transpose(np.argsort(order))
+    error = _error_of_voxels(result, loaded)
+    known = error[inside]
+    if not known.size:
+        return {}
+    wrong = inside & (error > _WRONG_MM)
+    figures = {"inside_mean": float(known.mean(dtype=np.float64)), "inside_95": float(np.quantile(known, 0.95))}
+    figures["inside_max"] = float(known.max())
+    figures["above_3mm"] = int(np.count_nonzero(wrong)) * math.prod(pair.spacing) / 1000
+    if wrong.any():
+        labels, _ = ndimage.label(wrong)
+        largest = int(np.bincount(labels[wrong]).argmax())
+        center = np.array([ndimage.center_of_mass(labels == largest)])
+        first, blocks = (np.array(values) for values in loaded.on_grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
+        place = grid.to_point(first + blocks * center)[0]
+        figures |= dict(zip(("above_x", "above_y", "above_z"), map(float, place), strict=True))
+    return {name: round(value, 4) for name, value in figures.items()}
+
+
+def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: VolumePairScene) -> dict[str, float | str]:
+    """Return figures of the expected error in the regions of a pair, such as organs.
+
+    Returns
+    -------
+    ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL; the volume alone
+    of a region without a voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
+    """
+    figures: dict[str, float | str] = {}
+    error = _error_of_voxels(result, loaded) if scene.regions else np.zeros(0, np.float32)
+    voxel = math.prod(loaded.grid.spacing) / 1000
+    for file, _ in scene.regions:
+        try:
+            for name, mask in scene.region_masks(file, loaded.grid):
+                if f"region_volume_{name}" in figures:
+                    twice = f"{scene.folder}: two regions are called {name}: give one of them another name"
+                    figures.setdefault(f"region_error_{file}", twice)
+                    continue
+                known = error[_in_blocks(mask, loaded.blocks)]
+                figures[f"region_volume_{name}"] = round(int(np.count_nonzero(mask)) * voxel, 4)
+                if known.size:
+                    figures[f"region_mean_{name}"] = round(float(known.mean(dtype=np.float64)), 4)
+                    figures[f"region_95_{name}"] = round(float(np.quantile(known, 0.95)), 4)
+        except InputError as problem:
+            figures[f"region_error_{file}"] = str(problem)
+    return figures
+
+
+def _in_blocks(mask: NDArray[np.bool_], blocks: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """Return the blocks of which a mask holds half; of a mask that is too small for it, those that it holds most of."""
+    if max(blocks) == 1:
+        return mask
+    shares = block_means(mask, blocks)
+    largest = float(shares.max())
+    return shares >= min(0.5, largest) if largest > 0 else np.zeros(shares.shape, np.bool_)
+
+
+def _error_of_voxels(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.float32]:
+    """Return the expected error of each voxel of the pair, mm."""
+    steps = [1 / step for step in result.step]
+    starts = [-start / step for start, step in zip(result.start, result.step, strict=True)]
+    return resample(result.expected_error, loaded.pair.shape, steps, starts)
 
 
 def _volume(
@@ -227,7 +344,7 @@ def _volume(
     else:
         values = as_volume(volume, name)
         if spacing is None:
-            raise InputError(f"{name}: an array wants its spacing (z, y, x) in mm beside it")
+            raise InputError(f"{name}: an array needs its spacing (z, y, x) in mm beside it")
         given, placed = tuple(spacing)[::-1], tuple(origin)
     numbers = np.array([*given, *placed, *axes.ravel()], np.float64)
     if numbers.shape != (15,) or not np.isfinite(numbers).all() or min(given) <= 0 or abs(np.linalg.det(axes)) < 1e-6:

@@ -1,29 +1,191 @@
-"""Results of Python functions: disparity, depth that is made of it, and the refined depth of a sensor."""
+"""Results of the functions for Python, and what they write: disparity, depth of it, refined depth, point clouds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api import _save
-from depthcli.api.points import PointCloud, chosen_pixels, described, points_of, shown_range
 from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
-from depthcli.core.errors import ConfigError
-from depthcli.core.frames import Image
+from depthcli.core.errors import ConfigError, InputError, OutputError
+from depthcli.core.frames import Image, color8
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
-from depthcli.core.result import DepthResult
-from depthcli.io.formats.depth import MILLIMETERS
+from depthcli.core.result import DepthResult, Result
+from depthcli.io.formats.depth import MILLIMETERS, write_depth_png, write_points
+from depthcli.io.formats.disparity import write_disparity_png, write_pfm
+from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.pair_geometry import read_geometry, write_geometry
-from depthcli.io.formats.pictures import preview_depth
+from depthcli.io.formats.pictures import (
+    DEPTH_STATUS_PALETTE,
+    STATUS_PALETTE,
+    confidence_picture,
+    preview,
+    preview_depth,
+    write_status,
+)
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
+from depthcli.run.json_csv import to_csv
+
+Pixels = str | NDArray[np.bool_]
+"""Name of a choice of pixels, or (H, W) bool."""
+
+
+def share(pixels: NDArray[np.bool_]) -> float:
+    """Return the share of pixels that are True, as reports hold it."""
+    return round(float(np.mean(pixels)), 6)
+
+
+def made(folder: Path | str) -> Path:
+    """Return the folder, created where it is missing; OutputError where that cannot be."""
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    return Path(folder)
+
+
+def write_depth(depth: MatchedMap | DepthMap, folder: Path, scale: float, rotate: int = 0) -> None:
+    """Write ``depth.pfm``, ``depth.png``, ``status.png`` and ``preview.png`` of a map in meters."""
+    write_pfm(folder / "depth.pfm", depth.values)
+    write_depth_png(folder / "depth.png", depth.values, scale, rotate)
+    palette = DEPTH_STATUS_PALETTE if isinstance(depth, DepthMap) else STATUS_PALETTE
+    write_status(folder / "status.png", depth.status, palette)
+    write_png(folder / "preview.png", preview_depth(depth.values))
+
+
+def write_confidence(maps: Mapping[str, NDArray[np.float32]], folder: Path) -> None:
+    """Write ``confidence_NAME.pfm`` and a picture of each map."""
+    for name, confidence in maps.items():
+        write_pfm(folder / f"confidence_{name}.pfm", confidence)
+        write_png(folder / f"confidence_{name}.png", confidence_picture(confidence))
+
+
+def _write_details(result: Result, folder: Path) -> None:
+    write_confidence(result.confidence, folder)
+    for name, rows in result.tables.items():
+        write_text(folder / f"{name}.csv", to_csv(rows))
+    for name, picture in result.pictures.items():
+        write_png(folder / f"{name}.png", picture)
+
+
+def masked(
+    text: str,
+    found: MatchedMap | DepthMap,
+    confidence: Mapping[str, Callable[[], NDArray[np.float32]]],
+    place: str = "",
+) -> NDArray[np.bool_]:
+    """Return the pixels of a map that the config key or option ``mask`` chooses, (H, W) bool.
+
+    Parameters
+    ----------
+    text : ``all``, ``measured``, or ``confident:0.8:NAME``: of the measured ones all at and above the quantile of a
+        confidence; the name may be left out where there is one only
+    confidence : name -> function that returns a map, (H, W) float32, higher is surer
+    place : what an error begins with
+
+    Raises
+    ------
+    InputError
+        There is no confidence map of that name, or none is named and there are several.
+    """
+    kind, share, name = parse_mask(text)
+    if kind == "all":
+        return found.valid
+    measured = found.valid & ~found.filled
+    if kind == "measured":
+        return measured
+    names = ", ".join(confidence)
+    name = name or (names if len(confidence) == 1 else "")
+    if name not in confidence:
+        has = f"the run has: {names}" if names else "the run has none; see confidence: in the config"
+        raise InputError(f"{place}mask {text}: which confidence map? {has}")
+    values = confidence[name]()
+    measured &= np.isfinite(values)
+    if measured.any():
+        measured &= values >= np.quantile(values[measured], 1 - share, method="higher")
+    return measured
+
+
+def parse_mask(text: str) -> tuple[str, float, str]:
+    """Return kind, share and name of a ``mask`` as :func:`masked` takes it; ConfigError for other texts."""
+    kind, _, rest = text.partition(":")
+    share, _, name = rest.partition(":")
+    try:
+        number = float(share or "nan")
+    except ValueError:
+        number = -1.0
+    if (kind in ("measured", "all") and not rest) or (kind == "confident" and 0 < number <= 1):
+        return kind, number, name
+    raise ConfigError(f"mask: must be measured, all, or confident:0.8 (got {text!r})")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PointCloud:
+    """Points in the frame of a camera: x right, y down, z forward.
+
+    Attributes
+    ----------
+    points : (N, 3) float32, meters
+    color : (N, 3) uint8, RGB
+    """
+
+    points: NDArray[np.float32]
+    color: NDArray[np.uint8]
+
+    @classmethod
+    def of(
+        cls,
+        found: MatchedMap | DepthMap,
+        camera: Intrinsics,
+        image: Image,
+        mask: Pixels = "all",
+        near: float = 0.0,
+        far: float = math.inf,
+    ) -> PointCloud:
+        """Return the points of a depth map's pixels from ``near`` to ``far``, meters, with the colors of its image.
+
+        Parameters
+        ----------
+        mask : ``all``, ``measured``, or (H, W) bool: the pixels that become points
+        """
+        chosen = chosen_pixels(found, mask) & found.valid & (found.values >= near) & (found.values <= far)
+        return cls(camera.points(found.values, chosen), color8(image)[chosen])
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        return f"PointCloud({len(self)} points)"
+
+    def save(self, path: str | Path) -> None:
+        """Write the points as PLY, binary little endian; OutputError where that cannot be."""
+        write_points(path, self.points, self.color)
+
+
+def chosen_pixels(found: MatchedMap | DepthMap, mask: Pixels) -> NDArray[np.bool_]:
+    """Return the pixels of a map that ``all``, ``measured`` or an array of bool chooses; ConfigError or InputError."""
+    if isinstance(mask, str):
+        if mask not in ("all", "measured"):
+            raise ConfigError(f"mask: must be measured, all, or an array of bool (got {mask!r})")
+        return found.valid if mask == "all" else found.valid & ~found.filled
+    if np.shape(mask) != found.values.shape or np.asarray(mask).dtype != np.bool_:
+        raise InputError(f"mask: expected bool of shape {found.values.shape}, got {np.shape(mask)}")
+    return mask
+
+
+def _described(found: MatchedMap | DepthMap, text: str = "") -> str:
+    """Return the ``repr`` of a map: class, size, ``text`` or the range of its depths, and density."""
+    height, width = found.values.shape
+    known = found.values[found.valid]
+    text = text or (f"{known.min():.4g} to {known.max():.4g} m" if known.size else "no value")
+    return f"{type(found).__name__}({width} x {height}, {text}, {100 * found.density:.1f} % with a value)"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,9 +203,7 @@ class Depth(MatchedMap):
     camera: Intrinsics
     left: Image
 
-    def to_points(
-        self, mask: str | NDArray[np.bool_] = "measured", near: float = 0.0, far: float = math.inf
-    ) -> PointCloud:
+    def to_points(self, mask: Pixels = "measured", near: float = 0.0, far: float = math.inf) -> PointCloud:
         """Return the colored points of the map.
 
         Parameters
@@ -51,8 +211,7 @@ class Depth(MatchedMap):
         mask : ``measured``, ``all``, or (H, W) bool: the pixels that become points
         near, far : nearest and farthest depth of points, meters
         """
-        chosen = chosen_pixels(mask, {"measured": self.measured, "all": self.valid}) & self.valid
-        return points_of(self.values, self.camera, self.left, chosen, near, far)
+        return PointCloud.of(self, self.camera, self.left, mask, near, far)
 
     def save(self, folder: str | Path, scale: float = MILLIMETERS) -> None:
         """Write ``depth.pfm``, ``depth.png``, ``status.png`` and ``preview.png``, as ``depthcli depth`` does.
@@ -62,10 +221,10 @@ class Depth(MatchedMap):
         folder : created where it is missing
         scale : codes per meter of ``depth.png``
         """
-        _save.save_metric_depth(self.values, self.status, _save.made(folder), scale)
+        write_depth(self, made(folder), scale)
 
     def __repr__(self) -> str:
-        return described(self, shown_range(self.values, "m"))
+        return _described(self)
 
     def _repr_png_(self) -> bytes:
         return png_bytes(preview_depth(self.values))
@@ -109,7 +268,7 @@ class Disparity(DisparityMap):
         baseline: float | None = None,
         doffs: float = 0.0,
         principal_point: tuple[float, float] | None = None,
-        mask: str | NDArray[np.bool_] = "all",
+        mask: Pixels = "all",
     ) -> Depth:
         """Return the metric depth of the map.
 
@@ -151,8 +310,7 @@ class Disparity(DisparityMap):
             x, y = principal_point or ((width - 1) / 2, (height - 1) / 2)
             geometry = PairGeometry(Intrinsics(focal, focal, x, y), baseline, doffs)
         geometry = geometry.for_size(width, height)
-        kept = chosen_pixels(mask, {"measured": self.measured, "all": self.valid})
-        depth = geometry.depth(np.where(kept, self.values, np.float32(np.nan)))
+        depth = geometry.depth(np.where(chosen_pixels(self, mask), self.values, np.float32(np.nan)))
         return Depth(depth, self.status, geometry.left, self.left)
 
     def to_points(
@@ -168,18 +326,27 @@ class Disparity(DisparityMap):
         ----------
         folder : created where it is missing
         """
-        result = replace(self.details, disparity=DisparityMap(self.values, self.status))
-        made = _save.made(folder)
-        _save.save_stereo(result, made, self.search.min_disparity, self.search.max_disparity)
+        files, low = made(folder), self.search.min_disparity
+        write_pfm(files / "disp_left.pfm", self.values)
+        # The PNG has no code for what is negative: those pixels have no value there.
+        shown = np.where(self.values < 0, np.float32(np.nan), self.values) if low < 0 else self.values
+        write_disparity_png(files / "disp_left.png", shown)
+        write_status(files / "status.png", self.status, STATUS_PALETTE)
+        write_png(files / "preview.png", self._preview())
+        _write_details(self.details, files)
         if self.geometry is not None:
-            write_png(made / "left.png", self.left)
-            write_geometry(made / "calib.txt", self.geometry)
+            write_png(files / "left.png", self.left)
+            write_geometry(files / "calib.txt", self.geometry)
+
+    def _preview(self) -> NDArray[np.uint8]:
+        low, high = self.search.min_disparity, self.search.max_disparity
+        return preview(self.values - np.float32(low), high - low)
 
     def __repr__(self) -> str:
-        return described(self, f"searched {self.search.min_disparity} to {self.search.max_disparity} px")
+        return _described(self, f"searched {self.search.min_disparity} to {self.search.max_disparity} px")
 
     def _repr_png_(self) -> bytes:
-        return png_bytes(_save.stereo_preview(self.values, self.search.min_disparity, self.search.max_disparity))
+        return png_bytes(self._preview())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -218,7 +385,7 @@ class RefinedDepth(DepthMap):
 
     def to_points(
         self,
-        mask: str | NDArray[np.bool_] = "all",
+        mask: Pixels = "all",
         near: float = 0.0,
         far: float = math.inf,
         intrinsics: tuple[float, float, float, float] | None = None,
@@ -232,8 +399,7 @@ class RefinedDepth(DepthMap):
         intrinsics : fx, fy, cx, cy, pixels; None: those of ``camera``, or of a typical Kinect where that is not known
         """
         camera = self._camera if intrinsics is None else Intrinsics(*intrinsics)
-        chosen = chosen_pixels(mask, {"measured": ~self.filled, "all": self.valid}) & self.valid
-        return points_of(self.values, camera, self.color, chosen, near, far)
+        return PointCloud.of(self, camera, self.color, mask, near, far)
 
     def save(self, folder: str | Path) -> None:
         """Write the files that ``depthcli refine-kinect`` and ``transparent`` write for a scene, with the same bytes.
@@ -242,15 +408,19 @@ class RefinedDepth(DepthMap):
         ----------
         folder : created where it is missing
         """
-        cloud = None if self.cloud is None else (self._camera, self.color, self.cloud)
-        _save.save_depth(self.details, _save.made(folder), self.scale, self.rotate, cloud)
+        files = made(folder)
+        write_pfm(files / "sigma.pfm", self.sigma)
+        write_depth(self, files, self.scale, self.rotate)
+        if self.cloud is not None:
+            PointCloud.of(self, self._camera, self.color, self.cloud).save(files / "points.ply")
+        _write_details(self.details, files)
 
     @property
     def _camera(self) -> Intrinsics:
         return self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
 
     def __repr__(self) -> str:
-        return described(self, shown_range(self.values, "m"))
+        return _described(self)
 
     def _repr_png_(self) -> bytes:
         return png_bytes(preview_depth(self.values))

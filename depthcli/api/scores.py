@@ -5,25 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.api.arrays import as_map, as_volume
+from depthcli.api.inputs import as_map, as_volume
 from depthcli.api.results import Depth, Disparity, RefinedDepth
-from depthcli.api.wording import worded
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.scores import Score, find_score
 from depthcli.io.formats.images import png_bytes
+from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd import RgbdScene, RgbdTruth
 from depthcli.io.scenes.stereo import StereoScene, StereoTruth
 from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
 
-_TRUTH_FOLDER = Path("truth")  # of a truth in memory, for messages
+SceneT = TypeVar("SceneT", bound=Scene)
+
+_TRUTH = Path("truth")  # files of a truth in memory, for messages
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,7 +84,6 @@ class Scores:
         return None if self.picture is None else png_bytes(self.picture)
 
 
-@worded
 def evaluate(
     estimate: ArrayLike | Disparity | Depth | RefinedDepth,
     truth: ArrayLike,
@@ -131,31 +132,27 @@ def evaluate(
     judge = protocols.load(protocol)(Settings(threshold=threshold))
     if isinstance(estimate, Disparity | Depth | RefinedDepth):
         estimate = estimate.values
-    kind = judge.kind
-    scene: StereoScene | RgbdScene | VolumePairScene
-    if issubclass(kind, VolumePairScene):
+    scene: Scene
+    if issubclass(judge.kind, VolumePairScene):
         scene, values = _points(estimate, truth, mask)
     else:
         known, values = _finite(as_map(truth, "truth")), _finite(as_map(estimate, "estimate"))
         shape = known.shape[0], known.shape[1]
-        masks = {name: _mask(each, name, shape) for name, each in _named(mask).items()}
-        if "all" in masks:
-            known = np.where(masks["all"], known, np.float32(np.nan))
-        if issubclass(kind, StereoScene):
+        if not issubclass(judge.kind, StereoScene) and values.shape != shape:
+            sizes = f"{values.shape[1]} x {values.shape[0]}, but the truth is {shape[1]} x {shape[0]}"
+            raise InputError(f"estimate: {sizes}")
+        named = mask if isinstance(mask, Mapping) else {} if mask is None else {"all": mask}
+        masks = {name: as_map(each, f"mask {name}", shape) > 0 for name, each in named.items()}
+        known = np.where(masks.get("all", np.True_), known, np.float32(np.nan))
+        if issubclass(judge.kind, StereoScene):
             right = None if truth_right is None else as_map(truth_right, "truth_right", shape)
-            front = None if objects is None else _mask(objects, "objects", shape)
+            front = None if objects is None else as_map(objects, "objects", shape) > 0
             noc = np.where(masks["noc"], known, np.float32(np.nan)) if "noc" in masks else None
-            scene = _StereoTruthScene(
-                name="truth", folder=_TRUTH_FOLDER, left=_TRUTH_FOLDER, disparity_left=_TRUTH_FOLDER,
-                stored=StereoTruth(known, right, noc, front, masks),
-            )  # fmt: skip
+            stored = StereoTruth(known, right, noc, front, masks)
+            scene = _with_truth(StereoScene(name="truth", folder=_TRUTH, left=_TRUTH, disparity_left=_TRUTH), stored)
         else:
-            scene = _DepthTruthScene(
-                name="truth", folder=_TRUTH_FOLDER, color=_TRUTH_FOLDER, depth=_TRUTH_FOLDER,
-                stored=RgbdTruth(known, masks, fb),
-            )  # fmt: skip
-    if not isinstance(scene, VolumePairScene | StereoScene) and values.shape != shape:
-        raise InputError(f"estimate: {values.shape[1]} x {values.shape[0]}, but the truth is {shape[1]} x {shape[0]}")
+            frame = RgbdScene(name="truth", folder=_TRUTH, color=_TRUTH, depth=_TRUTH)
+            scene = _with_truth(frame, RgbdTruth(known, masks, fb))
     prepared = judge.truth(scene)
     try:
         error = judge.error(values, prepared)
@@ -172,28 +169,10 @@ def evaluate(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _StereoTruthScene(StereoScene):
-    stored: StereoTruth
-
-    def truth(self) -> StereoTruth:
-        return self.stored
-
-
-@dataclass(frozen=True, kw_only=True)
-class _DepthTruthScene(RgbdScene):
-    stored: RgbdTruth
-
-    def truth(self) -> RgbdTruth:
-        return self.stored
-
-
-@dataclass(frozen=True, kw_only=True)
-class _RegistrationTruthScene(VolumePairScene):
-    stored: RegistrationTruth
-
-    def truth(self, convention: str = "auto") -> RegistrationTruth:
-        return self.stored
+def _with_truth(scene: SceneT, truth: object) -> SceneT:
+    """Return the scene, whose ``truth()`` gives what is in memory instead of reading files."""
+    object.__setattr__(scene, "truth", lambda *_: truth)
+    return scene
 
 
 def _points(
@@ -214,17 +193,9 @@ def _points(
     stored = RegistrationTruth(grid, np.zeros((0, 3)), error)
     if wanted.ndim == 1 and inside.any():
         stored = RegistrationTruth(grid, np.zeros((int(inside.sum()), 3)), error[inside])
-    scene = _RegistrationTruthScene(name="truth", folder=_TRUTH_FOLDER, fixed=_TRUTH_FOLDER, stored=stored)
-    return scene, expected[inside]
+    scene = VolumePairScene(name="truth", folder=_TRUTH, fixed=_TRUTH)
+    return _with_truth(scene, stored), expected[inside]
 
 
 def _finite(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(np.isfinite(values), values, np.float32(np.nan))
-
-
-def _named(mask: ArrayLike | Mapping[str, ArrayLike] | None) -> Mapping[str, ArrayLike]:
-    return {} if mask is None else mask if isinstance(mask, Mapping) else {"all": mask}
-
-
-def _mask(array: ArrayLike, name: str, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    return as_map(array, f"mask {name}", shape) > 0

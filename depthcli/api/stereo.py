@@ -13,17 +13,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from depthcli.api.arrays import as_image
-from depthcli.api.config import Overrides, load_config
-from depthcli.api.matching import device_of, limits_of, match_pair, with_address, with_network
-from depthcli.api.rectification import rectified_rig
+from depthcli.api.inputs import Overrides, as_image, computing, load_config, paired
+from depthcli.api.matching import device_of, limits_of, match_pair, rectified_rig, with_address, with_network
 from depthcli.api.results import Disparity
-from depthcli.api.running import computing
-from depthcli.api.wording import worded
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
-from depthcli.io.formats.stereo_images import pair_of
 from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.stages import PairMatcher
@@ -37,7 +32,6 @@ _WARMUP_SHAPE = (32, 96)  # pixels, of the pairs that load the kernels
 _MAX_WARMUP_DISPARITY = 32
 
 
-@worded
 def stereo(
     left: ArrayLike,
     right: ArrayLike,
@@ -80,10 +74,9 @@ def stereo(
     8.0
     """
     config = load_config(StereoConfig, preset, overrides, **_with_range(fields, max_disparity))
-    return _Matching(with_address(config))(left, right)
+    return Matcher(with_address(config))(left, right)
 
 
-@worded
 def fuse(
     left: ArrayLike,
     right: ArrayLike,
@@ -121,18 +114,25 @@ def fuse(
     8
     """
     config = load_config(FuseConfig, preset, overrides, **_with_range(fields, max_disparity))
-    return _Matching(with_network(config), volumes)(left, right)
+    return Matcher(with_network(config), volumes)(left, right)
 
 
 class Matcher:
     """Matches many pairs by one config: what :func:`matcher` returns. It may be called from several threads."""
 
-    def __init__(self, config: StereoConfig | FuseConfig) -> None:
+    def __init__(self, config: StereoConfig | FuseConfig, volumes: Mapping[str, ArrayLike] | None = None) -> None:
         self.config = config
-        self._matching = _Matching(config)
-        self._matching.load_kernels()
+        self._memory = 0, 0.0
+        self._method: PairMatcher = config.pipeline if isinstance(config, StereoConfig) else config
+        if isinstance(config, FuseConfig) and (names := {m.volume for m in config.measures if m.volume is not None}):
+            given = {name: np.asarray(volume) for name, volume in (volumes or {}).items()}
+            if names - set(given):
+                raise ConfigError(f"volumes: the config needs {', '.join(sorted(names))}")
+            self._method = FusionWithVolumes(config, lambda: given)
+        self._device = device_of(config) if isinstance(config, StereoConfig) else None
+        # A device has one queue of work.
+        self._turn = contextlib.nullcontext() if self._device is None else threading.Lock()
 
-    @worded
     def __call__(self, left: ArrayLike, right: ArrayLike) -> Disparity:
         """Match a pair as :func:`stereo` does, with the same result.
 
@@ -145,10 +145,37 @@ class Matcher:
         InputError
             As for :func:`stereo`.
         """
-        return self._matching(left, right)
+        views, geometry = (as_image(left, "left"), as_image(right, "right")), None
+        if self.config.calibration is not None:
+            rig = rectified_rig(self.config.calibration, *views)
+            views, geometry = rig.images(*views)[:2], rig.geometry
+        pair, top = paired(*views, left), self.config.max_disparity
+        ends = self.config.min_disparity or 0, "auto" if top is None else top
+        found = replace(self._match(pair, ends), geometry=geometry)
+        if top is not None:
+            return found
+        text = f'max_disparity is not given: "auto" was taken, which gives {found.search.max_disparity} px'
+        return replace(found, warnings=(*found.warnings, text))
+
+    def _match(self, pair: StereoPair, ends: tuple[int | str, int | str]) -> Disparity:
+        memory, until = self._memory
+        if time.monotonic() > until:  # looking takes a fifth of a millisecond: once a second suffices
+            memory = available_memory()
+            self._memory = memory, time.monotonic() + 1
+        with self._turn, computing():
+            return match_pair(self._method, pair, ends, limits_of(self.config, memory, self._device), Clock())
+
+    def load_kernels(self) -> None:
+        """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""
+        if isinstance(self._method, FusionWithVolumes | ProgramRun):
+            return
+        top = self.config.max_disparity
+        top = min(top, _MAX_WARMUP_DISPARITY) if isinstance(top, int) and top > 0 else _MAX_WARMUP_DISPARITY
+        noise = np.random.default_rng(0).integers(0, 256, (*_WARMUP_SHAPE, 3), np.uint8)
+        for image in (noise[..., 0].copy(), noise):
+            self._match(StereoPair(image, np.roll(image, -2, axis=1), 8), (0, top))
 
 
-@worded
 def matcher(
     preset: str | Path | StereoConfig | FuseConfig = "accurate",
     max_disparity: End = None,
@@ -177,65 +204,12 @@ def matcher(
     """
     fields = _with_range(fields, max_disparity)
     if isinstance(preset, FuseConfig):
-        return Matcher(with_network(load_config(FuseConfig, preset, overrides, **fields)))
-    return Matcher(with_address(load_config(StereoConfig, preset, overrides, **fields)))
+        made = Matcher(with_network(load_config(FuseConfig, preset, overrides, **fields)))
+    else:
+        made = Matcher(with_address(load_config(StereoConfig, preset, overrides, **fields)))
+    made.load_kernels()
+    return made
 
 
 def _with_range(fields: dict[str, object], max_disparity: End) -> dict[str, object]:
     return fields if max_disparity is None else {**fields, "max_disparity": max_disparity}
-
-
-class _Matching:
-    """A config, made ready to match pairs."""
-
-    def __init__(self, config: StereoConfig | FuseConfig, volumes: Mapping[str, ArrayLike] | None = None) -> None:
-        self.config = config
-        self._memory = 0, 0.0
-        self.method: PairMatcher = config.pipeline if isinstance(config, StereoConfig) else config
-        if isinstance(config, FuseConfig) and (wanted := {m.volume for m in config.measures if m.volume is not None}):
-            given = {name: np.asarray(volume) for name, volume in (volumes or {}).items()}
-            if wanted - set(given):
-                raise ConfigError(f"volumes: the config wants {', '.join(sorted(wanted))}")
-            self.method = FusionWithVolumes(config, lambda: given)
-        self.device = device_of(config) if isinstance(config, StereoConfig) else None
-        # A device has one queue of work.
-        self.turn = contextlib.nullcontext() if self.device is None else threading.Lock()
-
-    def __call__(self, left: ArrayLike, right: ArrayLike) -> Disparity:
-        images = as_image(left, "left"), as_image(right, "right")
-        floats = np.asarray(left).dtype.kind == "f"  # dark ones use all 16 bits, too
-        rig = None if self.config.calibration is None else rectified_rig(self.config.calibration, *images)
-        views = images if rig is None else rig.images(*images)
-        pair = pair_of(views[0], views[1], (Path("left"), Path("right")), 16 if floats else None)
-        given = self.config.max_disparity
-        ends = self.config.min_disparity or 0, "auto" if given is None else given
-        limits = limits_of(self.config, self._free_memory(), self.device)
-        with self.turn, computing():
-            found = match_pair(self.method, pair, ends, limits, Clock())
-        if rig is not None:
-            found = replace(found, geometry=rig.geometry)
-        if given is not None:
-            return found
-        text = f'max_disparity is not given: "auto" was taken, which gives {found.search.max_disparity} px'
-        return replace(found, warnings=(*found.warnings, text))
-
-    def _free_memory(self) -> int:
-        """Return the free memory, bytes, as it was at most a second ago: looking takes a fifth of a millisecond."""
-        memory, until = self._memory
-        if time.monotonic() > until:
-            memory = available_memory()
-            self._memory = memory, time.monotonic() + 1
-        return memory
-
-    def load_kernels(self) -> None:
-        """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""
-        top = self.config.max_disparity
-        ends = 0, min(top, _MAX_WARMUP_DISPARITY) if isinstance(top, int) and top > 0 else _MAX_WARMUP_DISPARITY
-        noise = np.random.default_rng(0).integers(0, 256, (*_WARMUP_SHAPE, 3), np.uint8)
-        limits = limits_of(self.config, self._free_memory(), self.device)
-        if isinstance(self.method, FusionWithVolumes | ProgramRun):
-            return
-        for image in (noise[..., 0].copy(), noise):
-            with self.turn, computing():
-                pair = StereoPair(image, np.roll(image, -2, axis=1), 8)
-                match_pair(self.method, pair, ends, limits, Clock())

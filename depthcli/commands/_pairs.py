@@ -114,7 +114,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         """Run as every such command; a calibration that cannot be read is an error before any scene is opened."""
         config = self.config(values)
         if config.calibration is not None:
-            from depthcli.api.rectification import read_rig
+            from depthcli.api.matching import read_rig
 
             read_rig(config.calibration)
         return super().run(values, reporter)

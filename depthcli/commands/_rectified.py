@@ -52,7 +52,7 @@ def rectified_pair(
     InputError
         The images or the calibration cannot be used.
     """
-    from depthcli.api.rectification import rectified_rig
+    from depthcli.api.matching import rectified_rig
 
     left, right = scene.load_views()
     found = rectified_rig(calibration, left, right)
@@ -73,7 +73,7 @@ def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene
     ----------
     calibration : rectifies the frames; None: they are rectified
     """
-    from depthcli.api.rectification import file_states
+    from depthcli.api.matching import file_states
 
     files = {file for frame in frames for file in frame.input_files.values()}
     if calibration is not None:
@@ -85,7 +85,7 @@ def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene
 def _sequence_range(
     calibration: Calibration | None, frames: tuple[StereoScene, ...], files: object
 ) -> KeyPointRange | None:
-    from depthcli.api.rectification import rectified_rig
+    from depthcli.api.matching import rectified_rig
     from depthcli.methods.stereo.search_range import range_of_key_points
 
     found: KeyPointRange | None = None

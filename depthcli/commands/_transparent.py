@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from depthcli.api._save import share
-from depthcli.api.depth import completed_frame, sparse_by_stereo
+from depthcli.api.depth import check_completion_memory, completed_frame, sparse_by_stereo
+from depthcli.api.results import share
 from depthcli.commands._batch import DEPTH_RESULTS, config_of, run_batch
 from depthcli.commands._options import FrameOptions, RunOptions
 from depthcli.commands._scenes import find_scenes
@@ -25,7 +25,6 @@ from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, Column, percent
-from depthcli.run.resources import check_memory
 
 _COLUMNS = ("known", "sparse", "kept", "filled", "replaced", "from_stereo")
 # Kept, filled and replaced, the latter two also where the sparse depth has a value, and empty.
@@ -110,18 +109,15 @@ class _Complete:
 
     def _load(self, scene: RgbdScene, memory: int, clock: Clock) -> tuple[SparseFrame, Result]:
         """Return the frame with its sparse depth, and what is written of the stereo matching that gives it, if any."""
-        peak_bytes, stereo = self.config.pipeline.peak_bytes, self.config.stereo
+        stereo = self.config.stereo
         if stereo is None:
             frame = scene.load_sparse()
-            height, width = frame.shape
-            check_memory(peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
+            check_completion_memory(self.config, None, frame.shape, memory)
             return frame, Result()
         if not isinstance(scene, RgbIrScene):
             raise InputError(f"{scene.folder}: {scene.name} has no infrared image (ir.*), which this config needs")
         pair = scene.load_pair()
         if stereo.max_disparity is None and scene.max_disparity is not None:
             stereo = stereo.model_copy(update={"max_disparity": scene.max_disparity})
-        height, width = pair.depth.shape
-        need = max(peak_bytes((height, width)), stereo.peak_bytes((height, width)))
-        check_memory(need, memory, f"{width} x {height} pixels")
+        check_completion_memory(self.config, stereo, (pair.depth.shape[0], pair.depth.shape[1]), memory)
         return sparse_by_stereo(stereo, pair, scene.depth_scale, clock)

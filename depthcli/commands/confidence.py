@@ -77,7 +77,7 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Judge the map of every scene; return the exit code."""
-        from depthcli.api.judging import judge_of
+        from depthcli.api.maps import judge_of
 
         share, names = _share(values["keep"])
         if share is not None and values["threshold"] is not None:
@@ -96,7 +96,7 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
         return self.run_on(config, scenes, {**values, "keep": names}, reporter)
 
     def memory_of(self, config: ConfidenceOptions, scene: MapsScene) -> int | None:
-        from depthcli.api.judging import judge_of
+        from depthcli.api.maps import judge_of
 
         return memory_for(judge_of(), scene, config["max_disparity"])
 
@@ -115,7 +115,7 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
         """
         import numpy as np
 
-        from depthcli.api.judging import judge, judge_by_one_view, judge_of
+        from depthcli.api.maps import judge, judge_by_one_view, judge_of
         from depthcli.core.maps import Status
         from depthcli.core.result import Clock
         from depthcli.io.formats.images import read_image

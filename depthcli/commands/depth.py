@@ -94,7 +94,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
             raise ConfigError("--focal and --baseline belong together (and --doffs, where the cameras have one)")
         if by_hand and values["calibration"] is not None:
             raise ConfigError(f"--calibration and --{by_hand[0]} exclude each other")
-        from depthcli.api.masks import parse_mask
+        from depthcli.api.results import parse_mask
 
         check_limits(values["near"], values["far"])
         parse_mask(values["mask"] or "all")
@@ -136,8 +136,9 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         """
         import numpy as np
 
-        from depthcli.api._save import save_metric_depth
+        from depthcli.api.results import PointCloud, write_depth
         from depthcli.core.frames import color8
+        from depthcli.core.maps import MatchedMap
         from depthcli.core.result import Clock
         from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
         from depthcli.io.formats.images import read_image
@@ -150,20 +151,22 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         geometry = _geometry(config, scene).for_size(width, height)
         status = np.zeros(disparity.shape, np.uint8) if scene.status is None else read_status(scene.status)
         _same_size(scene.status, status, disparity)
-        cloud = None
+        image = None
         if config["ply"]:
             if scene.left is None:
                 raise InputError(f"{scene.folder}: the left image is missing, which colors a point cloud; give --input")
-            cloud = color8(read_image(scene.left))
-            _same_size(scene.left, cloud, disparity)
+            image = color8(read_image(scene.left))
+            _same_size(scene.left, image, disparity)
         clock.start("depth")
         kept = _mask(config["mask"] or "all", scene, disparity, status)
         depth = geometry.depth(np.where(kept, disparity, np.float32(np.nan)))
         clock.start("save")
         in_cloud = _mask(config["mask"] or "measured", scene, disparity, status)
         in_cloud &= (depth >= config["near"]) & (depth <= (math.inf if config["far"] is None else config["far"]))
-        points = None if cloud is None else (geometry.left, cloud, in_cloud)
-        save_metric_depth(depth, status, folder, config["depth_scale"], points)
+        found = MatchedMap(depth, status)
+        write_depth(found, folder, config["depth_scale"])
+        if image is not None:
+            PointCloud.of(found, geometry.left, image, in_cloud).save(folder / "points.ply")
         known = np.isfinite(depth)
         beyond, beyond_warning = beyond_png(depth, config["depth_scale"])
         facts: Row = {
@@ -176,9 +179,9 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
             "doffs": geometry.offset,
             "beyond_png": round(beyond, 6),
         }
-        if cloud is not None:
+        if image is not None:
             facts["points"] = int(np.count_nonzero(known & in_cloud))
-        warnings = [] if cloud is None else empty_cloud(depth, in_cloud)
+        warnings = [] if image is None else empty_cloud(depth, in_cloud)
         warnings += [f"{beyond_warning}; see --depth-scale"] if beyond_warning else []
         median = facts["median_depth"]
         if median is not None and not MIN_DEPTH <= median <= MAX_DEPTH:
@@ -211,10 +214,8 @@ def _mask(
     text: str, scene: DisparityScene, disparity: NDArray[np.float32], status: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
     """Return the pixels that ``--mask`` chooses."""
-    import numpy as np
-
-    from depthcli.api.masks import masked
-    from depthcli.core.maps import Status
+    from depthcli.api.results import masked
+    from depthcli.core.maps import DisparityMap
     from depthcli.io.formats.disparity import read_pfm
 
     def read(file: Path) -> NDArray[np.float32]:
@@ -223,7 +224,7 @@ def _mask(
         return confidence
 
     maps = {name: partial(read, file) for name, file in scene.confidence.items()}
-    return masked(text, np.isfinite(disparity), (status & Status.FILLED) != 0, maps, f"{scene.folder}: ")
+    return masked(text, DisparityMap(disparity, status), maps, f"{scene.folder}: ")
 
 
 def _same_size(path: Path | None, values: NDArray[np.generic], disparity: NDArray[np.float32]) -> None:

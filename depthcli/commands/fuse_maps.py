@@ -80,7 +80,7 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         return self.run_on(config, find_map_scenes(values, reporter, values["maps"]), values, reporter)
 
     def memory_of(self, config: FuseMapsOptions, scene: MapsScene) -> int | None:
-        from depthcli.api.judging import fusion_of
+        from depthcli.api.maps import fusion_of
 
         return memory_for(fusion_of(), scene, config["max_disparity"])
 
@@ -100,7 +100,7 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         """
         import numpy as np
 
-        from depthcli.api.judging import fused, fusion_of
+        from depthcli.api.maps import fused, fusion_of
         from depthcli.core.result import Clock
 
         clock = Clock()

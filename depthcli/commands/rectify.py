@@ -172,7 +172,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         left: NDArray[np.generic],
         right: NDArray[np.generic],
     ) -> RectifiedRig | RectifyingHomographies:
-        from depthcli.api.rectification import rectified_rig
+        from depthcli.api.matching import rectified_rig
         from depthcli.methods.stereo.rectification import rectify_uncalibrated
 
         if not config["uncalibrated"]:

@@ -76,7 +76,7 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         return super().run({**values, **said, "set": settings}, reporter)
 
     def run_on(self, config: RefineKinectConfig, scenes: Sequence[Scene], values: Values, reporter: Reporter) -> int:
-        from depthcli.api.masks import parse_mask
+        from depthcli.api.results import parse_mask
         from depthcli.methods.kinect.pipeline import SequencePipeline
 
         check_limits(config.near, config.far)
@@ -200,8 +200,8 @@ def _refine_frame(
 ) -> Outcome:
     import numpy as np
 
-    from depthcli.api._save import share
     from depthcli.api.depth import refined_frame
+    from depthcli.api.results import share
     from depthcli.core.maps import DepthStatus
     from depthcli.core.result import Clock
     from depthcli.io.formats.depth import beyond_png

@@ -118,8 +118,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         InputError
             The files cannot be used, or ``memory`` bytes do not suffice.
         """
-        from depthcli.api._registration_figures import region_figures
-        from depthcli.api.registration import check_voxels, measured_pair
+        from depthcli.api.registration import check_voxels, measured_pair, region_figures
         from depthcli.core.result import Clock
         from depthcli.io.formats.volumes import written_suffix
 

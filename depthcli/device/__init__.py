@@ -282,14 +282,14 @@ def find_device(wanted: str) -> DeviceInfo | None:
         return next((info for info in devices() if info.is_gpu), None)
     kind, _, number = wanted.partition(":")
     if kind not in KINDS or not (number.isdigit() or wanted == kind):
-        raise ConfigError(f"--device {wanted}: want cpu, auto, opencl or cuda, or one of several by opencl:N, cuda:N")
+        raise ConfigError(f"device {wanted}: want cpu, auto, opencl or cuda, or one of several by opencl:N, cuda:N")
     found: list[DeviceInfo] = _backend(kind).list_devices()
     for info in sorted(found, key=lambda info: not info.is_gpu):
         if info.address == wanted or wanted == kind:
             return info
     if found:
-        raise DeviceError(f"--device {wanted}: there is none; there are {', '.join(i.address for i in found)}")
-    raise DeviceError(f"--device {wanted}: no device: {_backend(kind).why_no_device()}")
+        raise DeviceError(f"device {wanted}: there is none; there are {', '.join(i.address for i in found)}")
+    raise DeviceError(f"device {wanted}: no device: {_backend(kind).why_no_device()}")
 
 
 _open: dict[str, Device] = {}

@@ -29,18 +29,17 @@ def parse_bytes(text: str, option: str = "--max-memory") -> int:
     return size
 
 
-def check_memory(need: int, limit: int, size: str, options: str = "--max-memory, --jobs") -> None:
+def check_memory(need: int, limit: int, size: str, keys: str = "") -> None:
     """Raise InputError where a scene needs more bytes than ``limit``.
 
     Parameters
     ----------
     size : size of the scene, for the message
-    options : options and config keys that help
+    keys : config keys that help
     """
     if need > limit:
-        raise InputError(
-            f"needs about {show_bytes(need)} of memory ({size}), {show_bytes(limit)} may be used; see {options}"
-        )
+        hint = f"; see {keys}" if keys else ""
+        raise InputError(f"needs about {show_bytes(need)} of memory ({size}), {show_bytes(limit)} may be used{hint}")
 
 
 def available_memory() -> int:

@@ -15,7 +15,7 @@ import pytest
 import depthcli
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = ("config", "depth", "registration", "results", "scores", "stereo")
+EXAMPLES = ("depth", "inputs", "maps", "registration", "results", "scores", "stereo")
 
 USER_SCRIPT = """
 import numpy as np

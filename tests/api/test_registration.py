@@ -64,14 +64,14 @@ FIXED = np.random.default_rng(0).random(SHAPE, np.float32)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"spacing": None}, "fixed: an array wants its spacing"),
+        ({"spacing": None}, "fixed: an array needs its spacing"),
         ({"warped": FIXED[:5]}, "warped: another grid .*size 9 x 8 x 5, want 9 x 8 x 6"),
         ({"warped": np.where(FIXED > 0.9, np.nan, FIXED)}, r"warped: \d+ voxels are no numbers"),
         ({"fixed": np.zeros(SHAPE)}, "fixed: all voxels are 0"),
         ({"mask": np.zeros(SHAPE)}, "mask: no voxel is set"),
         ({"spacing": (1, 0, 1)}, "fixed: want three positive spacings"),
         ({"direction": np.zeros((3, 3))}, "fixed: want three positive spacings"),
-        ({"fixed": FIXED.ravel()}, "fixed: want a volume of shape"),
+        ({"fixed": FIXED.ravel()}, "fixed: expected a volume of shape"),
     ],
 )
 def test_wrong_volumes_are_refused(arguments: dict[str, Any], message: str):

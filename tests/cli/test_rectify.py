@@ -174,7 +174,7 @@ def test_every_kind_of_file_gives_the_rig(fisheye: bool, tmp_path: Path):
         same_rig(read_rig([opencv(tmp_path / f"a.{suffix}", taken)], fisheye=fisheye), taken)
     old = opencv(tmp_path / "old.yml", taken, "M1 D1 M2 D2 R T", 0.001)
     same_rig(read_rig([old], "mm", fisheye), taken)
-    with pytest.raises(InputError, match="--unit mm"):
+    with pytest.raises(InputError, match="unit mm"):
         read_rig([old], fisheye=fisheye)
     same_rig(read_rig(ros(tmp_path, taken)), taken)
     same_rig(read_rig([kalibr(tmp_path / "chain.yaml", taken)]), taken)
@@ -281,7 +281,7 @@ def test_stereo_takes_the_unit_that_it_asks_for(pinhole: Shot, tmp_path: Path, c
     images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room", "--max-disparity", "30", "-q")
     run_it = ("stereo", "opencv-bm", *images, "--calibration", opencv(tmp_path / "mm.yml", pinhole.rig, unit=0.001))
     assert run(*run_it, "-o", tmp_path / "run") == 2
-    assert "then say --unit mm" in capsys.readouterr().err
+    assert "unit mm" in capsys.readouterr().err
     assert run(*run_it, "-o", tmp_path / "run", "--unit", "mm") == 0
     baseline = read_geometry(tmp_path / "run/room/calib.txt").baseline
     assert baseline == pytest.approx(np.linalg.norm(pinhole.rig.translation))

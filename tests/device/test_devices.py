@@ -102,7 +102,7 @@ def test_no_device_is_one_line_before_anything_is_written(tmp_path, capsys, made
     monkeypatch.setattr(depthcli.device.opencl, "why_no_device", lambda: "no driver")
     code = main(["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "run"), "--device", "opencl"])
     assert code == 2
-    assert capsys.readouterr().err.strip() == "depthcli: --device opencl: no device: no driver"
+    assert capsys.readouterr().err.strip() == "depthcli: device opencl: no device: no driver"
     assert not (tmp_path / "run").exists()
 
 

@@ -68,7 +68,7 @@ def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, came
         else:
             rig = _opencv(files, UNITS[unit], fisheye)
         if rig.baseline > _MAX_BASELINE:
-            raise InputError(f"a baseline of {rig.baseline:g} m; is the translation in millimeters? then say --unit mm")
+            raise InputError(f"a baseline of {rig.baseline:g} m; is the translation in millimeters? give the unit mm")
         return rig
 
 

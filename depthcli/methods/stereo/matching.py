@@ -69,7 +69,7 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
     if need > limits.memory:
         raise InputError(
             f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, {max_disparity + 1} "
-            f"disparities), {show_bytes(limits.memory)} may be used; see --max-memory, --jobs, --max-disparity"
+            f"disparities), {show_bytes(limits.memory)} may be used; see max_disparity"
         )
     device_need = matcher.device_bytes(pair.shape, max_disparity)
     if limits.device is None or device_need is None:
@@ -78,7 +78,7 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
     if device_need > device.memory:
         raise InputError(
             f"needs about {show_bytes(device_need)} on {device.address} ({device.name}), which has "
-            f"{show_bytes(device.memory)}; see --device, --max-disparity"
+            f"{show_bytes(device.memory)}; see device, max_disparity"
         )
     clock = Clock()
     adjusted, rest = matcher.prepared(pair, max_disparity, clock)

@@ -182,7 +182,8 @@ def complete_range(
         if columns and columns["range_top"] <= min_disparity:
             raise InputError(
                 f"key points have disparities from {columns['range_low']} to {columns['range_top']}, but "
-                f"{min_disparity} is the smallest that is searched: views swapped? else see --min-disparity"
+                f"{min_disparity} is the smallest that is searched: check that the views are not swapped; otherwise "
+                "lower min_disparity"
             )
         raise InputError(f"disparities from {min_disparity} to {max_disparity} are to be searched, which are none")
     return SearchRange(min_disparity, max_disparity), columns

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from depthcli.api.judging import fusion_of, judge_of, networks
+from depthcli.api.maps import fusion_of, judge_of, networks
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair

@@ -159,7 +159,7 @@ def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path, monkeypatch:
         OnnxCost(model=str(tmp_path / "net.onnx")).prepare("cpu")
     with pytest.raises(InputError, match="want a vector for each pixel"):
         OnnxCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))).prepare("cpu")
-    with pytest.raises(InputError, match=r"--device cuda:0.*install onnxruntime-gpu"):
+    with pytest.raises(InputError, match=r"device cuda:0.*install onnxruntime-gpu"):
         pipeline(tmp_path / "net.onnx").prepare("cuda:0")
 
 

@@ -104,7 +104,7 @@ def network_device(wanted: str) -> str:
         return "cuda:0" if _CUDA in _onnxruntime().get_available_providers() else "cpu"
     kind, _, number = wanted.partition(":")
     if wanted != "cpu" and (kind != "cuda" or not (number.isdigit() or wanted == kind)):
-        raise ConfigError(f"--device {wanted}: networks run on cpu, cuda or cuda:N; auto takes cuda if it is there")
+        raise ConfigError(f"device {wanted}: networks run on cpu, cuda or cuda:N; auto takes cuda if it is there")
     return f"cuda:{number or 0}" if kind == "cuda" else "cpu"
 
 
@@ -114,7 +114,7 @@ def _opened(model: str, path: str, changed: int, device: str, threads: int) -> S
     providers: list[Any] = ["CPUExecutionProvider"]
     if device != "cpu":
         if _CUDA not in runtime.get_available_providers():
-            raise InputError(f"--device {device}: this onnxruntime has no CUDA; install onnxruntime-gpu instead of it")
+            raise InputError(f"device {device}: this onnxruntime has no CUDA; install onnxruntime-gpu instead of it")
         providers.insert(0, (_CUDA, {"device_id": int(device.partition(":")[2])}))
     options = runtime.SessionOptions()
     options.intra_op_num_threads = threads
@@ -127,7 +127,7 @@ def _opened(model: str, path: str, changed: int, device: str, threads: int) -> S
     except Exception as error:  # as above
         raise InputError(f"{model}: not a network that onnxruntime can run ({_first_line(error)})") from error
     if device != "cpu" and _CUDA not in inference.get_providers():
-        raise InputError(f"--device {device}: onnxruntime cannot use it; are CUDA and cuDNN of its version installed?")
+        raise InputError(f"device {device}: onnxruntime cannot use it; are CUDA and cuDNN of its version installed?")
     ports = []
     for port in inference.get_inputs():
         if port.type not in _TYPES:

@@ -1,0 +1,178 @@
+"""What users give to the functions for Python: presets and overrides to configs, arrays to images, maps, volumes."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel
+
+from depthcli.core import config_file
+from depthcli.core.config_file import ConfigData
+from depthcli.core.errors import InputError
+from depthcli.core.frames import Image, StereoPair
+from depthcli.core.result import Clock
+from depthcli.io.formats.stereo_images import pair_of
+from depthcli.kernels.jit import compile_seconds, one_at_a_time
+from depthcli.run.presets import find_config, find_preset
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+Overrides = Mapping[str, object]
+"""``a.b`` or plain name of a key -> value."""
+
+COMMANDS = {
+    "StereoConfig": "stereo",
+    "FuseConfig": "fuse",
+    "RefineKinectConfig": "refine-kinect",
+    "TransparentConfig": "transparent",
+    "RegisterConfidenceConfig": "register-confidence",
+}
+"""Name of the class of a config -> its command."""
+
+
+def load_config(
+    model: type[ModelT], preset: str | Path | ModelT, overrides: Overrides | None = None, **fields: object
+) -> ModelT:
+    """Return a checked config of a problem.
+
+    Parameters
+    ----------
+    model : class of the config: ``StereoConfig``, ``FuseConfig``, ``RefineKinectConfig``, ``TransparentConfig`` or
+        ``RegisterConfidenceConfig``
+    preset : name of a preset (``depthcli presets`` lists them), path of a YAML file, or a config
+    overrides : key -> value, as ``--set`` has them: ``{"cost.window": 9}``. A mapping as a value changes only the keys
+        that it holds, unless it names a method
+    **fields : the same for keys that are Python names
+
+    Raises
+    ------
+    ConfigError
+        No such preset or file, or keys and values that do not fit; all problems, one a line.
+
+    Examples
+    --------
+    >>> import depthcli
+    >>> config = depthcli.load_config(depthcli.StereoConfig, "accurate", {"optimization.p2": 6}, max_disparity=64)
+    >>> config.max_disparity
+    64
+    """
+    values = {key: _plain(value) for key, value in {**(overrides or {}), **fields}.items()}
+    if isinstance(preset, model):
+        if not values:
+            return preset
+        data = ConfigData("config", preset.model_dump(mode="json", by_alias=True))
+        return config_file.load_config(model, data, values=values)
+    command = COMMANDS[model.__name__]
+    file = find_config(command, str(preset))
+    return config_file.load_config(model, file, find=lambda name: find_preset(command, name), values=values)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as a YAML file would give it."""
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json", by_alias=True)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, Path):
+        return str(value)
+    return value.tolist() if hasattr(value, "tolist") else value  # numbers and arrays of numpy
+
+
+@contextlib.contextmanager
+def computing() -> Iterator[None]:
+    """Keep the compilation of kernels out of measured times, and threads apart where kernels need that."""
+    Clock.untimed = staticmethod(compile_seconds)
+    with one_at_a_time():
+        yield
+
+
+def as_image(array: ArrayLike, name: str) -> Image:
+    """Return an image as (H, W) grey or (H, W, 3) RGB, uint8 or uint16; InputError for anything else.
+
+    Kernels are compiled apart for arrays that are not contiguous or cannot be written to: those are copied.
+
+    Parameters
+    ----------
+    array : (H, W), (H, W, 1) or (H, W, 3) uint8, uint16, bool, or floats from 0 to 1; (H, W, 4) loses its last channel
+    name : for messages
+    """
+    if isinstance(array, str | PathLike):
+        raise InputError(f"{name}: expected an image, got a path: read it, such as by cv2.imread(...)[..., ::-1]")
+    image = np.asarray(array)
+    if image.ndim == 3 and image.shape[2] in (1, 4):
+        image = image[..., 0] if image.shape[2] == 1 else image[..., :3]
+    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or image.size == 0:
+        raise InputError(f"{name}: expected an image of shape (H, W) or (H, W, 3), got {np.shape(array)}")
+    if image.dtype.kind == "b":
+        image = image.astype(np.uint8) * np.uint8(255)
+    elif image.dtype.kind == "f":
+        low, high = float(image.min()), float(image.max())
+        if not 0 <= low <= high <= 1:  # NaN, too
+            raise InputError(f"{name}: floats must be from 0 to 1, got {low:g} to {high:g}; scale them, or give uint8")
+        image = np.rint(image * np.float64(65535)).astype(np.uint16)
+    elif image.dtype.kind != "u" or image.dtype.itemsize > 2:
+        raise InputError(f"{name}: expected uint8, uint16, or floats from 0 to 1, got {image.dtype}")
+    return cast(Image, np.require(image, image.dtype.newbyteorder("="), ["C", "A", "W"]))
+
+
+def as_pair(left: ArrayLike, right: ArrayLike) -> StereoPair:
+    """Return two images, as :func:`as_image` takes them, as a rectified pair; InputError where they do not agree."""
+    return paired(as_image(left, "left"), as_image(right, "right"), left)
+
+
+def paired(left: Image, right: Image, given: ArrayLike) -> StereoPair:
+    """Return a pair of images; ``given`` tells whether the user gave floats: dark ones use all 16 bits, too."""
+    return pair_of(left, right, (Path("left"), Path("right")), 16 if np.asarray(given).dtype.kind == "f" else None)
+
+
+def as_map(array: ArrayLike, name: str, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
+    """Return numbers as (H, W) float32, of ``shape`` where one is given; InputError for anything else."""
+    values = _numbers(array, name)
+    if values.ndim != 2 or values.size == 0:
+        raise InputError(f"{name}: expected a map of shape (H, W), got {values.shape}")
+    if shape is not None and values.shape != shape:
+        got, expected = (f"{size[1]} x {size[0]}" for size in (values.shape, shape))
+        raise InputError(f"{name}: {got}, but the image is {expected}")
+    return values
+
+
+def as_depth(array: ArrayLike, name: str, scale: float, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
+    """Return depths as (H, W) float32, meters, NaN = unknown; InputError as for :func:`as_map`, or where all are.
+
+    Parameters
+    ----------
+    array : (H, W) floats, meters, or integers, ``scale`` codes a meter; what is not a positive number is unknown
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth = as_map(array, name, shape)
+        if np.asarray(array).dtype.kind in "iu":
+            depth = (np.asarray(array) / np.float64(scale)).astype(np.float32)
+    depth = np.where((depth > 0) & np.isfinite(depth), depth, np.float32(np.nan))
+    if np.isnan(depth).all():
+        raise InputError(f"{name}: no pixel has a depth")
+    return depth
+
+
+def as_volume(array: ArrayLike, name: str) -> NDArray[np.float32]:
+    """Return numbers as (Z, Y, X) float32, a 2-D image with Z = 1; InputError for anything else."""
+    values = _numbers(array, name)
+    values = values[None] if values.ndim == 2 else values
+    if values.ndim != 3 or values.size == 0:
+        raise InputError(f"{name}: expected a volume of shape (Z, Y, X), got {values.shape}")
+    return values
+
+
+def _numbers(array: ArrayLike, name: str) -> NDArray[np.float32]:
+    values = np.asarray(array)
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"{name}: expected numbers, got {values.dtype}")
+    with np.errstate(over="ignore"):
+        return np.require(values, np.float32, ["C", "A", "W"])
