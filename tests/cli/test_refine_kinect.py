@@ -143,7 +143,7 @@ def test_points_are_chosen_and_placed_by_options(kinect: Path, tmp_path: Path, c
     assert np.abs(wide[:, 0]).max() > 2 * np.abs(whole[:, 0]).max()
     assert rows(tmp_path / "w")["planes"]["intrinsics"] == "of the camera"
     for options, said in (
-        (("--mask", "confident:2"), "--mask"), (("--mask", "some"), "mask"), (("--intrinsics", "1,2"), "intrinsics"),
+        (("--mask", "confident:2"), "mask"), (("--mask", "some"), "mask"), (("--intrinsics", "1,2"), "intrinsics"),
     ):  # fmt: skip
         capsys.readouterr()
         assert run("refine-kinect", "nearest", "-i", kinect, "-o", tmp_path / "bad", "--ply", *options) == 2
