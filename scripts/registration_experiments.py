@@ -38,7 +38,6 @@ from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.pipeline import RegistrationResult
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.methods.registration.search import SURER_IF_LARGER, search
-from depthcli.methods.registration.smoothing import gaussian
 from depthcli.run.presets import find_config
 from depthcli.simulate.arrays.deformed_volumes import smooth_noise
 

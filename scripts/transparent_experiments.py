@@ -36,7 +36,7 @@ from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.transparent.config import TransparentConfig
-from depthcli.methods.transparent.modality import GREY, learned_weights, mix_channels
+from depthcli.methods.transparent.cross_modal import GREY, learned_weights, mix_channels
 from depthcli.run.presets import find_config
 from depthcli.simulate.arrays.transparent_scenes import glass_of_pair, sparse_samples
 

@@ -6,7 +6,10 @@ from typing import Any
 
 import maxflow
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from depthcli.algorithms.regions import adjacency
+from depthcli.kernels.jit import jit
 
 
 def binary_cut(
@@ -85,3 +88,165 @@ def grid_cut(
     graph.maxflow()
     labels: NDArray[np.bool_] = graph.get_grid_segments(nodes)
     return labels
+
+
+def potts_energy(labels: ArrayLike, unary: ArrayLike, edges: ArrayLike, weights: ArrayLike) -> float:
+    """Return the sum of ``unary[n, labels[n]]`` and of the weights of all edges whose ends differ in label."""
+    labels = np.asarray(labels)
+    ends = np.asarray(edges, dtype=np.int64).reshape(-1, 2)
+    data = np.asarray(unary)[np.arange(labels.size), labels].sum()
+    return float(data + np.asarray(weights)[labels[ends[:, 0]] != labels[ends[:, 1]]].sum())
+
+
+def alpha_expansion(
+    unary: ArrayLike,
+    edges: ArrayLike,
+    weights: ArrayLike,
+    initial: ArrayLike | None = None,
+    max_sweeps: int = 20,
+) -> tuple[NDArray[np.int32], float]:
+    """Return labels of small Potts energy on a graph, and the energy (Boykov, Veksler and Zabih, PAMI 2001).
+
+    Parameters
+    ----------
+    unary : (N, L) finite costs of every label at every node
+    edges : (E, 2) node indices, each edge once, no loops; E may be 0
+    weights : (E,) costs >= 0 of an edge whose ends have different labels
+    initial : (N,) labels to start from; the cheapest label of every node where not given
+    max_sweeps : largest number of passes over all labels; ends earlier when no move lowers the energy
+
+    Returns
+    -------
+    labels : (N,) int32; the same input gives the same labels
+    energy : of these labels; never above that of ``initial``
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit, values that are not finite, negative weights, or no labels.
+    """
+    costs = np.ascontiguousarray(unary, dtype=np.float64)
+    ends = np.ascontiguousarray(edges, dtype=np.int32).reshape(-1, 2)
+    strength = np.ascontiguousarray(weights, dtype=np.float64)
+    _check(costs, ends, strength)
+    nodes, label_count = costs.shape
+    labels = np.argmin(costs, axis=1) if initial is None else np.array(initial)
+    labels = labels.astype(np.int32)
+    if labels.shape != (nodes,) or (nodes and not 0 <= labels.min() <= labels.max() < label_count):
+        raise ValueError(f"want {nodes} initial labels in [0, {label_count})")
+
+    energy = potts_energy(labels, costs, ends, strength)
+    starts, other, weight = adjacency(nodes, ends, strength)
+    total = np.bincount(ends.T.ravel(), np.tile(strength, 2), nodes)
+    by_label = np.ascontiguousarray(costs.T)  # a column of a large matrix misses the cache at every node
+    keep = costs[np.arange(nodes), labels]
+    since_change = 0  # labels tried since the last move that lowered the energy; after all of them, none can
+    for _ in range(max_sweeps):
+        for alpha in range(label_count):
+            if since_change >= label_count:
+                break
+            since_change += 1
+            rise = by_label[alpha] - keep  # what switching to alpha adds to the unary cost of every node
+            chosen = _candidates(labels, alpha, rise, starts, other, weight, total)
+            if len(chosen) == 0:
+                continue
+            moved = labels.copy()
+            moved[chosen[binary_cut(*_binary_problem(labels, alpha, rise, starts, other, weight, chosen))]] = alpha
+            moved_energy = energy + _energy_change(labels, moved, rise, ends, strength)
+            # Rounding alone must not keep the loop alive.
+            if moved_energy < energy - 1e-9 * max(1.0, abs(energy)):
+                labels, energy, since_change = moved, moved_energy, 0
+                keep = costs[np.arange(nodes), labels]
+    return labels, potts_energy(labels, costs, ends, strength)
+
+
+def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArray[np.float64]) -> None:
+    if costs.ndim != 2 or costs.shape[1] == 0:
+        raise ValueError(f"want unary costs (N, L) with L > 0, got {costs.shape}")
+    if strength.shape != (len(ends),):
+        raise ValueError(f"want {len(ends)} weights, one per edge, got {strength.shape}")
+    if not (np.isfinite(costs).all() and np.isfinite(strength).all()):
+        raise ValueError("unary costs and weights must be finite")
+    if len(ends) and (strength.min() < 0 or ends.min() < 0 or ends.max() >= len(costs)):
+        raise ValueError("want weights >= 0 and edges between existing nodes")
+    if len(ends) and np.any(ends[:, 0] == ends[:, 1]):
+        raise ValueError("an edge must join two different nodes")
+
+
+@jit
+def _energy_change(labels, moved, rise, ends, strength):
+    # Of the energy, where ``labels`` become ``moved``.
+    change = 0.0
+    for n in range(labels.size):
+        if moved[n] != labels[n]:
+            change += rise[n]
+    for e in range(strength.size):
+        a, b = ends[e, 0], ends[e, 1]
+        change += strength[e] * ((moved[a] != moved[b]) - (labels[a] != labels[b]))
+    return change
+
+
+@jit
+def _candidates(labels, alpha, rise, starts, other, weight, total):
+    # The (K,) int64 nodes, in order, that can be in a set whose switch lowers the energy. In the best case all
+    # neighbors of a node that may switch do, which saves all its edges to them and to ``alpha``. Where that does not
+    # outweigh ``rise``, the node stays, which raises the cost of switching for its neighbors, and so on.
+    nodes = labels.size
+    may = labels != alpha
+    slack = rise - total
+    stack = np.empty(nodes, np.int64)
+    top = 0
+    for n in range(nodes):
+        if may[n] and slack[n] >= 0.0:
+            may[n] = False
+            stack[top] = n
+            top += 1
+    while top:
+        top -= 1
+        n = stack[top]
+        for e in range(starts[n], starts[n + 1]):
+            m = other[e]
+            if may[m]:
+                slack[m] += weight[e] if labels[m] != labels[n] else 2.0 * weight[e]
+                if slack[m] >= 0.0:
+                    may[m] = False
+                    stack[top] = m
+                    top += 1
+    return np.flatnonzero(may)
+
+
+@jit
+def _binary_problem(labels, alpha, rise, starts, other, weight, chosen):
+    # Cost of x = 1 (switch) minus cost of x = 0 of the ``chosen`` nodes, and the edges between them.
+    # Pair costs are E(0,0) = cut (0 where both have one label now), E(0,1) = E(1,0) = w, E(1,1) = 0, that is
+    # E00 + (w - E00) x_p - w x_q + (2 w - E00) (1 - x_p) x_q. A neighbor at alpha adds w to x = 0;
+    # one that stays elsewhere adds its cut cost to x = 0 and w to x = 1.
+    index = np.full(labels.size, -1, np.int64)
+    links = 0
+    for k in range(chosen.size):
+        index[chosen[k]] = k
+        links += starts[chosen[k] + 1] - starts[chosen[k]]
+    cost_of_true = np.empty(chosen.size, np.float64)
+    p = np.empty(links, np.int64)
+    q = np.empty(links, np.int64)
+    capacity = np.empty(links, np.float64)
+    count = 0
+    for k in range(chosen.size):
+        n = chosen[k]
+        cost = rise[n]
+        for e in range(starts[n], starts[n + 1]):
+            m = other[e]
+            w = weight[e]
+            cut = w if labels[m] != labels[n] else 0.0
+            if index[m] < 0:
+                cost += -w if labels[m] == alpha else w - cut
+            elif n < m:
+                cost += w - cut
+                p[count] = k
+                q[count] = index[m]
+                capacity[count] = 2.0 * w - cut
+                count += 1
+            else:
+                cost -= w
+        cost_of_true[k] = cost
+    return cost_of_true, p[:count].copy(), q[:count].copy(), capacity[:count].copy()

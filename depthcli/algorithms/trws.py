@@ -116,8 +116,8 @@ def _order(nodes, count):
 
 @jit
 def _visit(
-    y, x, n, send_to_earlier, nodes, values, unary, weights, truncation, choices, share, earlier, messages, belief,
-):  # fmt: skip
+    y, x, n, send_to_earlier, nodes, values, unary, weights, truncation, choices, share, earlier, messages, belief
+):
     # Update the messages from pixel (y, x), node n, to its earlier or later neighbors; return its part of the bound.
     labels = choices[n]
     for i in range(labels):
@@ -180,8 +180,10 @@ def _pass(nodes, values, unary, weights, truncation, choices, share, earlier, me
                     x = width - 1 - j if backward else j
                     n = nodes[y + 1, x + 1]
                     if n >= 0:
-                        total += _visit(y, x, n, backward, nodes, values, unary, weights, truncation, choices, share,
-                                        earlier, messages, belief)  # fmt: skip
+                        total += _visit(
+                            y, x, n, backward, nodes, values, unary, weights, truncation, choices, share, earlier,
+                            messages, belief,
+                        )  # fmt: skip
                 row_bounds[y] = total
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from depthcli.algorithms.alpha_expansion import alpha_expansion, potts_energy
+from depthcli.algorithms.graph_cut import alpha_expansion, potts_energy
 from tests.naive import segments as naive
 
 

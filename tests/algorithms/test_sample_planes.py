@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
-from depthcli.algorithms.plane_fitting.samples import Samples
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import transparent as naive
 

@@ -198,9 +198,7 @@ class CharucoBoard(Board):
 def dictionaries() -> dict[str, int]:
     """Return the names of OpenCV's dictionaries of markers, without ``DICT_``, and how many markers each has."""
     names = sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.upper() == name)
-    return {
-        name[5:]: len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList) for name in names
-    }  # fmt: skip
+    return {name[5:]: len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList) for name in names}
 
 
 def largest_chessboard(grey: NDArray[np.uint8]) -> tuple[int, int] | None:

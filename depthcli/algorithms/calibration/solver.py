@@ -148,8 +148,12 @@ def _fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: b
             _, matrix, lens, turns, shifts = _cv2.fisheye.calibrate(
                 [each[None].astype(np.float64) for each in objects],
                 [each[None].astype(np.float64) for each in pixels],
-                size, np.zeros((3, 3)), np.zeros((4, 1)), flags=_FISHEYE, criteria=_CRITERIA,
-            )  # fmt: skip
+                size,
+                np.zeros((3, 3)),
+                np.zeros((4, 1)),
+                flags=_FISHEYE,
+                criteria=_CRITERIA,
+            )
         else:
             _, matrix, lens, turns, shifts, spread, _, _ = _cv2.calibrateCameraExtended(
                 objects, pixels, size, np.eye(3), np.zeros(5), criteria=_CRITERIA
@@ -185,8 +189,11 @@ def _fit_rig(
             ) | _FISHEYE
             parts = _cv2.fisheye.stereoCalibrate(
                 *([each[None].astype(np.float64) for each in views] for views in (objects, left, right)),
-                *lenses, size, flags=flags, criteria=_CRITERIA,
-            )  # fmt: skip
+                *lenses,
+                size,
+                flags=flags,
+                criteria=_CRITERIA,
+            )
         else:
             flags = cv2.CALIB_USE_INTRINSIC_GUESS if refine else cv2.CALIB_FIX_INTRINSIC
             parts = _cv2.stereoCalibrate(objects, left, right, *lenses, size, flags=flags, criteria=_CRITERIA)
@@ -197,10 +204,7 @@ def _fit_rig(
         rig = Rig(found[0], found[1], np.asarray(parts[5], np.float64), np.asarray(parts[6], np.float64).ravel())
     except (cv2.error, InputError) as error:
         raise InputError("the pairs do not determine where the cameras stand") from error
-    errors = {
-        name: max(_pair_errors(rig, *views))
-        for name, *views in zip(pairs, objects, left, right, strict=True)
-    }  # fmt: skip
+    errors = {name: max(_pair_errors(rig, *views)) for name, *views in zip(pairs, objects, left, right, strict=True)}
     return RigFit(rig, errors, {})
 
 

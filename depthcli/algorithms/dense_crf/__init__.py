@@ -19,10 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.dense_crf._mean_field_kernels import join_lattices, update
 from depthcli.algorithms.dense_crf.permutohedral import BAND, Lattice, blur
 from depthcli.core import memory
-from depthcli.kernels.lanes import LANES
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.lanes import LANES, exp_minus, lane_min, lane_sum, load, minimum, splat, store
+
+_TILE = 16  # points whose labels are processed together: they stay in the first-level cache
+_BLOCK = 4 * LANES  # labels that are held in registers together
 
 
 @dataclass(frozen=True)
@@ -84,10 +87,9 @@ def mean_field(
         for lattice in joined.lattices if step else ():
             blur(lattice, width, partial[slot * width :], near[row * width :], far[row * width :])
             slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
-        update(
-            energies, marginals, labels, near, slots, joined.vertex, weights, corners, joined.own,
-            min(truncation, labels), joined.bands, width, step > 0, step < last, partial,
-        )  # fmt: skip
+        graph = (near, slots, joined.vertex, weights, corners, joined.own)
+        cut, more = min(truncation, labels), step < last
+        update(energies, marginals, labels, *graph, cut, joined.bands, width, step > 0, more, partial)
     return q
 
 
@@ -120,10 +122,9 @@ class _JoinedLattices:
         slot = row = column = 0
         for kernel, lattice in zip(kernels, lattices, strict=True):
             density = lattice.filter(np.ones((count, 1), np.float32))[:, 0]
-            join_lattices(
-                lattice.slots, lattice.weights, density, lattice.own_share(density), np.float32(kernel.weight),
-                np.int32(slot), column, slots, weights, own,
-            )  # fmt: skip
+            share, scale = lattice.own_share(density), np.float32(kernel.weight)
+            source = (lattice.slots, lattice.weights, density, share, scale, np.int32(slot), column)
+            join_lattices(*source, slots, weights, own)
             vertex.append(lattice.vertex + np.int32(row))
             bands.append(np.stack([lattice.first_slot[:-1], lattice.first_slot[1:]], axis=1) + slot)
             slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
@@ -136,3 +137,185 @@ def _aligned(size: int) -> NDArray[np.float32]:
     block: NDArray[np.float32] = memory.empty((size + 16,), np.float32)
     skip = -(block.ctypes.data // 4) % 16
     return block[skip : skip + size]
+
+
+@parallel_jit
+def join_lattices(slots, weights, density, share, weight, offset, column, all_slots, all_weights, own):
+    """Write slots and normalized weights of one lattice to the columns from ``column`` on of those of all lattices."""
+    for n in prange(own.size):
+        scale = np.sqrt(weight / density[n])
+        own[n] += share[n] * scale * scale
+        for c in range(slots.shape[1]):
+            all_slots[n, column + c] = slots[n, c] + offset
+            all_weights[n, column + c] = weights[n, c] * scale
+
+
+@parallel_jit
+def update(
+    unary, q, labels, near, slots, vertex, weights, corners, own, truncation, bands, width, receive, send, partial
+):
+    """Write the marginals of all points to ``q``, and spread them over the slots in ``partial`` if ``send``.
+
+    They are those of the energies with the messages in ``near`` if ``receive``; else of the energies alone,
+    softmax(-unary).
+    """
+    count = own.size
+    # Rows of a tile lie one behind the other, with zeros between them for the windows that reach beyond their ends.
+    margin = truncation - 1
+    lead = -(-margin // LANES) * LANES
+    stride = -(-(labels + margin) // LANES) * LANES
+    for b in prange(bands.shape[0]):
+        if send:
+            _clear(partial, bands, b, width)
+        # Windows read as far behind the last row as they are long.
+        message = np.zeros(_TILE * stride + 4 * lead + LANES, np.float32)
+        once, twice = np.zeros_like(message), np.zeros_like(message)
+        total, spare = np.ones(_TILE, np.float32), np.zeros(LANES, np.float32)
+        stop = min(count, (b + 1) * BAND)
+        for first in range(b * BAND, stop, _TILE):
+            size = min(_TILE, stop - first)
+            if receive:
+                _read(
+                    near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride,
+                    spare,
+                )  # fmt: skip
+                # min(|k|, T) is T less a triangle, which is a window of length T over another one. T times the sum
+                # of all messages is the same for every label of a point, and makes no difference to its marginals.
+                _window(message, truncation, once)
+                _window(once, truncation, twice)
+            _energies(unary, labels, first, size, twice, lead - margin, stride, once)
+            _softmax(once, stride, labels, width, size, total)
+            _write(once, stride, total, q, first, labels, size)
+            if send:
+                _spread(once, stride, total, slots, weights, corners, first, size, width, partial)
+
+
+@jit
+def _clear(partial, bands, b, width):
+    zero = splat(np.float32(0.0))
+    for k in range(0, bands.shape[1], 2):
+        for i in range(bands[b, k] * width, bands[b, k + 1] * width, LANES):
+            store(partial, i, zero)
+
+
+@jit
+def _spread(tile, stride, total, slots, weights, corners, first, size, width, partial):
+    # Adds the marginals of points, the rows of a tile divided by their ``total``, to their slots.
+    for p in range(size):
+        factor = np.float32(1.0) / total[p]
+        begin, at = (first + p) * corners, p * stride
+        for k in range(0, width - _BLOCK + 1, _BLOCK):
+            v0, v1 = load(tile, at + k), load(tile, at + k + LANES)
+            v2, v3 = load(tile, at + k + 2 * LANES), load(tile, at + k + 3 * LANES)
+            for c in range(begin, begin + corners):
+                w, to = splat(factor * weights[c]), slots[c] * width + k
+                store(partial, to, load(partial, to) + w * v0)
+                store(partial, to + LANES, load(partial, to + LANES) + w * v1)
+                store(partial, to + 2 * LANES, load(partial, to + 2 * LANES) + w * v2)
+                store(partial, to + 3 * LANES, load(partial, to + 3 * LANES) + w * v3)
+        for k in range(width - width % _BLOCK, width, LANES):
+            value = load(tile, at + k)
+            for c in range(begin, begin + corners):
+                to = slots[c] * width + k
+                store(partial, to, load(partial, to) + splat(factor * weights[c]) * value)
+
+
+@jit
+def _read(near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride, spare):
+    # Writes the messages of points to the rows of a tile: values of their vertices without their own share.
+    for p in range(size):
+        begin, at, to = (first + p) * corners, (first + p) * labels, lead + p * stride
+        share = splat(-own[first + p])
+        for k in range(0, labels - _BLOCK + 1, _BLOCK):
+            v0, v1 = share * load(q, at + k), share * load(q, at + k + LANES)
+            v2, v3 = share * load(q, at + k + 2 * LANES), share * load(q, at + k + 3 * LANES)
+            for c in range(begin, begin + corners):
+                w, source = splat(weights[c]), vertex[slots[c]] * width + k
+                v0 += w * load(near, source)
+                v1 += w * load(near, source + LANES)
+                v2 += w * load(near, source + 2 * LANES)
+                v3 += w * load(near, source + 3 * LANES)
+            store(message, to + k, v0)
+            store(message, to + k + LANES, v1)
+            store(message, to + k + 2 * LANES, v2)
+            store(message, to + k + 3 * LANES, v3)
+        for k in range(labels - labels % _BLOCK, labels, LANES):
+            if k + LANES <= labels:
+                value = share * load(q, at + k)
+            else:  # the next point's marginals lie behind
+                for rest in range(k, labels):
+                    spare[rest - k] = q[at + rest]
+                value = share * load(spare, 0)
+            for c in range(begin, begin + corners):
+                value += splat(weights[c]) * load(near, vertex[slots[c]] * width + k)
+            store(message, to + k, value)
+
+
+@jit
+def _window(source, length, target):
+    # target[i] = source[i] + ... + source[i + length - 1]. The window doubles once for every further binary digit of
+    # its length, and grows by one where that is 1: more additions than a running sum, but on sixteen labels at a time.
+    digit = 0
+    while length >> (digit + 1):
+        digit += 1
+    for i in range(0, source.size - LANES + 1, LANES):
+        store(target, i, load(source, i))
+    width = 1
+    while digit > 0:
+        digit -= 1
+        if (length >> digit) & 1:
+            for i in range(0, source.size - 2 * width - LANES + 1, LANES):
+                store(target, i, load(target, i) + load(target, i + width) + load(source, i + 2 * width))
+            width = 2 * width + 1
+        else:
+            for i in range(0, source.size - width - LANES + 1, LANES):
+                store(target, i, load(target, i) + load(target, i + width))
+            width = 2 * width
+
+
+@jit
+def _energies(unary, labels, first, size, gain, begin, stride, tile):
+    # tile = unary - gain, row by row.
+    for p in range(size):
+        at, source, to = (first + p) * labels, begin + p * stride, p * stride
+        for k in range(0, labels - LANES + 1, LANES):
+            store(tile, to + k, load(unary, at + k) - load(gain, source + k))
+        for k in range(labels - labels % LANES, labels):
+            tile[to + k] = unary[at + k] - gain[source + k]
+
+
+@jit
+def _softmax(tile, stride, labels, width, size, total):
+    # tile = exp(smallest energy - energy), row by row, 0 behind the labels; total = sums of the rows.
+    for p in range(size):
+        at = p * stride
+        for k in range(labels, width):
+            tile[at + k] = np.float32(3e38)
+        low = load(tile, at)
+        for k in range(LANES, width, LANES):
+            low = minimum(low, load(tile, at + k))
+        total[p] = lane_min(low)
+    # A loop of its own: the exponentials of a point need not wait for its smallest energy.
+    for p in range(size):
+        at = p * stride
+        low, sums = splat(total[p]), splat(np.float32(0.0))
+        for k in range(0, width, LANES):
+            power = exp_minus(load(tile, at + k) - low)
+            store(tile, at + k, power)
+            sums += power
+        total[p] = lane_sum(sums)
+        for k in range(labels, width):
+            tile[at + k] = np.float32(0.0)
+
+
+@jit
+def _write(tile, stride, total, q, first, labels, size):
+    # q = the rows of a tile divided by their ``total``.
+    for p in range(size):
+        factor = np.float32(1.0) / total[p]
+        factors = splat(factor)
+        at, to = p * stride, (first + p) * labels
+        for k in range(0, labels - LANES + 1, LANES):
+            store(q, to + k, factors * load(tile, at + k))
+        for k in range(labels - labels % LANES, labels):
+            q[to + k] = factor * tile[at + k]

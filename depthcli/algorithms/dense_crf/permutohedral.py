@@ -12,21 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.dense_crf._lattice_kernels import (
-    blur_axis,
-    compute_own_share,
-    embed,
-    find_neighbors,
-    gather_vertices,
-    merge_vertices,
-    read,
-    spread,
-)  # fmt: skip
 from depthcli.core import memory
-from depthcli.kernels.lanes import LANES
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.lanes import LANES, load, splat, store
 
 BAND = 16384  # points that one thread processes with one table of vertices, which fits into the cache
 _MAX_DIMENSIONS = 8  # of any features here; the remainder of a vertex must fit into 4 bits of its key
+_TILE = 64  # points whose simplices are computed together: their coordinates stay in the first-level cache
 
 
 @dataclass(frozen=True)
@@ -121,8 +113,10 @@ class Lattice:
     def filter(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return (N, C) float32 ``values`` blurred by a Gaussian whose value at distance 0 is about ``1 + 2^-d``."""
         width = -(-values.shape[1] // LANES) * LANES
-        partial, near, far = (memory.empty((rows * width,), np.float32)
-                              for rows in (self.vertex.size, self.vertices + 1, self.vertices + 1))  # fmt: skip
+        partial, near, far = (
+            memory.empty((rows * width,), np.float32)
+            for rows in (self.vertex.size, self.vertices + 1, self.vertices + 1)
+        )
         result = np.empty(values.shape, np.float32)
         spread(values, self.slots, self.weights, self.first_slot, BAND, partial.reshape(-1, width))
         blur(self, width, partial, near, far)
@@ -178,3 +172,255 @@ def _bits(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int
         if at > 63:
             raise ValueError("features span too many standard deviations for the lattice")
     return shifts
+
+
+@jit
+def _find(table, place, key):
+    # Position of ``key`` in an open-addressed hash table, or of the free cell where it belongs.
+    mask = np.uint64(table.size - 1)
+    h = key * np.uint64(0x9E3779B97F4A7C15)
+    at = (h ^ (h >> np.uint64(29))) & mask
+    while place[at] >= 0 and table[at] != key:
+        at = (at + np.uint64(1)) & mask
+    return np.int64(at)
+
+
+@jit
+def _steps(shifts):
+    # What a key changes by along every axis, and in addition where the last coordinate wraps around.
+    d = shifts.shape[0]
+    steps = np.ones(d + 1, np.uint64)
+    wrap = -np.uint64(d + 1)
+    for i in range(d):
+        steps[i] -= np.uint64(1) << np.uint64(shifts[i, 1])
+        wrap += np.uint64(1) << np.uint64(shifts[i, 1])
+    return steps, wrap
+
+
+@parallel_jit
+def embed(features, scales, shifts, band, slots, weights, keys, sizes):
+    """Find the simplex of every point: write its vertices to ``slots`` and its barycentric weights to ``weights``.
+
+    Slots count from 0 in every band. ``keys`` gets the keys of their vertices, ``sizes`` their number per band, which
+    is also right where ``keys`` has no room for all.
+    """
+    count, d = features.shape
+    size = d + 1
+    for b in prange(sizes.size):
+        capacity = 4096
+        while capacity < 2 * keys.shape[1]:
+            capacity *= 2
+        table = np.empty(capacity, np.uint64)
+        place = np.full(capacity, -1, np.int32)
+        steps, _ = _steps(shifts)
+        # Coordinate by coordinate, so that points are processed in vector lanes.
+        elevated, base = np.zeros((size, _TILE), np.float64), np.zeros((size, _TILE), np.float64)
+        rest, rank = np.zeros((size, _TILE), np.float64), np.zeros((size, _TILE), np.float64)
+        total = np.zeros(_TILE, np.float64)
+        at, inner = np.empty(size, np.int64), np.empty(size, np.float64)
+        n_vertices = 0
+        stop = min(count, (b + 1) * band)
+        for first in range(b * band, stop, _TILE):
+            points = min(_TILE, stop - first)
+            total[:] = 0.0
+            for j in range(d, 0, -1):
+                up = elevated[j]
+                for p in range(points):
+                    f = np.float64(features[first + p, j - 1]) * scales[j - 1]
+                    up[p] = total[p] - j * f
+                    total[p] += f
+            elevated[0] = total
+            _nearest(elevated, base, rest, rank, total)
+            for p in range(points):
+                key = np.uint64(0)
+                for i in range(size):
+                    k = np.int64(rank[i, p])
+                    at[k] = i
+                    inner[k] = rest[i, p]
+                    if i < d:
+                        key += np.uint64(np.int64(base[i, p]) + shifts[i, 0]) << np.uint64(shifts[i, 1])
+                n = first + p
+                for r in range(size):
+                    if r == 0:
+                        share = inner[d] + (1.0 - inner[0])
+                    else:
+                        share = inner[d - r] - inner[size - r]
+                        key += steps[at[size - r]]
+                    weights[n, r] = np.float32(share)
+                    cell = _find(table, place, key)
+                    if place[cell] < 0:
+                        if 2 * n_vertices >= capacity:
+                            # Only the count matters now: it is the room that the next try needs.
+                            n_vertices += 1
+                            continue
+                        table[cell] = key
+                        place[cell] = n_vertices
+                        if n_vertices < keys.shape[1]:
+                            keys[b, n_vertices] = key
+                        n_vertices += 1
+                    slots[n, r] = place[cell]
+        sizes[b] = n_vertices
+
+
+@jit
+def _nearest(elevated, base, rest, rank, off):
+    # The vertex of remainder 0 of every point's simplex is ``base`` times d + 1: the nearest point whose coordinates
+    # are multiples of d + 1, after some moved by one where their sum is not 0. ``rest`` is the residual in units of
+    # d + 1, ``rank`` its rank among the coordinates, ``off`` scratch.
+    size = elevated.shape[0]
+    part, max_rank = 1.0 / size, np.float64(size - 1)
+    off[:] = 0.0
+    for i in range(size):
+        coordinate, whole, residual = elevated[i], base[i], rest[i]
+        for p in range(off.size):
+            whole[p] = np.floor(coordinate[p] * part + 0.5)
+            residual[p] = coordinate[p] * part - whole[p]
+            off[p] += whole[p]
+        rank[i] = off * 0.0
+    for i in range(size):
+        for j in range(i + 1, size):
+            one, other, ranks, others = rest[i], rest[j], rank[i], rank[j]
+            for p in range(off.size):
+                less = 1.0 if one[p] < other[p] else 0.0
+                ranks[p] += less
+                others[p] += 1.0 - less
+    for i in range(size):
+        whole, residual, ranks = base[i], rest[i], rank[i]
+        for p in range(off.size):
+            r = ranks[p] + off[p]
+            turn = (1.0 if r < 0.0 else 0.0) - (1.0 if r > max_rank else 0.0)
+            ranks[p] = r + turn * (max_rank + 1.0)
+            whole[p] += turn
+            residual[p] -= turn
+
+
+@jit
+def merge_vertices(keys, sizes, vertex, own, first_slot):
+    """Write the vertex of every slot to ``vertex`` and the vertices' keys to ``own``.
+
+    Returns the hash table of the vertices (keys, numbers) and their number.
+    """
+    total = first_slot[-1]
+    capacity = 1024
+    while capacity < 2 * total:
+        capacity *= 2
+    table = np.empty(capacity, np.uint64)
+    place = np.full(capacity, -1, np.int32)
+    n_vertices = 0
+    for b in range(sizes.size):
+        for k in range(sizes[b]):
+            at = _find(table, place, keys[b, k])
+            if place[at] < 0:
+                table[at] = keys[b, k]
+                place[at] = n_vertices
+                own[n_vertices] = keys[b, k]
+                n_vertices += 1
+            vertex[first_slot[b] + k] = place[at]
+    return table, place, n_vertices
+
+
+@parallel_jit
+def find_neighbors(own, table, place, shifts, neighbors):
+    """Write the two neighbors of every vertex along every axis; the number of vertices stands for none."""
+    axes, _, vertices = neighbors.shape
+    steps, wrap = _steps(shifts)
+    none = np.uint64(0)
+    for v in prange(vertices):
+        last = own[v] & np.uint64(15)
+        up = wrap if last == np.uint64(axes - 1) else none
+        down = wrap if last == none else none
+        for axis in range(axes):
+            for side in range(2):
+                key = own[v] - steps[axis] - down if side else own[v] + steps[axis] + up
+                at = _find(table, place, key)
+                neighbors[axis, side, v] = place[at] if place[at] >= 0 else vertices
+
+
+@parallel_jit
+def spread(values, slots, weights, first_slot, band, partial):
+    """Add (N, C) values, weighted, to the (T, C) slots of their simplices: ``partial``."""
+    count, corners = slots.shape
+    for b in prange(first_slot.size - 1):
+        partial[first_slot[b] : first_slot[b + 1]] = np.float32(0.0)
+        for n in range(b * band, min(count, (b + 1) * band)):
+            for c in range(corners):
+                w, to = weights[n, c], slots[n, c]
+                for k in range(values.shape[1]):
+                    partial[to, k] += w * values[n, k]
+
+
+@parallel_jit
+def read(values, slots, vertex, weights, result):
+    """Write to ``result`` (N, C) the weighted sums of the (V + 1, C) ``values`` at the vertices of every simplex."""
+    count, corners = slots.shape
+    for n in prange(count):
+        for k in range(result.shape[1]):
+            result[n, k] = np.float32(0.0)
+        for c in range(corners):
+            w, at = weights[n, c], vertex[slots[n, c]]
+            for k in range(result.shape[1]):
+                result[n, k] += w * values[at, k]
+
+
+@parallel_jit
+def compute_own_share(slots, vertex, weights, neighbors, factors, density, result):
+    """Write to ``result`` the weight of every point's own value (see ``Lattice.own_share``)."""
+    axes = factors.shape[0]
+    for n in prange(result.size):
+        total = np.float32(0.0)
+        for i in range(axes):
+            for j in range(axes):
+                total += weights[n, i] * factors[i, j] * weights[n, j]
+        if total > np.float32(0.05) * density[n]:
+            total = np.float32(0.0)
+            for i in range(axes):
+                for j in range(axes):
+                    for side in range(3):
+                        reached = _response(slots[n], vertex, neighbors, i, j, side - 1)
+                        total += weights[n, i] * reached * weights[n, j]
+        result[n] = total
+
+
+@jit
+def _response(slots, vertex, neighbors, start, stop, turn):
+    # Response of the blur at one vertex of a simplex to another one. The path takes one step along each axis between
+    # the two, plus ``turn`` steps along every axis, which cancel.
+    axes = neighbors.shape[0]
+    at = vertex[slots[start]]
+    low, high, sign = (start, stop, 1) if start < stop else (stop, start, -1)
+    factor = np.float32(1.0)
+    for axis in range(axes):
+        step = turn
+        for r in range(low, high):
+            if neighbors[axis, 0, vertex[slots[r]]] == vertex[slots[r + 1]]:
+                step += sign
+        if step > 1 or step < -1:
+            return np.float32(0.0)
+        if step != 0:
+            at = neighbors[axis, 0 if step > 0 else 1, at]
+            factor *= np.float32(0.5)
+            if at == neighbors.shape[2]:
+                return np.float32(0.0)
+    return factor
+
+
+@parallel_jit
+def gather_vertices(partial, order, first, values, width):
+    """Write to ``values`` the sum of the slots of every vertex; all are rows of ``width`` numbers."""
+    for v in prange(first.size - 1):
+        to = v * width
+        for k in range(0, width - LANES + 1, LANES):
+            value = load(partial, order[first[v]] * width + k)
+            for s in range(first[v] + 1, first[v + 1]):
+                value += load(partial, order[s] * width + k)
+            store(values, to + k, value)
+
+
+@parallel_jit
+def blur_axis(source, left, right, target, width):
+    """Write to ``target`` the vertices' rows of ``width`` numbers, blurred by [1/2 1 1/2] along one axis."""
+    half = splat(np.float32(0.5))
+    for v in prange(left.size):
+        at, low, high = v * width, left[v] * width, right[v] * width
+        for k in range(0, width - LANES + 1, LANES):
+            store(target, at + k, load(source, at + k) + half * (load(source, low + k) + load(source, high + k)))

@@ -58,9 +58,10 @@ def surface_at(coefficients, center, bounds, unit, s, y, x):
     u = (x - center[s, 1]) / unit
     v = (y - center[s, 0]) / unit
     value = (
-        coefficients[s, 0] + u * (coefficients[s, 1] + u * coefficients[s, 3])
+        coefficients[s, 0]
+        + u * (coefficients[s, 1] + u * coefficients[s, 3])
         + v * (coefficients[s, 2] + u * coefficients[s, 4] + v * coefficients[s, 5])
-    )  # fmt: skip
+    )
     return min(max(value, np.float64(bounds[s, 0])), np.float64(bounds[s, 1]))
 
 
@@ -104,27 +105,22 @@ def fit_polynomials(
         start = Surfaces(np.zeros((count, 6)), np.full((count, 2), np.nan), bounds, scale, float(max(labels.shape)))
     fitted = copy.deepcopy(start)
     known = RegionPixels.of(labels, (labels >= 0) & ~np.isnan(values), len(fitted.scale))
-    _fit(
-        known.order, known.starts, values, fitted.coefficients, fitted.center, fitted.bounds, fitted.scale, fitted.unit,
-        degree, huber, iterations, warm_iterations, floor, samples,
-    )  # fmt: skip
+    surfaces = (fitted.coefficients, fitted.center, fitted.bounds, fitted.scale, fitted.unit)
+    turns = (iterations, warm_iterations)
+    _fit(known.order, known.starts, values, *surfaces, degree, huber, *turns, floor, samples)
     return fitted
 
 
 @parallel_jit
-def _fit(
-    order, begins, values, coefficients, center, bounds, scale, unit, degree, huber, iterations, warm_iterations, floor,
-    samples,
-):  # fmt: skip
+def _fit(order, begins, values, beta, center, bounds, scale, unit, degree, huber, cold, warm, floor, samples):
     for s in prange(begins.size - 1):
         known = begins[s + 1] - begins[s]
         new = np.isnan(center[s, 0])
         if known >= (1 if new else _MIN_PLANE_PIXELS):
-            turns = iterations if new else warm_iterations
-            scale[s] = _fit_one(
-                order[begins[s] : begins[s + 1]], values, coefficients[s], center[s], bounds[s], unit, degree, huber,
-                turns, floor, samples,
-            )  # fmt: skip
+            turns = cold if new else warm
+            pixels = order[begins[s] : begins[s + 1]]
+            shape = beta[s], center[s], bounds[s]
+            scale[s] = _fit_one(pixels, values, *shape, unit, degree, huber, turns, floor, samples)
 
 
 @jit

@@ -4,13 +4,77 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
-from depthcli.algorithms.plane_fitting.samples import Samples
 from depthcli.kernels.jit import jit, parallel_jit, prange
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Values at M pixels of a map.
+
+    Attributes
+    ----------
+    rows, columns : (M,) int32
+    values : (M,) float32
+    """
+
+    rows: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    values: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, values: NDArray[np.float32]) -> Samples:
+        """Return the samples at all finite pixels of an (H, W) float32 map."""
+        rows, columns = (axis.astype(np.int32) for axis in np.nonzero(np.isfinite(values)))
+        return cls(rows, columns, values[rows, columns])
+
+    def chosen(self, keep: NDArray[np.bool_]) -> Samples:
+        """Return the samples where ``keep`` (M,) is true."""
+        return Samples(self.rows[keep], self.columns[keep], self.values[keep])
+
+    def distance(self, shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Return, for a map of ``shape`` (H, W), the distance of every pixel from the nearest sample, pixels."""
+        blank = np.ones(shape, np.uint8)
+        blank[self.rows, self.columns] = 0
+        return np.asarray(cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
+
+    def nearest(
+        self,
+        at: tuple[NDArray[np.int32], NDArray[np.int32]],
+        count: int,
+        shape: tuple[int, int],
+        skip_own: bool = False,
+    ) -> NDArray[np.int32]:
+        """Return the indices of the K samples nearest to each pixel, nearest first; ties in the order of the samples.
+
+        Parameters
+        ----------
+        at : (P,) int32 rows and columns of the pixels
+        count : number K of samples per pixel
+        shape : (H, W) of the map
+        skip_own : leave out a sample that lies on the pixel itself
+
+        Returns
+        -------
+        (P, K) int32; -1 in the last columns where there are fewer than K samples
+        """
+        height, width = shape
+        # Cells that hold about two samples each.
+        side = max(1, int(np.sqrt(2.0 * height * width / max(1, self.rows.size))))
+        across, down = -(-width // side), -(-height // side)
+        cell = (self.rows // side).astype(np.int64) * across + self.columns // side
+        order = np.argsort(cell, kind="stable").astype(np.int32)
+        first = np.searchsorted(cell[order], np.arange(across * down + 1))
+        nearest = np.full((at[0].size, count), -1, np.int32)
+        _nearest(
+            self.rows[order], self.columns[order], order, first, side, across, down, at[0], at[1], skip_own, nearest
+        )
+        return nearest
 
 
 @dataclass(frozen=True)
@@ -73,26 +137,27 @@ class SamplePlaneFit(BaseModel):
         values, sigma = (np.full(at[0].size, np.nan, np.float32) for _ in range(2))
         confidence, averaged = (np.zeros(at[0].size, np.float32) for _ in range(2))
         marks = np.zeros(samples.values.size, np.float32) if to_average is None else to_average
-        _fit(
-            nearest, samples.rows, samples.columns, samples.values, image, at[0], at[1], np.float32(max(noise, 1e-9)),
-            np.float32(1.0 / (2.0 * self.color_scale**2)), np.float32(self.slope / shape[1]), self.steps,
-            marks, values, sigma, confidence, averaged,
-        )  # fmt: skip
+        scales = (
+            np.float32(max(noise, 1e-9)),
+            np.float32(1.0 / (2.0 * self.color_scale**2)),
+            np.float32(self.slope / shape[1]),
+        )
+        given = (nearest, samples.rows, samples.columns, samples.values, image, *at, *scales, self.steps, marks)
+        _fit(*given, values, sigma, confidence, averaged)
         return SamplePlanes(values, sigma, confidence, averaged)
 
 
 @parallel_jit
 def _fit(
-    nearest, rows, columns, values, image, at_rows, at_columns, noise, color_rate, slope, steps, marks, result, sigma,
-    confidence, mark,
-):  # fmt: skip
-    for p in prange(at_rows.size):
+    nearest, rows, columns, values, image, at_y, at_x, noise, color_rate, slope, steps, marks, out, sigma, share, mark
+):
+    for p in prange(at_y.size):
         count = 0
         while count < nearest.shape[1] and nearest[p, count] >= 0:
             count += 1
         if count == 0:
             continue
-        y, x = at_rows[p], at_columns[p]
+        y, x = at_y[p], at_x[p]
         dx, dy = np.empty(count, np.float32), np.empty(count, np.float32)
         m = np.empty(count, np.float32)
         v, w = np.empty(count, np.float32), np.empty(count, np.float32)
@@ -112,7 +177,7 @@ def _fit(
             w[k] = np.exp(-np.float32(2.0) * far / reach - color * color_rate) + np.float32(1e-12)
             total += w[k]
         start, steep = _start(dx, dy, v, w, noise, slope)
-        result[p], sigma[p], confidence[p], mark[p] = _plane(dx, dy, v, w, m, total, noise, steep, start, steps)
+        out[p], sigma[p], share[p], mark[p] = _plane(dx, dy, v, w, m, total, noise, steep, start, steps)
 
 
 @jit
@@ -179,3 +244,51 @@ def _plane(dx, dy, v, w, m, total, noise, steep, start, steps):
             marked += w[k] * m[k]
     off = steep * away / inside
     return a, np.sqrt(noise * noise * variance + off * off), inside / total, marked / inside
+
+
+@parallel_jit
+def _nearest(rows, columns, order, first, side, across, down, at_rows, at_columns, skip_own, nearest):
+    count = nearest.shape[1]
+    for p in prange(at_rows.size):
+        y, x = at_rows[p], at_columns[p]
+        cy, cx = y // side, x // side
+        best = np.full(count, np.int64(1) << np.int64(62), np.int64)
+        have = 0
+        ring = 0
+        while ring <= max(across, down):
+            for v in range(max(0, cy - ring), min(down, cy + ring + 1)):
+                step = 1 if abs(v - cy) == ring else max(1, 2 * ring)
+                for u in range(cx - ring, cx + ring + 1, step):
+                    if u < 0 or u >= across:
+                        continue
+                    for s in range(first[v * across + u], first[v * across + u + 1]):
+                        dy, dx = np.int64(rows[s] - y), np.int64(columns[s] - x)
+                        far = dy * dy + dx * dx
+                        if skip_own and far == 0:
+                            continue
+                        # Distance and index in one number, so that ties have an order.
+                        have = _insert(best, have, (far << np.int64(31)) | np.int64(order[s]))
+            # Whatever lies in a further ring is at least this far away.
+            reach = np.int64(
+                ring * side
+                + min(min(y - cy * side, cy * side + side - 1 - y), min(x - cx * side, cx * side + side - 1 - x))
+                + 1
+            )
+            if have == count and (best[count - 1] >> np.int64(31)) < reach * reach:
+                break
+            ring += 1
+        for k in range(have):
+            nearest[p, k] = np.int32(best[k] & np.int64(0x7FFFFFFF))
+
+
+@jit
+def _insert(best, have, key):
+    count = best.size
+    if have == count and key >= best[count - 1]:
+        return have
+    at = min(have, count - 1)
+    while at > 0 and best[at - 1] > key:
+        best[at] = best[at - 1]
+        at -= 1
+    best[at] = key
+    return min(have + 1, count)

@@ -88,7 +88,7 @@ class SegmentPlaneFit(BaseModel):
     max_slope: float = Field(1.0, ge=0, le=16, description="steepest plane, pixels of disparity per pixel")
     flatness: float = Field(
         1.0, ge=0, le=1, description="a sloping plane is kept if its misfit is below this share of the flat plane's"
-    )  # fmt: skip
+    )
     seed: int = Field(
         0, ge=0, le=2**31 - 1, description="seed of the RANSAC samples, combined with the segment's number"
     )
@@ -110,21 +110,25 @@ class SegmentPlaneFit(BaseModel):
         return self._planes(values, members, chosen, 0, 0.0, 0.0)
 
     def _planes(
-        self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64],
-        trials: int, max_slope: float, flatness: float,
-    ) -> SegmentPlanes:  # fmt: skip
+        self,
+        values: NDArray[np.float32],
+        members: RegionPixels,
+        chosen: NDArray[np.int64],
+        trials: int,
+        max_slope: float,
+        flatness: float,
+    ) -> SegmentPlanes:
         planes = SegmentPlanes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
-        _fit(
-            values.ravel(), values.shape[1], members.order, members.starts, np.asarray(chosen, np.int64),
-            self.tolerance, trials, max_slope, flatness, self.seed, planes.coefficients, planes.support, planes.center,
-        )  # fmt: skip
+        segments = (members.order, members.starts, np.asarray(chosen, np.int64))
+        limits = (self.tolerance, trials, max_slope, flatness, self.seed)
+        _fit(values.ravel(), values.shape[1], *segments, *limits, planes.coefficients, planes.support, planes.center)
         return planes
 
 
 @parallel_jit
 def _fit(
-    values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center,
-):  # fmt: skip
+    values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center
+):
     for k in prange(chosen.size):
         first = starts[chosen[k]]
         count = starts[chosen[k] + 1] - first

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +46,7 @@ class Felzenszwalb(Segmenter):
 
 
 @parallel_jit
-def _edge_costs(image: Any, costs: Any) -> None:
+def _edge_costs(image, costs):
     # Steps of color from every pixel to those of _STEPS, in 1 / _PER_LEVEL grey levels, where these are in the image.
     height, width, channels = image.shape
     for y in prange(height):
@@ -64,7 +62,7 @@ def _edge_costs(image: Any, costs: Any) -> None:
 
 
 @jit
-def _joined(order: Any, costs: Any, width: int, n_pixels: int, scale: float, min_size: int) -> Any:
+def _joined(order, costs, width, n_pixels, scale, min_size):
     # Regions (N,) int32 of the pixels, by edges in the ``order`` of their costs.
     parent = np.arange(n_pixels).astype(np.int32)
     size = np.ones(n_pixels, np.int32)

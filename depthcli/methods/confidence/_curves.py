@@ -108,19 +108,19 @@ class CostCurves:
 
 
 @jit
-def _key(value: Any) -> Any:
+def _key(value):
     # An int32 that sorts as the float does: a minimum of integers vectorizes, one of floats does not.
     bits = float_bits(value)
     return np.int32(bits ^ np.int32((bits >> np.int32(31)) & np.int32(0x7FFFFFFF)))
 
 
 @jit
-def _value(key: Any) -> Any:
+def _value(key):
     return bits_float(np.int32(key ^ np.int32((key >> np.int32(31)) & np.int32(0x7FFFFFFF))))
 
 
 @parallel_jit
-def _moments(costs: Any, valid: Any, sums: Any) -> None:
+def _moments(costs, valid, sums):
     """Write the sum and the sum of squares of the valid cells of (R, C, K) costs; ``sums`` is (R, 2) float64."""
     for r in prange(costs.shape[0]):
         total = 0.0
@@ -140,7 +140,7 @@ def _moments(costs: Any, valid: Any, sums: Any) -> None:
 
 
 @parallel_jit
-def _measure_curves(costs: Any, valid: Any, rate: Any, planes: Any, winner: Any, second: Any) -> None:
+def _measure_curves(costs, valid, rate, planes, winner, second):
     """Write the statistics of all curves.
 
     Parameters

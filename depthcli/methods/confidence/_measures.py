@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +136,7 @@ MEASURES: dict[str, tuple[str, Callable[[CostCurves], Map]]] = {
 
 
 @parallel_jit
-def _fill_peak_ratio(costs: Any, valid: Any, winner: Any, second: Any, eps: Any, radius: int, out: Any) -> None:
+def _fill_peak_ratio(costs, valid, winner, second, eps, radius, out):
     height, width, _ = costs.shape
     for y in prange(height):
         for x in range(width):
@@ -156,7 +155,7 @@ def _fill_peak_ratio(costs: Any, valid: Any, winner: Any, second: Any, eps: Any,
 
 
 @parallel_jit
-def _fill_agreement(winner: Any, radius: int, out: Any) -> None:
+def _fill_agreement(winner, radius, out):
     # The share of the window around each pixel whose winner is within 1 of the pixel's own.
     height, width = winner.shape
     for y in prange(height):
@@ -178,7 +177,7 @@ def _fill_agreement(winner: Any, radius: int, out: Any) -> None:
 
 
 @parallel_jit
-def _fill_mutual_agreement(winner: Any, right: Any, radius: int, out: Any) -> None:
+def _fill_mutual_agreement(winner, right, radius, out):
     # The share of the window around the match, in the right view's map, that is within 1 of the pixel's disparity.
     height, width = winner.shape
     for y in prange(height):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -128,7 +126,7 @@ def add_weighted(total: NDArray[np.float32], volume: CostVolume, weights: NDArra
 
 
 @jit
-def _histogram(costs: Any, counts: Any) -> None:
+def _histogram(costs, counts):
     height, width, n_disparities = costs.shape
     for y in range(0, height, 4):
         for x in range(width):
@@ -137,7 +135,7 @@ def _histogram(costs: Any, counts: Any) -> None:
 
 
 @parallel_jit
-def _look_up(costs: Any, table: Any, out: Any) -> None:
+def _look_up(costs, table, out):
     height, width, n_disparities = costs.shape
     for y in prange(height):
         source = costs[y].reshape(width * n_disparities)
@@ -147,7 +145,7 @@ def _look_up(costs: Any, table: Any, out: Any) -> None:
 
 
 @parallel_jit
-def _squash(costs: Any, offset: Any, rate: Any, out: Any) -> None:
+def _squash(costs, offset, rate, out):
     height, width, n_disparities = costs.shape
     unit, one, half = np.float32(255.0), np.float32(1.0), np.float32(0.5)
     for y in prange(height):
@@ -158,7 +156,7 @@ def _squash(costs: Any, offset: Any, rate: Any, out: Any) -> None:
 
 
 @parallel_jit
-def _blend(volumes: Any, weights: Any, out: Any) -> None:
+def _blend(volumes, weights, out):
     height, width, n_disparities = out.shape
     for y in prange(height):
         total = np.empty(n_disparities, np.uint16)
@@ -184,7 +182,7 @@ def _blend(volumes: Any, weights: Any, out: Any) -> None:
 
 
 @parallel_jit
-def _add_weighted(costs: Any, weights: Any, total: Any) -> None:
+def _add_weighted(costs, weights, total):
     height, width, _ = costs.shape
     for y in prange(height):
         for x in range(width):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE, ColorSupport
+from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
 
 _ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
@@ -115,7 +115,7 @@ def _smoothed(maps: NDArray[np.float32], support: ColorSupport, fill: Any, *inpu
 
 
 @jit
-def cost_between(costs: Any, value: Any) -> Any:
+def cost_between(costs, value):
     """Return the cost of a pixel at a disparity between two whole ones."""
     d = min(int(value), costs.size - 1)
     cost = np.float32(costs[d])
@@ -125,7 +125,7 @@ def cost_between(costs: Any, value: Any) -> Any:
 
 
 @jit
-def nearest_matches(row: Any) -> Any:
+def nearest_matches(row):
     """Return the largest disparity of a row's pixels on every pixel of the right view, -1 where none is matched."""
     nearest = np.full(row.size, np.float32(-1))
     for x in range(row.size):
@@ -136,7 +136,7 @@ def nearest_matches(row: Any) -> Any:
 
 
 @parallel_jit
-def _along(maps: Any, first: int, costs: Any, unit: Any, truncation: Any, block: Any) -> None:
+def _along(maps, first, costs, unit, truncation, block):
     height, width, n_disparities = costs.shape
     for y in prange(height):
         for k in range(min(block.shape[2], maps.shape[0] - first)):
@@ -150,7 +150,7 @@ def _along(maps: Any, first: int, costs: Any, unit: Any, truncation: Any, block:
 
 
 @parallel_jit
-def _disagree(maps: Any, first: int, weights: Any, others: Any, block: Any) -> None:
+def _disagree(maps, first, weights, others, block):
     count, height, width = maps.shape
     zero, one, no_agreement = np.float32(0), np.float32(1), np.float32(1.5)
     for y in prange(height):
@@ -169,7 +169,7 @@ def _disagree(maps: Any, first: int, weights: Any, others: Any, block: Any) -> N
 
 
 @parallel_jit
-def _contradict(maps: Any, first: int, right: Any, hidden: Any, block: Any) -> None:
+def _contradict(maps, first, right, hidden, block):
     count, height, width = maps.shape
     one = np.float32(1)
     for y in prange(height):

@@ -14,7 +14,7 @@ from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import winners
-from depthcli.methods.fusion.support import ColorSupport, narrow_support, wide_support
+from depthcli.methods.fusion.votes import ColorSupport, narrow_support, wide_support
 from depthcli.methods.given_maps._shape import image_planes
 from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.cost.census import Census
@@ -32,9 +32,13 @@ from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 _COST = Census(window=(7, 7))
 _OPTIMIZATION = Scanline(p1=25, p2=120, paths=8, edge_threshold=15, edge_divisor=6)
 _REFINEMENT = (
-    LeftRightCheck(), SpeckleFilter(size=50), Subpixel(), SurfaceFill(rows=4, reach=20), BackgroundFill(),
+    LeftRightCheck(),
+    SpeckleFilter(size=50),
+    Subpixel(),
+    SurfaceFill(rows=4, reach=20),
+    BackgroundFill(),
     Median(window=5),
-)  # fmt: skip
+)
 
 BYTES_PER_CELL = 7
 """Of the costs: raw ones, two sums of paths, optimized ones."""
@@ -110,7 +114,7 @@ def peaks(volume: CostVolume, winner: NDArray[np.uint16]) -> tuple[NDArray[np.fl
 
 
 @parallel_jit
-def _peaks(costs: Any, winner: Any, unit: Any, best: Any, peak: Any) -> None:
+def _peaks(costs, winner, unit, best, peak):
     height, width, n_disparities = costs.shape
     soft = np.float32(2)
     for y in prange(height):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,17 +26,14 @@ def log_odds(
     first, second = planes
     out = np.empty(first.shape[1:], np.float32)
     (w1, _), (w2, b2), (w3, b3) = trained.layers
-    _evaluate(
-        first.reshape(-1), second.reshape(-1), trained.mean, trained.scale,
-        tiled(w1), offsets.astype(np.float32), tiled(w2), b2, w3.ravel(), b3, out.reshape(-1),
-    )  # fmt: skip
+    inputs = (first.reshape(-1), second.reshape(-1), trained.mean, trained.scale)
+    layers = (tiled(w1), offsets.astype(np.float32), tiled(w2), b2, w3.ravel(), b3)
+    _evaluate(*inputs, *layers, out.reshape(-1))
     return out
 
 
 @parallel_jit
-def _evaluate(
-    alone: Any, others: Any, mean: Any, scale: Any, w1: Any, b1: Any, w2: Any, b2: Any, w3: Any, b3: Any, out: Any
-) -> None:
+def _evaluate(alone, others, mean, scale, w1, b1, w2, b2, w3, b3, out):
     pixels = out.size
     n_alone, size = alone.size // pixels, mean.size
     groups = (pixels + LANES - 1) // LANES

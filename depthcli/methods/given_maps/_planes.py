@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,14 +10,15 @@ from depthcli.core import memory
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.fusion.choice._inputs import correlation
 from depthcli.methods.fusion.map_costs import cost_between, disagreements, nearest_matches
-from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE
+from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE
 from depthcli.methods.given_maps._evidence import Evidence
 from depthcli.methods.given_maps._shape import IMAGE, SHAPE, shape_planes
 
 AVERAGED = (
-    "cost", "far_cost", "contradiction", "hidden", "excess", "winner_difference", "other_winner", "right_difference",
-    "missing", "color_difference", "margin", "reference_difference", "other_reference", "reference_filled",
-)  # fmt: skip
+    *("cost", "far_cost", "contradiction", "hidden", "excess", "winner_difference", "other_winner"),
+    *("right_difference", "missing", "color_difference", "margin"),
+    *("reference_difference", "other_reference", "reference_filled"),
+)
 """Planes that are averaged over pixels of similar color, in a narrow and in a wide support.
 
 | plane | what it measures |
@@ -36,9 +35,9 @@ AVERAGED = (
 | ``reference_filled`` | whether that map was filled in |
 """
 SINGLE = (
-    "cost", "excess", "winner_difference", "right_difference", "match_column", "self_occlusion", "rank", "margin",
-    "missing", "reference_difference", "reference_filled",
-)  # fmt: skip
+    *("cost", "excess", "winner_difference", "right_difference", "match_column", "self_occlusion", "rank", "margin"),
+    *("missing", "reference_difference", "reference_filled"),
+)
 """Planes of the pixel itself; as above, with the sign where it has one, and:
 
 | plane | what it measures |
@@ -51,10 +50,10 @@ VIEWS = ("decorrelation", "color_difference")
 PIXEL = (*IMAGE[:4], "light_trust", "min_cost", "peak", IMAGE[4])
 ALONE = (*(f"{n}_narrow" for n in AVERAGED), *(f"{n}_wide" for n in AVERAGED), *SINGLE, *VIEWS, *SHAPE, *PIXEL)
 OTHERS = (
-    "disagreement_narrow", "disagreement_wide", "nearest_map", "middle_map", "farthest_map", "above_middle",
-    "cost_narrow_relative", "cost_wide_relative", "excess_narrow_relative", "decorrelation_relative",
-    "deviation_of_map_11_relative", "maps",
-)  # fmt: skip
+    *("disagreement_narrow", "disagreement_wide", "nearest_map", "middle_map", "farthest_map", "above_middle"),
+    *("cost_narrow_relative", "cost_wide_relative", "excess_narrow_relative", "decorrelation_relative"),
+    *("deviation_of_map_11_relative", "maps"),
+)
 """Planes of a map's relation to others: share of them that disagree, distances to the nearest, the middle and the
 farthest one, pixels above their middle, planes relative to the smallest among the maps, and log2 of their number."""
 INPUTS = (*ALONE, *OTHERS)
@@ -74,25 +73,11 @@ def alone_planes(values: NDArray[np.float32], missing: NDArray[np.bool_], eviden
     single = out[first : first + len(SINGLE)]
     warped = np.empty((height, width), np.float32)
     unit, optimized_unit = np.float32(1 / evidence.volume.scale), np.float32(1 / evidence.optimized.scale)
-    _compare(
-        values,
-        missing.view(np.uint8),
-        evidence.volume.costs,
-        evidence.optimized.costs,
-        unit,
-        optimized_unit,
-        evidence.left,
-        evidence.right,
-        *evidence.pair.color8,
-        evidence.grey[1],
-        shared["min_cost"],
-        evidence.reference.values,
-        evidence.reference.status,
-        block,
-        single,
-        warped,
-        plane["color_difference"],
-    )
+    costs = (evidence.volume.costs, evidence.optimized.costs, unit, optimized_unit, evidence.left, evidence.right)
+    views = (*evidence.pair.color8, evidence.grey[1], shared["min_cost"])
+    reference = (evidence.reference.values, evidence.reference.status)
+    out_planes = (block, single, warped, plane["color_difference"])
+    _compare(values, missing.view(np.uint8), *costs, *views, *reference, *out_planes)
     for k, (support, array) in enumerate(((evidence.narrow, block.copy()), (evidence.wide, block))):
         support.sum(array)
         _spread(array, support.inverse_sum, out[k * len(AVERAGED) : (k + 1) * len(AVERAGED)])
@@ -132,10 +117,9 @@ def other_planes(
 
 @parallel_jit
 def _compare(
-    values: Any, missing: Any, costs: Any, optimized: Any, unit: Any, optimized_unit: Any, left: Any, right: Any,
-    image: Any, other: Any, other_grey: Any, best: Any, reference: Any, status: Any, block: Any, single: Any,
-    warped: Any, color: Any,
-) -> None:  # fmt: skip
+    values, missing, costs, optimized, unit, optimized_unit, left, right, image, other, grey, best, reference, status,
+    block, single, warped, color,
+):  # fmt: skip
     height, width = values.shape
     n_disparities = costs.shape[2]
     last, half, one, zero = np.float32(width - 1), np.float32(0.5), np.float32(1), np.float32(0)
@@ -186,7 +170,7 @@ def _compare(
             low = int(at)
             high = min(low + 1, width - 1)
             rest = at - np.float32(low)
-            warped[y, x] = other_grey[y, low] + rest * (other_grey[y, high] - other_grey[y, low])
+            warped[y, x] = grey[y, low] + rest * (grey[y, high] - grey[y, low])
             largest = zero
             for c in range(3):
                 a, b = np.float32(other[y, low, c]), np.float32(other[y, high, c])
@@ -223,7 +207,7 @@ def _compare(
 
 
 @parallel_jit
-def _spread(block: Any, factor: Any, planes: Any) -> None:
+def _spread(block, factor, planes):
     """Write ``planes[k] = block[:, :, k] factor``."""
     count, height, width = planes.shape
     for y in prange(height):
@@ -234,7 +218,7 @@ def _spread(block: Any, factor: Any, planes: Any) -> None:
 
 
 @parallel_jit
-def _relate(maps: Any, nearest: Any, middle: Any, farthest: Any, above: Any) -> None:
+def _relate(maps, nearest, middle, farthest, above):
     # Distances of every map to the nearest, the middle and the farthest other one, and to the middle of all.
     count, height, width = maps.shape
     far = np.float32(8)
@@ -271,7 +255,7 @@ def hidden_by_map(values: NDArray[np.float32], margin: float = 1.0) -> NDArray[n
 
 
 @parallel_jit
-def _cover(values: Any, margin: Any, out: Any) -> None:
+def _cover(values, margin, out):
     height, width = values.shape
     for y in prange(height):
         nearest = nearest_matches(values[y])

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from depthcli.algorithms.filters import local_moments
 
 SHAPE = (
-    "deviation_of_map_5", "deviation_of_map_11", "deviation_of_map_21", "deviation_of_map_41", "above_mean_11",
-    "above_mean_25", "above_median_5", "above_median_21", "edge_distance", "step_right", "step_left", "step_around",
-    "relative",
-)  # fmt: skip
+    *(f"deviation_of_map_{side}" for side in (5, 11, 21, 41)),
+    *("above_mean_11", "above_mean_25", "above_median_5", "above_median_21", "edge_distance"),
+    *("step_right", "step_left", "step_around", "relative"),
+)
 """Planes of a map's shape: standard deviations of windows, differences from means and medians of windows, distance to
 the next step, steps to the largest disparity beside a pixel and to the smallest around, share of the range."""
 IMAGE = ("deviation_5", "deviation_13", "deviation_31", "gradient", "border_distance")

@@ -16,7 +16,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice.network import softmax, take_largest
-from depthcli.methods.fusion.support import BLOCK_DEPTH
+from depthcli.methods.fusion.votes import BLOCK_DEPTH
 from depthcli.methods.given_maps import MapJudgment, UsesNetworks, judged_maps, odds_of, with_reasons
 from depthcli.methods.given_maps._evidence import Evidence
 from depthcli.methods.given_maps._planes import hidden_by_map

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
+from depthcli.algorithms.trws import trws
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.shadow_limits import SLOPE_FADE
+from depthcli.methods.kinect.shadows import SLOPE_FADE
 
 # Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 LEVELS = ((1, 5), (4, 36), (12, 108))
@@ -18,6 +20,21 @@ _BIN = 5 / 3  # width of a bin of the histogram, multiples of the noise
 _SPACE_SCALES = 2.0 * 1.1 ** np.arange(32)  # scales of distance that weights are tabulated for, pixels
 _MIN_SHARE = 0.01  # smaller modes are no candidates
 _MIN_SIMILARITY = 0.002  # of colors, however different
+# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
+_MIN_LIKELIHOOD_RATIO = 0.3  # of a pixel's color on its own surface to that on surfaces behind it
+_MIN_OPENING_DISTANCE = 9  # pixels: nearer ones may lie in the same opening
+_OPENING_REACH = 36  # pixels
+_OPENING_GRID, _OPENING_SQUARE = 3, 5  # one pixel of a square of 3 x 3 is tested, for all of 5 x 5 around it
+_OPENING_SCALE = 20.0  # distance over which weights fall by 1/e, pixels
+# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
+AGREEMENT = 4.0
+"""A candidate agrees with the measurement if it differs by less than this, multiples of the noise."""
+_SHARE_FLOOR = 0.08  # added to every share of votes, so that small shares cost about the same
+_MAX_PROBABILITY = 0.97  # largest probability that a measurement is correct, and that it is wrong
+_EDGE_COLOR = 12.0  # contrast over which smoothness falls by 1/e, L1 in 8-bit Lab
+_MIN_WEIGHT = 0.02  # of smoothness, across the strongest color edge
+_MAX_EXTRA_COST = 4.0  # candidates that cost more than the cheapest by this are left out
+_NEIGHBORS = ((0, 1), (1, -1), (1, 0), (1, 1), (0, -1), (-1, 1), (-1, 0), (-1, -1))  # dy, dx: first those behind it
 
 
 @dataclass(frozen=True)
@@ -114,12 +131,17 @@ def cast_votes(
     reach = max(r for _, r in LEVELS)
     space = np.exp(-np.arange(reach + 1) / _SPACE_SCALES[:, None]).astype(np.float32)
     scale = np.searchsorted(_SPACE_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
-    _vote(
-        pixels, scale, lab, tuple(v.planes for v in voters), tuple(v.lab for v in voters),
-        tuple(v.weight for v in voters), prior.limit, prior.limit_factor, prior.background, prior.extra_share,
-        prior.continued, prior.continued_share,
-        color_similarity(sigma_color), space, np.float32(low), np.float32(unit), bins, values, shares,
-    )  # fmt: skip
+    voting_planes = tuple(v.planes for v in voters), tuple(v.lab for v in voters), tuple(v.weight for v in voters)
+    extra = (
+        prior.limit,
+        prior.limit_factor,
+        prior.background,
+        prior.extra_share,
+        prior.continued,
+        prior.continued_share,
+    )
+    tables = (color_similarity(sigma_color), space, np.float32(low), np.float32(unit), bins)
+    _vote(pixels, scale, lab, *voting_planes, *extra, *tables, values, shares)
     return values, shares
 
 
@@ -227,3 +249,197 @@ def _modes(votes, extent, total, values, shares):
             votes[k, 0] = np.float32(0)
             votes[k, 1] = np.float32(0)
         shares[i] = around / total
+
+
+def hidden_openings(
+    lab: NDArray[np.uint8],
+    planes: WindowPlanes,
+    voters: Voters,
+    trusted: NDArray[np.bool_],
+    jump: float,
+    sigma_color: float,
+) -> NDArray[np.bool_]:
+    """Select the measured pixels, (H, W) bool, whose color is that of a surface behind the measured one.
+
+    A pixel is selected if its color is much less likely on the surface that was measured there than on those farther
+    away within 36 pixels. Only the color shows an opening that near surfaces have grown over from both sides.
+
+    Parameters
+    ----------
+    lab : (H, W, 3) uint8
+    planes : of the measured disparity
+    voters : with a stride of 4
+    trusted : (H, W) bool, pixels to test
+    jump : surfaces that are farther by more lie behind, pixels
+    sigma_color : as in :func:`cast_votes`
+    """
+    space = np.exp(-np.arange(_OPENING_REACH + 1) / _OPENING_SCALE).astype(np.float32)
+    shape = trusted.shape
+    hidden = np.zeros((-(-shape[0] // _OPENING_GRID), -(-shape[1] // _OPENING_GRID)), np.uint8)
+    own = (planes.value, planes.slope_x, planes.slope_y, trusted)
+    others = (voters.planes, voters.lab, voters.weight, color_similarity(sigma_color), space)
+    _test_openings(lab, *own, *others, np.float32(jump), hidden)
+    spread = np.zeros(shape, np.uint8)
+    spread[::_OPENING_GRID, ::_OPENING_GRID] = hidden
+    opened: NDArray[np.bool_] = (
+        cv2.dilate(spread, np.ones((_OPENING_SQUARE, _OPENING_SQUARE), np.uint8)) > 0
+    ) & trusted
+    return opened
+
+
+@parallel_jit
+def _test_openings(lab, value, slope_x, slope_y, trusted, planes, colors, weight, similarity, space, jump, hidden):
+    for j in prange(hidden.shape[0]):
+        y = _OPENING_GRID * j
+        for i in range(hidden.shape[1]):
+            x = _OPENING_GRID * i
+            if not trusted[y, x]:
+                continue
+            own = value[y, x]
+            light, a, b = np.int32(lab[y, x, 0]), np.int32(lab[y, x, 1]), np.int32(lab[y, x, 2])
+            s_own, n_own = np.float32(0), np.float32(1e-9)
+            s_far, n_far = np.float32(0), np.float32(1e-9)
+            top, bottom = max((y - _OPENING_REACH + 3) // 4, 0), min((y + _OPENING_REACH) // 4 + 1, weight.shape[0])
+            left, right = max((x - _OPENING_REACH + 3) // 4, 0), min((x + _OPENING_REACH) // 4 + 1, weight.shape[1])
+            for v in range(top, bottom):
+                dy = 4 * v - y
+                row = space[abs(dy)]
+                for u in range(left, right):
+                    dx = 4 * u - x
+                    if weight[v, u] <= 0 or (abs(dx) <= _MIN_OPENING_DISTANCE and abs(dy) <= _MIN_OPENING_DISTANCE):
+                        continue
+                    d = planes[0, v, u]
+                    here = own + slope_x[y, x] * np.float32(dx) + slope_y[y, x] * np.float32(dy)
+                    z = row * space[abs(dx)]
+                    c = abs(np.int32(colors[0, v, u]) - light) + abs(np.int32(colors[1, v, u]) - a)
+                    c += abs(np.int32(colors[2, v, u]) - b)
+                    if d < min(own, here) - jump:
+                        s_far += z * similarity[c]
+                        n_far += z
+                    elif abs(d - own) < jump or abs(d - here) < jump:
+                        s_own += z * similarity[c]
+                        n_own += z
+            if (
+                n_far > np.float32(1e-6)
+                and n_own > np.float32(1e-6)
+                and s_own * n_far < _MIN_LIKELIHOOD_RATIO * s_far * n_own
+            ):
+                hidden[j, i] = 1
+
+
+def choose_candidates(
+    pixels: NDArray[np.int32],
+    values: NDArray[np.float32],
+    shares: NDArray[np.float32],
+    lab: NDArray[np.uint8],
+    disparity: NDArray[np.float32],
+    p_correct: NDArray[np.float32],
+    unreliable: NDArray[np.bool_],
+    planes: WindowPlanes,
+    noise: float,
+    smoothness: float,
+    truncation: float,
+    iterations: int,
+) -> NDArray[np.float32]:
+    """Choose a value for every unreliable pixel, (H, W) float32; NaN where it has no candidate, and elsewhere.
+
+    The cost of a candidate is ``-ln(share + 0.08)`` and, where something was measured, ``-ln`` of the probability
+    that it is correct (for candidates close to it) or wrong; differences of neighbors cost, less across color edges.
+    TRW-S minimizes the sum.
+
+    Parameters
+    ----------
+    pixels : (N, 2) int32, the unreliable pixels in raster order
+    values, shares : (N, K) of :func:`depthcli.methods.kinect.candidates.cast_votes`
+    lab : (H, W, 3) uint8
+    disparity : (H, W) float32 measured, pixels, NaN = unknown
+    p_correct : (H, W) float32, probability that a measured value is correct
+    unreliable : (H, W) bool
+    planes : known surfaces; at reliable pixels they are the fixed neighbors
+    noise : pixels
+    smoothness : weight of a difference, in units of the noise, between neighbors of one color
+    truncation : largest difference that counts, multiples of the noise
+    iterations : of the message passing
+    """
+    chosen = np.full(disparity.shape, np.nan, np.float32)
+    candidates = np.zeros((len(pixels), values.shape[1] + 1), np.float32)
+    unary = np.full(candidates.shape, np.inf, np.float32)
+    weights = np.zeros((len(pixels), 4), np.float32)
+    surfaces = (planes.value, planes.slope_x, planes.slope_y)
+    scales = (np.float32(noise), np.float32(smoothness), np.float32(truncation))
+    given = (pixels, values, shares, lab, disparity, p_correct, unreliable)
+    _costs(*given, *surfaces, *scales, candidates, unary, weights)
+    has_candidates = np.isfinite(unary[:, 0])
+    pixels = pixels[has_candidates]
+    if not len(pixels):
+        return chosen
+    active = np.zeros(disparity.shape, bool)
+    active[pixels[:, 0], pixels[:, 1]] = True
+    candidates, unary, weights = candidates[has_candidates], unary[has_candidates], weights[has_candidates]
+    labels, _ = trws(candidates, unary, active, weights, truncation * noise, iterations)
+    chosen[active] = candidates[np.arange(len(pixels)), labels]
+    return chosen
+
+
+@parallel_jit
+def _costs(
+    pixels, values, shares, lab, disparity, p_correct, unreliable, value, slope_x, slope_y, noise, smoothness,
+    truncation, candidates, unary, weights,
+):  # fmt: skip
+    height, width = disparity.shape
+    for n in prange(len(pixels)):
+        y, x = pixels[n]
+        measured = disparity[y, x]
+        known = not np.isnan(measured)
+        count = 0
+        agreed = False
+        for i in range(values.shape[1]):
+            if np.isnan(values[n, i]):
+                break
+            candidates[n, count] = values[n, i]
+            unary[n, count] = -np.log(shares[n, i] + np.float32(_SHARE_FLOOR))
+            agreed = agreed or (known and abs(values[n, i] - measured) < np.float32(AGREEMENT) * noise)
+            count += 1
+        if known and not agreed:
+            candidates[n, count] = measured
+            unary[n, count] = -np.log(np.float32(_SHARE_FLOOR))
+            count += 1
+        if known:
+            p = min(max(p_correct[y, x], np.float32(1 - _MAX_PROBABILITY)), np.float32(_MAX_PROBABILITY))
+            for i in range(count):
+                close = abs(candidates[n, i] - measured) < np.float32(AGREEMENT) * noise
+                unary[n, i] -= np.log(p) if close else np.log(np.float32(1) - p)
+        for k in range(8):
+            dy, dx = _NEIGHBORS[k]
+            v, u = y + dy, x + dx
+            if v < 0 or v >= height or u < 0 or u >= width:
+                continue
+            contrast = np.int32(0)
+            for i in range(3):
+                contrast += abs(np.int32(lab[y, x, i]) - np.int32(lab[v, u, i]))
+            diagonal = np.float32(0.7 if dy != 0 and dx != 0 else 1.0)
+            weight = smoothness * np.float32(np.exp(-contrast / _EDGE_COLOR)) * diagonal / noise
+            weight += np.float32(_MIN_WEIGHT)
+            if k < 4:
+                weights[n, k] = weight
+            if not unreliable[v, u] and not np.isnan(value[v, u]):
+                here = value[v, u] - slope_x[v, u] * np.float32(dx) - slope_y[v, u] * np.float32(dy)
+                for i in range(count):
+                    unary[n, i] += weight * min(abs(candidates[n, i] - here), truncation * noise)
+        _drop_expensive(unary[n], candidates[n], count)
+
+
+@jit
+def _drop_expensive(unary, candidates, count):
+    # Moves the cheap candidates to the front, in order; the cost of the others becomes infinite.
+    cheapest = np.float32(np.inf)
+    for i in range(count):
+        cheapest = min(cheapest, unary[i])
+    kept = 0
+    for i in range(count):
+        cost, candidate = unary[i], candidates[i]
+        unary[i] = np.inf
+        if cost <= cheapest + np.float32(_MAX_EXTRA_COST):
+            unary[kept] = cost
+            candidates[kept] = candidate
+            kept += 1

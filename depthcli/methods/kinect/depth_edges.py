@@ -1,7 +1,8 @@
-"""Distance of every pixel from the depth edges whose near side it lies on: where measurements are unreliable.
+"""Probability that a measurement beside a depth edge is correct, by the offset of true outlines in the frame.
 
-A structured-light sensor matches windows of its pattern, so that near surfaces grow over their outline by about
-half a window. A fit to the measured depth has to leave those pixels out.
+A sensor that matches windows shows near surfaces too wide, by an amount that depends on the sensor, and registration
+to the color camera shifts them. Averaged over all depth edges of a frame, the contrast of the color image peaks at
+the true outline: its profile across the edges is the distribution of their offsets.
 """
 
 from __future__ import annotations
@@ -11,10 +12,191 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows
 
+# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
+MIN_OFFSET, MAX_OFFSET = -6, 14
+"""Range of an outline's offset from a depth edge, pixels into the near side."""
+_MAX_SLOPE = 0.2  # steps over a gap that are smaller are slopes, pixels of disparity a pixel
+_PROFILE_REACH = 20  # pixels on both sides of an edge of the contrast profile
+_MAX_CONTRAST = 20.0  # larger contrast counts as this, L1 in 8-bit Lab
+_PEAK_END = 0.15  # the profile's peak ends where it falls below this share of its height
+_PRIOR_EDGES = 100.0  # weight of the prior distribution of offsets, edges of full contrast
+_MIN_PRIOR_SHARE = 0.1  # smallest share of the prior in the distribution of offsets
+_GAP_EDGE_PROBABILITY = 0.5  # that a gap without a step hides a surface behind its rims
+_WIDE_GAP_PROBABILITY = 0.6  # that an edge is at its place if its gap is wider than a shadow
+_MIXED_PIXEL_SHARE = 0.75  # of the pixels on an outline that belong to the near surface
+_MIN_RUN_PROBABILITY = 0.6  # largest probability in a run of pixels nearer than the pixels beside it is at least this
 NO_EDGE = 255
 """Distance of pixels without a depth edge within 254 pixels: the largest uint8."""
+
+
+def correct_probability(
+    lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float, shadows: Shadows
+) -> NDArray[np.float32]:
+    """Compute the probability that a measured value belongs to the surface that the color image shows there.
+
+    Parameters
+    ----------
+    lab : (H, W, 3) uint8, CIE Lab as OpenCV scales it
+    disparity : (H, W) float32, pixels, NaN = unknown
+    jump : a larger step between consecutive known pixels of a row or column is a depth edge, pixels
+    shadows : of :func:`depthcli.methods.kinect.shadows.measure_shadows`
+
+    Returns
+    -------
+    (H, W) float32 in [0, 1]; 1 far from all edges, and where nothing was measured
+    """
+    across = _along_rows(lab, disparity, jump, _GAP_EDGE_PROBABILITY, shadows)
+    upright = np.ascontiguousarray(lab.transpose(1, 0, 2)), np.ascontiguousarray(disparity.T)
+    # No sensor's shadows run along columns: a gap there says nothing of surfaces behind its rims.
+    result: NDArray[np.float32] = across * _along_rows(*upright, jump, 0.0, Shadows()).T
+    return result
+
+
+def _along_rows(
+    lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float, gap_probability: float, shadows: Shadows
+) -> NDArray[np.float32]:
+    offsets = outline_offsets(lab, disparity, jump)
+    # The pixel on the outline mixes both colors and has half of the contrast on its inner side: it still belongs to
+    # the near surface.
+    inside = np.cumsum(offsets, axis=1) + _MIXED_PIXEL_SHARE * np.column_stack([offsets[:, 1:], np.zeros(2)])
+    result = np.empty_like(disparity)
+    inside = inside.astype(np.float32)
+    # Probability that a measurement is wrong, by its distance from the edge: on the near side, on the far side.
+    near, far = np.float32(1) - inside[:, -MIN_OFFSET:], np.ascontiguousarray(inside[:, -MIN_OFFSET::-1])
+    widths = np.array([(side.scale, side.covered) for side in (shadows.left, shadows.right)], np.float32)
+    shadowed = np.array([side.confidence > 0 for side in (shadows.left, shadows.right)])
+    _probability(disparity, np.float32(jump), near, far, np.float32(gap_probability), widths, shadowed, result)
+    return result
+
+
+def outline_offsets(lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float) -> NDArray[np.float64]:
+    """Estimate the distribution of the outline's offset from the depth edges of the rows, (2, offsets) float64.
+
+    The first row is for edges whose near side lies on their right, the second for the others; both sum to 1. Element
+    i is the probability that the true near surface starts ``MIN_OFFSET + i`` pixels inside the measured one.
+
+    Parameters
+    ----------
+    lab, disparity, jump : as in :func:`correct_probability`
+    """
+    sums = np.zeros((len(disparity), 2, 2 * _PROFILE_REACH))
+    counts = np.zeros((len(disparity), 2), np.int64)
+    _contrast_profiles(lab, disparity, np.float32(jump), sums, counts)
+    offsets = np.arange(MIN_OFFSET, MAX_OFFSET + 1)
+    prior = np.exp(-np.abs(offsets - 2.5) / 2.5)
+    prior /= prior.sum()
+    distributions = []
+    for total, count in zip(sums.sum(axis=0), counts.sum(axis=0), strict=True):
+        excess = np.zeros(offsets.size)
+        if count:
+            profile = total / count
+            ground = max(np.median(profile[:10]), np.median(profile[-6:]))
+            excess = np.maximum(profile[MIN_OFFSET + _PROFILE_REACH : MAX_OFFSET + _PROFILE_REACH + 1] - ground, 0)
+        top = int(excess.argmax())
+        outside = np.flatnonzero(excess <= _PEAK_END * excess[top])
+        excess[: outside[outside < top].max(initial=-1) + 1] = 0
+        excess[outside[outside > top].min(initial=excess.size) :] = 0
+        n_edges = excess.sum() / _MAX_CONTRAST * count  # of full contrast
+        share = (1 - _MIN_PRIOR_SHARE) * n_edges / (n_edges + _PRIOR_EDGES)
+        distributions.append(share * excess / max(excess.sum(), 1e-9) + (1 - share) * prior)
+    return np.array(distributions)
+
+
+@jit
+def _is_edge(d, last, x, jump):
+    return abs(d[x] - d[last]) > max(jump, np.float32(_MAX_SLOPE) * np.float32(abs(x - last)))
+
+
+@parallel_jit
+def _contrast_profiles(lab, disparity, jump, sums, counts):
+    height, width = disparity.shape
+    for y in prange(height):
+        d = disparity[y]
+        last = -1
+        for x in range(width):
+            if np.isnan(d[x]):
+                continue
+            if last >= _PROFILE_REACH and _PROFILE_REACH <= x < width - _PROFILE_REACH and _is_edge(d, last, x, jump):
+                side = 0 if d[x] > d[last] else 1
+                for k in range(-_PROFILE_REACH, _PROFILE_REACH):
+                    u = x + k if side == 0 else last - k + 1
+                    contrast = 0.0
+                    for i in range(3):
+                        contrast += abs(np.float64(lab[y, u, i]) - np.float64(lab[y, u - 1, i]))
+                    sums[y, side, k + _PROFILE_REACH] += min(contrast, _MAX_CONTRAST)
+                counts[y, side] += 1
+            last = x
+
+
+@parallel_jit
+def _probability(disparity, jump, near, far, gap_probability, widths, shadowed, out):
+    height, width = disparity.shape
+    for y in prange(height):
+        d, q = disparity[y], out[y]
+        q[:] = np.float32(1)
+        last = -1
+        for x in range(width):
+            if np.isnan(d[x]):
+                continue
+            gap = x - last - 1
+            if last >= 0 and _is_edge(d, last, x, jump):
+                step = d[x] - d[last]
+                side = 0 if step > 0 else 1
+                shadow = (np.float32(gap) + widths[side, 1]) / widths[side, 0]
+                fits = gap <= 2 or (shadowed[side] and shadow <= abs(step) + np.float32(WIDTH_TOLERANCE))
+                probability = np.float32(1 if fits else _WIDE_GAP_PROBABILITY)
+                if step > 0:
+                    _lower(d, q, x, 1, 0, jump, near[0], probability)
+                    _lower(d, q, last, -1, gap + 1, jump, far[0], probability)
+                else:
+                    _lower(d, q, last, -1, 0, jump, near[1], probability)
+                    _lower(d, q, x, 1, gap + 1, jump, far[1], probability)
+            elif gap > 1:
+                _lower(d, q, x, 1, 0, jump, near[0], gap_probability)
+                if last >= 0:
+                    _lower(d, q, last, -1, 0, jump, near[1], gap_probability)
+            last = x
+        _raise_thin_runs(d, q, jump)
+
+
+@jit
+def _lower(d, q, x, step, k, jump, wrong, probability):
+    # Lowers the probabilities q from x on, at distance k from the edge, to the end of the surface or of ``wrong``: the
+    # probability, by distance, that a measurement is wrong.
+    last = x
+    while k < wrong.size and 0 <= x < d.size:
+        if not np.isnan(d[x]):
+            if x != last and _is_edge(d, last, x, jump):
+                break
+            last = x
+            q[x] *= np.float32(1) - probability * wrong[k]
+        x += step
+        k += 1
+
+
+@jit
+def _raise_thin_runs(d, q, jump):
+    # A run nearer than a neighboring one shows an object, however thin: somewhere in it the value is right.
+    start, last = -1, -1
+    raised = False
+    for x in range(d.size):
+        if np.isnan(d[x]):
+            continue
+        if last >= 0 and _is_edge(d, last, x, jump):
+            if start >= 0 and (raised or d[x] < d[last]):
+                best = np.float32(0)
+                for u in range(start, last + 1):
+                    if not np.isnan(d[u]):
+                        best = max(best, q[u])
+                if np.float32(0) < best < np.float32(_MIN_RUN_PROBABILITY):
+                    for u in range(start, last + 1):
+                        q[u] *= np.float32(_MIN_RUN_PROBABILITY) / best
+            start = x
+            raised = d[x] > d[last]
+        last = x
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.shadow_limits import SLOPE_FADE
+from depthcli.methods.kinect.shadows import SLOPE_FADE
 
 UNRELIABLE_COST = 15.0
 """Of paths that start at unreliable pixels, pixels of length."""
@@ -19,9 +19,26 @@ _BORDER_COST = 5.0  # of crossing the border of a segment
 _SHADOW_COST = 1000.0  # of a surface that a shadow rules out: it is taken only without another
 _SWEEPS = 4
 _MEDIAN_OF_NINE = (  # exchanges after which the fifth of nine numbers is their median (Paeth, Graphics Gems, 1990)
-    (1, 2), (4, 5), (7, 8), (0, 1), (3, 4), (6, 7), (1, 2), (4, 5), (7, 8), (0, 3),
-    (5, 8), (4, 7), (3, 6), (1, 4), (2, 5), (4, 7), (4, 2), (6, 4), (4, 2),
-)  # fmt: skip
+    (1, 2),
+    (4, 5),
+    (7, 8),
+    (0, 1),
+    (3, 4),
+    (6, 7),
+    (1, 2),
+    (4, 5),
+    (7, 8),
+    (0, 3),
+    (5, 8),
+    (4, 7),
+    (3, 6),
+    (1, 4),
+    (2, 5),
+    (4, 7),
+    (4, 2),
+    (6, 4),
+    (4, 2),
+)
 _SMOOTHING_STRIDES = (12, 8, 6, 4, 3, 2, 1)  # pixels; the first ones reach across the widest gaps that are common
 _BLOCK = 256  # pixels whose medians are found at once
 _MAX_CONTRAST = 35  # of pixels that smooth each other, L1 in 8-bit Lab

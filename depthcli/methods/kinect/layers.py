@@ -7,20 +7,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
+from depthcli.algorithms.filters import joint_bilateral_fill
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.correct_probability import correct_probability
+from depthcli.methods.kinect.depth_edges import correct_probability
 from depthcli.methods.kinect.disparity import deviation_of_depth, measured_disparity, noise_level
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 from depthcli.methods.kinect.model import SurfaceModel
 from depthcli.methods.kinect.segment_surfaces import add_detail, join_segments
-from depthcli.methods.kinect.shadow_limits import max_disparity_in_gaps
-from depthcli.methods.kinect.shadows import Shadows, Side, shadows_of
+from depthcli.methods.kinect.shadows import Shadows, Side, max_disparity_in_gaps, shadows_of
 
 _CORE_PROBABILITY = 0.6  # of an unreliable pixel that is more probably correct than its neighbors: of thin objects
 _MIN_CORE_PIXELS = 5  # of a segment, for a surface to be fitted to them; value of the shipped presets, not varied
@@ -221,10 +220,8 @@ def combine(
     result = RefinedDisparity(
         np.empty(shape[1:], np.float32), np.empty(shape[1:], np.float32), np.empty(shape[1:], np.uint8)
     )
-    _decide(
-        values, scales, own, measurement.disparity, measurement.reliable, np.float32(tolerance),
-        np.float32(measurement.noise), smooth, result.disparity, result.scale, result.status,
-    )  # fmt: skip
+    given = (measurement.disparity, measurement.reliable, np.float32(tolerance), np.float32(measurement.noise), smooth)
+    _decide(values, scales, own, *given, result.disparity, result.scale, result.status)
     return result
 
 

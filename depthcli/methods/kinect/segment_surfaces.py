@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.adjacency import region_adjacency
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces, surface_at
+from depthcli.algorithms.regions import region_adjacency
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 SHADOW_PENALTY = 1000.0
@@ -49,10 +49,8 @@ def join_segments(
         return owners
     mean, segment_center, limits = _statistics(labels, color, limit, count)
     starts, neighbors, boundary = region_adjacency(labels, count)
-    _join(
-        owners, mean, segment_center, limits, starts, neighbors, boundary,
-        surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit,
-    )  # fmt: skip
+    shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
+    _join(owners, mean, segment_center, limits, starts, neighbors, boundary, *shapes)
     return owners
 
 

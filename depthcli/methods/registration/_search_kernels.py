@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from depthcli.kernels.cost_curve import attainable_likelihood, likelihood, peak_ratio
@@ -11,13 +9,13 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Order of the planes written by `search_tiles`.
 PLANES = (
-    "eshift", "square", "shift_z", "shift_y", "shift_x", "mlm0", "aml0", "shift", "rank0", "cur0", "cost0", "msm",
-    "border", "mlm", "aml", "pkr",
-)  # fmt: skip
+    *("eshift", "square", "shift_z", "shift_y", "shift_x", "mlm0", "aml0", "shift", "rank0", "cur0", "cost0", "msm"),
+    *("border", "mlm", "aml", "pkr"),
+)
 
 
 @jit
-def _differences(fixed: Any, warped: Any, small_values: bool, row: Any) -> None:
+def _differences(fixed, warped, small_values, row):
     # Sum over the channels of |fixed - warped|, (C, n) each, into n uint16.
     channels = fixed.shape[0]
     n = row.size
@@ -41,13 +39,13 @@ def _differences(fixed: Any, warped: Any, small_values: bool, row: Any) -> None:
 
 
 @jit
-def _add(row: Any, out: Any) -> None:
+def _add(row, out):
     for i in range(out.size):
         out[i] += row[i]
 
 
 @jit
-def _window_rows(differences: Any, last: int, total: Any) -> None:
+def _window_rows(differences, last, total):
     # Add the last + 1 values from each place on, to as many sums.
     n = total.size
     _add(differences, total)
@@ -63,9 +61,8 @@ def _window_rows(differences: Any, last: int, total: Any) -> None:
 
 @jit
 def _tile_costs(
-    fixed: Any, warped: Any, offsets: Any, half: Any, reach: Any, stride: Any, size: Any, shift: Any,
-    small_values: bool, costs: Any, row: Any, sums: Any, running: Any, layers: Any, volumes: Any,
-) -> None:  # fmt: skip
+    fixed, warped, offsets, half, reach, stride, size, shift, small_values, costs, row, sums, running, layers, volumes
+):
     """Window sums of |fixed - warped| for every displacement, ``shift`` bits coarser, (tz, ty, K, width) uint16.
 
     ``fixed`` and ``warped``: (Z, sx, C, Y * pitch) of this tile: rows of one pitch one after another, so that a slice
@@ -92,7 +89,7 @@ def _tile_costs(
                 last = (2 * hx - phase) // sx
                 _differences(
                     fixed[z, phase], warped[z + oz, (phase + ox) % sx, :, start:], small_values, row[: flat + last]
-                )  # fmt: skip
+                )
                 _window_rows(row, last, total)
             running[:] = 0
             for y in range(2 * hy + 1 - sy):
@@ -121,7 +118,7 @@ def _tile_costs(
 
 
 @jit
-def _take(volume: Any, first: Any, stride: Any, count: Any, pitch: int, out: Any) -> None:
+def _take(volume, first, stride, count, pitch, out):
     # Part of a volume (C, Z, Y, sx, X) as (Z, sx, C, Y * pitch).
     for z in range(count[0]):
         for p in range(stride[2]):
@@ -134,13 +131,13 @@ def _take(volume: Any, first: Any, stride: Any, count: Any, pitch: int, out: Any
 
 
 @jit
-def _add_scaled(row: Any, factor: Any, out: Any) -> None:
+def _add_scaled(row, factor, out):
     for i in range(out.size):
         out[i] += row[i] * factor
 
 
 @jit
-def _spread(costs: Any, rows: Any) -> None:
+def _spread(costs, rows):
     # Smallest cost, mean cost, 1 / deviation and number of cheaper displacements of (K, n) curves: into
     # rows[0, 1, 3, 7]; the costs of displacement zero: into rows[10].
     count, n = costs.shape[0], rows.shape[1]
@@ -172,7 +169,7 @@ def _spread(costs: Any, rows: Any) -> None:
 
 
 @jit
-def _raise(values: Any, power: Any, out: Any) -> None:
+def _raise(values, power, out):
     # out = values ** power, by squares and products instead of as many products as the power
     out[:] = values
     bit = 1
@@ -189,7 +186,7 @@ def _raise(values: Any, power: Any, out: Any) -> None:
 
 
 @jit
-def _likelihoods(costs: Any, offsets: Any, lengths: Any, power: Any, costly: bool, rows: Any, out: Any) -> None:
+def _likelihoods(costs, offsets, lengths, power, costly, rows, out):
     # Sums of likelihoods into rows[4, 5, 6], of lengths and displacements weighted by their powers into out[:5].
     n = rows.shape[1]
     lowest, rate, weight, soft, hard, t, e = rows[0], rows[3], rows[4], rows[5], rows[6], rows[8], rows[9]
@@ -221,10 +218,7 @@ def _likelihoods(costs: Any, offsets: Any, lengths: Any, power: Any, costly: boo
 
 
 @jit
-def _measure_row(
-    costs: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, power: Any, scale: Any, costly: bool, rows: Any,
-    out: Any,
-) -> None:  # fmt: skip
+def _measure_row(costs, offsets, lengths, edge, neighbors, power, scale, costly, rows, out):
     """Measures of one row of curves, (K, n) uint16 costs with displacement zero first, into (planes, n) ``out``.
 
     Leaves the mean cost in ``rows[1]`` and the index of the smallest one in ``rows[8]``.
@@ -262,7 +256,7 @@ def _measure_row(
 
 
 @jit
-def _peak_row(costs: Any, before: Any, after: Any, best: Any, mean: Any, rows: Any, out: Any) -> None:
+def _peak_row(costs, before, after, best, mean, rows, out):
     """Peak ratio of one row of curves: second smallest local minimum over smallest cost.
 
     As in stereo a local minimum is below the neighbors that come earlier and not above the later ones, and without a
@@ -300,10 +294,9 @@ def _peak_row(costs: Any, before: Any, after: Any, best: Any, mean: Any, rows: A
 
 @parallel_jit
 def search_tiles(
-    fixed: Any, warped: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, before: Any, after: Any, half: Any,
-    reach: Any, stride: Any, tiles: Any, tile: Any, shift: Any, scale: Any, power: Any, small_values: bool,
-    costly: bool, sums: Any, scratch: Any, out: Any,
-) -> None:  # fmt: skip
+    fixed, warped, offsets, lengths, edge, neighbors, before, after, half, reach, stride, tiles, tile, shift, scale,
+    power, small_values, costly, sums, scratch, out,
+):  # fmt: skip
     """Search every tile and write its measures, at every ``stride``-th voxel.
 
     Parameters
@@ -352,8 +345,8 @@ def search_tiles(
             size[2] = pitch
             costs = scratch[w]
             _tile_costs(
-                near, far, offsets, half, reach, stride, size, shift, small_values, costs, row, total, running, layers,
-                volumes,
+                near, far, offsets, half, reach, stride, size, shift, small_values, costs, row, total, running,
+                layers, volumes,
             )  # fmt: skip
             for z in range(size[0]):
                 for y in range(size[1]):

@@ -132,11 +132,11 @@ def search(
     width = -(-int(size[2]) // _LANES) * _LANES
     scratch = memory.empty((workers, int(size[0]), int(size[1]), len(offsets), width), np.uint16)
     out = np.empty((len(PLANES), *measured), np.float32)
-    search_tiles(
-        _phases(fixed, half, steps), _phases(warped, half + reach, steps), offsets, lengths, edge, neighbors, before,
-        after, half, reach, steps, tiles, size, np.uint32(shift), np.float32((1 << shift) / largest), sharpness,
-        top == MAX_SMALL_VALUE, costly, layer, scratch, out,
-    )  # fmt: skip
+    volumes = _phases(fixed, half, steps), _phases(warped, half + reach, steps)
+    curve = (offsets, lengths, edge, neighbors, before, after)
+    scale = (np.uint32(shift), np.float32((1 << shift) / largest), sharpness)
+    places = (half, reach, steps, tiles, size)
+    search_tiles(*volumes, *curve, *places, *scale, top == MAX_SMALL_VALUE, costly, layer, scratch, out)
     planes = dict(zip(PLANES, out, strict=True))
     displacement = out[2:5] * np.float32(spacing)
     planes["vshift"] = np.sqrt((displacement**2).sum(axis=0))

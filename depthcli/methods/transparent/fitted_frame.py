@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
-from depthcli.algorithms.plane_fitting.samples import Samples
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, DepthResult

@@ -11,8 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
-from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes
-from depthcli.algorithms.plane_fitting.samples import Samples
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
 
 # The first three are those of the figures of scripts/transparent_experiments.py, which varies none of them.
 _MAX_SAMPLE_EVIDENCE = 4.0  # of one sample for a region, standard deviations
@@ -67,9 +66,12 @@ class UnreliableRegions(BaseModel):
     """
 
     renamed: ClassVar[dict[str, str]] = {
-        "doubt": "score_threshold", "outline_least": "min_outline_share", "region_evidence": "min_region_evidence",
-        "least_area": "min_area", "sample_evidence": "min_sample_evidence",
-    }  # fmt: skip
+        "doubt": "score_threshold",
+        "outline_least": "min_outline_share",
+        "region_evidence": "min_region_evidence",
+        "least_area": "min_area",
+        "sample_evidence": "min_sample_evidence",
+    }
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

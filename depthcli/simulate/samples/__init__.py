@@ -91,8 +91,11 @@ def scenes_from(
         problem = scene.problem
         if needs_truth and not problem and not scene.has_truth:
             problem = f"{scene.folder}: {needs_truth} to start from"
-        scenes.append(SampleScene(name=scene.name, folder=scene.folder, problem=problem, origin=scene, files=files,
-                                 settings=settings))  # fmt: skip
+        scenes.append(
+            SampleScene(
+                name=scene.name, folder=scene.folder, problem=problem, origin=scene, files=files, settings=settings
+            )
+        )
     return scenes
 
 

@@ -82,9 +82,16 @@ class TransparentSample(Sample):
         return self._write(values, seed, folder, scene.color, sensor, depth, {"transparent": scene.mask}, meta)
 
     def _write(
-        self, values: Mapping[str, Any], seed: int, folder: Path, color: NDArray[np.uint8], sensor: NDArray[np.float32],
-        truth: NDArray[np.float32], masks: Mapping[str, NDArray[np.bool_]], meta: dict[str, Any],
-    ) -> dict[str, Any]:  # fmt: skip
+        self,
+        values: Mapping[str, Any],
+        seed: int,
+        folder: Path,
+        color: NDArray[np.uint8],
+        sensor: NDArray[np.float32],
+        truth: NDArray[np.float32],
+        masks: Mapping[str, NDArray[np.bool_]],
+        meta: dict[str, Any],
+    ) -> dict[str, Any]:
         from depthcli.simulate.arrays.transparent_scenes import sparse_samples
 
         sparse = sparse_samples(

@@ -21,7 +21,7 @@ from depthcli.methods.fusion.choice._inputs import PIXEL_PLANES, PROPOSAL_PLANES
 from depthcli.methods.fusion.choice.network import NetworkChoice, log_odds_of
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.map_costs import matching_costs
-from depthcli.methods.fusion.support import ColorSupport
+from depthcli.methods.fusion.votes import ColorSupport
 from depthcli.run.presets import find_config
 from depthcli.simulate.arrays.stereo_scenes import make_scene
 from depthcli.testing.choices import CHOICE_CHECKS, KINDS, random_proposals

@@ -11,8 +11,7 @@ from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.fusion.blend import add_weighted, blend, measure_weights, normalize_confidences, normalize_costs
-from depthcli.methods.fusion.support import ColorSupport, WindowSupport
-from depthcli.methods.fusion.votes import Ballot
+from depthcli.methods.fusion.votes import Ballot, ColorSupport, WindowSupport
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.volume import CostVolume
 from tests.methods.stereo._pairs import assert_pure

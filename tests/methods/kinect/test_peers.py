@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
+from depthcli.algorithms.filters import joint_bilateral_fill
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
@@ -18,8 +18,7 @@ from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
-from depthcli.methods.kinect.shadow_limits import shadow_background
-from depthcli.methods.kinect.shadows import Shadow, Shadows
+from depthcli.methods.kinect.shadows import Shadow, Shadows, shadow_background
 from depthcli.simulate.arrays.depth_sensor import simulate_kinect
 from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence
 

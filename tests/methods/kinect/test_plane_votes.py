@@ -10,14 +10,12 @@ import pytest
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.methods.kinect.candidates import LEVELS, ExtraVotes, Voters, cast_votes
-from depthcli.methods.kinect.correct_probability import MIN_OFFSET, correct_probability, outline_offsets
-from depthcli.methods.kinect.hidden_openings import hidden_openings
+from depthcli.methods.kinect.candidates import LEVELS, ExtraVotes, Voters, cast_votes, hidden_openings
+from depthcli.methods.kinect.depth_edges import MIN_OFFSET, correct_probability, outline_offsets
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
 from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
-from depthcli.methods.kinect.shadow_limits import shadow_background, shadow_limits
-from depthcli.methods.kinect.shadows import Shadow, Shadows, measure_shadows
+from depthcli.methods.kinect.shadows import Shadow, Shadows, measure_shadows, shadow_background, shadow_limits
 from depthcli.simulate.arrays.depth_sensor import simulate_kinect
 from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene
 from tests.naive import kinect_votes as naive

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.methods.registration.millimeters import isotonic, monotone, structured_voxels
+from depthcli.methods.registration.pipeline.search import isotonic, monotone, structured_voxels
 
 
 def test_isotonic_regression_pools_falling_values():

@@ -16,8 +16,14 @@ from depthcli.core.result import Clock
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
-from depthcli.methods.transparent.cross_modal import CrossModal, MatchSelection
-from depthcli.methods.transparent.modality import GREY, learned_weights, mix_channels, solve_nnls
+from depthcli.methods.transparent.cross_modal import (
+    GREY,
+    CrossModal,
+    MatchSelection,
+    learned_weights,
+    mix_channels,
+    solve_nnls,
+)
 from depthcli.simulate.arrays.transparent_scenes import glass_of_pair, make_transparent_scene
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.scenes import DATA

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.methods.transparent.modality import cost_at, faded_costs, local_deviation, mean_cost
+from depthcli.methods.transparent.cross_modal import cost_at, faded_costs, local_deviation, mean_cost
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import transparent as naive
 

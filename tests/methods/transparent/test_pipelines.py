@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes
-from depthcli.algorithms.plane_fitting.samples import Samples
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import SparseFrame
 from depthcli.io.scenes.rgbd import RgbdScene

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.samples import Samples
-from depthcli.methods.transparent.smoothing import Smoothing
+from depthcli.algorithms.plane_fitting.sample_planes import Samples
+from depthcli.methods.transparent.pipeline.robust import Smoothing
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import transparent as naive
 

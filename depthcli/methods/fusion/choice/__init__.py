@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
 from depthcli.core.networks import TrainedNetwork
-from depthcli.methods.fusion.support import ColorSupport, narrow_support, wide_support
+from depthcli.methods.fusion.votes import ColorSupport, narrow_support, wide_support
 from depthcli.methods.stereo.volume import CostVolume
 
 

@@ -26,11 +26,11 @@ from depthcli.methods.fusion.map_costs import (
 )
 
 PROPOSAL_PLANES = (
-    "cost_wide", "cost_narrow", "disagreement_narrow", "disagreement_wide", "decorrelation", "color_difference",
-    "color_difference_5", "contradiction_narrow", "contradiction_wide", "hidden_narrow", "excess_cost",
-    "right_view_difference", "match_column", "self_occlusion", "roughness", "roughness_9", "slope_x", "slope_y",
-    "above_mean_11", "above_mean_25", "filled",
-)  # fmt: skip
+    *("cost_wide", "cost_narrow", "disagreement_narrow", "disagreement_wide", "decorrelation", "color_difference"),
+    *("color_difference_5", "contradiction_narrow", "contradiction_wide", "hidden_narrow", "excess_cost"),
+    *("right_view_difference", "match_column", "self_occlusion", "roughness", "roughness_9", "slope_x", "slope_y"),
+    *("above_mean_11", "above_mean_25", "filled"),
+)
 """Planes of every proposal, one value per pixel, in their order. ``wide`` and ``narrow`` are means over that support;
 numbers are the sides of windows in pixels.
 
@@ -57,13 +57,25 @@ PIXEL_PLANES = ("min_cost", "deviation_5", "deviation_13", "gradient", "filled_s
 the left image (grey levels), share of the proposals that are filled, and how far its light is trusted (0 .. 1)."""
 # Names of inputs in networks that version 0.1.0 wrote, and their present names.
 _FORMER_NAMES = {
-    "cost_far": "cost_wide", "cost_near": "cost_narrow", "dissent_near": "disagreement_narrow",
-    "dissent_far": "disagreement_wide", "color": "color_difference", "color_near": "color_difference_5",
-    "contradicted": "contradiction_narrow", "contradicted_far": "contradiction_wide", "hidden": "hidden_narrow",
-    "raw": "excess_cost", "right_difference": "right_view_difference", "from_left": "match_column",
-    "overtaken": "self_occlusion", "rough": "roughness", "rough_near": "roughness_9", "above_5": "above_mean_11",
-    "above_12": "above_mean_25", "least_raw": "min_cost",
-}  # fmt: skip
+    "cost_far": "cost_wide",
+    "cost_near": "cost_narrow",
+    "dissent_near": "disagreement_narrow",
+    "dissent_far": "disagreement_wide",
+    "color": "color_difference",
+    "color_near": "color_difference_5",
+    "contradicted": "contradiction_narrow",
+    "contradicted_far": "contradiction_wide",
+    "hidden": "hidden_narrow",
+    "raw": "excess_cost",
+    "right_difference": "right_view_difference",
+    "from_left": "match_column",
+    "overtaken": "self_occlusion",
+    "rough": "roughness",
+    "rough_near": "roughness_9",
+    "above_5": "above_mean_11",
+    "above_12": "above_mean_25",
+    "least_raw": "min_cost",
+}
 
 # Networks are trained with these; another value wants another training.
 _MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
@@ -136,11 +148,10 @@ class NetworkInputs:
         warped = np.empty((height, width), np.float32)
         moments = local_moments(grey[0], _WINDOW)
         for k, values in enumerate(maps):
-            _compare_views(
-                values, volume.costs, unit, proposals.right, image, pair.color8[1], grey[1], common["min_cost"],
-                plane["excess_cost"][k], plane["right_view_difference"][k], plane["match_column"][k],
-                plane["self_occlusion"][k], plane["color_difference"][k], warped,
-            )  # fmt: skip
+            own_planes = ("excess_cost", "right_view_difference", "match_column", "self_occlusion", "color_difference")
+            views = (proposals.right, image, pair.color8[1], grey[1])
+            out = (plane[name][k] for name in own_planes)
+            _compare_views(values, volume.costs, unit, *views, common["min_cost"], warped, *out)
             plane["color_difference_5"][k] = cv2.blur(plane["color_difference"][k], (5, 5))
             plane["decorrelation"][k] = 1 - correlation(grey[0], moments, warped)
             slope = slopes(values, image, _REACH)
@@ -167,7 +178,7 @@ class NetworkInputs:
 
 
 @jit
-def gather(values: Any, own: Any, shared: Any, relative: Any, n: int, first: int, out: Any) -> None:
+def gather(values, own, shared, relative, n, first, out):
     """Write the inputs of proposal n, in the order of :func:`input_names`, of the pixels from ``first`` on.
 
     ``out`` is (F, pixels); pixels beyond the last one keep what it holds.
@@ -212,29 +223,28 @@ def correlation(grey: Any, moments: Any, warped: Any) -> Any:
 
 @parallel_jit
 def _compare_views(
-    values: Any, costs: Any, unit: Any, right: Any, image: Any, other: Any, other_grey: Any, min_cost: Any, excess: Any,
-    difference: Any, column: Any, occlusion: Any, color: Any, warped: Any,
-) -> None:  # fmt: skip
+    values, costs, unit, right, image, other, grey, lowest, warped, excess, difference, column, hidden, color
+):
     height, width = values.shape
     last, half = np.float32(width - 1), np.float32(0.5)
     for y in prange(height):
         nearest = nearest_matches(values[y])
         for x in range(width):
             value = values[y, x]
-            excess[y, x] = cost_between(costs[y, x], value) * unit - min_cost[y, x]
+            excess[y, x] = cost_between(costs[y, x], value) * unit - lowest[y, x]
             column[y, x] = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
             u = int(np.floor(np.float32(x) - value + half))
             if u < 0:
                 difference[y, x] = np.float32(-6)
-                occlusion[y, x] = np.float32(0)
+                hidden[y, x] = np.float32(0)
             else:
                 difference[y, x] = min(max(value - np.float32(right[y, u]), np.float32(-5)), np.float32(5))
-                occlusion[y, x] = min(nearest[u] - value, np.float32(6))
+                hidden[y, x] = min(nearest[u] - value, np.float32(6))
             at = min(max(np.float32(x) - value, np.float32(0)), last)
             low = int(at)
             high = min(low + 1, width - 1)
             rest = at - np.float32(low)
-            warped[y, x] = other_grey[y, low] + rest * (other_grey[y, high] - other_grey[y, low])
+            warped[y, x] = grey[y, low] + rest * (grey[y, high] - grey[y, low])
             largest = np.float32(0)
             for c in range(3):
                 a, b = np.float32(other[y, low, c]), np.float32(other[y, high, c])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from depthcli.methods.fusion.choice._inputs import (
     gather,
     input_names,
 )
-from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE
+from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE
 
 INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
 _MAX_MAPS = BLOCK_DEPTH  # all shares of a pixel are averaged in one block
@@ -85,10 +85,8 @@ def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.fl
     """Return the log odds of every proposal to be right, (N, P) float32."""
     out = np.empty(inputs.values.shape, np.float32)
     (w1, b1), (w2, b2), (w3, b3) = trained.layers
-    _log_odds(
-        inputs.values, inputs.own, inputs.shared, RELATIVE_INDICES, trained.mean, trained.scale,
-        tiled(w1), b1, tiled(w2), b2, w3.ravel(), b3, out,
-    )  # fmt: skip
+    planes = (inputs.values, inputs.own, inputs.shared, RELATIVE_INDICES, trained.mean, trained.scale)
+    _log_odds(*planes, tiled(w1), b1, tiled(w2), b2, w3.ravel(), b3, out)
     return out
 
 
@@ -99,12 +97,12 @@ def tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @jit
-def _positive(a: Any) -> Any:
+def _positive(a):
     return splat(np.float32(0)) - minimum(splat(np.float32(0)) - a, splat(np.float32(0)))
 
 
 @jit
-def layer(source: Any, inputs: int, weights: Any, offsets: Any, target: Any) -> None:
+def layer(source, inputs, weights, offsets, target):
     # Rectified units of LANES pixels: flat ``source`` and ``target`` hold LANES values an input, a unit.
     for tile in range(weights.shape[0]):
         w = weights[tile]
@@ -123,10 +121,7 @@ def layer(source: Any, inputs: int, weights: Any, offsets: Any, target: Any) -> 
 
 
 @parallel_jit
-def _log_odds(
-    values: Any, own: Any, shared: Any, relative: Any, mean: Any, scale: Any,
-    w1: Any, b1: Any, w2: Any, b2: Any, w3: Any, b3: Any, out: Any,
-) -> None:  # fmt: skip
+def _log_odds(values, own, shared, relative, mean, scale, w1, b1, w2, b2, w3, b3, out):
     count, pixels = values.shape
     size = mean.size
     groups = (pixels + LANES - 1) // LANES
@@ -157,7 +152,7 @@ def _log_odds(
 
 
 @parallel_jit
-def softmax(log_odds: Any, shares: Any) -> None:
+def softmax(log_odds, shares):
     count, height, width = log_odds.shape
     for y in prange(height):
         for x in range(width):
@@ -175,7 +170,7 @@ def softmax(log_odds: Any, shares: Any) -> None:
 
 
 @parallel_jit
-def take_largest(maps: Any, log_odds: Any, shares: Any, values: Any, probability: Any) -> None:
+def take_largest(maps, log_odds, shares, values, probability):
     count, height, width = maps.shape
     one = np.float32(1)
     for y in prange(height):

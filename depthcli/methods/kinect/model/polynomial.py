@@ -29,6 +29,13 @@ class Polynomial(SurfaceModel):
         self, values: NDArray[np.float32], labels: NDArray[np.int32], floor: float, start: Surfaces | None = None
     ) -> Surfaces:
         return fit_polynomials(
-            values, labels, start, self.degree, self.huber or np.inf, self.iterations,
-            self.warm_iterations, self.samples, floor,
-        )  # fmt: skip
+            values,
+            labels,
+            start,
+            self.degree,
+            self.huber or np.inf,
+            self.iterations,
+            self.warm_iterations,
+            self.samples,
+            floor,
+        )

@@ -54,9 +54,11 @@ class Dsrm(KinectPipeline):
         "median", description="how layers are joined: their median; in_turn: each corrects the result of the finer ones"
     )
     correction_band: int = Field(
-        8, ge=0, le=64,
+        8,
+        ge=0,
+        le=64,
         description="in_turn: values that contradict the model are corrected so near to a depth edge or border, pixels",
-    )  # fmt: skip
+    )
     details: bool = Field(False, description="write the segments of every layer as pictures")
 
     def __call__(self, frame: RgbdFrame) -> DepthResult:

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
+from depthcli.algorithms.filters import joint_bilateral_fill
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.method import Odd
 from depthcli.core.result import Clock

@@ -11,23 +11,28 @@ from pydantic import Field
 from depthcli.algorithms.plane_fitting.window_planes import RADIUS, window_planes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock, DepthResult
-from depthcli.methods.kinect.candidate_choice import AGREEMENT, choose_candidates
-from depthcli.methods.kinect.candidates import LEVELS, ExtraVotes, Voters, cast_votes
+from depthcli.methods.kinect.candidates import (
+    AGREEMENT,
+    LEVELS,
+    ExtraVotes,
+    Voters,
+    cast_votes,
+    choose_candidates,
+    hidden_openings,
+)
 from depthcli.methods.kinect.disparity import nearest_fill, refined_depth
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
-from depthcli.methods.kinect.hidden_openings import hidden_openings
 from depthcli.methods.kinect.layers import Measurement
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
-from depthcli.methods.kinect.shadow_limits import GAP_FACTOR, shadow_background, shadow_limits
-from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side
+from depthcli.methods.kinect.shadows import GAP_FACTOR, SHADOW_SIDES, Side, shadow_background, shadow_limits
 
 
 class PlaneVotes(KinectPipeline):
     """Replace unreliable measurements and fill gaps by the votes of the planes around.
 
     1. Unreliable pixels: gaps, and measurements that are probably wrong by their place beside depth edges. How far
-       true outlines lie inside measured ones is estimated from the frame (``kinect.correct_probability``).
+       true outlines lie inside measured ones is estimated from the frame (``kinect.depth_edges``).
     2. Robust planes around every reliable pixel, which are the result there.
     3. Votes of these planes, weighted by color and distance, in a histogram for each unreliable pixel: its modes are
        candidates. The limits that shadows set count as far as the frame's gaps are shadows.
@@ -35,9 +40,12 @@ class PlaneVotes(KinectPipeline):
     """
 
     renamed: ClassVar[dict[str, str]] = {
-        "sure": "min_probability", "least_trust": "min_vote_probability", "openings": "opening_probability",
-        "growth": "sigma_growth", "path_share": "continued_share",
-    }  # fmt: skip
+        "sure": "min_probability",
+        "least_trust": "min_vote_probability",
+        "openings": "opening_probability",
+        "growth": "sigma_growth",
+        "path_share": "continued_share",
+    }
 
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
     min_probability: float = Field(
@@ -117,9 +125,18 @@ class PlaneVotes(KinectPipeline):
             clock.start("choice")
             chosen = np.full_like(measured, np.nan)
             chosen[every] = choose_candidates(
-                pixels, *votes, lab[every], measured[every], p_correct[every], unreliable[every], planes.every(grid),
-                noise, self.smoothness, self.truncation, self.iterations,
-            )  # fmt: skip
+                pixels,
+                *votes,
+                lab[every],
+                measured[every],
+                p_correct[every],
+                unreliable[every],
+                planes.every(grid),
+                noise,
+                self.smoothness,
+                self.truncation,
+                self.iterations,
+            )
             # Where the choice agrees with the measurement, the measurement is more exact.
             agreed = known & ~(np.abs(chosen - measured) >= np.float32(AGREEMENT * noise))
             old, old_trust = refined, trust

@@ -54,9 +54,12 @@ class Realsense(SequencePipeline):
         20, ge=1, le=100, description="larger changes are motion, 32nds of a pixel of disparity"
     )
     persistency: int = Field(
-        3, ge=0, le=8, description="carry a value over gaps if valid in (1) 8 of 8, 2 of 3, 2 of 4, 2 of 8, 1 of 2, "
-        "1 of 5, 1 of 8 last frames, (8) always; 0: never"
-    )  # fmt: skip
+        3,
+        ge=0,
+        le=8,
+        description="carry a value over gaps if valid in (1) 8 of 8, 2 of 3, 2 of 4, 2 of 8, 1 of 2, "
+        "1 of 5, 1 of 8 last frames, (8) always; 0: never",
+    )
     hole_filling: Literal["off", "left", "farthest", "nearest"] = Field(
         "farthest", description="gaps take the value on their left, or the farthest or nearest of those around"
     )

@@ -110,9 +110,13 @@ class Sequence(SequencePipeline, Dsrm):
         refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
         refined = refined.joined(lab, layers, measurement)
         _blend(
-            refined.disparity, refined.scale, refined.status, previous, still,
+            refined.disparity,
+            refined.scale,
+            refined.status,
+            previous,
+            still,
             np.float32(self.drift * state.noise),
-        )  # fmt: skip
+        )
         clock.start("result")
         result = refined.to_depth(frame)
         result.seconds, result.words["motion"] = clock.seconds, motion

@@ -17,8 +17,7 @@ from depthcli.methods.kinect.disparity import measured_disparity, noise_level, r
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.fast_global_smoother import weighted_smoothing
-from depthcli.methods.kinect.shadow_limits import shadow_background
-from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side, shadows_of
+from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side, shadow_background, shadows_of
 
 
 class ShadowSmoother(KinectPipeline):

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.resampling import gaussian, shifted
 from depthcli.core.method import Method, method_of
+from depthcli.kernels.exponential import exp_minus
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.registration.search import MAX_SMALL_VALUE
 
 VolumeArray = NDArray[np.float32]
 """(Z, Y, X), finite, of cubic voxels."""
 Channels = NDArray[np.uint8]
 """(C, Z, Y, X)."""
+_MIN_RANGE = 1e-35  # smaller ranges count as none: float32 cannot hold 255 levels over them
+_STEPS = ((0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0))
 
 
 class VolumeFeature(Method):
@@ -28,3 +35,62 @@ class VolumeFeature(Method):
 
 
 Feature = Annotated[VolumeFeature, *method_of("depthcli.methods.registration.feature")]
+
+
+def levels(
+    fixed: NDArray[np.float32], warped: NDArray[np.float32], outliers: float
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Map both arrays from their common percentiles, ``outliers`` percent cut off at either end, to 0 .. 255."""
+    both = np.concatenate([fixed.ravel(), warped.ravel()])
+    low, high = (float(v) for v in np.percentile(both, [outliers, 100 - outliers]))
+    if high - low < _MIN_RANGE:
+        low, high = float(both.min()), float(both.max())
+    scale = np.float32(255 / (high - low) if high - low >= _MIN_RANGE else 0)
+    one, other = (
+        np.rint((np.clip(values, np.float32(low), np.float32(high)) - np.float32(low)) * scale).clip(0, 255)
+        for values in (fixed, warped)
+    )
+    return one.astype(np.uint8), other.astype(np.uint8)
+
+
+def steps(shape: tuple[int, ...], distance: int) -> list[tuple[int, ...]]:
+    """Return the neighbors at ``distance`` along the axes; none along an axis of one voxel."""
+    return [tuple(distance * s for s in step) for step in _STEPS if shape[next(a for a in range(3) if step[a])] > 1]
+
+
+def descriptor(
+    volume: NDArray[np.float32], pairs: Sequence[tuple[tuple[int, ...], tuple[int, ...]]], sigma: float
+) -> NDArray[np.uint8]:
+    """Compute exp(-(D_r - min D) / V) of the patch distance D_r of every pair of places; (C, Z, Y, X) uint8.
+
+    Without any pair, in a volume of one voxel, one channel without content.
+    """
+    distances = np.zeros((max(1, len(pairs)), *volume.shape), np.float32)
+    for r, (one, other) in enumerate(pairs):
+        difference = shifted(volume, one) - shifted(volume, other)
+        distances[r] = gaussian(difference * difference, sigma)
+    variance = distances.mean(axis=0)
+    mean = float(variance.mean(dtype=np.float64)) or 1.0
+    np.clip(variance, 1e-3 * mean, 1e3 * mean, out=variance)
+    out = np.empty(distances.shape, np.uint8)
+    _exponentials(distances, variance, out)
+    return out
+
+
+@parallel_jit
+def _exponentials(distances, variance, out):
+    channels, depth, height, width = distances.shape
+    for z in prange(depth):
+        lowest = np.empty(width, np.float32)
+        for y in range(height):
+            lowest[:] = distances[0, z, y]
+            for c in range(1, channels):
+                row = distances[c, z, y]
+                for i in range(width):
+                    lowest[i] = min(lowest[i], row[i])
+            scale = variance[z, y]
+            for c in range(channels):
+                row, target = distances[c, z, y], out[c, z, y]
+                for i in range(width):
+                    value = exp_minus((row[i] - lowest[i]) / scale[i])
+                    target[i] = np.uint8(np.int32(value * np.float32(MAX_SMALL_VALUE) + np.float32(0.5)))

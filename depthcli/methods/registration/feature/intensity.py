@@ -6,8 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature
-from depthcli.methods.registration.feature._levels import levels
+from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature, levels
 
 
 class Intensity(VolumeFeature):

@@ -7,9 +7,8 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature
-from depthcli.methods.registration.feature._levels import levels
-from depthcli.methods.registration.smoothing import gaussian
+from depthcli.algorithms.resampling import gaussian
+from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature, levels
 
 
 class LocalNcc(VolumeFeature):

@@ -6,8 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature
-from depthcli.methods.registration.feature._self_similarity import descriptor, steps
+from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature, descriptor, steps
 
 
 class MindSsc(VolumeFeature):

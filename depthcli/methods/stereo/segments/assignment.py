@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.alpha_expansion import alpha_expansion, potts_energy
+from depthcli.algorithms.graph_cut import alpha_expansion, potts_energy
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
 from depthcli.algorithms.regions import RegionPixels, joined_regions
 from depthcli.core.result import Clock

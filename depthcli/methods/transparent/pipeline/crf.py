@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
-from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
-from depthcli.algorithms.plane_fitting.samples import Samples
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.fitted_frame import FittedFrame, fit_frame, inverse_depth, refined_depth

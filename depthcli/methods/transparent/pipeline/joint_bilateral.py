@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
+from depthcli.algorithms.filters import joint_bilateral_fill
 from depthcli.core.frames import SparseFrame
 from depthcli.core.method import Odd
 from depthcli.core.result import Clock, DepthResult

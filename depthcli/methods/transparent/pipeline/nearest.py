@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.samples import Samples
+from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth

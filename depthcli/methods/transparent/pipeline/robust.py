@@ -5,15 +5,58 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
-from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, DepthResult
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.transparent.fitted_frame import fit_frame, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
-from depthcli.methods.transparent.smoothing import Smoothing
 from depthcli.methods.transparent.unreliable import UnreliableRegions
+
+
+class Smoothing(BaseModel):
+    """The mean of a window, weighted by similarity of color, at pixels that are far from all samples.
+
+    There a plane is an extrapolation, and those of neighboring pixels rest on other samples: their mean is nearer to
+    the surface. Near samples it would only flatten the fit.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    reach: float = Field(
+        0.011,
+        ge=0,
+        description="values are smoothed beyond this distance from the nearest sample, as a share of the image width",
+    )
+    radius: int = Field(5, ge=0, le=50, description="half the side of the window, pixels")
+    color_scale: float = Field(
+        12.0, gt=0, description="color difference at which a neighbor's weight falls by exp(-1/2), grey levels"
+    )
+
+    def __call__(
+        self, values: NDArray[np.float32], samples: Samples, image: NDArray[np.uint8], wanted: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """Smooth a map.
+
+        Parameters
+        ----------
+        values : (H, W) float32, fitted; NaN = unknown, left out of the means
+        samples : those that ``values`` were fitted to
+        image : (H, W, 3) uint8
+        wanted : (H, W) bool, pixels to smooth; others keep ``values``
+
+        Returns
+        -------
+        (H, W) float32
+        """
+        height, width = values.shape
+        selected = wanted & np.isfinite(values) & (samples.distance((height, width)) > self.reach * width)
+        result = values.copy()
+        _smooth(values, image, selected, self.radius, np.float32(1.0 / (2.0 * self.color_scale**2)), result)
+        return result
 
 
 class RobustPlanes(TransparentPipeline):
@@ -43,3 +86,26 @@ class RobustPlanes(TransparentPipeline):
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         # Neighbors of every pixel, and the graph of the cut.
         return shape[0] * shape[1] * (4 * self.fit.neighbors + 700) + (64 << 20)
+
+
+@parallel_jit
+def _smooth(values, image, wanted, radius, rate, result):
+    height, width = values.shape
+    for y in prange(height):
+        for x in range(width):
+            if not wanted[y, x]:
+                continue
+            total = weight = np.float32(0.0)
+            for v in range(max(0, y - radius), min(height, y + radius + 1)):
+                for u in range(max(0, x - radius), min(width, x + radius + 1)):
+                    off = values[v, u] - values[y, x]
+                    if np.isnan(off):
+                        continue
+                    color = np.float32(0.0)
+                    for c in range(3):
+                        step = np.float32(image[v, u, c]) - np.float32(image[y, x, c])
+                        color += step * step
+                    w = np.exp(-color * rate)
+                    weight += w
+                    total += w * off
+            result[y, x] = values[y, x] + total / weight
