@@ -25,7 +25,7 @@ import _env  # (first: continues in the checkout's environment)
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.resampling import trilinear
+from depthcli.algorithms.resampling import gaussian, trilinear
 from depthcli.core.config_file import load_config
 from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.render import Number, Table
