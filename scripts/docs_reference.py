@@ -237,7 +237,7 @@ def _columns() -> Rows:
         "report.csv of register-confidence": _rows(report.REGISTRATION),
         "report.csv of sample": _rows(report.SAMPLES),
         "planes.csv, segment_labels.csv, keypoints.csv": _rows(report.SEGMENTS),
-        "Printed by devices, warmup, --dry-run": _rows(report.LISTS),
+        "Printed by devices, --dry-run": _rows(report.LISTS),
     }
 
 

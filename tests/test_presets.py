@@ -21,9 +21,6 @@ from depthcli.run.presets import find_config, find_preset, list_presets, preset_
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]
 
-RUNNABLE = [preset for preset in PRESETS if preset != ("stereo", "middlebury-sdk")]
-"""All but the one that wants a program, which ``tests/programs`` run."""
-
 MADE = {
     "stereo": [],
     "fuse": [],
@@ -86,7 +83,7 @@ def test_shown_with_every_field_it_is_the_same_config(command: str, name: str, c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("command", "name"), RUNNABLE)
+@pytest.mark.parametrize(("command", "name"), PRESETS)
 def test_it_runs_on_a_toy_scene(made: Callable[[str], Path], tmp_path: Path, command: str, name: str):
     arguments = [command, name, "-i", str(made(command)), "-o", str(tmp_path / "r"), "-q", *QUICK.get(command, [])]
     assert main(arguments) == 0
@@ -102,7 +99,7 @@ def test_it_runs_on_a_toy_scene(made: Callable[[str], Path], tmp_path: Path, com
 
 
 @pytest.mark.system
-@pytest.mark.parametrize(("command", "name"), RUNNABLE)
+@pytest.mark.parametrize(("command", "name"), PRESETS)
 def test_same_bytes_at_any_number_of_threads(made, tmp_path: Path, monkeypatch, command: str, name: str):
     found = []
     for kernels, opencv in ((2, 1), (1, 8)):

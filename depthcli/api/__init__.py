@@ -15,5 +15,3 @@ users import are listed in ``depthcli/__init__.pyi``; all others may change.
 | ``results`` | ``Disparity``, ``Depth``, ``RefinedDepth``, ``PointCloud``, and the files that they write |
 | ``inputs`` | ``load_config``; arrays that users have -> images, maps and volumes as methods take them |
 """
-
-from depthcli import programs  # noqa: F401  adds pipelines to the families of methods

@@ -19,7 +19,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from depthcli import programs  # noqa: F401  adds pipelines to the families of methods
 from depthcli.core.plugins import plugins_in
 
 if TYPE_CHECKING:

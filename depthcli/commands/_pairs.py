@@ -162,7 +162,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         from depthcli.api.matching import match_pair, partly_used
         from depthcli.commands._rectified import rectified_pair, sequence_range
         from depthcli.core.result import Clock
-        from depthcli.programs.scene import current_scene
+        from depthcli.core.scene import current_scene
 
         clock = Clock()
         min_disparity, max_disparity = given_range(config, scene)

@@ -14,7 +14,6 @@ To write one:
 |---|---|
 | ``jit`` | the decorators, with the compiler's options; the number of threads; the time that compilation takes |
 | ``cache``, ``fingerprint`` | compiled kernels on disk; the digest of all that one was made from |
-| ``shipped`` | the compiled kernels that a wheel carries |
 | ``winners`` | disparities of the smallest costs of both views |
 | ``cost_curve``, ``exponential`` | terms of confidence measures; fast exponentials |
 | ``lanes`` | 16 float32 as one value, for loops that the compiler does not vectorize well |

@@ -92,7 +92,6 @@ from numba.core.caching import (  # noqa: E402
 from numba.core.runtime.nrt import rtsys  # noqa: E402
 
 from depthcli.kernels.fingerprint import fingerprint  # noqa: E402
-from depthcli.kernels.shipped import shipped_kernels  # noqa: E402
 
 if _FOLDER is not None:
     numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]  # where numba was imported before us
@@ -154,14 +153,14 @@ class KernelCache(FunctionCache):
         return self._files
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the kernel compiled for the types ``sig``, from the wheel or the folder; None if there is none."""
+        """Return the kernel compiled for the types ``sig``; None if there is none."""
         files = self._prepare()
         try:
             # Not by numba's load_overload, which first sets up all that compiling needs: that takes 0.2 s. Compiled
             # code needs the runtime system alone.
             rtsys.initialize(target_context)
             with self._guard_against_spurious_io_errors():
-                found = self._load_shipped(sig, target_context) or self._load_overload(sig, target_context)
+                found = self._load_overload(sig, target_context)
         except Exception:  # damage can show anywhere in unpickling and linking
             warn_once(f"{_FOLDER}: compiled kernels there are damaged; they are compiled again")
             with contextlib.suppress(OSError):
@@ -170,26 +169,6 @@ class KernelCache(FunctionCache):
         if found is not None:
             files.mark_as_used()
         return found
-
-    def holds(self, sig: Any, target_context: Any) -> bool:
-        """Return whether there is a kernel compiled for the types ``sig``, which may turn out to be damaged."""
-        files = self._prepare()
-        with contextlib.suppress(Exception):  # whatever damage makes of an index
-            if self._shipped(sig, target_context) is not None:
-                return True
-            return self._index_key(sig, target_context.codegen()) in files._load_index()
-        return False
-
-    def _load_shipped(self, sig: Any, target_context: Any) -> Any:
-        data = self._shipped(sig, target_context)
-        return None if data is None else self._impl.rebuild(target_context, data)
-
-    def _shipped(self, sig: Any, target_context: Any) -> Any:
-        shipped = shipped_kernels()
-        if shipped is None:
-            return None
-        path, header, stamp = self._prepare().identity(self._kernel.py_func.__module__)
-        return shipped.load(path, header, stamp, self._index_key(sig, target_context.codegen()))
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Write the compiled kernel to the folder; where that fails, warn once."""
@@ -220,10 +199,6 @@ class _CheckedFile(IndexDataCacheFile):
     def _load_data(self, name: str) -> Any:
         _check(self._data_path(name))
         return super()._load_data(name)
-
-    def identity(self, module: str) -> tuple[str, str, str]:
-        """Return the index's path in a folder of kernels, its header, and the kernel's fingerprint."""
-        return f"{module}/{self._index_name}", self._version, self._source_stamp
 
     def mark_as_used(self) -> None:
         """Set the time of the index to now, at most once per day."""

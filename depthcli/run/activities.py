@@ -114,10 +114,6 @@ class Announcer:
 
     def compiling(self, watch: CompileWatch) -> None:
         """Take notice of a compilation that begins or ends."""
-        if self._preset and not self._kernels:
-            from depthcli.kernels.calls import missing_calls
-
-            self._expected = len(missing_calls(self._preset))
         self._compiling, self._kernels = watch.busy, watch.calls
         self._write()
 

@@ -143,4 +143,4 @@ LISTS = (
     Column("arguments", "types that it is compiled for"),
     Column("done", "scenes of a run that are done"),
 )
-"""Columns of ``devices``, ``warmup`` and ``--dry-run``, beside those of a report."""
+"""Columns of ``devices`` and ``--dry-run``, beside those of a report."""

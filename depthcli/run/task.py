@@ -17,12 +17,12 @@ from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
 from depthcli.core.method import used_plugins
 from depthcli.core.plugins import Plugin
+from depthcli.core.scene import computing
 from depthcli.core.text import show_bytes
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.map_format import format_plugins
 from depthcli.io.layouts import layout_plugins
 from depthcli.io.scenes import Scene
-from depthcli.programs.scene import computing
 from depthcli.run import resources
 from depthcli.run.batch import Outcome
 from depthcli.run.command import SceneCommand

@@ -286,24 +286,3 @@ def test_the_config_of_a_run_names_packages_that_are_missing(tmp_path: Path, cap
         "says where it is",
     ]
     assert len(said) == 3 and "no method called 'far'" in said[0]
-
-
-def test_a_higher_room_provides_objects_under_their_modules_names(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(registry, "_provided", {})
-    registry.provide("depthcli.methods.stereo.cost", "depthcli.elsewhere.thermal", "depthcli.methods.kinect.layers")
-    assert {"census", "thermal", "layers"} <= set(COSTS.own_names)
-    assert COSTS.find("Layers") == "layers"
-    assert "depthcli.elsewhere" not in sys.modules
-    with pytest.raises(ModuleNotFoundError, match=r"depthcli\.elsewhere"):
-        COSTS.load("thermal")
-    assert COSTS.load("census").method_name() == "census"
-
-
-def test_pipelines_that_run_programs_are_our_own_methods():
-    import depthcli.programs  # noqa: F401  as the commands do
-
-    family = Family.of("depthcli.methods.stereo.pipeline")
-    kind = family.load("command")
-    assert kind.__module__ == "depthcli.programs.stereo.command"
-    assert kind.method_name() == "command"
-    assert registry.plugin_of(kind) is None

@@ -241,29 +241,6 @@ print(watch.kernels)
 """
 
 
-HOLDS = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import numpy as np, toy_kernel
-from depthcli.kernels.jit import CompileWatch
-kernel, heard = toy_kernel.total, []
-types = (kernel.typeof_pyval(np.arange(5)),)
-before = kernel._cache.holds(types, kernel.targetctx)
-with CompileWatch(lambda watch: heard.append((watch.calls, watch.busy))) as watch:
-    kernel(np.arange(5))
-print(before, kernel._cache.holds(types, kernel.targetctx), watch.kernels, heard)
-"""
-
-
-def test_the_folder_says_what_it_holds_and_a_watch_what_is_compiled(tmp_path: Path):
-    (tmp_path / "toy_kernel.py").write_text(KERNEL)
-    env = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
-    command = [sys.executable, "-c", HOLDS, str(tmp_path)]
-    texts = [subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout for _ in range(2)]
-    # ``total`` calls ``inner``: one call from Python, two kernels.
-    assert texts == ["False True 2 [(1, True), (1, False)]\n", "True True 0 []\n"]
-
-
 @pytest.mark.slow
 def test_a_moved_package_with_other_comments_finds_its_kernels(tmp_path: Path):
     folders = [tmp_path / "one", tmp_path / "two"]

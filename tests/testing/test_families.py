@@ -32,7 +32,7 @@ from depthcli.testing import (
 
 FIELDS = {"local": {"cost": "census", "aggregation": {"method": "constant_window", "window": 5}},
           "segments": {"cost": "census"}}  # fmt: skip
-NEED_FILES = ("command", "middlebury_sdk", "onnx", "network")
+NEED_FILES = ("command", "onnx", "network")
 
 CHECKS = {
     "methods.stereo.pipeline": pipelines.STEREO_CHECKS,

@@ -6,7 +6,7 @@
 | ``segments`` | costs -> a plane for every segment of the left image, by graph cuts (thesis, chapter 2) |
 | ``onnx`` | a network in an ONNX file -> checked against the right view's map |
 | ``opencv_bm``, ``opencv_sgbm`` | OpenCV's block matching and semi-global matching, to compare with |
-| ``command``, ``middlebury_sdk`` | programs of others (``depthcli.programs``, since they read and write files) |
+| ``command`` | a program of others: image files -> the file of a map |
 """
 
 from __future__ import annotations

@@ -1,1 +1,0 @@
-"""Programs that refine depth maps, as pipelines of ``refine-kinect``."""

@@ -1,1 +1,0 @@
-"""Programs that estimate the errors of registrations, as pipelines of ``register-confidence``."""

@@ -1,1 +1,0 @@
-"""Programs that match pairs, as pipelines of ``stereo``."""

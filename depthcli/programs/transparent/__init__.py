@@ -1,1 +1,0 @@
-"""Programs that complete depth maps, as pipelines of ``transparent``."""
