@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, overload
 
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.inputs import Overrides, as_depth, as_image, as_map, computing, load_config
-from depthcli.api.results import RefinedDepth, masked
+from depthcli.api.results import RefinedDepth, chosen_pixels
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.color_and_depth import Place, registered
 from depthcli.core.cameras.kinect import sensor_fb
@@ -111,26 +110,22 @@ def refine_depth(
     config = load_config(RefineKinectConfig, preset, overrides, **fields)
     cameras = _depth_camera(depth_intrinsics, depth_to_color)
     scale = config.depth_scale or MILLIMETERS
-    if color is None and isinstance(depth, list | tuple):
-        color = [None] * len(depth)
-    lists = isinstance(color, list | tuple), isinstance(depth, list | tuple)
-    if color is None or lists == (False, False):
-        frame = _rgbd_frame(config, color, depth, fb, cameras, "")
-        with computing():
-            return refined_frame(config, frame, config.pipeline, Clock(), scale)
-    if lists != (True, True) or len(color) != len(depth):
-        counts = (str(len(each)) if is_list else "no" for each, is_list in zip((color, depth), lists, strict=True))
-        raise InputError("want lists of as many frames (got {} of color and {} of depth)".format(*counts))
+    single = not isinstance(color, list | tuple) and not isinstance(depth, list | tuple)
+    colors, depths = ([color], [depth]) if single else (color, depth)
+    if colors is None:
+        colors = [None] * len(depth)
+    if not isinstance(colors, list | tuple) or not isinstance(depths, list | tuple) or len(colors) != len(depths):
+        raise InputError("color, depth: give two images, or two lists of as many")
     refine = frame_by_frame(config.pipeline)
     refined: list[RefinedDepth] = []
-    for number, (image, measured) in enumerate(zip(color, depth, strict=True)):
-        frame = _rgbd_frame(config, image, measured, fb, cameras, f"frame {number}: ")
+    for number, (image, measured) in enumerate(zip(colors, depths, strict=True)):
+        frame = _rgbd_frame(config, image, measured, fb, cameras, "" if single else f"frame {number}: ")
         if refined and frame.shape != refined[0].values.shape:
             (height, width), (first_height, first_width) = frame.shape, refined[0].values.shape
             raise InputError(f"frame {number}: {width} x {height}, but frame 0 is {first_width} x {first_height}")
         with computing():
             refined.append(refined_frame(config, frame, refine, Clock(), scale))
-    return refined
+    return refined[0] if single else refined
 
 
 def _depth_camera(
@@ -295,7 +290,7 @@ def refined_frame(
     if not config.ply:
         return found
     maps = found.confidence or {"sigma": -found.sigma}  # a small expected error is a high confidence
-    chosen = masked(config.mask, found, {name: partial(np.asarray, values) for name, values in maps.items()})
+    chosen = chosen_pixels(found, config.mask, maps)
     return replace(found, cloud=chosen & (found.values >= config.near) & (found.values <= config.far))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -75,46 +75,8 @@ def _write_details(result: Result, folder: Path) -> None:
         write_png(folder / f"{name}.png", picture)
 
 
-def masked(
-    text: str,
-    found: MatchedMap | DepthMap,
-    confidence: Mapping[str, Callable[[], NDArray[np.float32]]],
-    place: str = "",
-) -> NDArray[np.bool_]:
-    """Return the pixels of a map that the config key or option ``mask`` chooses, (H, W) bool.
-
-    Parameters
-    ----------
-    text : ``all``, ``measured``, or ``confident:0.8:NAME``: of the measured ones all at and above the quantile of a
-        confidence; the name may be left out where there is one only
-    confidence : name -> function that returns a map, (H, W) float32, higher is surer
-    place : what an error begins with
-
-    Raises
-    ------
-    InputError
-        There is no confidence map of that name, or none is named and there are several.
-    """
-    kind, share, name = parse_mask(text)
-    if kind == "all":
-        return found.valid
-    measured = found.valid & ~found.filled
-    if kind == "measured":
-        return measured
-    names = ", ".join(confidence)
-    name = name or (names if len(confidence) == 1 else "")
-    if name not in confidence:
-        has = f"the run has: {names}" if names else "the run has none; see confidence: in the config"
-        raise InputError(f"{place}mask {text}: which confidence map? {has}")
-    values = confidence[name]()
-    measured &= np.isfinite(values)
-    if measured.any():
-        measured &= values >= np.quantile(values[measured], 1 - share, method="higher")
-    return measured
-
-
 def parse_mask(text: str) -> tuple[str, float, str]:
-    """Return kind, share and name of a ``mask`` as :func:`masked` takes it; ConfigError for other texts."""
+    """Return kind, share and name of a mask as :func:`chosen_pixels` takes it; ConfigError for other texts."""
     kind, _, rest = text.partition(":")
     share, _, name = rest.partition(":")
     try:
@@ -124,6 +86,42 @@ def parse_mask(text: str) -> tuple[str, float, str]:
     if (kind in ("measured", "all") and not rest) or (kind == "confident" and 0 < number <= 1):
         return kind, number, name
     raise ConfigError(f"mask: must be measured, all, or confident:0.8 (got {text!r})")
+
+
+def chosen_pixels(
+    found: MatchedMap | DepthMap, mask: Pixels, confidence: Mapping[str, NDArray[np.float32]] | None = None
+) -> NDArray[np.bool_]:
+    """Return the pixels of a map that a mask chooses, (H, W) bool.
+
+    Parameters
+    ----------
+    mask : ``all``, ``measured``, ``confident:0.8:NAME`` (of the measured ones all at and above the quantile of a
+        confidence; the name may be left out where there is one only), or (H, W) bool
+    confidence : name -> (H, W) float32, higher is surer
+
+    Raises
+    ------
+    ConfigError
+        Another text.
+    InputError
+        An array of another shape or dtype; no confidence of that name, or none is named and there are several.
+    """
+    if not isinstance(mask, str):
+        if np.shape(mask) != found.values.shape or np.asarray(mask).dtype != np.bool_:
+            raise InputError(f"mask: expected bool of shape {found.values.shape}, got {np.shape(mask)}")
+        return mask
+    kind, share, name = parse_mask(mask)
+    measured = found.valid & ~found.filled
+    if kind != "confident":
+        return measured if kind == "measured" else found.valid
+    maps = confidence or {}
+    name = name or (next(iter(maps)) if len(maps) == 1 else "")
+    if name not in maps:
+        raise InputError(f"mask {mask}: which confidence map? there are: {', '.join(maps) or 'none'}")
+    measured &= np.isfinite(maps[name])
+    if measured.any():
+        measured &= maps[name] >= np.quantile(maps[name][measured], 1 - share, method="higher")
+    return measured
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -167,17 +165,6 @@ class PointCloud:
     def save(self, path: str | Path) -> None:
         """Write the points as PLY, binary little endian; OutputError where that cannot be."""
         write_points(path, self.points, self.color)
-
-
-def chosen_pixels(found: MatchedMap | DepthMap, mask: Pixels) -> NDArray[np.bool_]:
-    """Return the pixels of a map that ``all``, ``measured`` or an array of bool chooses; ConfigError or InputError."""
-    if isinstance(mask, str):
-        if mask not in ("all", "measured"):
-            raise ConfigError(f"mask: must be measured, all, or an array of bool (got {mask!r})")
-        return found.valid if mask == "all" else found.valid & ~found.filled
-    if np.shape(mask) != found.values.shape or np.asarray(mask).dtype != np.bool_:
-        raise InputError(f"mask: expected bool of shape {found.values.shape}, got {np.shape(mask)}")
-    return mask
 
 
 def _described(found: MatchedMap | DepthMap, text: str = "") -> str:
@@ -279,7 +266,8 @@ class Disparity(DisparityMap):
         focal, baseline : focal length, pixels, and distance of the cameras, meters
         doffs : x of the right principal point minus that of the left one, pixels
         principal_point : x and y of the left camera's, pixels; None: the center of the image
-        mask : ``all``, ``measured``, or (H, W) bool: the pixels that get a depth
+        mask : ``all``, ``measured``, ``confident:0.8:NAME`` (the surest 80 % of the measured ones, by a measure of
+            ``confidence``), or (H, W) bool: the pixels that get a depth
 
         Raises
         ------
@@ -310,7 +298,7 @@ class Disparity(DisparityMap):
             x, y = principal_point or ((width - 1) / 2, (height - 1) / 2)
             geometry = PairGeometry(Intrinsics(focal, focal, x, y), baseline, doffs)
         geometry = geometry.for_size(width, height)
-        depth = geometry.depth(np.where(chosen_pixels(self, mask), self.values, np.float32(np.nan)))
+        depth = geometry.depth(np.where(chosen_pixels(self, mask, self.confidence), self.values, np.float32(np.nan)))
         return Depth(depth, self.status, geometry.left, self.left)
 
     def to_points(

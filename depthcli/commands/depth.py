@@ -7,7 +7,6 @@ The calibration lies beside the images that the run was made from (``calib.txt``
 from __future__ import annotations
 
 import math
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypedDict
 
@@ -214,17 +213,18 @@ def _mask(
     text: str, scene: DisparityScene, disparity: NDArray[np.float32], status: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
     """Return the pixels that ``--mask`` chooses."""
-    from depthcli.api.results import masked
+    from depthcli.api.results import chosen_pixels
     from depthcli.core.maps import DisparityMap
     from depthcli.io.formats.disparity import read_pfm
+    from depthcli.io.formats.files import naming
 
-    def read(file: Path) -> NDArray[np.float32]:
-        confidence = read_pfm(file)
-        _same_size(file, confidence, disparity)
-        return confidence
-
-    maps = {name: partial(read, file) for name, file in scene.confidence.items()}
-    return masked(text, DisparityMap(disparity, status), maps, f"{scene.folder}: ")
+    confidence = {}
+    if text.startswith("confident"):
+        for name, file in scene.confidence.items():
+            confidence[name] = read_pfm(file)
+            _same_size(file, confidence[name], disparity)
+    with naming(scene.folder):
+        return chosen_pixels(DisparityMap(disparity, status), text, confidence)
 
 
 def _same_size(path: Path | None, values: NDArray[np.generic], disparity: NDArray[np.float32]) -> None:

@@ -111,8 +111,8 @@ COLOR, DEPTH = np.full((8, 9, 3), 100, np.uint8), np.ones((8, 9), np.float32)
         ),
         ((COLOR, np.zeros((8, 9), np.uint16)), "depth: no pixel has a depth"),
         ((COLOR, DEPTH.astype(complex)), "depth: expected numbers"),
-        (([COLOR], DEPTH), "lists of as many frames .got 1 of color and no of depth"),
-        (([COLOR, COLOR], [DEPTH]), "lists of as many frames .got 2 of color and 1 of depth"),
+        (([COLOR], DEPTH), "two lists of as many"),
+        (([COLOR, COLOR], [DEPTH]), "two lists of as many"),
         (([COLOR, COLOR[:5]], [DEPTH, DEPTH[:5]]), "frame 1: 9 x 5, but frame 0 is 9 x 8"),
     ],
 )

@@ -112,7 +112,7 @@ def test_masks(matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.Captur
     confidence = read_pfm(made / "planes_0" / "confidence_apkr.pfm")
     assert confidence[kept].min() > confidence[measured & ~kept].max()
     assert run("depth", *one, "-o", tmp_path / "e", "--mask", "confident:0.6") == 3
-    assert "which confidence map? the run has: apkr, msm" in capsys.readouterr().err
+    assert "which confidence map? there are: apkr, msm" in capsys.readouterr().err
     assert run("depth", *one, "-o", tmp_path / "f", "--mask", "sure") == 2
 
 
