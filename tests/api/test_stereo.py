@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import pickle
 import threading
 import time
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import depthcli
-from depthcli.algorithms.filters import single_thread
 from depthcli.cli import main
 from depthcli.core import memory
 from depthcli.io.formats.images import read_image
@@ -221,15 +218,3 @@ def test_threads_take_turns_where_kernels_want_that(monkeypatch: pytest.MonkeyPa
         for thread in threads:
             thread.join()
         assert (most[0] == 1) == (layer == "workqueue")
-
-
-def test_opencv_gets_its_threads_back_when_the_last_has_left():
-    before = cv2.getNumThreads()
-    first, second = single_thread(), single_thread()
-    with contextlib.ExitStack() as outer:
-        outer.enter_context(first)
-        with contextlib.ExitStack() as inner:
-            inner.enter_context(second)
-            outer.pop_all().close()  # the one that came first leaves first
-            assert cv2.getNumThreads() == 1
-        assert cv2.getNumThreads() == before
