@@ -19,8 +19,8 @@ from depthcli.core.errors import ConfigError, DepthcliError
 from depthcli.core.flags import Condition, Flags
 from depthcli.core.method import used_files
 from depthcli.core.text import one_line
-from depthcli.io import storage
 from depthcli.io.formats.pictures import write_legend
+from depthcli.io.inputs import local
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd_sequence import SequenceScene
 from depthcli.run.batch import Batch, Outcome, SceneT
@@ -144,7 +144,7 @@ def _evaluated(
     if not (options.evaluate or options.html):
         return None, None, flags_of(conditions, rows, reporter)
     output, truth = options.output / "evaluation", source.input if source is not None else None
-    in_folder = truth is not None and not storage.is_file(truth)  # pairs of a table have no truth
+    in_folder = truth is not None and not os.path.isfile(local(truth))  # pairs of a table have no truth
     scored = [scene for scene in scenes if in_folder and scene.has_truth]
     page = None
     if options.html:

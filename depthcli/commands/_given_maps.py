@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from depthcli.commands._old_batch import BatchCommand
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
-from depthcli.io import storage
+from depthcli.io.inputs import local
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.given_maps import GivenMap, MapsScene
 from depthcli.io.scenes.stereo import StereoScene
@@ -89,7 +90,7 @@ def find_map_scenes(
     scenes = find_scenes((StereoScene,), values, reporter)
     short = [scene.name.rpartition("/")[2] for scene in scenes]
     names = {
-        scene.name: names_in_run(scene.name, values["input"], short.count(name) == 1)
+        scene.name: names_in_run(scene.name, values["input"] and local(values["input"]), short.count(name) == 1)
         for scene, name in zip(scenes, short, strict=True)
     }
     known: MapFiles = DisparityFiles()
@@ -98,7 +99,7 @@ def find_map_scenes(
         for run in coded
     }
     for run, place in places.items():
-        if storage.is_file(place) and len(scenes) > 1:
+        if os.path.isfile(place) and len(scenes) > 1:
             raise ConfigError(f"{place}: one map for {len(scenes)} scenes; want the folder of their maps")
         options[run] = _recognized(run, place, options[run], scenes, names, reporter)
     right_files = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right", "{scene}"), known.suffixes)
@@ -146,7 +147,7 @@ def threshold_of(values: Values) -> float:
 
 
 def _file(place: Path, files: MapFiles, names: Sequence[str]) -> Path | None:
-    return place if storage.is_file(place) else files.find(place, names)
+    return place if os.path.isfile(place) else files.find(place, names)
 
 
 def _recognized(
@@ -164,7 +165,7 @@ def _recognized(
     from depthcli.io.formats.headers import image_size
     from depthcli.run.reports import read_report
 
-    if not storage.is_dir(place) or read_report(place):
+    if not os.path.isdir(place) or read_report(place):
         return options
     usable = {scene.name: scene for scene in scenes if not scene.problem}
     protocol = protocols.load("middlebury-v2")()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
@@ -165,10 +166,10 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         """
         if not (values.get("evaluate") or values.get("html")):
             return None, None, flags_of(conditions, rows, reporter)
-        from depthcli.io import storage
+        from depthcli.io.inputs import local
 
         output, truth = values["output"] / "evaluation", values.get("input")
-        in_folder = truth is not None and not storage.is_file(truth)  # pairs of a table have no truth
+        in_folder = truth is not None and not os.path.isfile(local(truth))  # pairs of a table have no truth
         scored = [scene for scene in scenes if in_folder and scene.has_truth]
         page = None
         if values.get("html"):

@@ -11,9 +11,8 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.evaluation.comparison import run_names
 from depthcli.evaluation.map_files import MapOptions, found_patterns, map_paths
 from depthcli.evaluation.protocols import AnyProtocol
-from depthcli.io import storage
 from depthcli.io.formats.files import shown
-from depthcli.io.storage.patterns import entered, stem
+from depthcli.io.inputs import local
 from depthcli.run.command import Values
 
 ValueT = TypeVar("ValueT")
@@ -36,10 +35,10 @@ def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
     given = [_split(str(run)) for run in runs]
     if not given:
         raise InputError("no run to evaluate")
-    if absent := [place for _, place in given if not (storage.is_dir(place) or storage.is_file(place))]:
+    given = [(name, local(place)) for name, place in given]
+    if absent := [place for _, place in given if not (os.path.isdir(place) or os.path.isfile(place))]:
         raise InputError(f"{shown(absent[0])}: no such folder")
-    given = [(name, entered(place)) for name, place in given]
-    places = [place.with_name(stem(place)) if storage.is_archive(place) else place for name, place in given if not name]
+    places = [place for name, place in given if not name]
     unnamed = iter(run_names(places) if places else [])
     names = [name or next(unnamed) for name, _ in given]
     if twice := [name for name in names if names.count(name) > 1]:

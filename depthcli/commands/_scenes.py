@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,12 +11,11 @@ from typing import cast
 
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.io import storage
+from depthcli.io.inputs import local
 from depthcli.io.pairs import TABLE_SUFFIXES
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.disparity_map import DisparityScene
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.io.storage.patterns import entered
 from depthcli.io.walk import NoScenesError, chosen_scenes, discover_scenes, matches_any, scenes_with_files
 from depthcli.run.command import SceneT, Values
 from depthcli.run.console import Reporter
@@ -50,6 +50,9 @@ def find_scenes(
     else:
         assert isinstance(source, SceneOptions)
         values, evaluates, reporter, single = vars(source), run.evaluate, run.reporter, source.single_files
+    values = {
+        key: local(v) if isinstance(v, Path) and key not in ("output", "html") else v for key, v in values.items()
+    }
     place, name, patterns = values["input"], values["name"], values["scenes"] or ["*"]
     if named := next((scenes for kind in kinds if (scenes := kind.named(values))), []):
         if place is not None:
@@ -65,7 +68,7 @@ def find_scenes(
         raise ConfigError(f"give --input DIR, or {single}")
     if name is not None:
         raise ConfigError(f"--name is for a single scene, given by {single}")
-    if evaluates and storage.is_file(place):
+    if evaluates and os.path.isfile(place):
         raise ConfigError(f"{place}: --evaluate needs a folder of scenes, with their ground truth")
     try:
         return scenes_at(place, kinds, values["layout"], patterns, reporter)
@@ -78,7 +81,7 @@ def scenes_at(
     place: Path, kinds: tuple[type[SceneT], ...], layout: str | None, patterns: Sequence[str], reporter: Reporter
 ) -> list[SceneT]:
     """Return the scenes of a folder, or those that a table of files lists."""
-    if storage.is_file(place) and place.suffix.lower() in TABLE_SUFFIXES:
+    if os.path.isfile(place) and place.suffix.lower() in TABLE_SUFFIXES:
         return _chosen(kinds[0].of_table(place), patterns, place)
     # Folders that cannot be read are among them as scenes with a ``problem``, which are reported and not computed.
     found = cast("list[SceneT]", discover_scenes(place, kinds, layout, patterns, reporter.info))
@@ -101,19 +104,18 @@ def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
     InputError
         There is no such run, or no map of a scene that matches ``--scenes``.
     """
-    run: Path = values["run"]
-    if storage.is_file(run):
+    run = local(values["run"])
+    if os.path.isfile(run):
         return [
             DisparityScene(
                 name=run.stem, folder=run.parent, disparity=run, left=values["left"], calibration=values["calibration"]
             )
         ]
-    run = entered(run)
     rows = read_report(run)
     names = _names_of_maps(run, [name for name in rows if is_inside(name)], values["scenes"] or ["*"])
     done = {name for name, row in rows.items() if row.get("status") == "done" and is_inside(name)}
     missing = sorted(name for name in done - set(names) if matches_any(name, values["scenes"] or ["*"]))
-    sources = {name: Path(source) for name in names if (source := rows.get(name, {}).get("source"))}
+    sources = {name: local(source) for name in names if (source := rows.get(name, {}).get("source"))}
     inputs: dict[str, Scene]
     if values["input"] is not None:
         inputs = {
@@ -132,9 +134,9 @@ def _missing_map(folder: Path, name: str) -> DisparityScene:
 
 
 def _names_of_maps(run: Path, reported: Sequence[str], patterns: Sequence[str]) -> list[str]:
-    if not storage.is_dir(run):
+    if not os.path.isdir(run):
         raise InputError(f"{run}: no such run folder or map")
-    names = {name for name in reported if storage.is_file(run / name / _MAP)}
+    names = {name for name in reported if os.path.isfile(run / name / _MAP)}
     found = (file.parent.relative_to(run) for file in _maps_in(run))
     names |= {place.as_posix() for place in found if 1 <= len(place.parts) <= 2}
     chosen = sorted(name for name in names if not name.startswith(".") and matches_any(name, patterns))
@@ -144,28 +146,26 @@ def _names_of_maps(run: Path, reported: Sequence[str], patterns: Sequence[str]) 
 
 
 def _maps_in(run: Path) -> Iterator[Path]:
-    if run.is_dir():
-        return (file for depth in ("*", "*/*") for file in run.glob(f"{depth}/{_MAP}"))
-    return (file for file in storage.files_below(run) if file.name == _MAP)
+    return (file for depth in ("*", "*/*") for file in run.glob(f"{depth}/{_MAP}"))
 
 
 def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, values: Values) -> DisparityScene:
     """Return the map in ``folder``; ``pair`` is the scene it was made from, and ``source`` its left image, if known."""
-    left = source if source is not None and storage.is_file(source) else None
+    left = source if source is not None and os.path.isfile(source) else None
     calibration, cameras, geometry = None, (2, 3), None
     if isinstance(pair, StereoScene):
         left, calibration, cameras, geometry = pair.left, pair.calibration, pair.cameras, pair.geometry
-    if all(storage.is_file(folder / name) for name in ("calib.txt", "left.png")):  # the pair was rectified for the map
+    if all(os.path.isfile(folder / name) for name in ("calib.txt", "left.png")):  # the pair was rectified for the map
         left, calibration, cameras, geometry = folder / "left.png", folder / "calib.txt", (2, 3), None
-    elif pair is None and left is not None and storage.is_file(beside := left.parent / "calib.txt"):
+    elif pair is None and left is not None and os.path.isfile(beside := left.parent / "calib.txt"):
         calibration = beside
     status = folder / "status.png"
     return DisparityScene(
         name=name,
         folder=folder,
         disparity=folder / _MAP,
-        status=status if storage.is_file(status) else None,
-        confidence={path.stem.partition("_")[2]: path for path in storage.glob(folder, "confidence_*.pfm")},
+        status=status if os.path.isfile(status) else None,
+        confidence={path.stem.partition("_")[2]: path for path in sorted(folder.glob("confidence_*.pfm"))},
         left=left,
         calibration=values["calibration"] or (calibration if values["focal"] is None else None),
         cameras=cameras,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,13 +13,11 @@ from typing import TYPE_CHECKING
 
 from depthcli.commands._runs import names_in_run, recognized
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.core.text import without_secrets
 from depthcli.evaluation.calibration import HiddenPixels
 from depthcli.evaluation.map_files import MapOptions
 from depthcli.evaluation.plots import curve_plot
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load
 from depthcli.evaluation.results import MapResult
-from depthcli.io import storage
 from depthcli.io.formats.files import collected_warnings, write_text
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
@@ -75,7 +74,7 @@ class Scoring:
     @cached_property
     def _data_set(self) -> str:
         """Name of the data set of scenes that lie in the folder of the truth itself."""
-        return Path(without_secrets(str(self.truth))).resolve().name
+        return self.truth.resolve().name
 
     def recognize_maps(self, scenes: Sequence[Scene]) -> None:
         """Find the pattern of the maps of every run that holds none under a usual name.
@@ -102,7 +101,7 @@ class Scoring:
 
         named = {name: (protocol, names) for name, (_, protocol, names) in usable.items()}
         for run, place in self.runs.items():
-            if storage.is_dir(place) and not self.reports[run]:
+            if os.path.isdir(place) and not self.reports[run]:
                 given = self.map_options.get(run, MapOptions())
                 found = recognized(run, place, given, named, fits)
                 if found != given:
@@ -171,7 +170,7 @@ class Scoring:
         files = options.files(protocol.files)
         row: Row = next((rows[name] for name in names if name in rows), {})
         try:
-            path = place if storage.is_file(place) else files.find(place, names)
+            path = place if os.path.isfile(place) else files.find(place, names)
             if path is None:
                 reason = f": the run failed there: {row['error']}" if row.get("error") else files.searched(names)
                 raise InputError(f"{place}: no map of scene {scene.name}{reason}")

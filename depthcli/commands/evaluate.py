@@ -7,6 +7,7 @@ is read and how it is scored is decided by the scene's protocol (``depthcli/eval
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -21,7 +22,6 @@ from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.core.plugins import Plugin
 from depthcli.core.registry import plugin_of, versions_here
-from depthcli.core.text import without_secrets
 from depthcli.run.command import Command, Values
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row, to_csv, to_json
@@ -153,14 +153,14 @@ def evaluate(
     from depthcli.commands._runs import find_runs
     from depthcli.commands._scoring import Scoring
     from depthcli.evaluation.protocols import Settings, load
-    from depthcli.io import storage
+    from depthcli.io.inputs import local
     from depthcli.run.install import staging_folder
 
-    reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), Path(truth)
+    reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), local(truth)
     places = find_runs(runs)
     scored_by = None if protocol is None else load(protocol)(settings)
     found = _find_truth(truth, scored_by, kinds, layout, scenes, settings, reporter)
-    if len(found) > 1 and any(map(storage.is_file, places.values())):
+    if len(found) > 1 and any(map(os.path.isfile, places.values())):
         raise InputError(f"a single map wants a single scene, {truth} has {len(found)}: give a file, or --scenes")
     writing = staging_folder(Path(output), "evaluate", RESULTS, reporter.info) if output is not None else None
     with writing or contextlib.nullcontext() as folder:
@@ -187,6 +187,7 @@ def _scored(
     """Score all scenes, and write scores, pictures and the page."""
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.plots import cache_below
+    from depthcli.io.inputs import origin
 
     results: list[MapResult] = []
     with cache_below(scoring.output):
@@ -204,7 +205,7 @@ def _scored(
                 reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
         hints = (*scoring.hints, *scoring.misfits)
         plugins = versions_here(_plugins(scoring, scenes))
-        shown_truth = without_secrets(str(scoring.truth))
+        shown_truth = origin(scoring.truth)
         report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, shown_truth, hints, plugins)
         if conditions:
             own = {run: _report_of(place, scenes) if rows is None else rows for run, place in scoring.runs.items()}
@@ -217,10 +218,9 @@ def _scored(
 
 def _report_of(place: Path, scenes: Sequence[Scene]) -> dict[str, Row]:
     """Return scene -> row of a run's report, of those of the scenes that it has."""
-    from depthcli.io import storage
     from depthcli.run.reports import read_report
 
-    rows = read_report(place) if storage.is_dir(place) else {}
+    rows = read_report(place) if os.path.isdir(place) else {}
     return {scene.name: rows[scene.name] for scene in scenes if scene.name in rows}
 
 
@@ -253,10 +253,9 @@ def _find_truth(
 ) -> list[Scene]:
     """All scenes with ground truth, and those that cannot be used; of a file, the scene whose truth it is."""
     from depthcli.evaluation.protocols import load
-    from depthcli.io import storage
     from depthcli.io.walk import discover_scenes, scene_with_file
 
-    if storage.is_file(truth) and not storage.is_dir(truth):  # a server may give a folder as a file, too
+    if os.path.isfile(truth):
         holding = scene_with_file(truth)
         if holding is None and scored_by is None:
             reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")

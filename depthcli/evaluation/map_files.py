@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.io import storage
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 
 _MAX_LISTED = 50_000  # files of a run folder that are looked at
@@ -76,7 +75,7 @@ class MapFiles:
         InputError
             Several files claim to be the map.
         """
-        return next((path for name in names for path in self.candidates(folder, name) if storage.is_file(path)), None)
+        return next((path for name in names for path in self.candidates(folder, name) if os.path.isfile(path)), None)
 
     def searched(self, names: Sequence[str]) -> str:
         """Return the places that ``find`` looks at, in words for an error message."""
@@ -95,14 +94,14 @@ class MapFiles:
         """
         if not self._in_run_folder(path):
             return {}
-        files = sorted(p for p in storage.glob(path.parent, "confidence*") if p.suffix.lower() in (".pfm", ".npy"))
+        files = sorted(p for p in path.parent.glob("confidence*") if p.suffix.lower() in (".pfm", ".npy"))
         named = (file for file in files if file.stem == "confidence" or file.stem.startswith("confidence_"))
         return {file.stem.removeprefix("confidence_"): file for file in named}
 
     def status(self, path: Path) -> Path | None:
         """Return the status map beside a map; None where there is none."""
         file = path.parent / "status.png"
-        return file if self._in_run_folder(path) and storage.is_file(file) else None
+        return file if self._in_run_folder(path) and os.path.isfile(file) else None
 
     def _in_run_folder(self, path: Path) -> bool:
         """True where the map is named as in a run folder, so that the files beside it belong to it."""
@@ -121,7 +120,7 @@ class DisparityFiles(MapFiles):
         """Yield also result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, else ``disp0METHOD_s.pfm``."""
         yield from super().candidates(folder, scene)
         inside = folder / scene
-        files = storage.glob(inside, "disp0*.pfm") if storage.is_dir(inside) else ()
+        files = sorted(inside.glob("disp0*.pfm"))
         kit = sorted(path for path in files if not path.stem.startswith("disp0GT"))
         dense = [path for path in kit if not path.stem.endswith("_s")] or kit
         named = [path for path in dense if path.stem == f"disp0{folder.resolve().name}"] or dense
@@ -159,7 +158,7 @@ def found_patterns(folder: Path, scenes: Mapping[str, Sequence[str]], suffixes: 
 def map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:
     """Yield the paths of the files with these endings in a folder, relative to it, with ``/``, sorted."""
     if not os.path.isdir(folder):  # in an archive
-        below = sorted(path.relative_to(folder).as_posix() for path in storage.files_below(folder))
+        below = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("[!.]*") if os.path.isfile(path))
         yield from (path for path in below if path.lower().endswith(tuple(suffixes)))
         return
     for place, folders, files in os.walk(folder):

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.io import storage
 from depthcli.io.formats.files import naming, read_bytes
 
 TABLE_SUFFIXES = (".csv", ".tsv")
@@ -42,7 +41,7 @@ class NamedPair:
 
 def is_many(path: Path) -> bool:
     """Return whether a path is a pattern or a folder: more than one file."""
-    return storage.is_dir(path) or (bool(_WILD.search(str(path))) and not os.path.lexists(path))
+    return os.path.isdir(path) or (bool(_WILD.search(str(path))) and not os.path.lexists(path))
 
 
 def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[NamedPair]:
@@ -144,7 +143,7 @@ class _Match:
 
 
 def _matching(pattern: Path, suffixes: tuple[str, ...]) -> list[_Match]:
-    if storage.is_dir(pattern):
+    if os.path.isdir(pattern):
         pattern = pattern / "*"
     parts = pattern.parts
     first = next((k for k, part in enumerate(parts) if _WILD.search(part)), len(parts) - 1)
@@ -186,7 +185,7 @@ def _groups(part: str) -> str:
 
 def _names(place: Path) -> list[str]:
     try:
-        return storage.names(place)
+        return sorted(os.listdir(place))
     except (OSError, InputError):
         return []
 

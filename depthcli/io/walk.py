@@ -5,18 +5,18 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 import gc
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.io import storage
-from depthcli.io.formats.files import naming, read_bytes
+from depthcli.io.formats.files import read_bytes
+from depthcli.io.inputs import archives_in, gathered, local
 from depthcli.io.layouts import Folder, Layout, layouts, own_layouts
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.stereo import with_sequences
-from depthcli.io.storage.patterns import archives_in, entered, is_pattern, matching, stem, top_folder
 
 _RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.run.run_folder
 _MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
@@ -67,18 +67,16 @@ def discover_scenes(
         No such folder, no scene, no match for a pattern; or ``folder`` is itself a scene that fits two layouts, has
         a broken meta.json or the like. A scene below it with such a problem is listed with its ``problem``.
     """
-    folder = Path(folder)
-    archives: list[Path] = []
-    if not storage.is_dir(folder):
-        archives = matching(folder)
-        if not archives:
-            raise InputError(f"{folder}: {_why_no_folder(folder)}")
+    folder = local(folder)
+    if not os.path.isdir(folder):
+        is_file = os.path.isfile(folder)
+        raise InputError(f"{folder}: {'a file, expected a folder or an archive' if is_file else 'no such folder'}")
     fitting = tuple(kinds) if kinds is not None else (Scene,)
     wanted = _wanted(own_layouts(), fitting, layout)
-    found = _find(folder, archives, wanted, layout, warn) if wanted else []
+    found = _find(folder, wanted, layout, warn) if wanted else []
     if not found and layouts() != own_layouts():  # layouts of plug-ins are asked where no other fits
         wanted = _wanted(layouts(), fitting, layout)
-        found = _find(folder, archives, wanted, layout, warn) if wanted else []
+        found = _find(folder, wanted, layout, warn) if wanted else []
     if not wanted:
         names = ", ".join(each.name for each in _wanted(layouts(), fitting, None))
         raise InputError(f"no layout called {layout!r}; one of: {names}")
@@ -87,19 +85,10 @@ def discover_scenes(
         looked_for = f"{names}: {wanted[0].wants.replace('`', '').partition(';')[0]}"
         if len(wanted) > 1:
             looked_for = f"files of the layouts {names}; depthcli help layouts names them"
-        inside = archives_in(entered(folder)) if storage.is_archive(folder) else []
-        nested = f"; it holds archives, such as {inside[0].name}: unpack it" if inside else ""
-        raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {looked_for}){nested}")
+        if archives := archives_in(folder):
+            return discover_scenes(gathered(archives), kinds, layout, patterns, warn)
+        raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {looked_for})")
     return chosen_scenes(found, patterns, folder)
-
-
-def _why_no_folder(path: Path) -> str:
-    kinds = "a .zip, .tar, .tar.gz or .tgz file"
-    if storage.is_other_archive(path):
-        return f"want {kinds}"
-    if storage.is_file(path):
-        return f"a file, want a folder, or {kinds}"
-    return "no archive has such a name" if is_pattern(path) else "no such folder"
 
 
 def _wanted(known: Iterable[Layout], kinds: tuple[type[Scene], ...], layout: str | None) -> tuple[Layout, ...]:
@@ -108,58 +97,18 @@ def _wanted(known: Iterable[Layout], kinds: tuple[type[Scene], ...], layout: str
     return tuple(each for each in known if issubclass(each.kind, kinds) and name in (None, each.name))
 
 
-def _find(
-    folder: Path, archives: list[Path], wanted: tuple[Layout, ...], layout: str | None, warn: Callable[[str], None]
-) -> list[Scene]:
-    """Scenes in a folder or below it, or in archives; ``layout`` is what the user named."""
+def _find(folder: Path, wanted: tuple[Layout, ...], layout: str | None, warn: Callable[[str], None]) -> list[Scene]:
+    """Scenes in a folder or below it; ``layout`` is what the user named."""
     requested = wanted[0].name if layout else ""
-    if archives:
-        return [scene for each in archives for scene in _scenes_in_archive(each, wanted, requested, warn)]
-    damaged: list[Scene] = []
-    name = folder.resolve().name
-    if storage.is_archive(folder):
-        damaged = _damage(folder, folder.name, warn)
-        name = stem(folder)
-        if (top := top_folder(folder)) is not None:
-            folder, name = top, top.name
-    found = _scenes_of(Folder(folder, name, "", requested), wanted)
+    found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)
     for child in () if found else _subfolders(folder, warn):
         found += _scenes_or_problem(child, child.name, wanted, requested) or _scenes_below(
             child, child.name, wanted, requested, warn
         )
-    beside = archives_in(folder) if folder.is_dir() else []
-    if found and beside:  # what these were unpacked from, perhaps
+    if found and (beside := archives_in(folder)):  # what these were unpacked from, perhaps
         more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
         warn(f"{folder}: {beside[0].name}{more} beside the scenes not read; to use it, name it itself")
-    for each in () if found else beside:
-        found += _scenes_in_archive(each, wanted, requested, warn)
-    return [*found, *damaged]
-
-
-def _scenes_in_archive(
-    archive: Path, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]
-) -> list[Scene]:
-    """Scenes of one of several archives, which is named as a data set."""
-    name = stem(archive)
-    try:
-        if not storage.is_dir(archive):
-            raise InputError(f"{archive}: no such file")
-        damaged = _damage(archive, archive.name, warn)
-        top = top_folder(archive)
-    except (InputError, OSError) as error:
-        return [BrokenScene(name=name, folder=archive, problem=str(error))]
-    folder = archive if top is None or _scenes_or_problem(top, name, wanted, requested) else top
-    found = _scenes_or_problem(folder, name, wanted, requested)
-    return [*(found or _scenes_below(folder, name, wanted, requested, warn)), *damaged]
-
-
-def _damage(archive: Path, name: str, warn: Callable[[str], None]) -> list[Scene]:
-    """Return a scene that stands for those which a damaged archive lost; none where it is whole."""
-    with naming(archive):
-        notes, damage = storage.findings(archive)
-    for note in notes:
-        warn(f"warning: {archive}: {note}")
-    return [BrokenScene(name=name, folder=archive, problem=f"{archive}: {damage}")] if damage else []
+    return found
 
 
 def _scenes_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Scene]:
@@ -196,8 +145,8 @@ def _scenes_below(
 def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -> list[Path]:
     """Folders in a folder, but for those that hold results of runs."""
     try:
-        found = storage.subfolders(folder)
-        runs = [child for child in storage.holding(folder, found, _RUN_FILE) if _holds_results(child)]
+        found = sorted(child for child in folder.iterdir() if child.name[0] != "." and os.path.isdir(child))
+        runs = [child for child in found if os.path.isfile(child / _RUN_FILE) and _holds_results(child)]
     except (OSError, InputError):
         return []
     for run in runs:

@@ -15,8 +15,8 @@ from pydantic import BaseModel
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.text import show_bytes
-from depthcli.io import storage
 from depthcli.io.formats.files import ends_of_file
+from depthcli.io.inputs import origin
 from depthcli.io.scenes import Scene
 from depthcli.run.command import ConfigT, SceneCommand, SceneT
 from depthcli.run.console import aligned
@@ -95,7 +95,7 @@ class Planner:
         inputs = {role: self._digest(file) for role, file in files.items()}
         inputs |= {} if scene.problem else command.settings(config, scene)
         inputs |= {"keep": " ".join(keep)} if keep else {}
-        source = storage.location(next(iter(files.values()), scene.folder))
+        source = origin(next(iter(files.values()), scene.folder).absolute())
         return Task(scene, self.output, workspace, number, self.identity, inputs, source)
 
     def finished(self, task: Task, measured: Mapping[str, object]) -> tuple[Row | None, Record | None]:

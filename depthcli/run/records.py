@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +17,6 @@ from typing import Any
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import MAX_BYTES, open_regular, read_bytes, write_text
 from depthcli.io.formats.images import IMAGE_SUFFIXES
-from depthcli.io.storage.sized import size_of
 from depthcli.run.json_csv import Row, to_json
 
 RUN_FILE = "run.yaml"
@@ -70,7 +70,7 @@ def file_digest(path: Path) -> str:
     sha = hashlib.sha256()
     try:
         with open_regular(path) as file:
-            left = size_of(file)
+            left = os.fstat(file.fileno()).st_size
             if left > limit:
                 return f"unreadable: larger than {limit >> 30} GiB"
             while block := file.read(1 << 20):

@@ -1,17 +1,14 @@
-"""Scenes in archives and behind URLs: the same as in folders, and nothing worse than a message where they are bad."""
+"""Scenes in archives and behind URLs: the same as in folders, and one line where they are bad."""
 
 from __future__ import annotations
 
 import contextlib
-import errno
 import gzip
 import io
 import os
-import re
 import shutil
 import tarfile
 import threading
-import time
 import zipfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -24,21 +21,16 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.errors import InputError
 from depthcli.core.text import without_secrets
-from depthcli.io import storage
-from depthcli.io.formats.files import open_regular, read_bytes
+from depthcli.io import inputs
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.library_files import library_path
-from depthcli.io.storage import remote
-from depthcli.io.storage.sized import size_of
-from depthcli.io.storage.unpacking import UnpackedGzip
-from depthcli.io.storage.zips import Zip
+from depthcli.io.inputs import local, origin
 from depthcli.io.walk import discover_scenes
 
 
 @pytest.fixture(autouse=True)
-def _closed() -> Iterator[None]:
-    yield
-    storage.close_all()
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "depthcli" / "inputs"
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +59,7 @@ def _zip(folder: Path, target: Path, start: str = "") -> Path:
 
 def _tar(folder: Path, target: Path, start: str = "./", mode: str = "w") -> Path:
     with tarfile.open(target, mode) as archive:  # type: ignore[call-overload]
-        archive.add(folder, start or ".")
+        archive.add(folder, start)
     return target
 
 
@@ -78,255 +70,132 @@ def _shards(folder: Path, target: Path) -> Path:
     return target
 
 
-def _add(archive: tarfile.TarFile, name: str, data: bytes = b"", **values: object) -> None:
-    info = tarfile.TarInfo(name)
-    info.size = len(data)
-    for key, value in values.items():
-        setattr(info, key, value)
-    archive.addfile(info, io.BytesIO(data))
-
-
-def _results(folder: Path) -> dict[str, bytes]:
+def _contents(folder: Path) -> dict[str, bytes]:
     measured = ("report.json", "report.csv")
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in _files(folder) if p.name not in measured}
 
 
 MAKERS: dict[str, Callable[[Path, Path], Path]] = {
-    "a.zip": _zip,
-    "top.zip": partial(_zip, start="scenes/"),
-    "a.tar": _tar,
-    "a.tar.gz": partial(_tar, start="scenes", mode="w:gz"),
-    "a.tgz": partial(_tar, mode="w:gz"),
-    "shard.tar": _shards,
-}
+    "a.zip": _zip, "top.zip": partial(_zip, start="scenes/"), "a.tar": _tar, "shard.tar": _shards,
+    "a.tar.gz": partial(_tar, start="scenes", mode="w:gz"), "a.tar.xz": partial(_tar, mode="w:xz"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_archive_lists_scenes_as_folder(scenes: Path, tmp_path: Path, name: str) -> None:
+def test_archive_is_its_folder(scenes: Path, tmp_path: Path, name: str) -> None:
     archive = MAKERS[name](scenes, tmp_path / name)
-    found, wanted = discover_scenes(archive), discover_scenes(scenes)
-    assert [scene.name for scene in found] == [scene.name for scene in wanted] == ["s0", "s1"]
-    for scene, other in zip(found, wanted, strict=True):
-        assert {k: read_bytes(f) for k, f in scene.input_files.items()} == {
-            k: read_bytes(f) for k, f in other.input_files.items()
-        }
-        assert scene.has_truth
+    assert _contents(local(archive)) == _contents(scenes)
+    found = discover_scenes(archive)
+    assert [scene.name for scene in found] == ["s0", "s1"] and all(scene.has_truth for scene in found)
+    inside = "" if (name.startswith("a.") and "gz" not in name) or name == "shard.tar" else "scenes/"
+    assert origin(found[1].input_files["left"]) == f"{archive}/{inside}s1/left.png"
+    assert local(archive / f"{inside}s1/left.png").read_bytes() == (scenes / "s1/left.png").read_bytes()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["a.zip", "a.tar.gz", "shard.tar"])
-def test_run_on_archive_gives_the_same_bytes(scenes: Path, tmp_path: Path, name: str) -> None:
-    archive = MAKERS[name](scenes, tmp_path / name)
+def test_commands_on_archives_give_the_bytes_of_the_folder(scenes: Path, tmp_path: Path, capsys) -> None:
+    archive = _zip(scenes, tmp_path / "scenes.zip")
     for place, output in ((scenes, "folder"), (archive, "archive")):
         assert main(["stereo", "fast", "-i", str(place), "-o", str(tmp_path / output), "-q"]) == 0
-    assert _results(tmp_path / "folder") == _results(tmp_path / "archive")
-    with contextlib.redirect_stdout(io.StringIO()) as output:
-        assert main(["evaluate", str(tmp_path / "archive"), "--truth", str(archive), "--json"]) == 0
-    assert '"s1"' in output.getvalue()
-    assert main(["stereo", "fast", "-i", str(scenes), "-o", str(tmp_path / "archive"), "--dry-run", "--json"]) == 0
+    assert _contents(tmp_path / "folder") == _contents(tmp_path / "archive")
+    run = _zip(tmp_path / "folder", tmp_path / "run.zip")
+    capsys.readouterr()
+    assert main(["evaluate", str(run), "--truth", str(archive), "--json"]) == 0
+    assert '"s1"' in capsys.readouterr().out
+    for place, output in ((tmp_path / "folder", "one"), (run, "two")):
+        words = ["--focal", "30", "--baseline", "0.1", "-q", "-o", str(tmp_path / output)]
+        assert main(["depth", str(place), *words]) == 0
+    assert (tmp_path / "one/s1/depth.pfm").read_bytes() == (tmp_path / "two/s1/depth.pfm").read_bytes()
 
 
-def test_several_shards(scenes: Path, tmp_path: Path) -> None:
+def test_several_archives(scenes: Path, tmp_path: Path) -> None:
     for k in range(3):
         _shards(scenes, tmp_path / f"shard-{k:03d}.tar")
     wanted = [f"shard-{k:03d}/s{n}" for k in range(3) for n in range(2)]
     for place in (tmp_path, tmp_path / "shard-*.tar", tmp_path / "shard-{000..002}.tar"):
         assert [scene.name for scene in discover_scenes(place)] == wanted
-    shutil.copytree(scenes / "s0", tmp_path / "one" / "s0")
-    _shards(tmp_path / "one", tmp_path / "one.tar")  # of a single sample
-    assert [scene.name for scene in discover_scenes(tmp_path / "on*.tar")] == ["one/s0"]
-    missing = discover_scenes(tmp_path / "shard-{002..003}.tar")
-    assert [bool(scene.problem) for scene in missing] == [False, False, True]
-
-
-def test_archives_beside_scenes_are_left_alone(scenes: Path, tmp_path: Path) -> None:
-    shutil.copytree(scenes, tmp_path / "data")
-    _zip(scenes, tmp_path / "data" / "scenes.zip")
-    assert [scene.name for scene in discover_scenes(tmp_path / "data")] == ["s0", "s1"]
-
-
-def test_unsafe_names_lead_nowhere(scenes: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"shard-003\.tar: no such file"):
+        discover_scenes(tmp_path / "shard-{002..003}.tar")
     lines: list[str] = []
+    shutil.copytree(scenes, tmp_path / "data")
+    _zip(scenes, tmp_path / "data" / "more.zip")
+    assert [scene.name for scene in discover_scenes(tmp_path / "data", warn=lines.append)] == ["s0", "s1"]
+    assert len(lines) == 1 and "more.zip" in lines[0]
+
+
+def test_changed_archive_is_unpacked_again(tmp_path: Path, cache: Path) -> None:
+    for text in ("one", "one", "other"):
+        if not (tmp_path / "a.zip").exists() or text == "other":
+            with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+                archive.writestr("x", text)
+        assert (local(tmp_path / "a.zip") / "x").read_text() == text
+    assert len(list(cache.iterdir())) == 2
+
+
+def test_nothing_is_written_outside_and_links_are_not_made(scenes: Path, tmp_path: Path, cache: Path, caplog) -> None:
     with zipfile.ZipFile(_zip(scenes, tmp_path / "a.zip"), "a") as archive:
         for name in ("../out/left.png", "/etc/left.png", "s0/../../left.png", "..\\left.png", "C:/left.png"):
             archive.writestr(name, b"x")
-    assert len(discover_scenes(tmp_path / "a.zip", warn=lines.append)) == 2
-    assert len(lines) == 1 and "5 members not used" in lines[0]
-
-
-def test_links_devices_and_duplicates_are_refused(tmp_path: Path) -> None:
-    secret = tmp_path / "secret.png"
-    secret.write_bytes(b"secret")
-    with tarfile.open(tmp_path / "a.tar", "w") as archive:
-        _add(archive, "l.png", type=tarfile.SYMTYPE, linkname=str(secret))
-        _add(archive, "h.png", type=tarfile.LNKTYPE, linkname="../secret.png")
-        _add(archive, "d.png", type=tarfile.CHRTYPE)
-        _add(archive, "t.png", b"1")
-        _add(archive, "t.png", b"2")
-    for name, words in {"l": "a link", "h": "a link", "d": "special", "t": "more than once", "n": "no such"}.items():
-        with pytest.raises(Exception, match=rf"a\.tar/{name}\.png: .*{words}"):
-            read_bytes(tmp_path / "a.tar" / f"{name}.png")
-    with zipfile.ZipFile(tmp_path / "a.zip", "w") as made:
-        link = zipfile.ZipInfo("l.png")
+        link = zipfile.ZipInfo("link.png")
         link.create_system, link.external_attr = 3, 0o120777 << 16
-        made.writestr(link, str(secret))
-    with pytest.raises(Exception, match="never followed"):
-        read_bytes(tmp_path / "a.zip" / "l.png")
+        archive.writestr(link, "/etc/passwd")
+    with tarfile.open(tmp_path / "b.tar", "w") as tar:
+        tar.add(scenes / "s0", "s0")
+        for kind in (tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE):
+            member = tarfile.TarInfo(f"s0/{kind.decode()}.png")
+            member.type, member.linkname = kind, "/etc/passwd"
+            tar.addfile(member)
+    for name, files, left_out in (("a.zip", 8, 6), ("b.tar", 4, 3)):
+        caplog.clear()
+        assert len(_files(local(tmp_path / name))) == files
+        assert f"{left_out} members not used" in caplog.text
+    assert not [path for path in _files(tmp_path) if not path.is_relative_to(cache) and path.parent != tmp_path]
 
 
-def test_bombs_are_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("depthcli.io.storage.archive.LARGE_BYTES", 1 << 16)
-    with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_DEFLATED) as made:
-        made.writestr("left.png", bytes(1 << 20))
-    with pytest.raises(Exception, match="not read"):
-        read_bytes(tmp_path / "a.zip" / "left.png")
-    monkeypatch.setattr("depthcli.io.storage.unpacking._BOMB_BYTES", 1 << 16)
-    (tmp_path / "a.tar.gz").write_bytes(gzip.compress(bytes(1 << 20)))
-    with open(tmp_path / "a.tar.gz", "rb") as packed, pytest.raises(OSError, match="not read further"):
-        io.BufferedReader(UnpackedGzip(packed)).read()
-    with tarfile.open(tmp_path / "h.tar", "w") as archive:  # a name as long as a memory
-        _add(archive, "long", bytes(2 << 20), type=tarfile.GNUTYPE_LONGNAME)
-        _add(archive, "left.png", b"x")
-    with pytest.raises(Exception, match="unreasonable"):
-        storage.names(tmp_path / "h.tar")
-
-
-def _damaged(scenes: Path, place: Path) -> dict[str, bytes]:
-    """Archives that cannot be used at all."""
-    whole = _zip(scenes, place / "whole.zip").read_bytes()
+def _spoiled(scenes: Path, place: Path) -> dict[str, bytes]:
+    whole, tar = _zip(scenes, place / "whole.zip").read_bytes(), _tar(scenes, place / "w.tar").read_bytes()
+    packed, bit = _tar(scenes, place / "w.tgz", mode="w:gz").read_bytes(), bytearray(whole)
+    bit[100] ^= 1
+    header = tarfile.TarInfo("long")
+    header.type, header.size = tarfile.GNUTYPE_LONGNAME, 2 << 20
     return {
-        "empty.zip": b"",
-        "cut.zip": whole[: len(whole) // 2],
-        "text.zip": b"no archive" * 100,
-        "empty.tar.gz": b"",
-        "text.tar": b"no archive" * 200,
-        "text.tgz": b"no archive" * 200,
-        "a.tar.xz": b"x",
-    }
+        "empty.zip": b"", "cut.zip": whole[: len(whole) // 2], "text.tgz": b"no archive" * 200, "bit.zip": bytes(bit),
+        "cut.tar": tar[: 3 * len(tar) // 4], "end.tar": tar.rstrip(b"\0"), "cut.tgz": packed[: 3 * len(packed) // 4],
+        "name.tar": header.tobuf() + bytes(2 << 20) + tar, "bomb.tgz": _bomb(),
+    }  # fmt: skip
 
 
-def test_unusable_archives_are_one_line(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, data in _damaged(scenes, tmp_path).items():
+def _bomb() -> bytes:
+    made = io.BytesIO()
+    with tarfile.open(fileobj=made, mode="w") as tar:
+        member = tarfile.TarInfo("zeros")
+        member.size = 1 << 21
+        tar.addfile(member, io.BytesIO(bytes(member.size)))
+    return gzip.compress(made.getvalue())
+
+
+def test_unusable_archives_are_one_line(scenes: Path, tmp_path: Path, cache: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(inputs, "_ALWAYS_BYTES", 1 << 20)
+    for name, data in _spoiled(scenes, tmp_path).items():
         (tmp_path / name).write_bytes(data)
         assert main(["stereo", "fast", "-i", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 2, name
         (line,) = capsys.readouterr().err.splitlines()
-        assert name in line
-
-
-def _crc(scenes: Path, path: Path) -> None:
-    with zipfile.ZipFile(path, "w") as archive:
-        for file in _files(scenes):
-            archive.write(file, file.relative_to(scenes).as_posix())
-    with zipfile.ZipFile(path) as archive:
-        start = archive.getinfo("s0/right.png").header_offset
-    data = bytearray(path.read_bytes())
-    data[start + 80] ^= 1
-    path.write_bytes(data)
-
-
-def _encrypted(scenes: Path, path: Path) -> None:
-    _zip(scenes, path)
-    data = bytearray(path.read_bytes())
-    place = data.rindex(b"s0/right.png") - 46
-    data[place + 8] |= 1
-    path.write_bytes(data)
-
-
-def _cut_tar(scenes: Path, path: Path) -> None:
-    _tar(scenes, path)
-    with tarfile.open(path) as archive:
-        last = max(archive.getmembers(), key=lambda member: member.offset_data)
-    path.write_bytes(path.read_bytes()[: last.offset_data + 5])
-
-
-def _cut_gzip(scenes: Path, path: Path) -> None:
-    _tar(scenes, path, mode="w:gz")
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) * 3 // 4])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "spoil", "words"),
-    [
-        ("a.zip", _crc, r"a\.zip/s0/right\.png: .*damaged"),
-        ("a.zip", _encrypted, r"a\.zip/s0/right\.png: encrypted"),
-        ("a.tar", _cut_tar, "cut"),
-        ("a.tar.gz", _cut_gzip, "cut"),
-    ],
-)
-def test_other_scenes_of_a_damaged_archive_are_done(
-    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    name: str, spoil: Callable[[Path, Path], None], words: str,
-) -> None:  # fmt: skip
-    spoil(scenes, tmp_path / name)
-    assert main(["stereo", "fast", "-i", str(tmp_path / name), "-o", str(tmp_path / "out"), "-q"]) == 3
-    assert re.search(words, capsys.readouterr().err)
-    assert len(list((tmp_path / "out").glob("s*/disp_left.pfm"))) == 1
-
-
-def test_gzip_is_read_from_any_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("depthcli.io.storage.unpacking._FIRST_SPACING", 1 << 12)
-    monkeypatch.setattr("depthcli.io.storage.unpacking._PIECE", 1 << 10)
-    monkeypatch.setattr("depthcli.io.storage.unpacking._MAX_POINTS", 8)
-    rng = np.random.default_rng(1)
-    data = rng.integers(0, 9, 300_000, np.uint8).tobytes()
-    packed = gzip.compress(data[:100_000]) + gzip.compress(data[100_000:])
-    file = io.BufferedReader(UnpackedGzip(io.BytesIO(packed)))
-    assert file.read() == data
-    for place in rng.integers(0, len(data), 200):
-        file.seek(place)
-        assert file.read(500) == data[place : place + 500]
-
-
-def test_large_members_are_read_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("depthcli.io.storage.LARGE_BYTES", 1 << 10)
-    data = np.random.default_rng(0).bytes(1 << 14)
-    (tmp_path / "in").mkdir()
-    (tmp_path / "in" / "v.bin").write_bytes(data)
-    for path in (_zip(tmp_path / "in", tmp_path / "a.zip"), _tar(tmp_path / "in", tmp_path / "a.tgz", mode="w:gz")):
-        with open_regular(path / "v.bin") as file:
-            assert size_of(file) == len(data) and not isinstance(file, io.BytesIO)
-            assert file.read() == data
-            file.seek(100)
-            assert file.read(10) == data[100:110]
-
-
-def test_changed_archive_is_read_again(scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(storage, "_SECONDS_SAME", -1)
-    for text in (b"one", b"other"):
-        with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
-            archive.writestr("x", text)
-        assert read_bytes(tmp_path / "a.zip" / "x") == text
+        assert name in line and len(line) < 300
+    assert not list(cache.iterdir())
 
 
 class _Server(SimpleHTTPRequestHandler):
-    """Files with or without parts of them."""
-
-    ranges = True
-
     def log_message(self, *_: object) -> None:
         """Say nothing."""
 
     def do_GET(self) -> None:
-        self.path = re.sub(r"/get\?.*", "/a.zip", self.path)
-        path, wanted = Path(self.translate_path(self.path)), self.headers.get("Range", "")
-        found = re.match(r"bytes=(\d+)-(\d*)", wanted) if self.ranges and path.is_file() else None
         if self.path.startswith("/broken"):
             self.send_error(500)
-        elif self.path.startswith("/silent"):
-            time.sleep(3)
-        elif found is None:
-            with contextlib.suppress(OSError):
-                super().do_GET()
-        else:
-            size = path.stat().st_size
-            start, end = int(found[1]), min(int(found[2] or size - 1), size - 1)
-            self.send_response(206)
-            self.send_header("Content-Range", f"bytes {start}-{end}/{size}")
-            self.send_header("Content-Length", str(end - start + 1))
-            self.end_headers()
-            self.wfile.write(path.read_bytes()[start : end + 1])
+            return
+        if self.path.startswith("/get?"):  # a store that names the file behind its address
+            self.path = "/a.zip"
+        with contextlib.suppress(OSError):
+            super().do_GET()
 
 
 @pytest.fixture
@@ -343,115 +212,42 @@ def server(scenes: Path) -> Iterator[str]:
 
 @pytest.mark.slow
 def test_urls(scenes: Path, server: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fsspec = pytest.importorskip("fsspec")
-    memory = fsspec.filesystem("memory")
+    memory = pytest.importorskip("fsspec").filesystem("memory")
     memory.pipe("/store/a.zip", (scenes.parent / "a.zip").read_bytes())
     for file in _files(scenes):
         memory.pipe(f"/store/scenes/{file.relative_to(scenes).as_posix()}", file.read_bytes())
-    wanted = {k: read_bytes(f) for k, f in discover_scenes(scenes)[1].input_files.items()}
-    for url in (f"{server}/a.zip", f"{server}/a.tar.gz", f"{server}/scenes", f"file://{scenes}",
-                f"{server}/a.zip?X-Signature=a%2Fb&X-Date=1", f"{server}/a.tar.gz?token=b.zip",
-                f"file://{scenes.parent}/a.tar.gz", "memory://store/a.zip", "memory://store/scenes"):  # fmt: skip
-        found = discover_scenes(url)
-        assert [scene.name for scene in found] == ["s0", "s1"], url
-        assert {k: read_bytes(f) for k, f in found[1].input_files.items()} == wanted
-    for query in ("name=a.zip", "token=x&file=a.zip"):  # a store that names the file behind its address
-        assert len(discover_scenes(f"{server}/get?{query}")) == 2
+    for url in (f"{server}/a.zip", f"{server}/scenes", f"file://{scenes}", f"{server}/a.zip?X-Signature=a%2Fb&c=1",
+                f"{server}/get?token=x&file=a.zip", f"file://{scenes.parent}/a.tar.gz", "memory://store/a.zip",
+                "memory://store/scenes"):  # fmt: skip
+        assert [scene.name for scene in discover_scenes(url)] == ["s0", "s1"], url
+        assert _contents(local(url)) == _contents(scenes), url
     signed = discover_scenes(f"{server}/a.zip?token=secret")[1].input_files["left"]
-    assert storage.location(signed) == f"{server}/a.zip/s1/left.png"
-    own = "http://me:secret@127.0.0.1"
-    assert storage.location(Path(f"{own}/a.zip/s1/left.png")) == "http://127.0.0.1/a.zip/s1/left.png"
+    assert origin(signed) == f"{server}/a.zip/s1/left.png"
+    pair = [f"{server}/a.zip/s1/left.png", "--right", f"{server}/scenes/s1/right.png", "--max-disparity", "8"]
+    assert main(["stereo", "fast", "--left", *pair, "-o", str(tmp_path / "pair"), "-q"]) == 0
+    capsys.readouterr()
     for url, words in {
-        f"{server}/none.zip": "no such file",
-        f"{server}/broken.zip": "the server failed",
-        "http://127.0.0.1:1/a.zip": "the server failed",
-        "nosuch://x/a.zip": "no URL that can be read",
-    }.items():
+        f"{server}/none.zip": "no such file", f"{server}/broken.zip": "the server failed",
+        "http://127.0.0.1:1/a.zip": "the server failed", "nosuch://x/a.zip": "no URL that can be read",
+    }.items():  # fmt: skip
         assert main(["stereo", "fast", "-i", url, "-o", str(tmp_path / "out")]) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert url.partition("?")[0][-8:] in line and words in line
-
-
-def test_archives_that_are_not_read_are_said(scenes: Path, tmp_path: Path) -> None:
-    shutil.copytree(scenes, tmp_path / "in")
-    _zip(scenes, tmp_path / "in" / "more.zip")
-    _zip(scenes, tmp_path / "in" / "others.zip")
-    lines: list[str] = []
-    assert len(discover_scenes(tmp_path / "in", warn=lines.append)) == 2
-    assert len(lines) == 1 and "more.zip and 1 more beside the scenes not read" in lines[0]
-    (tmp_path / "nest").mkdir()
-    _zip(scenes, tmp_path / "nest" / "inner.zip")
-    for start in ("", "top/"):
-        with pytest.raises(InputError, match=r"it holds archives, such as inner\.zip: unpack it"):
-            discover_scenes(_zip(tmp_path / "nest", tmp_path / "outer.zip", start))
-    for name, words in (
-        ("file.txt", "a file, want a folder, or a .zip"), ("*.zip", "no archive has such a name"),
-        ("none", "no such folder"), ("a.rar", "want a .zip"),
-    ):  # fmt: skip
-        (tmp_path / "words").mkdir(exist_ok=True)
-        if "." in name and "*" not in name:
-            (tmp_path / "words" / name).write_bytes(b"x")
-        with pytest.raises(InputError, match=words):
-            discover_scenes(tmp_path / "words" / name)
-
-
-@pytest.mark.slow
-def test_depth_of_a_run_in_an_archive(scenes: Path, tmp_path: Path) -> None:
-    assert main(["stereo", "fast", "-i", str(scenes), "-o", str(tmp_path / "run"), "-q"]) == 0
-    words = ["--focal", "30", "--baseline", "0.1", "-q", "-o"]
-    assert main(["depth", str(tmp_path / "run"), *words, str(tmp_path / "one")]) == 0
-    for name, start in (("two", ""), ("three", "runs/")):
-        archive = _zip(tmp_path / "run", tmp_path / f"{name}.zip", start)
-        assert main(["depth", str(archive), *words, str(tmp_path / name)]) == 0
-        for scene in ("s0", "s1"):
-            first, second = ((tmp_path / run / scene / "depth.pfm").read_bytes() for run in ("one", name))
-            assert first == second
-
-
-@pytest.mark.slow
-def test_a_server_that_does_not_answer_is_waited_for_once(server: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("fsspec")
-    monkeypatch.setattr(remote, "_READ_SECONDS", 0.5)
-    monkeypatch.setattr(remote, "_NEXT_SECONDS", 0.2)
-    monkeypatch.setattr(remote, "_silent", set())
-    for longest in (5, 1.5):
-        start = time.monotonic()
-        with pytest.raises(InputError, match="did not answer in time"):
-            remote.open_file(f"{server}/silent/a.zip", False)
-        assert time.monotonic() - start < longest
-
-
-def test_a_directory_that_cannot_be_read_is_not_called_another_kind_of_file(scenes: Path, tmp_path: Path) -> None:
-    class Lost(io.BytesIO):
-        """A file whose server fails after a while."""
-
-        def read(self, size: int | None = -1) -> bytes:
-            raise OSError(errno.EIO, "the server failed")
-
-    data = _zip(scenes, tmp_path / "a.zip").read_bytes()
-    assert len(Zip(io.BytesIO(data)).listing.files) == 8
-    with pytest.raises(OSError, match="the server failed"):
-        Zip(Lost(data))
+        assert url in line and words in line
 
 
 @pytest.mark.slow
 def test_signatures_of_urls_stay_out_of_all_that_is_written(scenes: Path, server: str, tmp_path: Path, capsys) -> None:
     pytest.importorskip("fsspec")
-    broken = tmp_path / "in"
-    shutil.copytree(scenes, broken)
-    (broken / "s0" / "left.png").write_bytes((scenes / "s0" / "left.png").read_bytes()[:300])
-    _zip(broken, scenes.parent / "signed.zip")
+    shutil.copytree(scenes, tmp_path / "in")
+    (tmp_path / "in/s0/left.png").write_bytes((scenes / "s0/left.png").read_bytes()[:300])
+    _zip(tmp_path / "in", scenes.parent / "signed.zip")
     url, run = f"{server}/signed.zip?X-Token=SECRET&b=1", tmp_path / "run"
     assert main(["stereo", "fast", "-i", url, "-o", str(run), "--html", "--evaluate"]) == 3
     _zip(run, scenes.parent / "run.zip")
-    words = ["--truth", url, "-o", str(tmp_path / "scores"), "--html", "--log", str(tmp_path / "log.jsonl")]
-    assert main(["evaluate", str(run), f"{server}/run.zip?X-Token=SECRET", "--maps", "zip={scene}.pfm", *words]) == 2
+    words = ["--truth", url, "-o", str(tmp_path / "scores"), "--html"]
     assert main(["evaluate", f"own={run}", f"{server}/run.zip?X-Token=SECRET", *words]) == 3
-    assert "signed.zip/s0/left.png: truncated PNG" in (run / "report.csv").read_text()
     assert f"{server}/signed.zip" in (tmp_path / "scores" / "scores.json").read_text()
-    files = [file for file in tmp_path.rglob("*") if file.is_file()]
-    assert len(files) > 10
-    assert [file for file in files if b"SECRET" in file.read_bytes()] == []
+    assert [file for file in _files(tmp_path) if b"SECRET" in file.read_bytes()] == []
     assert "SECRET" not in "".join(capsys.readouterr())
 
 
@@ -461,22 +257,12 @@ def test_signatures_of_urls_stay_out_of_all_that_is_written(scenes: Path, server
         ("https:/host/a.zip?sig=x%2Fy: no such file", "https://host/a.zip: no such file"),
         ("https://host/a.zip?sig=x&t=1:2/s0/left.png: cut off", "https://host/a.zip/s0/left.png: cut off"),
         ("--input 'https://h/get?name=a.zip' -o b", "--input 'https://h/get' -o b"),
-        ("s3:/bucket/a.tar?v=1, s3:/b/c?d", "s3://bucket/a.tar, s3://b/c"),
         ("ftp://me:word@host/a.zip", "ftp://host/a.zip"),
         ("/data/what?x=1/left.png: not a PNG, was it: so?", "/data/what?x=1/left.png: not a PNG, was it: so?"),
-        ("a@b and C:/x?y", "a@b and C:/x?y"),
     ],
 )
 def test_urls_are_shown_without_secrets(text: str, shown: str) -> None:
     assert without_secrets(text) == shown
-
-
-@pytest.mark.slow
-def test_server_without_parts_of_files(server: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("fsspec")
-    monkeypatch.setattr(_Server, "ranges", False)
-    with pytest.raises(Exception, match="gives no parts of files"):
-        discover_scenes(f"{server}/a.zip")
 
 
 def test_urls_without_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -484,43 +270,3 @@ def test_urls_without_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert main(["stereo", "fast", "-i", "https://127.0.0.1/x.zip", "-o", os.devnull]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "https://127.0.0.1/x.zip: " in line and "pip install 'depthcli[remote]'" in line
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["zip", "tar.gz"])
-def test_volumes_and_transforms_in_an_archive_are_those_of_the_folder(tmp_path: Path, kind: str, capsys) -> None:
-    sitk = pytest.importorskip("SimpleITK", reason="no SimpleITK, which reads volumes")
-    assert main(["sample", "--registration", "-o", str(tmp_path / "in"), "-n", "2", "-q"]) == 0
-    pair = tmp_path / "in" / "pair_1"  # of files with values beside the header, and of a transform
-    sitk.WriteImage(sitk.ReadImage(str(pair / "moving_warped.nii.gz")), str(pair / "moving.mhd"))
-    sitk.WriteTransform(sitk.TranslationTransform(3, (1.5, 0, -0.5)), str(pair / "transform.h5"))
-    (pair / "moving_warped.nii.gz").unlink()
-    archive = Path(shutil.make_archive(str(tmp_path / "in"), "zip" if kind == "zip" else "gztar", tmp_path / "in"))
-    assert archive.name == f"in.{kind}"
-    words = ["register-confidence", "mind", "--set", "radius=2", "--set", "half_window=1", "-q"]
-    for place, run in ((tmp_path / "in", "folder"), (archive, "archive")):
-        assert main([*words, "-i", str(place), "-o", str(tmp_path / run)]) == 0
-    own = [path for path in _files(tmp_path / "folder") if path.parent.name.startswith("pair_")]
-    assert len(own) > 6
-    for path in own:
-        assert path.read_bytes() == (tmp_path / "archive" / path.relative_to(tmp_path / "folder")).read_bytes(), path
-
-
-def test_volumes_in_an_archive_may_have_the_longest_names(tmp_path: Path) -> None:
-    name = "v" * 247 + ".nii.gz"  # 254 bytes
-    (tmp_path / "in").mkdir()
-    (tmp_path / "in" / name).write_bytes(b"values")
-    archive = _zip(tmp_path / "in", tmp_path / "in.zip")
-    with library_path(archive / name) as path:
-        assert path.read_bytes() == b"values"
-
-
-def test_a_volume_that_is_cut_off_in_an_archive_is_one_line(tmp_path: Path, capsys) -> None:
-    pytest.importorskip("SimpleITK", reason="no SimpleITK, which reads volumes")
-    for name in ("fixed", "moving_warped"):
-        (tmp_path / "in" / "pair").mkdir(parents=True, exist_ok=True)
-        (tmp_path / "in" / "pair" / f"{name}.nii.gz").write_bytes(gzip.compress(b"\0" * 500)[:-9])
-    archive = _zip(tmp_path / "in", tmp_path / "in.zip")
-    assert main(["register-confidence", "mind", "-i", str(archive), "-o", str(tmp_path / "run"), "-q"]) == 3
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "fixed.nii.gz" in err

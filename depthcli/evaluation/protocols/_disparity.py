@@ -19,7 +19,6 @@ from depthcli.evaluation.map_files import DisparityFiles
 from depthcli.evaluation.presentation import Presentation, ShownMap
 from depthcli.evaluation.protocols import Protocol, Settings
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally
-from depthcli.io import storage
 from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
 from depthcli.io.formats.files import shown, warn
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
@@ -144,7 +143,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
             raise InputError(f"{path}: {error}") from None
         if self.settings.invalid is not None:
             estimate[read_plane(path) == np.float32(self.settings.invalid)] = np.nan
-        elif not storage.is_file(path.parent / "record.json"):  # runs of this program mark what has no value
+        elif not (path.parent / "record.json").is_file():  # runs of this program mark what has no value
             invalid = invalid_value(estimate, truth.disparity)
             if invalid is not None:
                 marked = estimate == np.float32(invalid)

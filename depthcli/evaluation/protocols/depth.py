@@ -17,7 +17,6 @@ from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.presentation import Presentation, ShownMap
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
-from depthcli.io import storage
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.map_format import map_formats
@@ -108,7 +107,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
         values, sigma = 1000.0 * read_depth(path, scale).astype(np.float64), path.with_name("sigma.pfm")
         figures, error, note = {"no value, %": 100.0 * float(np.isnan(values).mean())}, None, ""
-        if storage.is_file(sigma):
+        if sigma.is_file():
             error = 1000.0 * read_plane(sigma).astype(np.float64)
             known = error[np.isfinite(error)]
             figures = {"expected error, mm": float(known.mean()) if known.size else math.nan, **figures}

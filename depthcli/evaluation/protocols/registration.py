@@ -23,7 +23,6 @@ from depthcli.evaluation.protocols._registration import HEADLINE, LIMITS_MM, Err
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.results import ConfidenceCurve, MapResult
 from depthcli.evaluation.scores import Score
-from depthcli.io import storage
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
@@ -63,7 +62,7 @@ class ExpectedErrorFiles(MapFiles):
     def confidences(self, path: Path) -> dict[str, Path]:
         """Return the volume beside ``expected_error`` that is called ``confidence``, if there is one."""
         file = path.with_name(path.name.replace("expected_error", "confidence", 1))
-        return {"confidence": file} if file != path and storage.is_file(file) else {}
+        return {"confidence": file} if file != path and file.is_file() else {}
 
 
 class RegistrationPresentation(Presentation):

@@ -16,14 +16,9 @@ from typing import BinaryIO
 
 from depthcli.core.errors import InputError, OutputError
 from depthcli.core.text import one_line, without_secrets
-from depthcli.io import storage
-from depthcli.io.storage.sized import size_of
 
 MAX_BYTES = 1 << 31
 """Size of the largest file that is read as a whole."""
-
-NEEDS_DISK = "files of this kind are read by a library that wants them on a disk; unpack or download it"
-"""Why some files are not read from archives and URLs."""
 
 PARTIAL_SUFFIX = ".partial~"
 """Ending of temporary names; a file left with it belongs to a killed run and may be deleted."""
@@ -89,7 +84,7 @@ def collected_warnings() -> Iterator[list[str]]:
 
 @contextlib.contextmanager
 def open_regular(path: Path | str) -> Iterator[BinaryIO]:
-    """Open a regular file for reading, in a folder, in an archive or behind a URL.
+    """Open a regular file for reading.
 
     Raises
     ------
@@ -97,13 +92,6 @@ def open_regular(path: Path | str) -> Iterator[BinaryIO]:
         There is no such file, it may not be read, or it is a folder, pipe, socket or device; one line that
         names it. An :class:`OSError` inside the block becomes one too.
     """
-    if not os.path.lexists(path) and (stored := _open_stored(path)) is not None:
-        try:
-            with stored:
-                yield stored
-        except OSError as error:
-            raise _unreadable(path, error) from error
-        return
     try:
         _refuse_special(path, os.stat(path))
         handle = os.open(path, _FLAGS)
@@ -117,20 +105,6 @@ def open_regular(path: Path | str) -> Iterator[BinaryIO]:
         raise _unreadable(path, error) from error
     finally:
         os.close(handle)
-
-
-def _open_stored(path: Path | str) -> BinaryIO | None:
-    try:
-        with naming(path):
-            return storage.open_stored(path)
-    except OSError as error:
-        raise _unreadable(path, error) from error
-
-
-def refuse_stored(path: Path | str) -> None:
-    """Raise InputError for a file in an archive or behind a URL, which a library cannot open."""
-    if not storage.is_plain(path):
-        raise InputError(f"{shown(path)}: {NEEDS_DISK}")
 
 
 def _unreadable(path: Path | str, error: OSError | ValueError) -> InputError:
@@ -155,7 +129,7 @@ def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
         As :func:`open_regular`; larger than ``max_bytes``; grew while it was read; no memory for it.
     """
     with open_regular(path) as file:
-        size = size_of(file)
+        size = os.fstat(file.fileno()).st_size
         if size > max_bytes:
             raise InputError(f"{shown(path)}: {size} bytes, want at most {max_bytes}")
         try:
@@ -171,7 +145,7 @@ def ends_of_file(path: Path | str, length: int = 1024) -> tuple[int, bytes, byte
     """Return size, beginning and end of a file, which differ for nearly all files that do; None where unreadable."""
     try:
         with open_regular(path) as file:
-            size = size_of(file)
+            size = os.fstat(file.fileno()).st_size
             start = file.read(length)
             file.seek(max(0, size - length))
             return size, start, file.read(length)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.kinect import UNKNOWN_CODE, KinectCalibration
 from depthcli.core.errors import InputError
-from depthcli.io import storage
 from depthcli.io.formats.depth import read_codes
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import naming, read_bytes
@@ -63,4 +62,4 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
 def files_read_with(path: Path) -> tuple[Path, ...]:
     """Return the files that are read beside a Kinect calibration: ``dc_beta.npy``, where it is there."""
     beta = path.with_name("dc_beta.npy")
-    return (beta,) if storage.is_file(beta) else ()
+    return (beta,) if beta.is_file() else ()

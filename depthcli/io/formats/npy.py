@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import zipfile
 import zlib
@@ -14,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.io import storage
 from depthcli.io.formats.files import naming, open_regular
-from depthcli.io.storage.sized import size_of
 
 NPY_MAGIC = b"\x93NUMPY"
 NPZ_MAGIC = b"PK\x03\x04"
@@ -84,13 +83,7 @@ def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
         Not readable, damaged, or not an array of numbers with ``dimensions`` axes.
     """
     with open_regular(path) as file, naming(path):
-        layout = _layout(file.read(_HEADER_BYTES), size_of(file), dimensions)
-        if not storage.is_plain(path):
-            file.seek(0)
-            data = file.read()
-            return np.frombuffer(data, layout.dtype, layout.values, layout.start).reshape(
-                layout.shape, order=layout.order
-            )
+        layout = _layout(file.read(_HEADER_BYTES), os.fstat(file.fileno()).st_size, dimensions)
         return np.memmap(file, layout.dtype, "r", layout.start, layout.shape, layout.order)
 
 

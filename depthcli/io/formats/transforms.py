@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import subprocess
 import sys
@@ -14,11 +15,9 @@ import numpy as np
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
-from depthcli.io import storage
 from depthcli.io.formats.files import naming, open_regular, read_bytes
 from depthcli.io.formats.plain_text import numbers
 from depthcli.io.formats.volumes import library_errors, place, simple_itk, suffix_of
-from depthcli.io.storage.sized import size_of
 
 _MAX_BYTES = 1 << 30  # a text of B-spline parameters may be long
 _REWRITE = "import sys, SimpleITK as s; s.WriteTransform(s.ReadTransform(sys.argv[1]), sys.argv[2])"
@@ -44,14 +43,10 @@ def read_transform(path: Path) -> Any:
                 with library_errors():
                     return sitk.CompositeTransform(_elastix_chain(path, text, ()))
         with open_regular(path) as stream:
-            if size_of(stream) > _MAX_BYTES:
+            if os.fstat(stream.fileno()).st_size > _MAX_BYTES:
                 raise InputError(f"larger than {_MAX_BYTES >> 20} MiB: no transform")
         with tempfile.TemporaryDirectory() as folder, library_errors():
-            source = path
-            if not storage.is_plain(path):  # HDF5 opens no file in memory
-                source = Path(folder) / f"stored{path.suffix}"
-                source.write_bytes(read_bytes(path, _MAX_BYTES))
-            return sitk.ReadTransform(str(_rewritten(source, Path(folder))))
+            return sitk.ReadTransform(str(_rewritten(path, Path(folder))))
 
 
 def _rewritten(path: Path, folder: Path) -> Path:
@@ -94,7 +89,7 @@ def _initial(path: Path, text: str) -> Path | None:
     if name in ("", "NoInitialTransform"):
         return None
     beside, elsewhere = path.parent / Path(name).name, Path(name)
-    return elsewhere if not storage.is_file(beside) and storage.is_file(elsewhere) else beside
+    return elsewhere if not beside.is_file() and elsewhere.is_file() else beside
 
 
 def files_read_with(path: Path) -> tuple[Path, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.io.formats.files import open_regular, refuse_stored, shown
+from depthcli.io.formats.files import open_regular, shown
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 """File name endings of videos."""
@@ -27,7 +27,7 @@ def count_frames(path: Path) -> int:
         It cannot be opened, or has no frames.
     """
     with open_regular(path):
-        refuse_stored(path)
+        pass
     video = _video(path)
     count = int(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0
     video.release()

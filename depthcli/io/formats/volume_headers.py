@@ -16,7 +16,6 @@ from typing import NamedTuple
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import open_regular
 from depthcli.io.formats.nifti import MAX_VOLUME_BYTES
-from depthcli.io.storage.sized import size_of
 
 META_SUFFIXES, NRRD_SUFFIXES = (".mha", ".mhd"), (".nrrd", ".nhdr")
 
@@ -87,7 +86,7 @@ def check_volume(path: Path) -> None:
     stored = 0
     for file in header.files or (path,):
         with open_regular(file) as opened:
-            stored += size_of(opened)
+            stored += os.fstat(opened.fileno()).st_size
     stored -= header.start
     count = math.prod(header.sizes)
     wanted = count * header.value_bytes

@@ -22,7 +22,6 @@ from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.files import atomic_path, naming, read_bytes, shown
 from depthcli.io.formats.headers import image_size
 from depthcli.io.formats.images import IMAGE_SUFFIXES, read_grey
-from depthcli.io.formats.library_files import library_path
 from depthcli.io.formats.nifti import check_whole, encode_header, read_header
 from depthcli.io.formats.plain_text import json_object, numbers
 from depthcli.io.formats.volume_headers import META_SUFFIXES, NRRD_SUFFIXES, check_volume, files_behind
@@ -129,9 +128,8 @@ def _reader(path: Path) -> Iterator[Any]:
         raise InputError("SimpleITK reads only files whose path is text in UTF-8; rename it") from None
     reader = simple_itk().ImageFileReader()
     reader.SetImageIO(_ITK_READERS[kind])
-    with library_path(path, files_behind(path)) as there:
-        reader.SetFileName(str(there))
-        yield reader
+    reader.SetFileName(str(path))
+    yield reader
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from functools import cache, cached_property, lru_cache
@@ -13,7 +14,6 @@ from depthcli.core.errors import InputError
 from depthcli.core.plugins import Plugin
 from depthcli.core.registry import Registry, registered_name
 from depthcli.core.yaml_source import short
-from depthcli.io import storage
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import json_object, numbers
 from depthcli.io.formats.poses import Pose, pose_of
@@ -37,7 +37,7 @@ class Folder:
         self.path, self.name, self.prefix, self.requested = path, name, prefix, requested
         try:
             with naming(path):
-                self.names = frozenset([name for name in storage.names(path) if name[0] != "."])
+                self.names = frozenset([name for name in os.listdir(path) if name[0] != "."])
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from depthcli.io import storage
-
 
 def files_below(place: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Return the files with these endings in a folder and below it, sorted, but for hidden ones."""
-    return sorted(path for path in storage.files_below(place) if path.suffix.lower() in suffixes)
+    return sorted(path for path in place.rglob("[!.]*") if path.suffix.lower() in suffixes and path.is_file())
 
 
 def existing(path: Path) -> Path | None:
     """Return the path where there is such a file, else None."""
-    return path if storage.is_file(path) else None
+    return path if path.is_file() else None

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar
 
-from depthcli.io import storage
 from depthcli.io.formats.disparity import KITTI_SCALE
 from depthcli.io.layouts import Folder, Layout
 from depthcli.io.scenes import Scene
@@ -30,7 +29,7 @@ class Kitti2015(Layout):
             return []
         scenes: list[Scene] = []
         place = folder.path / views[0]
-        for left in storage.glob(place, "*_10.png"):
+        for left in sorted(place.glob("*_10.png")):
             right, occ, noc, objects = (_beside(folder, where, left) for where in (views[1], *self.truths))
             frame = left.with_name(left.stem.partition("_")[0] + ".txt")
             scenes.append(
@@ -54,4 +53,4 @@ class Kitti2015(Layout):
 
 def _beside(folder: Folder, where: str, left: Path) -> Path | None:
     path = folder.path / where / left.name
-    return path if where in folder.names and storage.is_file(path) else None
+    return path if where in folder.names and path.is_file() else None

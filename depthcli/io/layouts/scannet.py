@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.io import storage
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.plain_text import numbers
@@ -49,7 +48,7 @@ class Scannet(Layout):
 
 def _camera(place: Path, kind: str) -> tuple[float, float, float, float]:
     """Focal lengths and principal point of a camera's matrix of 4 x 4 numbers."""
-    path = next((path for name in _NAMES if storage.is_file(path := place / name.format(kind))), None)
+    path = next((path for name in _NAMES if (path := place / name.format(kind)).is_file()), None)
     if path is None:
         raise InputError(f"{place}: no {_NAMES[0].format(kind)}, which the depth is registered by")
     with naming(path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.io import storage
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import map_suffixes
 from depthcli.io.layouts import Folder, Layout
@@ -68,7 +67,7 @@ def pair_scenes(
 
 def view_images(place: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     """Return stem -> file of a folder; InputError where two files have one stem."""
-    if not storage.is_dir(place):
+    if not place.is_dir():
         return {}
     files: dict[str, Path] = {}
     for name in sorted(Folder(place, "", "").names):

@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from depthcli.io import storage
 from depthcli.io.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ class GivenMap:
         values = read_disparity(self.path, self.scale)
         if self.invalid is not None:
             values[read_plane(self.path) == np.float32(self.invalid)] = np.nan
-        elif not storage.is_file(self.path.parent / "record.json"):  # runs of this program mark what has no value
+        elif not (self.path.parent / "record.json").is_file():  # runs of this program mark what has no value
             constant = lone_constant(values)
             if constant is not None:
                 marked = values == np.float32(constant)

@@ -1,0 +1,353 @@
+"""Inputs that are no folders: archives and URLs are fetched and unpacked once, into the user's cache.
+
+The folder ``depthcli/inputs`` of the cache (``XDG_CACHE_HOME``, usually ``~/.cache``) may be deleted at any time.
+``scenes.zip/planes/left.png`` names a file in an archive, a pattern such as ``shard-{000..015}.tar`` several archives.
+"""
+
+from __future__ import annotations
+
+import bz2
+import contextlib
+import gzip
+import hashlib
+import lzma
+import os
+import re
+import shutil
+import stat
+import tarfile
+import tempfile
+import time
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from glob import glob
+from pathlib import Path
+from typing import IO, Any
+from urllib.parse import unquote
+
+from depthcli.core.errors import InputError
+from depthcli.core.text import without_secrets
+from depthcli.io.formats.files import naming, warn
+
+# A URL may have a query behind its ending, such as the signature of a store.
+_ARCHIVE = re.compile(r"\.(?:zip|tar|tar\.(?:gz|bz2|xz)|tgz|tbz2|txz)(?:\?[^/]*=[^/]*)?(?=/|$)", re.IGNORECASE)
+_URL = re.compile(r"(?:^|/)([a-z][a-z0-9+.-]+):/+(.+)", re.IGNORECASE)  # pathlib leaves one slash of the two
+_BRACES = re.compile(r"\{(?:(\d{1,9})\.\.(\d{1,9})|([^{}/]*,[^{}/]*))\}")
+# WebDataset: ``000017.left.png`` is the file ``left.png`` of the sample ``000017``; ``json`` has the facts about it.
+_SAMPLE = re.compile(r"([^/.]+)\.([^/]+)")
+_SHARD_FIELD = re.compile(r"(left|right|color|depth)\.[A-Za-z0-9]+")
+
+_MAX_MATCHES = 100_000  # of a pattern in braces
+_MAX_MEMBERS = 1 << 20
+_MAX_HEADER = 1 << 20  # bytes of a long name in a tar file
+_MAX_RATE, _ALWAYS_BYTES = 200, 1 << 30  # no archive of images unpacks to so much, but small ones of masks do
+_CONNECT_SECONDS, _READ_SECONDS = 15, 60  # of a server that does not answer
+_LEFTOVER_SECONDS = 86400  # age of what killed processes left
+_ORIGIN = ".origin"  # file beside a folder of the cache that tells where it comes from
+_PACKED: dict[bytes, Callable[[Path], Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7z": lzma.open}
+_DAMAGE = (zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, NotImplementedError,
+           RuntimeError, ValueError, OverflowError, MemoryError, OSError)  # fmt: skip
+
+
+def local(place: Path | str) -> Path:
+    """Return the folder or file that a place names: itself or, of an archive or a URL, what was fetched and unpacked.
+
+    An archive stands for its content, or for the single folder that holds all of it.
+
+    Raises
+    ------
+    InputError
+        It cannot be fetched or unpacked, or unpacks to more than 200 times its size and 1 GiB.
+    """
+    path, url = Path(place), _url_of(str(place))
+    if os.path.isdir(path) or (os.path.exists(path) and not is_archive(path)):
+        return path
+    for ending in _ARCHIVE.finditer(url or str(place)):
+        container, inside = (url or str(place))[: ending.end()], (url or str(place))[ending.end() + 1 :]
+        if url or os.path.isfile(container):
+            found = _fetched(container) if url else _unpacked(Path(container))
+            return found / inside if inside else _entered(found)
+    if url:
+        return _entered(_fetched(url))
+    if archives := _matching(str(place)):
+        return gathered(archives)
+    return path
+
+
+def is_archive(path: Path) -> bool:
+    """Return whether a path is that of an archive, by the ending of its name."""
+    found = _ARCHIVE.search(path.name)
+    return found is not None and os.path.isfile(path)
+
+
+def archives_in(folder: Path) -> list[Path]:
+    """Return the archives in a folder, sorted."""
+    return sorted(path for path in folder.iterdir() if path.name[0] != "." and is_archive(path))
+
+
+def gathered(archives: Sequence[Path]) -> Path:
+    """Return a folder with the content of several archives, each in a folder of the archive's name."""
+
+    def link(target: Path) -> None:
+        target.mkdir()
+        for name, content in contents.items():
+            (target / name).symlink_to(content)
+
+    contents = {}
+    for archive in archives:
+        content = _unpacked(archive)
+        top = _entered(content)
+        is_scene = any(path.is_file() for path in top.iterdir())
+        contents[_stem(archive.name)] = content if is_scene else top
+    return _cached([*map(str, contents.values())], "archives", str(archives[0].parent), link)
+
+
+def origin(path: Path) -> str:
+    """Return a path or, of one in the cache, that in the archive or URL that it was made from, without secrets."""
+    root, real = Path(os.path.realpath(_root())), Path(os.path.realpath(path))
+    if not path.is_absolute() or not real.is_relative_to(root):
+        return str(path)
+    digest, *rest = real.relative_to(root).parts
+    try:
+        source = (root / digest / f"{rest[0]}{_ORIGIN}").read_text("utf-8", "surrogateescape")
+    except (IndexError, OSError):
+        return str(path)
+    return "/".join([source, *rest[1:]])
+
+
+def _url_of(text: str) -> str:
+    found = _URL.search(text) if ":/" in text and not os.path.lexists(text) else None
+    if found is None:
+        return ""
+    return f"{found[1].lower()}://{'/' if found[1].lower() in ('file', 'local') else ''}{found[2]}"
+
+
+def _stem(name: str) -> str:
+    return _ARCHIVE.sub("", name.partition("?")[0]) or "archive"
+
+
+def _entered(folder: Path) -> Path:
+    """The single folder that holds all of an unpacked archive, else the folder (or file) itself."""
+    inside = [path for path in folder.iterdir() if path.name[0] != "."] if folder.is_dir() else []
+    return inside[0] if len(inside) == 1 and inside[0].is_dir() else folder
+
+
+def _matching(pattern: str) -> list[Path]:
+    """The archives that a pattern stands for, sorted; those of numbers in braces whether they are there or not."""
+    texts = list(_without_braces(pattern))
+    found = [Path(each) for text in texts for each in (glob(text) if re.search(r"[*?\[]", text) else [text])]
+    return sorted(path for path in found if _ARCHIVE.search(path.name)) if texts != [pattern] or len(found) > 1 else []
+
+
+def _without_braces(text: str) -> Iterable[str]:
+    found = _BRACES.search(text)
+    if found is None:
+        return [text]
+    if found[1]:
+        low, top, digits = int(found[1]), int(found[2]), len(found[1]) if found[1][0] == "0" else 0
+        words = [f"{number:0{digits}}" for number in range(low, min(top, low + _MAX_MATCHES) + 1)]
+    else:
+        words = found[3].split(",")
+    ends = list(_without_braces(text[found.end() :]))
+    return [text[: found.start()] + word + end for word in words for end in ends][:_MAX_MATCHES]
+
+
+def _root() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "depthcli" / "inputs"
+
+
+def _cached(key: object, name: str, source: str, make: Callable[[Path], None]) -> Path:
+    """The folder or file ``name`` that ``make`` makes where no earlier call with this key did."""
+    folder = _root() / hashlib.sha256(repr(key).encode("utf-8", "surrogateescape")).hexdigest()[:20]
+    if folder.is_dir():
+        return folder / name
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    for old in folder.parent.glob(".*"):
+        if old.stat().st_mtime < time.time() - _LEFTOVER_SECONDS:
+            shutil.rmtree(old, ignore_errors=True)
+    with tempfile.TemporaryDirectory(prefix=".", dir=folder.parent, ignore_cleanup_errors=True) as made:
+        make(Path(made, name))
+        Path(made, name + _ORIGIN).write_text(source, "utf-8", "surrogateescape")
+        try:
+            os.rename(made, folder)
+        except OSError:
+            if not folder.is_dir():  # else another process was faster
+                raise
+    return folder / name
+
+
+def _unpacked(archive: Path) -> Path:
+    with _one_line(str(archive)):
+        status = os.stat(archive)
+        key = (os.path.abspath(archive), status.st_size, status.st_mtime_ns)
+        return _cached(key, _stem(archive.name), os.path.abspath(archive), lambda target: _unpack(archive, target))
+
+
+@contextlib.contextmanager
+def _one_line(place: str) -> Iterator[None]:
+    """Make an InputError of one line of what libraries raise."""
+    try:
+        with naming(place):
+            yield
+    except FileNotFoundError as error:  # which libraries say of any failure to ask a server for a file
+        cause = error.__cause__
+        is_missing = cause is None or isinstance(cause, FileNotFoundError) or getattr(cause, "status", 0) in (404, 410)
+        words = "no such file" if is_missing else f"the server failed ({' '.join(str(cause).split())[:160]})"
+        raise InputError(f"{place}: {words}") from error
+    except _DAMAGE as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:160] or type(error).__name__
+        raise InputError(f"{place}: cannot be read or unpacked ({reason})") from error
+
+
+def _unpack(archive: Path, target: Path) -> None:
+    """Write the regular files of an archive below ``target``; others, and names that lead out of it, are left out."""
+    target.mkdir()
+    packed, room = archive.stat().st_size, shutil.disk_usage(target).free
+    limit, written, left_out = max(_ALWAYS_BYTES, _MAX_RATE * packed), 0, []
+    is_zip = zipfile.is_zipfile(archive)
+    for number, (name, member) in enumerate(_zip_members(archive) if is_zip else _tar_members(archive)):
+        path = _inside(name)
+        if path is None or member is None:
+            left_out.append(name)
+        elif not path.startswith("__MACOSX/"):
+            file = target / path
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with member() as source, open(file, "xb") as sink:
+                while block := source.read(1 << 20):
+                    written += len(block)
+                    if written > min(limit, room):
+                        raise InputError(f"unpacks {packed} bytes to more than {min(limit, room)}; not unpacked")
+                    sink.write(block)
+        if number >= _MAX_MEMBERS:
+            raise InputError(f"more than {_MAX_MEMBERS} members; make several archives of it")
+    if left_out:
+        named = ", ".join(ascii(name[:80]) for name in left_out[:3])
+        warn(f"{archive}: {len(left_out)} members not used, links or names that lead out of the archive: {named}")
+    if not is_zip:
+        _split_samples(target)
+
+
+def _inside(name: str) -> str | None:
+    """Path within an archive; None where it could lead out of it."""
+    parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
+    unsafe = not parts or ".." in parts or name[:1] in "/\\" or parts[0][1:2] == ":" or "\0" in name
+    return None if unsafe else "/".join(parts)
+
+
+_Members = Iterator[tuple[str, Callable[[], IO[bytes]] | None]]
+
+
+def _zip_members(archive: Path) -> _Members:
+    with zipfile.ZipFile(archive) as file:
+        for info in file.infolist():
+            is_special = info.create_system == 3 and stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG)
+            if not info.is_dir():
+                yield info.filename, None if is_special else lambda info=info: file.open(info)  # type: ignore[misc]
+
+
+def _tar_members(archive: Path) -> _Members:
+    with open(archive, "rb") as file:
+        start = file.read(3)
+    opener = next((opener for magic, opener in _PACKED.items() if start.startswith(magic)), open)
+    with opener(archive, "rb") as raw, tarfile.open(fileobj=_Headers(raw), mode="r:", errorlevel=1) as tar:
+        while (info := tar.next()) is not None:
+            tar.members.clear()  # they would all be kept
+            if not info.isdir():
+                yield info.name, (lambda info=info: tar.extractfile(info)) if info.isreg() else None
+        raw.seek(tar.offset)
+        if (block := raw.read(tarfile.BLOCKSIZE)).strip(b"\0") or len(block) < tarfile.BLOCKSIZE:
+            raise tarfile.ReadError("cut short or damaged")  # which the module takes for the end
+        while raw.read(1 << 20):  # to the checksum at the end
+            pass
+
+
+class _Headers:
+    """A file for the module tarfile, which would read a header of any size into memory."""
+
+    def __init__(self, file: Any) -> None:
+        self._file, self.seek, self.tell = file, file.seek, file.tell
+
+    def read(self, size: int) -> bytes:
+        """Return the next bytes."""
+        if not 0 <= size <= _MAX_HEADER:
+            raise tarfile.ReadError("a header of unreasonable size")
+        data: bytes = self._file.read(size)
+        return data
+
+
+def _split_samples(folder: Path) -> None:
+    """Make a folder of each sample of WebDataset that lies in a folder."""
+    named = [(found, path) for path in folder.rglob("*") if path.is_file() and (found := _SAMPLE.fullmatch(path.name))]
+    for found, path in named if any(_SHARD_FIELD.fullmatch(found[2]) for found, _ in named) else ():
+        sample = path.with_name(found[1])
+        sample.mkdir(exist_ok=True)
+        path.rename(sample / ("meta.json" if found[2] == "json" else found[2]))
+
+
+def _fetched(url: str) -> Path:
+    """Return the file or folder of a URL, unpacked where it is an archive."""
+    shown = without_secrets(url)
+    with _one_line(shown):
+        system, place = _system(url)
+        try:
+            is_folder = not _ARCHIVE.search(url) and system.isdir(f"{place.rstrip('/')}/")
+            facts = {} if is_folder else system.info(place)
+            known = [str(facts.get(key)) for key in ("size", "ETag", "LastModified", "mtime", "updated", "created")]
+            files = _files_below(system, place) if is_folder else {}
+            name = _stem(unquote(url.partition("?")[0].rstrip("/").rpartition("/")[2]))
+
+            def fetch(target: Path) -> None:
+                if is_folder:
+                    for path in files.values():
+                        (target / path).parent.mkdir(parents=True, exist_ok=True)
+                    system.get(list(files), [str(target / path) for path in files.values()])
+                    return
+                file = target.with_name(f"{name}.fetched")
+                system.get_file(place, str(file))
+                if zipfile.is_zipfile(file) or _ARCHIVE.search(url):
+                    _unpack(file, target)
+                    file.unlink()
+                else:
+                    file.rename(target)
+
+            return _cached([url, known, sorted(files.items())], name, shown, fetch)
+        except (*_DAMAGE, FileNotFoundError):
+            raise
+        except Exception as error:  # of a library that the kind of URL chooses
+            words = " ".join(str(error).split())[:160] or type(error).__name__
+            raise InputError(f"the server failed ({words})") from error
+
+
+def _files_below(system: Any, place: str) -> dict[str, str]:
+    """Name -> path below a folder of a store, of the files in it; names that lead out of it are left out."""
+    found = {}
+    own = system._strip_protocol(place).rstrip("/")
+    for name in system.find(f"{place.rstrip('/')}/"):
+        path = _inside(unquote(name.partition("?")[0].removeprefix(own).lstrip("/")))
+        if path is not None and name.startswith(own):
+            found[name] = path
+    if len(found) > _MAX_MEMBERS:
+        raise InputError(f"more than {_MAX_MEMBERS} files")
+    return found
+
+
+def _system(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the place in it."""
+    try:
+        import fsspec
+    except ImportError:
+        raise InputError("URLs need fsspec: pip install 'depthcli[remote]'") from None
+    try:
+        options: dict[str, Any] = {}
+        if url.startswith("http"):
+            import aiohttp
+
+            limits = aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_SECONDS, sock_read=_READ_SECONDS)
+            options = {"client_kwargs": {"timeout": limits}}
+        system, place = fsspec.core.url_to_fs(url, **options)
+    except ImportError as error:
+        raise InputError(f"this kind of URL needs another package: {error}") from None
+    except Exception as error:
+        raise InputError(f"no URL that can be read ({error})") from error
+    return system, place
