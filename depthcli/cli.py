@@ -26,7 +26,7 @@ from typer.main import get_command
 from depthcli import __version__, commands
 from depthcli.commands._options import PluginOption, with_groups
 from depthcli.core.errors import DepthcliError, IncompleteError
-from depthcli.core.plugins import load_file
+from depthcli.core.registry import load_file
 from depthcli.run.batch import SOME_FAILED
 from depthcli.run.console import Reporter, silence_warnings
 

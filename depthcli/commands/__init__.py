@@ -19,7 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from depthcli.core.plugins import plugins_in
+from depthcli.core.registry import plugins_in
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

@@ -20,8 +20,7 @@ from depthcli.commands._page import HTML, PAGE_FILE, RESULTS, new_page
 from depthcli.commands._tables import TABLES, check_tables, print_place, print_tables
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
-from depthcli.core.plugins import Plugin
-from depthcli.core.registry import plugin_of, versions_here
+from depthcli.core.registry import Plugin, plugin_of, versions_here
 from depthcli.run.command import Command, Values
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row, to_csv, to_json

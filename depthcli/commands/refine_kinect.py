@@ -14,7 +14,7 @@ from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.commands._old_batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
-from depthcli.core.yaml_source import short
+from depthcli.core.text import short
 from depthcli.io.layouts import Folder
 from depthcli.io.layouts.rgbd import cameras
 from depthcli.io.scenes import Scene

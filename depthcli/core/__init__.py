@@ -5,10 +5,9 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 | module | holds |
 |---|---|
 | ``method`` | ``Method``, base of the algorithms; ``Family``, those of a folder; ``RootConfig``, of a command |
-| ``registry``, ``plugins`` | named objects of any kind; what packages and files of users add to them |
+| ``registry`` | named objects of any kind, and what packages and files of users add to them |
 | ``config_file`` | ``load_config``: a YAML file, the one it is based on, and ``--set`` become a checked model |
 | ``yaml_source`` | the YAML below it: plain data, with the line of every value; ``to_yaml`` back |
-| ``config_errors`` | pydantic's errors as lines with file, key and what may be meant |
 | ``frames``, ``volumes`` | inputs: a rectified pair; color and depth (and infrared); two volumes on one grid |
 | ``maps``, ``result`` | outputs: a map with the status of every pixel; what else a method returns, and its times |
 | ``progress`` | stages and tiles, announced to whoever shows them |

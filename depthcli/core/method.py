@@ -3,19 +3,18 @@
 A *method* is one algorithm: one module with one frozen pydantic model, whose fields are its parameters and whose
 ``__call__`` runs it. A *family* is the package that the modules lie in. In a config a method is written as its module's
 name, ``census``, or with parameters, ``{method: census, window: [9, 7]}``. Adding a method is adding a file; nothing
-else is edited. Installed packages and files of users add methods, too (see ``plugins``).
+else is edited. Installed packages and files of users add methods, too (see ``registry``).
 """
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import importlib.util
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, ClassVar, Literal, LiteralString
+from typing import Annotated, Any, ClassVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -23,24 +22,26 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    ModelWrapValidatorHandler,
     SerializeAsAny,
     SerializerFunctionWrapHandler,
+    ValidationError,
     ValidationInfo,
     model_serializer,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from depthcli.core.plugins import Plugin
 from depthcli.core.registry import (
+    Plugin,
     Registry,
     plain_name,
     plugin_of,
     plugins_in_use,
     registered_name,
-    registry_in,
     registry_of,
 )
+from depthcli.core.text import did_you_mean
 
 
 def _odd(side: int) -> int:
@@ -53,16 +54,44 @@ Odd = Annotated[int, AfterValidator(_odd)]
 """Side of a window that has a center pixel."""
 
 
-class Method(BaseModel):
-    """Base of every algorithm; subclasses define fields and ``__call__``."""
+class ConfigModel(BaseModel):
+    """Base of everything that a config is made of: an unknown key is an error that names the key that may be meant."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    aliases: ClassVar[tuple[str, ...]] = ()
-    """Usual abbreviations of the method's name, which a config may use instead of it, in any case."""
-
     renamed: ClassVar[dict[str, str]] = {}
     """Former names of fields and their names today, which the error for such an unknown key suggests."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _say_which_keys_there_are(cls, data: Any, handler: ModelWrapValidatorHandler[Any]) -> Any:
+        try:
+            return handler(data)
+        except ValidationError as error:
+            details = [cls._with_hint(each) for each in error.errors(include_url=False)]
+            raise ValidationError.from_exception_data(error.title, details) from None
+
+    @classmethod
+    def _with_hint(cls, error: Any) -> InitErrorDetails:
+        kind, text, place, facts = error["type"], error["msg"], error["loc"], error.get("ctx", {})
+        method = getattr(cls, "flattened", "")
+        if method and place[:1] == (method,) and len(place) > 1:  # its keys stand at the root of the file
+            place = place[1:]
+        if len(place) == 1 and kind in ("extra_forbidden", "unknown_key"):
+            own = [info.alias or name for name, info in cls.model_fields.items() if not info.exclude]
+            known = [*dict.fromkeys([*facts.get("known", ()), *own])]
+            renamed = facts.get("renamed", {}) | cls.renamed
+            hint = did_you_mean(str(place[0]), known, renamed) or f"; there are: {', '.join(known)}" * bool(known)
+            kind, text, facts = "unknown_key", f"no such key{hint}", {"known": known, "renamed": renamed}
+        custom = PydanticCustomError(kind, "{text}", {**facts, "text": text})
+        return InitErrorDetails(type=custom, loc=place, input=error["input"])
+
+
+class Method(ConfigModel):
+    """Base of every algorithm; subclasses define fields and ``__call__``."""
+
+    aliases: ClassVar[tuple[str, ...]] = ()
+    """Usual abbreviations of the method's name, which a config may use instead of it, in any case."""
 
     @classmethod
     def method_name(cls) -> str:
@@ -95,22 +124,22 @@ class Family(Registry[type[Method]]):
     key : the config key that names the method
     """
 
+    _of: ClassVar[dict[str, Family]] = {}  # by package
+
     def __init__(self, package: str, key: str = "method") -> None:
         super().__init__(package, _method_in, self._checked)
         self.key = key
+        Family._of[package] = self
 
     @classmethod
     def of(cls, package: str) -> Family:
-        """Return the family that ``package`` declares."""
+        """Return the family that ``package`` declares; KeyError where it declares none."""
         importlib.import_module(package)
-        registry = registry_in(package)
-        if not isinstance(registry, Family):
-            raise KeyError(f"{package} declares no family of methods")
-        return registry
+        return cls._of[package]
 
     def _checked(self, value: Any) -> type[Method]:
         if not (isinstance(value, type) and issubclass(value, Method) and registry_of(value) is self):
-            raise TypeError(f"want a class derived from a method of {self.package}, got {value!r}")
+            raise TypeError(f"expected a class derived from a method of {self.package}, got {value!r}")
         return value
 
     def _find_alias(self, plain: str, names: Iterable[str]) -> str | None:
@@ -131,15 +160,18 @@ class Family(Registry[type[Method]]):
         if isinstance(value, Method):
             return value
         if not isinstance(value, str | dict):
-            raise self._error("method_type", "want a name or a mapping with '{key}'")
+            raise self._unknown(f"expected a name or a mapping with {self.key!r}")
         fields = {self.key: value} if isinstance(value, str) else dict(value)
         name = fields.pop(self.key, None)
-        if name is None:
-            raise self._error("method_name", "want '{key}' in this mapping")
-        own = self.find(name) if isinstance(name, str) else None
-        if own is None:
-            raise self._error("method_name", "no {key} called {name}", name)
-        return self.load(own).model_validate(fields, context=context)
+        known = self.find(name) if isinstance(name, str) else None
+        if known is None:
+            missing = f"expected {self.key!r} in this mapping"
+            raise self._unknown(missing if name is None else f"no {self.key} called {name!r}", name)
+        return self.load(known).model_validate(fields, context=context)
+
+    def parse_field(self, value: Any, info: ValidationInfo) -> Method:
+        """Return the method that a field's ``value`` describes, as :meth:`parse`, in the context of its config."""
+        return self.parse(value, info.context)
 
     def suggestions(self, name: object, *others: str) -> str:
         """Return the end of a message about an unknown name: the one that may be meant, and all, with their packages.
@@ -150,44 +182,20 @@ class Family(Registry[type[Method]]):
         others : further names that may stand there
         """
         names, plugins = [*others, *self.names()], self.plugins()
-        near = difflib.get_close_matches(str(name), names, 1)
         shown = (f"{each} ({plugins[each].package})" if each in plugins else each for each in names)
-        return (f"; did you mean {near[0]!r}?" if near else "") + f"; one of: {', '.join(shown)}"
+        return f"{did_you_mean(str(name), names)}; one of: {', '.join(shown)}"
 
-    def parse_field(self, value: Any, info: ValidationInfo) -> Method:
-        """Return the method that a field's ``value`` describes, as :meth:`parse`, in the context of its config."""
-        return self.parse(value, info.context)
-
-    def _error(self, kind: Literal["method_type", "method_name"], text: LiteralString, name: Any = None) -> Exception:
-        values = {"key": self.key, "name": repr(name), "suggestions": self.suggestions(name)}
-        return PydanticCustomError(kind, text + "{suggestions}", values)
+    def _unknown(self, text: str, name: Any = None) -> PydanticCustomError:
+        return PydanticCustomError("method_name", "{text}", {"text": text + self.suggestions(name)})
 
 
 def _method_in(module: ModuleType) -> type[Method]:
     own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
     found = [v for v in own if issubclass(v, Method) and any("__call__" in vars(base) for base in v.__mro__[:-1])]
     if len(found) != 1:
-        what = " and ".join(v.__name__ for v in found) or "no method"
-        raise TypeError(f"{module.__name__} defines {what}; a file of a family holds one method")
+        names = " and ".join(v.__name__ for v in found) or "no method"
+        raise TypeError(f"{module.__name__} defines {names}; a file of a family holds one method")
     return found[0]
-
-
-def device_implementation_of(method: object) -> Any | None:
-    """Return the function that does on a device what ``method`` does; None where the method has none.
-
-    It lies in the package ``_device`` of the method's family and has the method's name.
-    """
-    family, _, name = type(method).__module__.rpartition(".")
-    return getattr(_device_package(family), name, None) if family else None
-
-
-@cache
-def _device_package(family: str) -> Any | None:
-    try:
-        found = importlib.util.find_spec(f"{family}._device") is not None
-    except ModuleNotFoundError:  # the method's module lies in no package
-        found = False
-    return importlib.import_module(f"{family}._device") if found else None
 
 
 def method_of(package: str, key: str = "method") -> Any:
@@ -196,22 +204,34 @@ def method_of(package: str, key: str = "method") -> Any:
     >>> class Config(BaseModel):
     ...     cost: Annotated[CostMeasure, *method_of("depthcli.methods.stereo.cost")]
     """
-    return (BeforeValidator(Family(package, key).parse_field), SerializeAsAny())  # type: ignore[type-arg]  # a class at run time, an alias to mypy
+    return (BeforeValidator(Family(package, key).parse_field), cast(Any, SerializeAsAny)())
 
 
-class RootConfig(BaseModel):
+def device_implementation_of(method: object) -> Any | None:
+    """Return the function that does on a device what ``method`` does; None where the method has none.
+
+    It lies in the package ``_device`` of the method's family and has the method's name.
+    """
+    family, _, name = type(method).__module__.rpartition(".")
+    return getattr(_device_package(family), name, None)
+
+
+@cache
+def _device_package(family: str) -> Any | None:
+    found = family and importlib.util.find_spec(f"{family}._device")
+    return importlib.import_module(f"{family}._device") if found else None
+
+
+class RootConfig(ConfigModel):
     """Base of a command's config, whose field named ``flattened`` holds a method written at the root of the file.
 
     ``{pipeline: local, cost: census, max_disparity: 60}`` reads as the field ``max_disparity`` of the command and a
     pipeline with its field ``cost``. Where the field has a default, a file that names no method has that one. A config
-    whose ``flattened`` is empty has no such field. The key ``run``, which a
-    run folder's ``run.yaml`` adds about how it was made, is accepted and ignored, so that this file is a config again.
+    whose ``flattened`` is empty has no such field. The key ``run``, which a run folder's ``run.yaml`` adds about how it
+    was made, is accepted and ignored, so that this file is a config again.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     flattened: ClassVar[str] = "pipeline"
-    renamed: ClassVar[dict[str, str]] = {}
-    """Former names of fields and their names today, which the error for such an unknown key suggests."""
 
     plugins: tuple[str, ...] = Field(
         default=(), description="Python files with methods of your own, beside this file; --plugin names one elsewhere."
@@ -223,24 +243,18 @@ class RootConfig(BaseModel):
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict) or not cls.flattened:
             return data
-        data = cls.with_method(data)
-        name = data.get(cls.flattened)
+        default = cls.model_fields[cls.flattened].default
+        name = data.get(cls.flattened, default.method_name() if isinstance(default, Method) else None)
         if isinstance(name, BaseModel):
             return data
         fields = cls.model_fields.keys() - {cls.flattened}
         if isinstance(data.get("run"), str | list):  # not what a run.yaml says, but the method's
             fields -= {"run"}
         own = {key: value for key, value in data.items() if key in fields}
-        if cls.flattened not in data:
+        if name is None and cls.flattened not in data:
             return own
         rest = {key: value for key, value in data.items() if key not in fields and key != cls.flattened}
         return {**own, cls.flattened: {**rest, cls.flattened: name} if isinstance(name, str) else name}
-
-    @classmethod
-    def with_method(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Return the keys of a config, with the name of the default method where they name none and there is one."""
-        default = cls.model_fields[cls.flattened].default
-        return {cls.flattened: default.method_name(), **data} if isinstance(default, Method) else data
 
     @model_serializer(mode="wrap")
     def _flatten(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -255,13 +269,9 @@ class RootConfig(BaseModel):
 
 def used_files(value: Any) -> dict[str, Path]:
     """Return role -> file, of the files that the methods of a config use; ConfigError where one is missing."""
-    found = dict(value.used_files()) if isinstance(value, Method) else {}
-    if isinstance(value, BaseModel):
-        inside: list[Any] = [getattr(value, name) for name in type(value).model_fields]
-    else:
-        inside = list(value) if isinstance(value, list | tuple) else []
-    for each in inside:
-        for role, file in used_files(each).items():
+    found: dict[str, Path] = {}
+    for each in _parts(value):
+        for role, file in each.used_files().items() if isinstance(each, Method) else ():
             found[role if found.get(role, file) == file else f"{role} {file}"] = file
     return found
 
@@ -271,20 +281,18 @@ def used_plugins(value: Any) -> set[Plugin]:
 
     A word of the config counts as the name of a plug-in that is in use already (measures are written as names alone).
     """
-    return set(_plugins_in(value))
+    in_use = plugins_in_use()
+    named = (in_use.get(each) if isinstance(each, str) else plugin_of(type(each)) for each in _parts(value))
+    return {plugin for plugin in named if plugin is not None}
 
 
-def _plugins_in(value: Any) -> Iterator[Plugin]:
-    if isinstance(value, str):
-        if (named := plugins_in_use().get(value)) is not None:
-            yield named
-    elif isinstance(value, Mapping):
-        yield from (plugin for each in value.values() for plugin in _plugins_in(each))
+def _parts(value: Any) -> Iterator[Any]:
+    """Yield a value and everything in it: values of fields, of mappings and of lists."""
+    yield value
+    inside: Iterable[Any] = value.values() if isinstance(value, Mapping) else ()
+    if isinstance(value, BaseModel):
+        inside = (getattr(value, name) for name in type(value).model_fields)
     elif isinstance(value, list | tuple):
-        yield from (plugin for each in value for plugin in _plugins_in(each))
-    else:
-        plugin = plugin_of(type(value))
-        if plugin is not None:
-            yield plugin
-        if isinstance(value, BaseModel):
-            yield from (found for name in type(value).model_fields for found in _plugins_in(getattr(value, name)))
+        inside = value
+    for each in inside:
+        yield from _parts(each)

@@ -1,32 +1,87 @@
-"""Named things of one kind: the modules of a package, and what plug-ins add to them.
+"""Named objects of one kind: the modules of a package, and what plug-ins add to them.
 
-A plug-in (see ``plugins``) is looked for only where a name is not one of the package's own, or where names are listed.
+An installed package offers plug-ins as entry points, one group a registry (``depthcli.stereo.cost``); a file of a user
+is read by :func:`load_file`, and every class in it that derives from one of a registry's package is a plug-in. They are
+looked for only where a name is not one of the package's own, or where names are listed.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import importlib.machinery
+import importlib.util
+import inspect
+import operator
+import os
 import pkgutil
+import re
+import sys
+import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from depthcli.core.errors import ConfigError
-from depthcli.core.plugins import Plugin, PluginWarning, declare, groups_of, plugins_in
 
 T = TypeVar("T")
 
-# Rooms of the package, which the names of groups leave out.
-_ROOMS = ("methods", "algorithms", "io", "simulate", "evaluation")
+_ROOMS = ("methods", "algorithms", "io", "simulate", "evaluation")  # the names of groups leave them out
+_FILE_MODULE = "depthcli_plugin_"  # the module of a file is called so, with the file's name behind it
+_FILES_VARIABLE = "DEPTHCLI_PLUGIN_FILES"  # worker processes find the files there
 
 _registries: dict[str, Registry[Any]] = {}  # by group
-_plugin_by_class: dict[type, tuple[Registry[Any], Plugin]] = {}
+_homes: dict[str, str] = {}  # package, or module, of base classes -> group
+_provided: dict[str, dict[str, str]] = {}  # package -> name -> module elsewhere
+_file_plugins: dict[Path, list[Plugin]] = {}  # of every file that was read
+_plugin_by_class: dict[type, Plugin] = {}
 
 
-def plain_name(name: str) -> str:
-    """Return a name in lower case, with underscores for dashes and spaces."""
-    return name.lower().replace("-", "_").replace(" ", "_")
+class PluginWarning(UserWarning):
+    """A plug-in cannot be used; the program goes on without it."""
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """An object that a package, or a file, adds to a registry.
+
+    Attributes
+    ----------
+    name : of the object, with underscores
+    group : of the registry, ``depthcli.stereo.cost``
+    package, version : of the distribution; the file's name and the start of its SHA-256 digest for a file
+    reference : ``module:attribute``
+    """
+
+    name: str
+    group: str
+    package: str
+    version: str
+    reference: str
+
+    @property
+    def qualified(self) -> str:
+        """The name that is unique among all packages, ``package:name``."""
+        return f"{self.package}:{self.name}"
+
+    @property
+    def is_file(self) -> bool:
+        """Return whether it is a class of a file, not of an installed package."""
+        return self.reference.startswith(_FILE_MODULE)
+
+    def load(self, use: Callable[[Any], Any] = lambda value: value) -> Any:
+        """Return what ``use`` makes of the object; ConfigError, which names the package, where anything is wrong."""
+        module, _, attribute = self.reference.partition(":")
+        try:
+            return use(operator.attrgetter(attribute)(importlib.import_module(module)))
+        except Exception as error:  # a stranger's code may raise anything
+            raise ConfigError(
+                f"plug-in {self.name} of {self.package} {self.version} cannot be loaded: {_reason(error)}"
+            ) from error
 
 
 class Registry(Generic[T]):
@@ -52,13 +107,14 @@ class Registry(Generic[T]):
         self.package, self._own, self._check = package, own, check
         self.group = group or ".".join(part for part in package.split(".") if part not in _ROOMS)
         _registries[self.group] = self
-        declare(self.group, package, *bases)
+        _homes.update(dict.fromkeys((package, *bases), self.group))
 
     @property
     def own_names(self) -> tuple[str, ...]:
         """The names of our own objects, with underscores, sorted."""
         path = importlib.import_module(self.package).__path__
-        return tuple(sorted(module.name for module in pkgutil.iter_modules(path) if not module.name.startswith("_")))
+        names = {module.name for module in pkgutil.iter_modules(path) if not module.name.startswith("_")}
+        return tuple(sorted(names.union(_provided.get(self.package, ()))))
 
     def plugins(self) -> dict[str, Plugin]:
         """Return name -> plug-in, sorted; a name that another one has, too, is written ``package:name``."""
@@ -89,16 +145,13 @@ class Registry(Generic[T]):
         name : in any case, with dashes or underscores; ``package:name`` for a plug-in of a certain package
         """
         package, _, last = name.rpartition(":")
-        plain = plain_name(last)
-        if not package and plain in self.own_names:
-            return plain
-        if not package and (known := self._find_alias(plain, self.own_names)) is not None:
-            return known
-        plugins = self.plugins()
-        for each, plugin in plugins.items():
-            if plain == plugin.name and (package == plugin.package or each == plain):
-                return each
-        return None if package or not plugins else self._find_alias(plain, self.names())
+        plain, plugins = plain_name(last), self.plugins()
+        if package:
+            return next((n for n, p in plugins.items() if p.name == plain and p.package == package), None)
+        known = plain if plain in self.own_names else self._find_alias(plain, self.own_names)
+        if known is None and plugins:
+            known = plain if plain in plugins else self._find_alias(plain, self.names())
+        return known
 
     def _find_alias(self, plain: str, names: Iterable[str]) -> str | None:
         """Return the first of ``names`` whose object is also called ``plain``; objects have one name, methods more."""
@@ -115,30 +168,66 @@ class Registry(Generic[T]):
             It is a plug-in's and cannot be loaded.
         """
         if name in self.own_names:
-            return self._own(importlib.import_module(f"{self.package}.{name}"))
+            module = _provided.get(self.package, {}).get(name, f"{self.package}.{name}")
+            return self._own(importlib.import_module(module))
         return self._load_plugin(self.plugins()[name])
 
     def _load_plugin(self, plugin: Plugin) -> T:
-        value = plugin.load()
-        try:
+        def use(value: Any) -> T:
             checked = self._check(value)
-        except (TypeError, ValueError) as error:
-            raise ConfigError(f"plug-in {plugin.name} of {plugin.package} {plugin.version}: {error}") from error
-        _plugin_by_class[value if isinstance(value, type) else type(value)] = (self, plugin)
-        return checked
+            _plugin_by_class[value if isinstance(value, type) else type(value)] = plugin
+            return checked
+
+        loaded: T = plugin.load(use)
+        return loaded
+
+
+def plain_name(name: str) -> str:
+    """Return a name in lower case, with underscores for dashes and spaces."""
+    return name.lower().replace("-", "_").replace(" ", "_")
+
+
+def provide(package: str, *modules: str) -> None:
+    """Add modules that lie elsewhere to those of ``package``, each under the last part of its name.
+
+    For objects of our own that need rooms which ``package`` may not import. Nothing is imported until it is used.
+    """
+    _provided.setdefault(package, {}).update({module.rpartition(".")[2]: module for module in modules})
+
+
+def _groups_of(kind: type) -> Iterator[str]:
+    """Yield the groups that a class may belong to, by the packages of its base classes, the nearest first."""
+    for base in kind.__mro__:
+        package = base.__module__
+        while package:
+            if package in _homes:
+                yield _homes[package]
+            package = package.rpartition(".")[0]
+
+
+def registry_of(kind: type) -> Registry[Any] | None:
+    """Return the registry that a class belongs to, by the packages of its base classes; None where there is none."""
+    return next((_registries[group] for group in _groups_of(kind)), None)
 
 
 def plugin_of(kind: type) -> Plugin | None:
     """Return the plug-in that a class, or the object of that class, came from; None for our own and unknown ones."""
     if kind.__module__.startswith("depthcli."):
         return None
-    if kind not in _plugin_by_class:
+    if kind not in _plugin_by_class:  # a worker process gets objects without having loaded their plug-ins
         reference = f"{kind.__module__}:{kind.__qualname__}"
-        for registry in _registries_of(kind):  # a worker process gets objects without having loaded their plug-ins
-            for plugin in registry.plugins().values():
-                if plugin.reference == reference:
-                    _plugin_by_class[kind] = (registry, plugin)
-    return _plugin_by_class[kind][1] if kind in _plugin_by_class else None
+        known = (plugin for group in _groups_of(kind) for plugin in plugins_in(group))
+        if (found := next((plugin for plugin in known if plugin.reference == reference), None)) is not None:
+            _plugin_by_class[kind] = found
+    return _plugin_by_class.get(kind)
+
+
+def registered_name(kind: type) -> str:
+    """Return the name of a class, or of the object of that class, in its registry: its module's, or the plug-in's."""
+    plugin = plugin_of(kind)
+    if plugin is None:
+        return kind.__module__.rpartition(".")[2]
+    return next(name for name, each in _registries[plugin.group].plugins().items() if each == plugin)
 
 
 def with_package(kind: type, about: str) -> str:
@@ -147,18 +236,9 @@ def with_package(kind: type, about: str) -> str:
     return about if plugin is None else f"({plugin.package} {plugin.version}) {about}"
 
 
-def registered_name(kind: type) -> str:
-    """Return the name of a class, or of the object of that class, in its registry: its module's, or the plug-in's."""
-    plugin = plugin_of(kind)
-    if plugin is None:
-        return kind.__module__.rpartition(".")[2]
-    names = _plugin_by_class[kind][0].plugins()
-    return next(name for name, each in names.items() if each == plugin)
-
-
 def plugins_in_use() -> dict[str, Plugin]:
     """Return name, plain and qualified -> plug-in, of those that this process has loaded."""
-    return {name: plugin for _, plugin in _plugin_by_class.values() for name in (plugin.name, plugin.qualified)}
+    return {name: plugin for plugin in _plugin_by_class.values() for name in (plugin.name, plugin.qualified)}
 
 
 def versions_here(plugins: Iterable[Plugin]) -> dict[str, str]:
@@ -173,20 +253,89 @@ def versions_here(plugins: Iterable[Plugin]) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-def registry_of(kind: type) -> Registry[Any] | None:
-    """Return the registry that a class belongs to, by the packages of its base classes; None where there is none."""
-    return next(_registries_of(kind), None)
+def plugins_in(group: str) -> tuple[Plugin, ...]:
+    """Return the plug-ins of files and of installed packages that add to a group."""
+    for path in _files():  # in a worker process they are not read yet
+        load_file(path)
+    of_files = [plugin for plugins in _file_plugins.values() for plugin in plugins if plugin.group == group]
+    return (*of_files, *_installed(group))
 
 
-def registry_in(package: str) -> Registry[Any] | None:
-    """Return the registry that a package declared when it was imported; None where it has none."""
-    return next((registry for registry in _registries.values() if registry.package == package), None)
+@cache
+def _installed(group: str) -> tuple[Plugin, ...]:
+    # The import of ``metadata`` takes 40 ms, which --help does without where no package has a plug-in.
+    named = (file for folder in sys.path for file in Path(folder).glob("*-info/entry_points.txt"))
+    if not any(b"[depthcli." in file.read_bytes() for file in named):
+        return ()
+    from importlib import metadata
+
+    entries = [(entry, entry.dist) for entry in metadata.entry_points(group=group) if entry.dist is not None]
+    found = {Plugin(plain_name(entry.name), group, of.name, of.version, entry.value) for entry, of in entries}
+    return tuple(sorted(found, key=lambda plugin: plugin.qualified))
 
 
-def _registries_of(kind: type) -> Iterator[Registry[Any]]:
-    return (_registries[group] for group in groups_of(kind))
+def load_file(path: Path) -> None:
+    """Read a Python file and register the classes in it that belong to a registry, under their names in snake case.
+
+    So are functions that name a group themselves (``plugin_group``): commands. Abstract classes, and those whose name begins with an underscore, are left out. Worker processes that are started
+    later read the file, too.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read or run, or holds nothing that belongs to a registry.
+    """
+    path = Path(os.path.abspath(path))
+    name, before = _module_name(path), os.environ.get(_FILES_VARIABLE, "")
+    if path in _file_plugins:
+        return
+    if other := next((file for file in _file_plugins if _module_name(file) == name), None):
+        raise ConfigError(f"{path}: a plug-in file of that name is in use already ({other})")
+    os.environ[_FILES_VARIABLE] = os.pathsep.join(map(str, dict.fromkeys([*_files(), path])))
+    _file_plugins[path] = []
+    try:
+        version = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+        values = list(vars(importlib.import_module(name)).values())
+        for kind in [value for value in values if getattr(value, "__module__", "") == name]:
+            group = next(_groups_of(kind), None) if isinstance(kind, type) else getattr(kind, "plugin_group", None)
+            if group is not None and not kind.__name__.startswith("_") and not inspect.isabstract(kind):
+                snake = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", kind.__name__).lower()
+                _file_plugins[path].append(Plugin(snake, group, path.name, version, f"{name}:{kind.__qualname__}"))
+        if not _file_plugins[path]:
+            raise TypeError("it holds no command, and no subclass of a method, layout, protocol or the like")
+    except Exception as error:  # a stranger's code may raise anything
+        os.environ[_FILES_VARIABLE] = before
+        del _file_plugins[path]
+        sys.modules.pop(name, None)
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        place = f"{path}:{lines[-1]}" if lines else str(path)
+        raise ConfigError(f"{place}: plug-in cannot be loaded: {_reason(error)}") from error
 
 
-def groups() -> dict[str, str]:
-    """Return group of entry points -> package that it adds to, of the registries that are known by now."""
-    return {group: registry.package for group, registry in _registries.items()}
+def is_file_loaded(name: str) -> bool:
+    """Return whether a plug-in file of that name has been read."""
+    return any(path.name == name for path in _file_plugins)
+
+
+def _files() -> list[Path]:
+    return [Path(file) for file in os.environ.get(_FILES_VARIABLE, "").split(os.pathsep) if file]
+
+
+def _module_name(path: Path) -> str:
+    return _FILE_MODULE + re.sub(r"\W", "_", path.stem)
+
+
+def _reason(error: Exception) -> str:
+    return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
+
+
+class _FileFinder:
+    """Finds the modules of plug-in files, in this process and in its workers."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> importlib.machinery.ModuleSpec | None:
+        file = next((file for file in _files() if _module_name(file) == name), None)
+        return None if file is None else importlib.util.spec_from_file_location(name, file)
+
+
+sys.meta_path.append(_FileFinder)

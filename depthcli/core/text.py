@@ -1,9 +1,11 @@
-"""Text for people: foreign text made harmless for terminals, tables and spreadsheets; sizes in bytes; like warnings."""
+"""Text for people: foreign text made harmless for terminals, tables and spreadsheets; hints; sizes; like warnings."""
 
 from __future__ import annotations
 
+import difflib
+import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
 _URL_AS_PATH = re.compile(r"\b(https?|s3|gs|ftp|memory):/(?=[^/\s])")  # paths have one slash of the two
@@ -55,6 +57,22 @@ def csv_cell(value: object) -> object:
         return value
     text = one_line(value)
     return f"'{text}" if len(text) > 1 and text.lstrip().startswith(_FORMULA_STARTS) and not _is_number(text) else text
+
+
+def short(value: object) -> str:
+    """Return a value as text for a message, on one line of at most 64 characters."""
+    try:
+        text = json.dumps(value, ensure_ascii=False)
+    except (TypeError, ValueError):  # no plain data, or a number of more digits than Python writes
+        text = str(value) if not isinstance(value, int) else "a number of thousands of digits"
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    return text if len(text) <= 64 else text[:61] + "..."
+
+
+def did_you_mean(name: str, known: Iterable[str], renamed: Mapping[str, str] | None = None) -> str:
+    """Return a hint at the known name that may be meant, a renamed thing's new name or a similar one; or nothing."""
+    near = [renamed[name]] if renamed and name in renamed else difflib.get_close_matches(name, list(known), 1)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def show_bytes(size: int) -> str:

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, ClassVar, TextIO
 
 from depthcli.core.errors import IncompleteError
-from depthcli.core.plugins import PluginWarning
+from depthcli.core.registry import PluginWarning
 from depthcli.core.text import one_line, printable
 from depthcli.run.json_csv import Row
 from depthcli.run.progress_bar import Progress

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 
 from depthcli.core.config_file import to_yaml
 from depthcli.core.errors import ConfigError
-from depthcli.core.plugins import Plugin, PluginWarning, plugins_in
+from depthcli.core.registry import Plugin, PluginWarning, plugins_in
 
 
 def preset_folder() -> Path:

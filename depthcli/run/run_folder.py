@@ -19,8 +19,7 @@ from pydantic import BaseModel
 from depthcli import __version__
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.plugins import Plugin
-from depthcli.core.registry import versions_here
+from depthcli.core.registry import Plugin, versions_here
 from depthcli.run.install import not_ours
 from depthcli.run.records import RECORD_FILE, RUN_FILE, digest, read_record, read_text
 from depthcli.run.reports import REPORT_FILES, read_report

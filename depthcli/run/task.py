@@ -16,7 +16,7 @@ from typing import Any
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
 from depthcli.core.method import used_plugins
-from depthcli.core.plugins import Plugin
+from depthcli.core.registry import Plugin
 from depthcli.core.scene import computing
 from depthcli.core.text import show_bytes
 from depthcli.io.formats.files import collected_warnings

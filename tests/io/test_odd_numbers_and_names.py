@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.core.config_file import parse_config
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.yaml_source import parse_config
 from depthcli.io.formats.files import naming
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.networks import network_path, read_network

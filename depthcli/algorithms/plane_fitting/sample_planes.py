@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
+from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 
@@ -95,13 +96,11 @@ class SamplePlanes:
     averaged: NDArray[np.float32]
 
 
-class SamplePlaneFit(BaseModel):
+class SamplePlaneFit(ConfigModel):
     """Fit a plane at a pixel to the nearest samples of similar color that agree with each other, by Tukey's biweight.
 
     The fit starts at the sample with which samples of the largest total weight agree; slopes have a Gaussian prior.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     neighbors: int = Field(24, ge=3, le=64, description="number of nearest samples that a plane is fitted to")
     color_scale: float = Field(

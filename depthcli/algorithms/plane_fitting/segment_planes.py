@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
 from depthcli.algorithms.regions import RegionPixels
+from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Choices of this program; nothing in the repository varies them.
@@ -78,10 +79,8 @@ class SegmentPlanes:
         return np.asarray(np.clip(disparity, 0, max_disparity), np.float32)
 
 
-class SegmentPlaneFit(BaseModel):
+class SegmentPlaneFit(ConfigModel):
     """RANSAC planes through the disparities of segments, refined by least squares over their inliers."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     tolerance: float = Field(0.5, gt=0, le=16384, description="distance of a RANSAC inlier from the plane, pixels")
     trials: int = Field(200, ge=1, le=100_000, description="RANSAC samples per segment")

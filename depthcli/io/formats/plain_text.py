@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.core.yaml_source import short
+from depthcli.core.text import short
 
 _MAX_SIDE = 1 << 20  # pixels; no image is as wide
 

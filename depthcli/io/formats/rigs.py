@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
+from depthcli.core.config_file import parse_config
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.yaml_source import parse_config, short
+from depthcli.core.text import short
 from depthcli.io.formats.files import naming, read_bytes, write_text
 from depthcli.io.formats.plain_text import image_sides, json_object, key_values, numbers
 
@@ -165,10 +166,7 @@ def storage_fields(text: str) -> dict[str, Any]:
             parts = ElementTree.fromstring(text)
             fields = {part.tag: {each.tag: each.text or "" for each in part} or part.text or "" for part in parts}
         else:
-            source = parse_config(re.sub(r"\A%YAML.*|!!opencv-[\w-]+", "", text), "YAML")
-            if source.problems:
-                raise InputError(f"{_UNKNOWN} ({source.problems[0]})")
-            fields = source.data
+            fields = parse_config(re.sub(r"\A%YAML.*|!!opencv-[\w-]+", "", text), "YAML").data
     except ConfigError as error:
         raise InputError(f"{_UNKNOWN} ({error})") from error
     except (ValueError, RecursionError, ElementTree.ParseError) as error:

@@ -11,9 +11,8 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 from depthcli.core.errors import InputError
-from depthcli.core.plugins import Plugin
-from depthcli.core.registry import Registry, registered_name
-from depthcli.core.yaml_source import short
+from depthcli.core.registry import Plugin, Registry, registered_name
+from depthcli.core.text import short
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import json_object, numbers
 from depthcli.io.formats.poses import Pose, pose_of

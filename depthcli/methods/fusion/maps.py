@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice import Choice, Proposals
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
@@ -27,10 +28,8 @@ from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 _MIN_PIXELS, _MIN_SHARE = 20, 0.05  # pixels, and share of a segment, that a plane is fitted to; chosen by hand
 
 
-class MapSource(BaseModel):
+class MapSource(ConfigModel):
     """Where one more map comes from, and how much it counts."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     weight: float = Field(
         1.0, ge=0, le=100, description="weight of the map in the agreement of maps; the map of the fused costs has 1"
@@ -55,14 +54,12 @@ class PlaneMap(MapSource):
     segmentation: Segmentation = Field(description="how the left image is cut into segments")
 
 
-class MapFusion(BaseModel):
+class MapFusion(ConfigModel):
     """The map of the fused costs and maps of other methods, and which of them is taken at a pixel.
 
     Proposed are the median of the maps, the map of the fused costs (the own one), those of ``matchers``, of
     ``optimizations`` and of ``segmentations``, in this order.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     matchers: tuple[PipelineMap, ...] = Field(
         (), max_length=16, description="pipelines of stereo, each of which makes a map"

@@ -8,11 +8,12 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.method import ConfigModel
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
@@ -46,10 +47,8 @@ _OWN_CONFIDENCES = ("consensus", *_NEEDS_MAPS)
 _MAX_VOTED_COST = 4080  # 16 x 255, the fixed point of aggregated costs, which scanline optimizers can sum
 
 
-class FusedMeasure(BaseModel):
+class FusedMeasure(ConfigModel):
     """One of the measures to fuse: a cost measure, or a cost volume read from a file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     flattened: ClassVar[str] = "cost"  # a measure may be written as its cost alone
 
@@ -104,8 +103,6 @@ class FusedMeasure(BaseModel):
 
 class Fusion(AdjustingMatcher):
     """Stereo by several cost measures, each weighted at every pixel by how many pixels around agree with it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     measures: tuple[FusedMeasure, ...] = Field(min_length=1, max_length=16, description="measures to fuse")
     weights: Literal["consensus", "confidence", "equal", "select", "vote"] = Field(

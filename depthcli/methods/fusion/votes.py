@@ -14,11 +14,11 @@ from typing import Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.core.method import Odd
+from depthcli.core.method import ConfigModel, Odd
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.lanes import LANES, load, splat, store
 from depthcli.methods.stereo.volume import CostVolume
@@ -106,10 +106,8 @@ class WindowSupport(Support):
         cv2.boxFilter(block, -1, self._size, dst=block, normalize=False, borderType=cv2.BORDER_CONSTANT)
 
 
-class Consensus(BaseModel):
+class Consensus(ConfigModel):
     """How the pixels around a pixel vote for its disparity, and what a vote is worth."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     support: Literal["color", "window"] = Field(
         "color", description="color: votes fade with distance and color change; window: all of a square count alike"

@@ -15,11 +15,12 @@ from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr
+from pydantic import AfterValidator, Field, PrivateAttr
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.method import ConfigModel
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock, Result
 from depthcli.methods.given_maps._evidence import BYTES_PER_CELL, BYTES_PER_PIXEL, Evidence
@@ -99,10 +100,8 @@ def offsets(network: TrainedNetwork, within: float) -> NDArray[np.float32]:
     return between
 
 
-class UsesNetworks(BaseModel):
+class UsesNetworks(ConfigModel):
     """What judges maps by the networks, which are handed in."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     within: float = Field(1.0, ge=0.25, le=8, description="error up to which a value counts as right, pixels")
     _networks: Networks | None = PrivateAttr(None)

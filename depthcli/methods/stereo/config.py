@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from depthcli.core.method import RootConfig
+from depthcli.core.method import ConfigModel, RootConfig
 from depthcli.methods.stereo.matching import TileMode
 from depthcli.methods.stereo.pipeline import Pipeline
 
@@ -16,10 +16,8 @@ _MAX_DISPARITY = 16383  # pixels, 14 bits: wider than the images that any method
 _End = Annotated[int, Field(ge=-_MAX_DISPARITY, le=_MAX_DISPARITY)] | Literal["auto"] | None
 
 
-class Calibration(BaseModel):
+class Calibration(ConfigModel):
     """A calibration of two cameras and how images are rectified by it; a file name may stand for the whole section."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     files: tuple[str, ...] = Field(
         min_length=1,
@@ -48,7 +46,7 @@ class Calibration(BaseModel):
         return {"files": data} if isinstance(data, list) else data
 
 
-class PairConfig(BaseModel):
+class PairConfig(ConfigModel):
     """What the configs of all commands that match pairs have in common."""
 
     max_disparity: _End = Field(

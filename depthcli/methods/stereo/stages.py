@@ -8,10 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
+from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import MeasureName, confidence_maps
@@ -59,10 +60,8 @@ class PairMatcher(ABC):
         return pair, self
 
 
-class CostStages(BaseModel):
+class CostStages(ConfigModel):
     """The stages of a method that computes costs: cost measure, aggregation, optimization, refinement, confidence."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     cost: Cost = Field(description="matching cost of two pixels")
     aggregation: Aggregation | None = Field(None, description="averaging of costs over a support window; null: none")

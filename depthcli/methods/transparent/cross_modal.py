@@ -9,13 +9,14 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from depthcli.algorithms.filters import local_moments
 from depthcli.core import memory
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
 from depthcli.core.maps import DisparityMap
+from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import left_right_difference, winners
@@ -70,7 +71,7 @@ def _planes() -> SegmentSteps:
     )
 
 
-class MatchSelection(BaseModel):
+class MatchSelection(ConfigModel):
     """Selection of the matches that are reliable.
 
     A match is compared with the sensor's disparity at its pixel:
@@ -84,8 +85,6 @@ class MatchSelection(BaseModel):
 
     Of the kept matches, regions smaller than ``speckle`` are removed.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     margin: float = Field(
         0.15,
@@ -162,10 +161,8 @@ class CrossModalMatches:
     weights: tuple[float, float, float]
 
 
-class CrossModal(BaseModel):
+class CrossModal(ConfigModel):
     """Stereo of infrared and of color mixed to resemble it: fused costs, planes over segments, reliable matches."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     channels: Literal["early", "late", "r", "g", "b", "grey"] = Field(
         "early",

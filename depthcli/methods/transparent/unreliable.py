@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
+from depthcli.core.method import ConfigModel
 
 # The first three are those of the figures of scripts/transparent_experiments.py, which varies none of them.
 _MAX_SAMPLE_EVIDENCE = 4.0  # of one sample for a region, standard deviations
@@ -42,7 +43,7 @@ def sample_noise(samples: Samples, sensor: NDArray[np.float32]) -> float:
     return max(noise, 1e-6 * float(np.median(np.abs(samples.values))))
 
 
-class UnreliableRegions(BaseModel):
+class UnreliableRegions(ConfigModel):
     """Regions where samples contradict the sensor, found by one minimum cut.
 
     All values are inverse depths: nearer is larger. Through glass the sensor measures a farther surface, so that only
@@ -72,8 +73,6 @@ class UnreliableRegions(BaseModel):
         "least_area": "min_area",
         "sample_evidence": "min_sample_evidence",
     }
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     score_threshold: float = Field(
         0.5,

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
+from depthcli.core.method import ConfigModel
 from depthcli.kernels.exponential import exp_minus_16
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import LANES, lane_exp_minus_16, load, minimum, splat, store, truncated
@@ -17,10 +18,10 @@ from depthcli.methods.stereo.cost import CostMeasure, PartCost, light_weights
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
-class Part(BaseModel):
+class Part(ConfigModel):
     """One measure of a combination."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     cost: PartCost = Field(description="cost measure of this part")
     lambda_: float = Field(

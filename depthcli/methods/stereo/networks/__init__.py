@@ -16,15 +16,14 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+from pydantic import BaseModel, Field, PrivateAttr
 
+from depthcli.core.method import ConfigModel
 from depthcli.methods.stereo.networks.runtime import Session, open_session
 
 
-class Network(BaseModel):
+class Network(ConfigModel):
     """What all methods that run a network have in common: its file, and the device that it runs on."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     model: str = Field(min_length=1, description="file of the network, .onnx; from the current folder")
     _device: str = PrivateAttr("cpu")

@@ -8,10 +8,11 @@ from typing import Annotated, Any, Literal, Self
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.method import ConfigModel
 from depthcli.methods.stereo.networks.runtime import Port
 
 ColorOrder = Literal["rgb", "bgr"]
@@ -21,10 +22,8 @@ _CHANNELS = (1, 2, 3, 6)
 _Moment = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
-class MeanDeviation(BaseModel):
+class MeanDeviation(ConfigModel):
     """Values ``(v - mean) / deviation`` of samples v in [0, 1], with one number for all channels or three, in RGB."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     mean: tuple[_Moment, ...] = Field(min_length=1, max_length=3, description="of all channels, or of red, green, blue")
     deviation: tuple[_Moment, ...] = Field(min_length=1, max_length=3, description="standard deviations, as mean")

@@ -7,10 +7,11 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from depthcli.algorithms.filters import single_thread
 from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 from depthcli.methods.stereo.volume import StereoResult
@@ -18,10 +19,8 @@ from depthcli.methods.stereo.volume import StereoResult
 _FRACTIONS = 16  # OpenCV's disparities are int16 sixteenths
 
 
-class Wls(BaseModel):
+class Wls(ConfigModel):
     """Edge-preserving smoothing and filling, guided by the left image and by a right-to-left match."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     lambda_: float = Field(
         8000.0, alias="lambda", gt=0, le=1e9, description="strength of the weighted-least-squares smoothing"

@@ -13,10 +13,8 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from depthcli.core.method import ConfigModel
 
 
-class Step(BaseModel):
+class Step(ConfigModel):
     """Base of the steps: a callable with its parameters."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

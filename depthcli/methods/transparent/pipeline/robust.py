@@ -6,10 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
 from depthcli.core.frames import SparseFrame
+from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock, DepthResult
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.transparent.fitted_frame import fit_frame, refined_depth
@@ -17,14 +18,12 @@ from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.unreliable import UnreliableRegions
 
 
-class Smoothing(BaseModel):
+class Smoothing(ConfigModel):
     """The mean of a window, weighted by similarity of color, at pixels that are far from all samples.
 
     There a plane is an extrapolation, and those of neighboring pixels rest on other samples: their mean is nearer to
     the surface. Near samples it would only flatten the fit.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     reach: float = Field(
         0.011,

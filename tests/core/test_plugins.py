@@ -1,0 +1,418 @@
+"""Plug-ins of files and of installed packages: how they are found, what is said of bad ones, what runs record."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.commands import load_command
+from depthcli.core import registry
+from depthcli.core.config_file import dump_config, load_config, parse_config
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.method import Family, used_plugins
+from depthcli.io import layouts
+from depthcli.io.formats.depth import read_depth
+from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
+from depthcli.io.formats.map_format import map_suffixes
+from depthcli.methods.stereo.config import StereoConfig
+from depthcli.run import presets
+
+pytestmark = pytest.mark.usefixtures("forget_plugins")
+COSTS = Family.of("depthcli.methods.stereo.cost")
+
+FILE = '''
+from dataclasses import replace
+
+import numpy as np
+
+from depthcli.algorithms.keypoints.surf import Surf
+from depthcli.algorithms.segmentation.slic import Slic
+from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
+from depthcli.io.formats.map_format import MapFormat
+from depthcli.io.layouts import Folder
+from depthcli.io.layouts.scenes import Scenes
+from depthcli.methods.confidence import ConfidenceMeasure
+from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
+from depthcli.methods.kinect.pipeline.nearest import NearestFill
+from depthcli.methods.registration.feature.intensity import Intensity
+from depthcli.methods.registration.pipeline.search import RegistrationSearch
+from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
+from depthcli.methods.stereo.pipeline.local import Local
+from depthcli.methods.stereo.refinement.median import Median
+from depthcli.methods.transparent.pipeline.nearest import NearestSample
+from depthcli.run.command import Command
+from depthcli.simulate.samples.stereo import StereoSample
+
+
+class WideCensus(Census):
+    """A census whose window is wide."""
+
+    aliases = ("AD", "WC-5")
+    window: tuple[int, int] = (11, 3)
+
+
+class MyText(MapFormat):
+    suffixes = (".numbers",)
+
+    def read(self, path):
+        return np.loadtxt(path, ndmin=2)
+
+
+class MyLayout(Scenes):
+    """Our own layout, where it is named."""
+
+    def scenes(self, folder: Folder):
+        named = folder.requested == self.name
+        return [replace(scene, protocol="my_protocol") for scene in super().scenes(folder)] if named else []
+
+
+class MyMeasure(ConfidenceMeasure):
+    """Spread of the costs."""
+
+    def __call__(self, curves):
+        return curves.costs.max(axis=-1).astype("float32") - curves.statistics.lowest
+
+
+class MyProtocol(Eth3dProtocol):
+    """ETH3D's under another name."""
+
+
+class MySample(StereoSample):
+    about = "Stereo scenes of our own."
+
+
+class Greet(Command):
+    """Greet the user."""
+
+    def run(self, values, reporter):
+        reporter.data("good day")
+        return 0
+
+
+class _Hidden(Census):
+    """Not registered."""
+'''
+SUBCLASSES = {
+    "MyKeypoints": "Surf", "MySegments": "Slic", "MyChoice": "LeastEnergyChoice", "MyFill": "NearestFill",
+    "MyFeature": "Intensity", "MyWindow": "ConstantWindow", "MyWinner": "WinnerTakesAll", "MyPipeline": "Local",
+    "MyMedian": "Median", "MyNearest": "NearestSample", "MySearch": "RegistrationSearch",
+}  # fmt: skip
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.py"
+    classes = (f"\n\nclass {name}({base}):\n    '''Another {base}.'''\n" for name, base in SUBCLASSES.items())
+    path.write_text(FILE + "".join(classes))
+    return path
+
+
+@pytest.fixture
+def scenes(tmp_path: Path, file: Path) -> Path:
+    """Two scenes, the truth of one of them in the plug-in's format."""
+    folder = tmp_path / "scenes"
+    size = ["--width", "64", "--height", "48", "--max-disparity", "12", "-q"]
+    assert main(["sample", "--my-sample", "-n", "2", "-o", str(folder), *size, "--plugin", str(file)]) == 0
+    truth = next(folder.rglob("disp_left.pfm"))
+    np.savetxt(truth.with_suffix(".numbers"), read_pfm(truth))
+    truth.unlink()
+    return folder
+
+
+def install(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, entries: str, source: str) -> None:
+    """Make a package that looks installed: a module and its metadata."""
+    (folder / f"{name.replace('-', '_')}.py").write_text(source)
+    info = folder / f"{name.replace('-', '_')}-1.2.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
+    (info / "entry_points.txt").write_text(entries)
+    monkeypatch.syspath_prepend(str(folder))
+    registry._installed.cache_clear()
+
+
+def forget() -> None:
+    registry._file_plugins.clear()
+    registry._plugin_by_class.clear()
+
+
+def test_classes_of_a_file_are_found_by_their_names(file: Path):
+    registry.load_file(file)
+    registry.load_file(file)  # again: nothing happens
+    assert COSTS.names()[-1] == "wide_census"
+    text = "pipeline: local\ncost: {method: Wide-Census, window: [5, 3]}\n"
+    config = load_config(StereoConfig, parse_config(text, "x"))
+    assert "method: wide_census" in dump_config(config)
+    assert load_config(StereoConfig, parse_config(dump_config(config), "x")) == config
+    (used,) = used_plugins(config)
+    assert used.package == "mine.py" and len(used.version) == 12
+    assert (COSTS.find("wc 5"), COSTS.find("ad"), COSTS.find("mine.py:wc-5")) == (
+        "wide_census", "absolute_difference", None,
+    )  # fmt: skip
+    groups = {group for group in registry._registries if group.startswith("depthcli.")}  # not those of other tests
+    with_plugins = {each.group for each in registry._registries.values() if each.plugins()}
+    assert groups - with_plugins <= {"depthcli.kinect.model"}
+    assert registry.versions_here([used, replace(used, package="elsewhere")]) == {
+        "elsewhere": "missing", "mine.py": used.version,
+    }  # fmt: skip
+
+
+def test_a_mistake_names_the_plugin_s_keys_and_methods(file: Path):
+    registry.load_file(file)
+    for text, said in (
+        ("cost: wide_censu", r"no method called 'wide_censu'; did you mean 'wide_census'.* wide_census \(mine\.py\)"),
+        ("cost: census\nconfidence: [pkrr]", r"no confidence measure called 'pkrr'; did you mean 'pkrn?'\?; one of: "),
+        ("cost: {method: wide_census, windw: 3}", r"cost\.windw: no such key .*did you mean 'window'"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            load_config(StereoConfig, parse_config(f"pipeline: local\n{text}\n", "x"))
+
+
+def test_a_command_of_a_file(file: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["greet", "--plugin", str(file)]) == 0
+    assert capsys.readouterr().out.strip() == "good day"
+    assert main(["--plugin", str(file), "--help"]) == 0
+    assert "Greet the user." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("import nowhere_at_all", r"mine\.py:1: plug-in cannot be loaded: ModuleNotFoundError"),
+        ("x = 1\n1 / 0", r"mine\.py:2: plug-in cannot be loaded: ZeroDivisionError: division by zero"),
+        ("def f(:", r"mine\.py.*plug-in cannot be loaded: SyntaxError"),
+        ("x = 3", r"mine\.py: plug-in cannot be loaded: TypeError: it holds no subclass"),
+        (None, r"mine\.py: plug-in cannot be loaded: FileNotFoundError"),
+    ],
+)
+def test_a_file_that_is_no_plugin(text: str | None, said: str, tmp_path: Path):
+    path = tmp_path / "mine.py"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        registry.load_file(path)
+    assert not os.environ["DEPTHCLI_PLUGIN_FILES"]
+    path.write_text(FILE)
+    registry.load_file(path)  # mended, in the same process
+    assert "wide_census" in COSTS.names()
+
+
+def test_an_installed_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    source = "from depthcli.methods.stereo.cost.census import Census\nclass Far(Census):\n    '''Far.'''\n"
+    entries = "[depthcli.stereo.cost]\nfar-census = strange_cost:Far\ncensus = strange_cost:Far2\n"
+    install(tmp_path, monkeypatch, "strange-cost", entries, source + "class Far2(Census):\n    '''Another.'''\n")
+    assert set(COSTS.names()) >= {"census", "far_census", "strange-cost:census"}
+    assert COSTS.parse("far_census").model_dump()["method"] == "far_census"
+    assert type(COSTS.parse("census")).__module__.startswith("depthcli.")
+    other = COSTS.parse("strange-cost:census")
+    assert type(other).__name__ == "Far2" and other.model_dump()["method"] == "strange-cost:census"
+    assert registry.versions_here(used_plugins(other)) == {"strange-cost": "1.2"}
+    assert used_plugins(COSTS.parse("census")) == set()
+
+
+@pytest.mark.filterwarnings("always::depthcli.core.registry.PluginWarning")
+def test_a_broken_package_costs_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    entries = "".join(f"[depthcli.{group}]\nbow = strange:Bow\n" for group in ("stereo.cost", "layouts", "commands"))
+    install(tmp_path, monkeypatch, "strange", entries, "import nowhere_at_all\n")
+    with pytest.warns(registry.PluginWarning, match=r"bow of strange 1\.2 cannot be loaded: ModuleNotFound"):
+        assert "bow" not in COSTS.names()
+    with pytest.raises(ConfigError, match="bow of strange"):
+        COSTS.parse("bow")
+    with pytest.warns(registry.PluginWarning, match="bow of strange"):
+        assert layouts.layouts() == layouts.own_layouts()
+    assert main(["--help"]) == 0
+    out, err = capsys.readouterr()
+    assert "refine-kinect" in out and "bow" not in out
+    assert "warning: plug-in bow of strange 1.2 cannot be loaded: ModuleNotFoundError" in err
+    assert main(["bow"]) == 2
+
+
+def test_an_object_of_another_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    install(tmp_path, monkeypatch, "strange-int", "[depthcli.layouts]\nodd = strange_int:x\n", "x = 3\n")
+    with pytest.warns(registry.PluginWarning, match=r"odd of strange-int 1\.2 cannot be loaded: TypeError: .*got 3"):
+        layouts.layouts()
+
+
+def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    for command, name in (("stereo", "fast"), ("stereo", "elas"), ("nowhere", "odd")):
+        file = tmp_path / "strange_kit" / "mine" / command / f"{name}.yaml"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("# Another one.\npipeline: opencv_bm\n")
+    install(tmp_path, monkeypatch, "strange-kit", "[depthcli.presets]\nx = strange_kit:mine\n", "")
+    (tmp_path / "strange_kit.py").rename(tmp_path / "strange_kit" / "__init__.py")
+    of_package = [preset[:2] for preset in presets.list_presets() if "strange-kit 1.2" in preset[2]]
+    assert of_package == [("nowhere", "odd"), ("stereo", "elas"), ("stereo", "strange-kit:fast")]
+    assert presets.find_preset("stereo", "fast") == presets.preset_folder() / "stereo" / "fast.yaml"
+    for name in ("Elas", "strange-kit:elas", "Strange_Kit:fast"):
+        found = presets.find_preset("stereo", name)
+        assert found is not None and found.is_relative_to(tmp_path) and presets.preset_of("stereo", name) == ""
+    assert main(["presets"]) == 0
+    assert "stereo elas " in capsys.readouterr().out
+    assert main(["presets", "show", "stereo/elas"]) == 0
+    assert "depthcli stereo elas ..." in capsys.readouterr().out
+    (tmp_path / "strange_kit" / "mine" / "stereo" / "elas.yaml").write_bytes(b"# \xff\npipeline: local\n")
+    assert main(["presets", "show", "elas"]) == 2
+    assert "elas.yaml:1: not UTF-8 text" in capsys.readouterr().err
+
+
+def test_a_package_without_its_presets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    entries = "[depthcli.presets]\nx = strange_none:mine\ny = nowhere_at_all.a:mine\n"
+    install(tmp_path, monkeypatch, "strange-none", entries, "")
+    with pytest.warns(registry.PluginWarning, match=r"strange-none 1\.2: no COMMAND/NAME\.yaml in \w"):
+        assert presets.find_preset("stereo", "fast") is not None
+
+
+@pytest.mark.slow
+def test_a_run_records_its_plugins(file: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    config, out = tmp_path / "c.yaml", tmp_path / "out"
+    config.write_text(
+        "pipeline: my_pipeline\ncost: wide_census\naggregation: my_window\noptimization: my_winner\n"
+        "refinement: [my_median]\nconfidence: [My-Measure]\n"
+    )
+    run = ["stereo", str(config), "-i", str(scenes), "-o", str(out), "--layout", "my-layout", "--jobs", "2"]
+    run += ["--plugin", str(file)]
+    assert main([*run, "--evaluate", "-q"]) == 0
+    assert read_pfm(next(out.rglob("confidence_my_measure.pfm"))).shape == (48, 64)
+    scores = json.loads((out / "evaluation" / "scores.json").read_text())
+    assert {result["protocol"] for result in scores["results"]} == {"my-protocol"}
+    assert len(scores["plugins"]["mine.py"]) == 12
+    assert "\n    mine.py: " in (out / "run.yaml").read_text()
+    capsys.readouterr()
+    assert main(run) == 0
+    assert "2 of 2 scenes are done already" in capsys.readouterr().err
+    forget()
+    del sys.modules["depthcli_plugin_mine"]
+    file.write_text(file.read_text() + "# changed\n")
+    assert main(run) == 2
+    assert "another config (it says 'mine.py: " in capsys.readouterr().err
+
+
+def test_layouts_and_formats_are_recorded_where_they_are_used(file: Path, scenes: Path, tmp_path: Path):
+    run = ["stereo", "opencv-bm", "-i", str(scenes), "-q", "--plugin", str(file)]
+    assert main([*run, "-o", str(tmp_path / "own")]) == 0
+    assert "mine.py" not in (tmp_path / "own" / "run.yaml").read_text()
+    assert main([*run, "-o", str(tmp_path / "other"), "--layout", "my-layout"]) == 0
+    assert "\n    mine.py: " in (tmp_path / "other" / "run.yaml").read_text()
+    (tmp_path / "numbers").mkdir()
+    name = next(path.parent.name for path in scenes.rglob("disp_left.pfm"))
+    np.savetxt(tmp_path / "numbers" / f"{name}.numbers", np.full((48, 64), 5))
+    out = tmp_path / "scores"
+    of = ["evaluate", str(tmp_path / "numbers"), "--truth", str(scenes), "--scenes", name, "-o", str(out)]
+    assert main([*of, "-q", "--plugin", str(file)]) == 0
+    assert list(json.loads((out / "scores.json").read_text())["plugins"]) == ["mine.py"]
+
+
+def test_maps_of_a_format_are_read_everywhere(file: Path, tmp_path: Path):
+    registry.load_file(file)
+    path = tmp_path / "a.numbers"
+    path.write_text("1.5 nan\n2 inf\n")
+    for read in (read_disparity, read_depth):
+        np.testing.assert_array_equal(read(path), np.array([[1.5, np.nan], [2, np.nan]], np.float32))
+    for text in ("1 2\n3\n", "one"):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"a\.numbers: cannot be read as my_text"):
+            read_plane(path)
+
+
+def test_a_format_cannot_take_an_ending_of_ours(tmp_path: Path):
+    path = tmp_path / "bad.py"
+    path.write_text(FILE.replace(".numbers", ".png"))
+    registry.load_file(path)
+    with pytest.warns(UserWarning, match=r"my_text of bad\.py .*\.png is read by depthcli itself"):
+        assert ".numbers" not in map_suffixes()
+
+
+def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
+    (tmp_path / "low.yaml").write_text("plugins: [mine.py]\npipeline: local\ncost: wide_census\n")
+    (tmp_path / "high.yaml").write_text("plugins: [more.py]\nbase: low\naggregation: cross\n")
+    (tmp_path / "more.py").write_text(FILE.replace("WideCensus", "LowCensus"))
+    config = load_config(StereoConfig, tmp_path / "high.yaml")
+    assert config.plugins == ("mine.py", "more.py")
+    assert {"wide_census", "low_census"} <= set(COSTS.names())
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.yaml").write_text(dump_config(config))
+    assert load_config(StereoConfig, tmp_path / "run" / "run.yaml") == config  # the files are in use already
+    forget()
+    with pytest.raises(ConfigError, match=r"run\.yaml:\d+: plugins: mine\.py is no file in .*; --plugin FILE"):
+        load_config(StereoConfig, tmp_path / "run" / "run.yaml")
+    (tmp_path / "low.yaml").write_text("plugins: [3]\npipeline: local\n")
+    with pytest.raises(ConfigError, match=r"low\.yaml:1: plugins: expected a list of names .*\(got \[3\]\)"):
+        load_config(StereoConfig, tmp_path / "low.yaml")
+
+
+def test_the_config_of_a_run_names_packages_that_are_missing(tmp_path: Path):
+    config = tmp_path / "run.yaml"
+    config.write_text(
+        "pipeline: local\ncost: far\nrun:\n  versions:\n    python: 3.11.7\n    numpy: 1.0\n    strange-cost: '1.2'\n"
+        "    mine.py: 0123456789ab\n"
+    )
+    with pytest.raises(ConfigError) as caught:
+        load_config(StereoConfig, config)
+    first, package, file = str(caught.value).splitlines()
+    assert "no method called 'far'" in first
+    assert (
+        "run.yaml:7: run.versions.strange-cost: " in package and "strange-cost 1.2, which is not installed" in package
+    )
+    assert "run.yaml:8: run.versions.mine.py: " in file and "--plugin FILE.py" in file
+
+
+@pytest.mark.parametrize(
+    ("command", "text"),
+    [
+        ("stereo", "pipeline: segments\ncost: census\nsegmentation: my_segments\n"),
+        ("stereo", "pipeline: segments\ncost: census\nkeypoints: my_keypoints\n"),
+        ("refine-kinect", "pipeline: my_fill\n"),
+        ("transparent", "pipeline: my_nearest\n"),
+        ("register-confidence", "features: [my_feature]\n"),
+        ("register-confidence", "pipeline: my_search\n"),
+        ("fuse", "measures: [census]\nmaps: {segmentations: [{segmentation: slic}], choice: my_choice}\n"),
+    ],
+)
+def test_methods_of_every_command_are_configured(file: Path, command: str, text: str):
+    registry.load_file(file)
+    config = load_config(load_command(command).config_model(), parse_config(text, "x"))  # type: ignore[attr-defined]
+    assert {plugin.package for plugin in used_plugins(config)} == {"mine.py"}
+    assert {plugin.name for plugin in used_plugins(config)} == {re.search("my_[a-z]+", text)[0]}
+
+
+def test_a_scheduler_refuses_files(file: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    run = ["stereo", "opencv-bm", "-i", str(scenes), "-o", str(tmp_path / "o"), "--plugin", str(file), "-q"]
+    assert main([*run, "--layout", "my-layout", "--scheduler", "tcp://127.0.0.1:9"]) == 2
+    assert "mine.py" in capsys.readouterr().err
+
+
+def test_a_file_of_a_family_holds_one_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "strange_family").mkdir()
+    (tmp_path / "strange_family" / "__init__.py").write_text("")
+    method = "class {}(Method):\n    def __call__(self):\n        return 1\n"
+    head = "from depthcli.core.method import Method\n"
+    (tmp_path / "strange_family" / "both.py").write_text(head + method.format("A") + method.format("B"))
+    (tmp_path / "strange_family" / "none.py").write_text("x = 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for known in ("_registries", "_homes"):  # the family is no one else's
+        monkeypatch.setattr(registry, known, dict(getattr(registry, known)))
+    family = Family("strange_family")
+    with pytest.raises(TypeError, match=r"both defines A and B; a file of a family holds one method"):
+        family.load("both")
+    with pytest.raises(TypeError, match="defines no method"):
+        family.load("none")
+
+
+def test_a_higher_room_provides_objects_under_their_modules_names(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(registry, "_provided", {})
+    registry.provide("depthcli.methods.stereo.cost", "depthcli.elsewhere.thermal", "depthcli.methods.kinect.layers")
+    assert {"census", "thermal", "layers"} <= set(COSTS.own_names)
+    assert COSTS.find("Layers") == "layers"
+    with pytest.raises(ModuleNotFoundError, match=r"depthcli\.elsewhere"):
+        COSTS.load("thermal")
