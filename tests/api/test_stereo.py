@@ -108,7 +108,7 @@ def test_overrides_are_those_of_set(pair: Images):
         ({"preset": "acurate"}, "did you mean 'accurate'"),
         ({"tilez": "never"}, "override tilez: no such key .*did you mean 'tiles'"),
         ({"optimization": {"p2": -1}}, r"override optimization.p2: should be greater than 0 \(got -1\)"),
-        ({"overrides": {"cost.": 1}}, "want the name of a key"),
+        ({"overrides": {"cost.": 1}}, "expected the name of a key"),
         ({"max_disparity": 0}, "should be greater than the smallest disparity, 0"),
         ({"device": "cuda:99"}, "^device cuda:99: "),
     ],

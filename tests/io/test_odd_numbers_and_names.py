@@ -75,13 +75,11 @@ def test_what_overflows_in_a_reader_blames_the_file():
 )
 def test_long_numbers_of_configs_in_any_base(text: str):
     started = time.monotonic()
-    config = parse_config(f"max_disparity: {text}\n", "a.yaml")
-    assert len(config.problems) == 1 and "a.yaml:1" in config.problems[0] and len(config.problems[0]) < 200
-    assert time.monotonic() - started < 2
     assert (
         main(["stereo", "fast", "--left", "a.png", "--right", "b.png", "-o", "x", "--set", f"max_disparity={text}"])
         == 2
     )
+    assert time.monotonic() - started < 2
 
 
 def test_networks_with_odd_heads(tmp_path: Path):
