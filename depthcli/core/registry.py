@@ -275,10 +275,11 @@ def _installed(group: str) -> tuple[Plugin, ...]:
 
 
 def load_file(path: Path) -> None:
-    """Read a Python file and register the classes in it that belong to a registry, under their names in snake case.
+    """Read a Python file and register what is in it under its name in snake case.
 
-    So are functions that name a group themselves (``plugin_group``): commands. Abstract classes, and those whose name begins with an underscore, are left out. Worker processes that are started
-    later read the file, too.
+    That are classes with a base class of a registry's package, and functions that name a group themselves
+    (``plugin_group``: commands). Abstract classes, and names that begin with an underscore, are left out. Worker
+    processes that are started later read the file, too.
 
     Raises
     ------

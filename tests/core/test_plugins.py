@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.commands import load_command
+from depthcli.commands import config_model
 from depthcli.core import registry
 from depthcli.core.config_file import dump_config, load_config, parse_config
 from depthcli.core.errors import ConfigError, InputError
@@ -35,6 +35,7 @@ import numpy as np
 
 from depthcli.algorithms.keypoints.surf import Surf
 from depthcli.algorithms.segmentation.slic import Slic
+from depthcli.commands import command
 from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
 from depthcli.io.formats.map_format import MapFormat
 from depthcli.io.layouts import Folder
@@ -50,7 +51,6 @@ from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.refinement.median import Median
 from depthcli.methods.transparent.pipeline.nearest import NearestSample
-from depthcli.run.command import Command
 from depthcli.simulate.samples.stereo import StereoSample
 
 
@@ -91,12 +91,11 @@ class MySample(StereoSample):
     about = "Stereo scenes of our own."
 
 
-class Greet(Command):
+@command()
+def greet() -> int:
     """Greet the user."""
-
-    def run(self, values, reporter):
-        reporter.data("good day")
-        return 0
+    print("good day")
+    return 0
 
 
 class _Hidden(Census):
@@ -336,7 +335,7 @@ def test_a_format_cannot_take_an_ending_of_ours(tmp_path: Path):
 def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
     (tmp_path / "low.yaml").write_text("plugins: [mine.py]\npipeline: local\ncost: wide_census\n")
     (tmp_path / "high.yaml").write_text("plugins: [more.py]\nbase: low\naggregation: cross\n")
-    (tmp_path / "more.py").write_text(FILE.replace("WideCensus", "LowCensus"))
+    (tmp_path / "more.py").write_text(FILE.replace("WideCensus", "LowCensus").replace("def greet", "def farewell"))
     config = load_config(StereoConfig, tmp_path / "high.yaml")
     assert config.plugins == ("mine.py", "more.py")
     assert {"wide_census", "low_census"} <= set(COSTS.names())
@@ -381,7 +380,9 @@ def test_the_config_of_a_run_names_packages_that_are_missing(tmp_path: Path):
 )
 def test_methods_of_every_command_are_configured(file: Path, command: str, text: str):
     registry.load_file(file)
-    config = load_config(load_command(command).config_model(), parse_config(text, "x"))  # type: ignore[attr-defined]
+    model = config_model(command)
+    assert model is not None
+    config = load_config(model, parse_config(text, "x"))
     assert {plugin.package for plugin in used_plugins(config)} == {"mine.py"}
     assert {plugin.name for plugin in used_plugins(config)} == {re.search("my_[a-z]+", text)[0]}
 
