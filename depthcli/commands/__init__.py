@@ -19,6 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from depthcli.core.errors import ConfigError
 from depthcli.core.registry import plugins_in
 
 if TYPE_CHECKING:
@@ -116,6 +117,9 @@ def help_of(name: str) -> str:
     if name in own_names():
         text = Path(__path__[0], f"{name.replace('-', '_')}.py").read_text("utf-8").split('"""')[1]
     else:
-        function = find(name)
-        text = "" if function is None else text_of(function)
+        try:
+            function = find(name)
+            text = "" if function is None else text_of(function)
+        except ConfigError as error:  # the package of a plug-in is broken
+            text = str(error)
     return " ".join(text.strip().split("\n\n")[0].split())

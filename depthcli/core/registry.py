@@ -36,7 +36,6 @@ _FILES_VARIABLE = "DEPTHCLI_PLUGIN_FILES"  # worker processes find the files the
 
 _registries: dict[str, Registry[Any]] = {}  # by group
 _homes: dict[str, str] = {}  # package, or module, of base classes -> group
-_provided: dict[str, dict[str, str]] = {}  # package -> name -> module elsewhere
 _file_plugins: dict[Path, list[Plugin]] = {}  # of every file that was read
 _plugin_by_class: dict[type, Plugin] = {}
 
@@ -113,8 +112,7 @@ class Registry(Generic[T]):
     def own_names(self) -> tuple[str, ...]:
         """The names of our own objects, with underscores, sorted."""
         path = importlib.import_module(self.package).__path__
-        names = {module.name for module in pkgutil.iter_modules(path) if not module.name.startswith("_")}
-        return tuple(sorted(names.union(_provided.get(self.package, ()))))
+        return tuple(sorted(module.name for module in pkgutil.iter_modules(path) if not module.name.startswith("_")))
 
     def plugins(self) -> dict[str, Plugin]:
         """Return name -> plug-in, sorted; a name that another one has, too, is written ``package:name``."""
@@ -168,8 +166,7 @@ class Registry(Generic[T]):
             It is a plug-in's and cannot be loaded.
         """
         if name in self.own_names:
-            module = _provided.get(self.package, {}).get(name, f"{self.package}.{name}")
-            return self._own(importlib.import_module(module))
+            return self._own(importlib.import_module(f"{self.package}.{name}"))
         return self._load_plugin(self.plugins()[name])
 
     def _load_plugin(self, plugin: Plugin) -> T:
@@ -185,14 +182,6 @@ class Registry(Generic[T]):
 def plain_name(name: str) -> str:
     """Return a name in lower case, with underscores for dashes and spaces."""
     return name.lower().replace("-", "_").replace(" ", "_")
-
-
-def provide(package: str, *modules: str) -> None:
-    """Add modules that lie elsewhere to those of ``package``, each under the last part of its name.
-
-    For objects of our own that need rooms which ``package`` may not import. Nothing is imported until it is used.
-    """
-    _provided.setdefault(package, {}).update({module.rpartition(".")[2]: module for module in modules})
 
 
 def _groups_of(kind: type) -> Iterator[str]:
