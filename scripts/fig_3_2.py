@@ -35,7 +35,7 @@ from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.cost.combined import Combined
 from depthcli.methods.stereo.on_device import DevicePair, DeviceVolume
 from depthcli.methods.stereo.pipeline._device import local
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 
 WIDTH, HEIGHT, DISPARITIES = 450, 375, 60
 # Milliseconds on a Quadro 5000, for windows of 33 x 33 where there are windows: naive, optimized.

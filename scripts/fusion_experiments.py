@@ -38,7 +38,7 @@ from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.run.presets import find_config, find_preset
-from depthcli.simulate.arrays.infrared import cross_modal_pair
+from depthcli.simulate.transparent_scenes import cross_modal_pair
 
 V2 = "middlebury_v2"
 SETS = (V2, "middlebury_2001", "middlebury_2005", "middlebury_2006")

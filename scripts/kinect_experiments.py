@@ -39,8 +39,8 @@ from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.run.presets import find_config, list_presets
-from depthcli.simulate.arrays.depth_sensor import KinectSample, Sensor, simulate_kinect
-from depthcli.simulate.arrays.kinect_scenes import SEQUENCE_KINDS, make_kinect_sequence
+from depthcli.simulate.depth_sensor import KinectSample, Sensor, simulate_kinect
+from depthcli.simulate.kinect_scenes import SEQUENCE_KINDS, make_kinect_sequence
 
 SETS = ("middlebury_v2", "middlebury_2005", "middlebury_2006")
 PATTERNS = 5
@@ -220,7 +220,7 @@ def _blocks(frame: RgbdFrame, seed: int) -> NDArray[np.bool_]:
 
 def speed(methods: dict[str, Refine]) -> None:
     """Print a row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
-    from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene
+    from depthcli.simulate.kinect_scenes import make_kinect_scene
 
     frame = simulate_kinect(*make_kinect_scene("foreground", 0, 640, 480), 0).frame()
     hole = np.isnan(frame.depth).astype(np.uint8)

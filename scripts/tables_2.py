@@ -26,7 +26,7 @@ from depthcli.io.walk import discover_scenes
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.run.presets import find_config
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 
 SCENES = ("Tsukuba", "Venus", "Teddy", "Cones")
 MASKS = ("nonocc", "all", "disc")

@@ -45,7 +45,7 @@ from depthcli.methods.fusion.choice._inputs import NetworkInputs, input_names
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.run.presets import find_config
-from depthcli.simulate.arrays.stereo_scenes import KINDS, Radiometry, make_scene
+from depthcli.simulate.stereo_scenes import KINDS, Radiometry, make_scene
 
 GROUPS = Path(__file__).resolve().parent / "stereo_groups.yaml"
 VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5, "dark": 0.3}

@@ -38,7 +38,7 @@ from depthcli.methods.fusion import Fusion
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.cross_modal import GREY, learned_weights, mix_channels
 from depthcli.run.presets import find_config
-from depthcli.simulate.arrays.transparent_scenes import glass_of_pair, sparse_samples
+from depthcli.simulate.transparent_scenes import glass_of_pair, sparse_samples
 
 PRESETS = ("nearest", "joint-bilateral", "textbook", "crf", "sparse")
 CASES: dict[str, dict[str, Any]] = {

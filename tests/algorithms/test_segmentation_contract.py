@@ -7,7 +7,7 @@ import pytest
 
 from depthcli.algorithms.segmentation import Segmenter
 from depthcli.core.method import Family
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing import check_segmentation
 from tests.naive import segments as naive
 

@@ -14,7 +14,7 @@ from depthcli.cli import main
 from depthcli.io.formats.images import read_image
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import discover_scenes
-from depthcli.simulate.arrays.stereo_scenes import Radiometry, make_scene
+from depthcli.simulate.stereo_scenes import Radiometry, make_scene
 
 SMALL = ("--width", "64", "--height", "48", "--max-disparity", "10")
 

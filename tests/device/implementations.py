@@ -33,7 +33,7 @@ from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
 from depthcli.run.presets import find_config, find_preset
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.refinement import noisy_case
 from tests.methods.stereo._pairs import TINY, blocky_pair, methods, random_volume, texture
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.simulate.arrays.infrared import cross_modal_pair, infrared_like
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
+from depthcli.simulate.transparent_scenes import cross_modal_pair, infrared_like
 
 
 @pytest.mark.parametrize("paint", [(200, 40, 90), (30, 120, 60)])

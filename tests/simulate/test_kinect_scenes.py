@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from depthcli.simulate.arrays.depth_sensor import simulate_kinect
-from depthcli.simulate.arrays.kinect_scenes import (
+from depthcli.simulate.depth_sensor import simulate_kinect
+from depthcli.simulate.kinect_scenes import (
     SCENE_KINDS,
     SEQUENCE_KINDS,
     make_kinect_scene,

@@ -6,11 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.simulate.arrays import textures
-from depthcli.simulate.arrays.rendering import render, trace
-from depthcli.simulate.arrays.room import Room
-from depthcli.simulate.arrays.stereo_scenes import KINDS, Radiometry, SyntheticScene, make_scene
-from depthcli.simulate.arrays.surfaces import Surface, rotation
+from depthcli.simulate import textures
+from depthcli.simulate.rendering import Room, Surface, render, rotation, trace
+from depthcli.simulate.stereo_scenes import KINDS, Radiometry, SyntheticScene, make_scene
 
 CASES = [(kind, seed) for kind in KINDS for seed in (0, 3)]
 

@@ -8,7 +8,7 @@ import pytest
 from depthcli.cli import main
 from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.walk import discover_scenes
-from depthcli.simulate.arrays.transparent_scenes import make_transparent_scene, sensor_through, sparse_samples
+from depthcli.simulate.transparent_scenes import make_transparent_scene, sensor_through, sparse_samples
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,14 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from depthcli.core.errors import ConfigError
+from depthcli.core.frames import color8
 from depthcli.core.option import Option
-from depthcli.simulate.samples import Sample, SampleScene, scenes_from, write_files, write_meta
+from depthcli.io.formats.images import read_image
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.simulate.depth_sensor import simulate_kinect
+from depthcli.simulate.kinect_scenes import make_kinect_scene, make_kinect_sequence
+from depthcli.simulate.samples import Sample, SampleScene
+from depthcli.simulate.samples._files import scenes_from, write_files, write_meta
 from depthcli.simulate.samples.cross_modal import FROM
 from depthcli.simulate.samples.stereo import HEIGHT, SEED, WIDTH
 
@@ -41,24 +47,14 @@ class KinectSampleKind(Sample):
         if values["from_"] is None:
             kinds = (*_KINDS, *(_SEQUENCES if values["frames"] else ()))
             return [SampleScene(name=kind, folder=Path(), settings={"kind": kind, **seed}) for kind in kinds]
-        from depthcli.io.scenes.stereo import StereoScene
-
         return scenes_from(values["from_"], (StereoScene,), seed, needs_truth="no true disparity")
 
     def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
         """Write color, measured and true depth, masks and meta.json."""
-        from depthcli.simulate.arrays.depth_sensor import simulate_kinect
-        from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence
-
         scene.check()
         seed, fattening = scene.settings["seed"], values["fattening"]
         if scene.origin is not None:
-            from depthcli.io.scenes.stereo import StereoScene
-
             assert isinstance(scene.origin, StereoScene)
-            from depthcli.core.frames import color8
-            from depthcli.io.formats.images import read_image
-
             color, truth = color8(read_image(scene.origin.left)), scene.origin.truth().disparity
             samples = [simulate_kinect(color, truth, seed, fattening=fattening)]
         elif scene.settings["kind"] in _SEQUENCES:

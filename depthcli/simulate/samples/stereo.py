@@ -4,25 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError
+from depthcli.core.frames import Image
 from depthcli.core.option import Option
-from depthcli.simulate.samples import Sample, SampleScene, write_files, write_meta
+from depthcli.simulate.samples import Sample, SampleScene
+from depthcli.simulate.samples._files import write_files, write_meta
+from depthcli.simulate.stereo_scenes import KINDS, Radiometry, make_scene
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from depthcli.io.formats.images import Image
-
-KINDS = ("planes", "foreground", "repetitive", "curved", "street")
 _DEFAULT_KINDS = KINDS[:4]  # in turn, where no kind is named
 
 COUNT = Option("count", int, "Number of scenes.", "N", default=6, short="-n", min_value=1, max_value=10_000)
 SEED = Option("seed", int, "Seed of the first scenes.", "N", default=0, min_value=0, max_value=2**31 - 1)
 WIDTH = Option("width", int, "Width, pixels.", "N", default=400, min_value=16, max_value=8192)
 HEIGHT = Option("height", int, "Height, pixels.", "N", default=300, min_value=16, max_value=8192)
+NOISE = Option("noise", float, "Deviation of noise, in levels.", "LEVELS", default=0.0, min_value=0, max_value=100)
+
+
+def share_option(name: str, about: str, default: float) -> Option:
+    """Return an option between 0 and 1."""
+    return Option(name, float, about, "SHARE", default=default, min_value=0, max_value=1)
 
 
 class StereoSample(Sample):
@@ -31,45 +36,15 @@ class StereoSample(Sample):
     about = "Stereo pairs (the default)."
     options: ClassVar[tuple[Option, ...]] = (
         COUNT,
-        Option(
-            "kind", str, f"{', '.join(KINDS)}; repeatable. Default: the first four in turn.", "KIND", repeatable=True
-        ),
+        Option("kind", str, f"{', '.join(KINDS)}; repeatable. Default: the first four.", "KIND", repeatable=True),
         SEED,
         WIDTH,
         HEIGHT,
-        Option(
-            "max_disparity", int, "Largest disparity, at most width / 2.", "N", default=48, min_value=4, max_value=4096
-        ),
-        Option(
-            "noise", float, "Standard deviation of noise, in levels.", "LEVELS", default=0.0, min_value=0, max_value=100
-        ),
-        Option(
-            "radiometric",
-            float,
-            "Change of light in the right image.",
-            "SHARE",
-            default=0.0,
-            min_value=0,
-            max_value=1,
-        ),
-        Option(
-            "brightness",
-            float,
-            "Factor on all levels; 0.08: a night scene.",
-            "SHARE",
-            default=1.0,
-            min_value=0,
-            max_value=1,
-        ),
-        Option(
-            "wall_contrast",
-            float,
-            "Texture of the walls, 0 (bare) to 1.",
-            "SHARE",
-            default=1.0,
-            min_value=0,
-            max_value=1,
-        ),
+        Option("max_disparity", int, "At most width / 2.", "N", default=48, min_value=4, max_value=4096),
+        NOISE,
+        share_option("radiometric", "Change of light in the right image.", 0.0),
+        share_option("brightness", "Factor on all levels; 0.08: a night scene.", 1.0),
+        share_option("wall_contrast", "Texture of the walls, 0 (bare) to 1.", 1.0),
     )
 
     def check(self, values: Mapping[str, Any]) -> None:
@@ -93,40 +68,20 @@ class StereoSample(Sample):
 
     def make(self, values: Mapping[str, Any], item: SampleScene, folder: Path) -> dict[str, Any]:
         """Write a pair, both true disparities, masks and meta.json."""
-        import numpy as np
-
-        from depthcli.simulate.arrays.stereo_scenes import Radiometry, make_scene
-
         kind, seed = item.settings["kind"], item.settings["seed"]
-        scene = make_scene(
-            kind,
-            seed,
-            values["width"],
-            values["height"],
-            values["max_disparity"],
-            noise=values["noise"],
-            radiometry=Radiometry.of_strength(values["radiometric"]),
-            wall_contrast=values["wall_contrast"],
-            brightness=values["brightness"],
-        )
+        size = (values["width"], values["height"], values["max_disparity"])
+        radiometry = Radiometry.of_strength(values["radiometric"])
+        chosen = {name: values[name] for name in ("noise", "wall_contrast", "brightness")}
+        scene = make_scene(kind, seed, *size, radiometry=radiometry, **chosen)
         left, right = self.views(values, scene.left, scene.right, seed)
         notes = "Disparity at pixel centers and masks are exact; no pixel is unknown."
         if kind == "repetitive":
             shortest, longest = np.nanmin(scene.repetition), np.nanmax(scene.repetition)
             notes += f" The wall's pattern repeats after {shortest:.2f} to {longest:.2f} pixels."
-        return write_scene(
-            folder,
-            left,
-            right,
-            (scene.disparity_left, scene.disparity_right),
-            {"nonocc": scene.nonocc, "all": np.ones_like(scene.nonocc), "disc": scene.disc},
-            {
-                "max_disparity": values["max_disparity"],
-                "masks": "exact",
-                "notes": notes,
-                "source": f"generated by depthcli sample: kind {kind}, seed {seed}",
-            },
-        )
+        masks = {"nonocc": scene.nonocc, "all": np.ones_like(scene.nonocc), "disc": scene.disc}
+        source = f"generated by depthcli sample: kind {kind}, seed {seed}"
+        meta = {"max_disparity": values["max_disparity"], "masks": "exact", "notes": notes, "source": source}
+        return write_scene(folder, left, right, (scene.disparity_left, scene.disparity_right), masks, meta)
 
     def views(self, values: Mapping[str, Any], left: Image, right: Image, seed: int) -> tuple[Image, Image]:
         """Return the pair as the cameras record it."""

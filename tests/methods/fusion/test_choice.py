@@ -23,7 +23,7 @@ from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.map_costs import matching_costs
 from depthcli.methods.fusion.votes import ColorSupport
 from depthcli.run.presets import find_config
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.choices import CHOICE_CHECKS, KINDS, random_proposals
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import choice as naive

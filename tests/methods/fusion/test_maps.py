@@ -16,7 +16,7 @@ from depthcli.methods.fusion.choice.energy import ScoredMap, Smoothness
 from depthcli.methods.fusion.map_costs import agreement, contradictions, disagreements, matching_costs
 from depthcli.methods.fusion.maps import _largest_agreement
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
 from tests.naive import maps as naive
 

@@ -20,7 +20,7 @@ from depthcli.methods.given_maps._planes import OTHERS, hidden_by_map
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.run.presets import find_config
-from depthcli.simulate.arrays.stereo_scenes import SyntheticScene, make_scene
+from depthcli.simulate.stereo_scenes import SyntheticScene, make_scene
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from depthcli.core.maps import DepthStatus
 from depthcli.core.method import Family
 from depthcli.kernels.jit import set_threads
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
-from depthcli.simulate.arrays.depth_sensor import KinectSample, simulate_kinect
-from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene
+from depthcli.simulate.depth_sensor import KinectSample, simulate_kinect
+from depthcli.simulate.kinect_scenes import make_kinect_scene
 
 PRESETS = Path(__file__).parents[3] / "configs" / "refine-kinect"
 

@@ -13,8 +13,8 @@ from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
-from depthcli.simulate.arrays.depth_sensor import simulate_kinect
-from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene
+from depthcli.simulate.depth_sensor import simulate_kinect
+from depthcli.simulate.kinect_scenes import make_kinect_scene
 from tests.naive import kinect as naive
 
 

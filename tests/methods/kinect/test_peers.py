@@ -19,8 +19,8 @@ from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
 from depthcli.methods.kinect.shadows import Shadow, Shadows, shadow_background
-from depthcli.simulate.arrays.depth_sensor import simulate_kinect
-from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence
+from depthcli.simulate.depth_sensor import simulate_kinect
+from depthcli.simulate.kinect_scenes import make_kinect_scene, make_kinect_sequence
 
 METHODS = [
     FastGlobalSmoother(), Guided(), Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateralFill(), NearestFill(),

@@ -16,8 +16,8 @@ from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoo
 from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
 from depthcli.methods.kinect.shadows import Shadow, Shadows, measure_shadows, shadow_background, shadow_limits
-from depthcli.simulate.arrays.depth_sensor import simulate_kinect
-from depthcli.simulate.arrays.kinect_scenes import make_kinect_scene
+from depthcli.simulate.depth_sensor import simulate_kinect
+from depthcli.simulate.kinect_scenes import make_kinect_scene
 from tests.naive import kinect_votes as naive
 
 

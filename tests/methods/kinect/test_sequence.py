@@ -17,8 +17,8 @@ from depthcli.core.maps import DepthStatus
 from depthcli.methods.kinect.camera_motion import displacement, view_after
 from depthcli.methods.kinect.layers import Layer, Measurement
 from depthcli.methods.kinect.pipeline.sequence import carried_labels, still_pixels
-from depthcli.simulate.arrays.depth_sensor import KinectSample
-from depthcli.simulate.arrays.kinect_scenes import make_kinect_sequence
+from depthcli.simulate.depth_sensor import KinectSample
+from depthcli.simulate.kinect_scenes import make_kinect_sequence
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.methods.kinect.test_dsrm import preset
 from tests.methods.kinect.test_surfaces import labels_of, noisy

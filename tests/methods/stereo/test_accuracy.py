@@ -20,7 +20,7 @@ from depthcli.methods.stereo.cost.combined import Combined
 from depthcli.methods.stereo.pipeline.opencv_bm import OpencvBm
 from depthcli.methods.stereo.pipeline.opencv_sgbm import OpencvSgbm
 from depthcli.run.presets import find_config
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from tests.scenes import V2, rates, real_scenes
 
 pytestmark = pytest.mark.slow

@@ -21,7 +21,7 @@ from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES
 from depthcli.run.presets import find_config
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from tests.methods.stereo._pairs import PARAMETERS, texture, threads
 from tests.naive import adjustment as naive
 

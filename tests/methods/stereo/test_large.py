@@ -40,7 +40,7 @@ from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candi
 from depthcli.methods.stereo.tiling.winners import TiledWinners
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.run.presets import find_config, find_preset
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from tests.methods.stereo._pairs import PARAMETERS, TINY, blocky_pair, random_volume, texture, threads
 from tests.naive import stereo as naive
 

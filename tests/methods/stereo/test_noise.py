@@ -11,7 +11,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.methods.stereo.adjustment import adjusted, noise
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.run.presets import find_config
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from tests.methods.stereo._pairs import threads
 from tests.scenes import real_scenes
 

@@ -19,7 +19,7 @@ from depthcli.io.formats.pictures import read_status
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.search_range import SearchRange, range_of_key_points
 from depthcli.methods.stereo.volume import StereoResult
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 
 
 def run(*arguments: str | Path) -> int:

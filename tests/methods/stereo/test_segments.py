@@ -21,7 +21,7 @@ from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges, search
 from depthcli.methods.stereo.segments.segmented_image import Split
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.run.presets import find_config
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from tests.naive import segments as naive
 
 FIT = SegmentPlaneFit(tolerance=0.5, trials=200, max_slope=1.0, flatness=1.0, seed=0)

@@ -9,7 +9,7 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.run.presets import find_config
-from depthcli.simulate.arrays.stereo_scenes import make_scene
+from depthcli.simulate.stereo_scenes import make_scene
 from tests.scenes import rates, real_scenes
 
 pytestmark = pytest.mark.slow

@@ -24,7 +24,7 @@ from depthcli.methods.transparent.cross_modal import (
     mix_channels,
     solve_nnls,
 )
-from depthcli.simulate.arrays.transparent_scenes import glass_of_pair, make_transparent_scene
+from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.scenes import DATA
 

@@ -16,7 +16,7 @@ from depthcli.io.walk import discover_scenes
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 from depthcli.run.presets import find_config, list_presets
-from depthcli.simulate.arrays.transparent_scenes import sparse_samples
+from depthcli.simulate.transparent_scenes import sparse_samples
 from depthcli.testing import pipelines
 from depthcli.testing.frames import NOISE, glass
 from tests.scenes import DATA

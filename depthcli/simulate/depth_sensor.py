@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
-from depthcli.simulate.arrays.boards import Disparity
+from depthcli.simulate.kinect_scenes import Disparity
 
 Mask = NDArray[np.bool_]
 

@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import Image, color8
-from depthcli.simulate.arrays.infrared import infrared_like
-from depthcli.simulate.arrays.rendering import light_maps, render, trace
-from depthcli.simulate.arrays.room import Room
-from depthcli.simulate.arrays.surfaces import rotation
+from depthcli.simulate.rendering import Room, add_walls, light_maps, render, rotation, trace
 
 _OWN_SHARE = 0.55  # share of an object's own picture in what is seen of it
 _LENS = 0.35  # how far the picture behind is drawn towards an object's center
 _BLOB = 0.02  # size of the spots where the sensor sees through or nothing, over the image's width
+# Of the model in :func:`infrared_like`, set by hand: red counts most, and the gain changes across the image.
+_RGB_WEIGHTS = np.array([0.6, 0.3, 0.1], np.float32)
+_GAMMA = 0.7
+_GAIN_RANGE = (0.7, 1.3)
+_NOISE_SIGMA = 4.0  # grey levels
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ def make_transparent_scene(
     """
     rng = np.random.default_rng([seed, 0x61A5])
     room = Room(rng, width, height, max_disparity, 1.0)
-    room.add_walls()
+    add_walls(room)
     places = room.spread(2)
     for x, d in places:
         size = (width * rng.uniform(0.2, 0.3), height * rng.uniform(0.25, 0.4))
@@ -68,7 +70,7 @@ def make_transparent_scene(
     behind = room.focal / trace(room, columns, rows, False)[0]
     opaque = len(room.surfaces)
     room.ball(width * rng.uniform(0.3, 0.45), 0.6 * max_disparity, 0.16 * height)
-    room.tub(width * rng.uniform(0.6, 0.75), 0.7 * max_disparity, (0.06 * width, 0.3 * height))
+    room.stand("cylinder", width * rng.uniform(0.6, 0.75), 0.7 * max_disparity, (0.06 * width, 0.3 * height))
     lights = light_maps(room)
     mixed = []
     for right, view in zip((False, True), views, strict=True):
@@ -260,3 +262,69 @@ def sparse_samples(
     sparse = np.full(depth.size, np.nan, np.float32)
     sparse[chosen] = np.where(values > 0, values, np.nan)
     return sparse.reshape(depth.shape)
+
+
+def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray[np.uint8]:
+    """Return what an infrared camera might have recorded: ``255 * (0.6 R + 0.3 G + 0.1 B) ** 0.7 * gain + noise``.
+
+    The power is taken on the range [0, 1], so that black and white keep their places. The gain is a smooth
+    field that fills [0.7, 1.3]; the noise is Gaussian with sigma 4 grey levels; the result is clipped.
+
+    Parameters
+    ----------
+    image : (H, W, 3) RGB or (H, W) grey, uint8 or uint16
+    seed : of the gain field, the noise and the dots
+    speckles : share of the pixels that get a bright projected dot, in [0, 1]; a depth camera's pattern
+
+    Returns
+    -------
+    (H, W) uint8
+
+    Raises
+    ------
+    ValueError
+        For a speckle share outside [0, 1].
+    """
+    if not 0 <= speckles <= 1:
+        raise ValueError(f"speckles is a share in [0, 1], got {speckles}")
+    rng = np.random.default_rng([seed, 0x17])
+    top = np.float32(np.iinfo(image.dtype).max)
+    light = image.astype(np.float32) / top
+    if light.ndim == 3:
+        light = light @ _RGB_WEIGHTS
+    height, width = light.shape
+    result = 255 * np.power(light, np.float32(_GAMMA)) * _gain_field(rng, height, width)
+    if speckles > 0:
+        dots = (rng.random((height, width)) < speckles).astype(np.float32)
+        result += 400 * cv2.GaussianBlur(dots, (0, 0), 0.7)
+    result += _NOISE_SIGMA * rng.standard_normal((height, width), np.float32)
+    return np.asarray(np.clip(np.rint(result), 0, 255), np.uint8)
+
+
+def _gain_field(rng: np.random.Generator, height: int, width: int) -> NDArray[np.float32]:
+    """Smooth (H, W) field whose extremes are the two ends of the gain's range."""
+    grid = rng.standard_normal((5, 6)).astype(np.float32)
+    field = cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC)
+    low, high = float(field.min()), float(field.max())
+    scaled = (field - low) / max(high - low, 1e-6)
+    return (_GAIN_RANGE[0] + (_GAIN_RANGE[1] - _GAIN_RANGE[0]) * scaled).astype(np.float32)
+
+
+def cross_modal_pair(
+    left: Image, right: Image, seed: int = 0, speckles: float = 0.0
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return the left picture as grey, the right picture as infrared.
+
+    Parameters
+    ----------
+    left, right : (H, W, 3) RGB or (H, W) grey, uint8 or uint16, a rectified pair
+    seed, speckles : as for :func:`infrared_like`
+
+    Returns
+    -------
+    left, right : (H, W) uint8
+    """
+    grey = left if left.ndim == 2 else cv2.cvtColor(left, cv2.COLOR_RGB2GRAY)
+    if grey.dtype == np.uint16:
+        grey = ((grey.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    return np.asarray(grey, np.uint8), infrared_like(right, seed, speckles)

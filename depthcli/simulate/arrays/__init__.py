@@ -1,1 +1,0 @@
-"""Scenes as arrays: what :mod:`depthcli.simulate` computes."""

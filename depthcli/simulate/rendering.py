@@ -1,0 +1,417 @@
+"""Rooms of analytic surfaces, and their two views: which surface every ray hits, and in what light.
+
+World frame: X right, Y down, Z forward; the left camera at the origin, the right one at (1, 0, 0), so
+that lengths are in baselines and a point at depth Z has disparity ``f / Z`` (f in pixels).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.simulate import textures
+from depthcli.simulate.textures import Texture, TextureMaker
+
+_AMBIENT_LIGHT = 0.45  # share of the brightness that needs no lamp; set by eye
+_BAND_ROWS = 32  # rendered at a time, which bounds the memory
+_LIGHTMAP_SIDE = 72  # samples of the light on a plane along each side; shadows are blurred
+Array = NDArray[Any]
+Vector = tuple[Array, Array, Array]
+Outline = Callable[[Array, Array], NDArray[np.bool_]]
+Shape = Literal["plane", "sphere", "cylinder", "cone"]
+
+
+def rotation(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> NDArray[np.float64]:
+    """(3, 3) float64 rows = local axes in the world; angles in radians about Y, X and Z, in this order."""
+    cy, sy, cp, sp, cr, sr = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
+    about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
+    rows: NDArray[np.float64] = (about_y @ about_x @ about_z).T
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """One textured surface.
+
+    In its own frame, scaled by ``half_size``, it is the plane square ``|x|, |y| <= 1, z = 0``, the unit
+    sphere, the unit cylinder ``|y| <= 1`` or the cone from the apex ``y = -1`` to the unit circle at
+    ``y = 1``; its picture is stretched over (x, y), or over the angle (seam behind) and y.
+
+    Attributes
+    ----------
+    center : (3,) float64, world
+    axes : (3, 3) float64, rows = local axes in the world; local -z faces the camera
+    half_size : (3,) float64, baselines
+    texture : (h, w, 3) float32 RGB in [0, 1]
+    outline : which (x, y) of a plane belong to it; None = the whole square
+    unbounded : an infinite plane (its picture is repeated, mirrored each time)
+    period : width of one repetition of the picture along local x, in baselines; 0 = does not repeat
+    gloss : share of the far surroundings that is mirrored; they lie at the same pixel of both views
+    """
+
+    shape: Shape
+    center: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    half_size: NDArray[np.float64]
+    texture: NDArray[np.float32]
+    outline: Outline | None = None
+    unbounded: bool = False
+    period: float = 0.0
+    gloss: float = 0.0
+
+    def local(self, vector: Vector, point: bool = True) -> Vector:
+        """World points (or, with ``point=False``, directions) in the scaled local frame."""
+        shift = self.axes @ self.center if point else np.zeros(3)
+        rows = self.axes / self.half_size[:, None]
+        shift = shift / self.half_size
+        x, y, z = vector
+        kind = np.result_type(x, y, z)
+        rows, shift = rows.astype(kind), shift.astype(kind)
+        a, b, c = (rows[i, 0] * x + (rows[i, 1] * y + (rows[i, 2] * z - shift[i])) for i in range(3))
+        return a, b, c
+
+    def hit(self, origin: Vector, direction: Vector) -> Array:
+        """Smallest t > 0 with ``origin + t * direction`` on the surface; inf where the ray misses it."""
+        o, d = self.local(origin), self.local(direction, point=False)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            if self.shape == "plane":
+                t = -o[2] / d[2]
+                if self.unbounded:
+                    inside = t > 0
+                else:
+                    x, y = o[0] + t * d[0], o[1] + t * d[1]
+                    inside = (np.abs(x) <= 1) & (np.abs(y) <= 1) & (t > 0)
+                    if self.outline is not None:
+                        inside &= self.outline(x, y)
+                return np.where(inside, t, np.inf)
+            return self._hit_quadric(o, d)
+
+    def _hit_quadric(self, o: Vector, d: Vector) -> Array:
+        weight = {"sphere": 1.0, "cylinder": 0.0, "cone": -0.25}[self.shape]
+        apex = o[1] + 1 if self.shape == "cone" else o[1]
+        a = d[0] * d[0] + d[2] * d[2] + weight * d[1] * d[1]
+        b = o[0] * d[0] + o[2] * d[2] + weight * apex * d[1]
+        c = o[0] * o[0] + o[2] * o[2] + weight * apex * apex - (0 if self.shape == "cone" else 1)
+        root = np.sqrt(b * b - a * c)
+        near, far = (-b - root) / a, (-b + root) / a
+        near, far = np.minimum(near, far), np.maximum(near, far)
+        if self.shape == "sphere":
+            return np.where(near > 0, near, np.inf)
+        near_ok = (np.abs(o[1] + near * d[1]) <= 1) & (near > 0)
+        far_ok = (np.abs(o[1] + far * d[1]) <= 1) & (far > 0)
+        return np.where(near_ok, near, np.where(far_ok, far, np.inf))
+
+    def picture_position(self, point: Vector) -> tuple[Array, Array]:
+        """World points on the surface -> (column, row) of the texture, float32."""
+        x, y, z = self.local(point)
+        if self.shape != "plane":
+            x = np.arctan2(x, -z) / np.pi
+            if self.shape == "sphere":
+                y = np.arcsin(np.clip(y, -1, 1)) * (2 / np.pi)
+        height, width = self.texture.shape[:2]
+        column, row = (x + 1) * ((width - 1) / 2), (y + 1) * ((height - 1) / 2)
+        return column.astype(np.float32), row.astype(np.float32)
+
+    def normal(self, point: Vector) -> Vector:
+        """Unit normals at world points of the surface, turned to either side."""
+        if self.shape == "plane":
+            x, y, z = (self.axes[2, i] * np.ones_like(point[2]) for i in range(3))
+            return x, y, z
+        a, b, c = self.local(point)
+        if self.shape == "cylinder":
+            b = np.zeros_like(b)
+        elif self.shape == "cone":
+            b = -0.25 * (b + 1)
+        rows = (self.axes / self.half_size[:, None]).astype(a.dtype)
+        x, y, z = (rows[0, i] * a + rows[1, i] * b + rows[2, i] * c for i in range(3))
+        length = np.sqrt(x * x + y * y + z * z) + 1e-12
+        return x / length, y / length, z / length
+
+    def corners(self) -> NDArray[np.float64]:
+        """(8, 3) world corners of a box around the surface."""
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+        if self.shape == "plane":
+            signs[:, 2] = 0
+        box: NDArray[np.float64] = self.center + (signs * self.half_size) @ self.axes
+        return box
+
+
+@dataclass
+class Room:
+    """Surfaces, cameras and light; positions are given in left-image pixels and disparities."""
+
+    rng: np.random.Generator
+    width: int
+    height: int
+    max_disparity: int
+    wall_contrast: float
+    surfaces: list[Surface] = field(default_factory=list)
+    surroundings: Texture | None = None
+
+    def __post_init__(self) -> None:
+        self.focal = 0.85 * self.width
+        self.center = (self.width / 2 - 0.5, 0.3 * self.height)
+        self.near = 0.9 * self.max_disparity
+        self.far = self.max_disparity * self.rng.uniform(0.28, 0.36)
+        self.feature = float(np.clip(self.width / 18, 7, 40))
+        # The floor reaches the lower edge of the image at the nearest disparity allowed there.
+        self.floor = (self.height - self.center[1]) / (0.8 * self.max_disparity)
+        light = (-0.35 * self.width, -1.1 * self.height)
+        self.light = np.array([light[0] / self.far, light[1] / self.far, 0.35 * self.focal / self.near])
+
+    def at(self, x: float, y: float, disparity: float) -> NDArray[np.float64]:
+        """Return the world point that the left camera sees at pixel (x, y) with this disparity."""
+        return np.array([x - self.center[0], y - self.center[1], self.focal]) / disparity
+
+    def on_floor(self, x: float, disparity: float) -> NDArray[np.float64]:
+        """Return the world point of the floor at column x and this disparity."""
+        point = self.at(x, 0, disparity)
+        point[1] = self.floor
+        return point
+
+    def paint(self, maker: TextureMaker, size: tuple[float, float], disparity: float, feature: float = 1.0) -> Texture:
+        """Return a picture for a surface of this (width, height) in baselines: one texel a pixel at ``disparity``."""
+        columns, rows = (int(np.clip(round(s * disparity), 8, 4096)) for s in size)
+        return maker(self.rng, rows, columns, self.feature * feature)
+
+    def pick(self, makers: tuple[TextureMaker, ...]) -> TextureMaker:
+        return makers[int(self.rng.integers(len(makers)))]
+
+    def add(self, surface: Surface) -> None:
+        """Add a finite surface, moved back where it would come nearer than the search range allows."""
+        short = self.focal / (0.97 * self.max_disparity) - float(surface.corners()[:, 2].min())
+        if short > 0:
+            surface = replace(surface, center=surface.center + np.array([0.0, 0.0, short]))
+        self.surfaces.append(surface)
+
+    def faded(self, picture: Texture) -> Texture:
+        """Return a wall's picture with the contrast ``wall_contrast``."""
+        mean = picture.mean(axis=(0, 1), keepdims=True)
+        return np.asarray(mean + self.wall_contrast * (picture - mean), np.float32)
+
+    def board(
+        self,
+        x: float,
+        y: float,
+        disparity: float,
+        size: tuple[float, float],
+        turn: NDArray[np.float64],
+        outline: Outline | None = None,
+        maker: TextureMaker | None = None,
+    ) -> None:
+        """Add a flat board centered at a pixel; ``size`` in pixels."""
+        wide, tall = size[0] / disparity, size[1] / disparity
+        picture = self.paint(maker or self.pick(textures.OBJECT_TEXTURES), (wide, tall), disparity)
+        half = np.array([wide / 2, tall / 2, 1.0])
+        self.add(Surface("plane", self.at(x, y, disparity), turn, half, picture, outline))
+
+    def box(
+        self,
+        x: float,
+        disparity: float,
+        size: tuple[float, float, float],
+        maker: TextureMaker | None = None,
+        yaw: float | None = None,
+        gloss: float = 0.0,
+    ) -> None:
+        """Add a box on the floor, turned about its upright axis; ``size`` (width, height, depth) in pixels."""
+        wide, tall, deep = (s / disparity for s in size)
+        turn = rotation(self.rng.uniform(-0.6, 0.6) if yaw is None else yaw)
+        maker = maker or self.pick(textures.OBJECT_TEXTURES)
+        middle = self.on_floor(x, disparity)
+        middle[1] -= tall / 2
+        reach = 0.5 * (abs(turn[0, 2]) * wide + abs(turn[2, 2]) * deep)
+        middle[2] += max(0.0, self.focal / (0.97 * self.max_disparity) - (middle[2] - reach))
+        quarter, up = rotation(np.pi / 2), rotation(pitch=np.pi / 2)
+        sides = (
+            (turn, (wide, tall), -turn[2] * deep / 2),
+            (quarter @ turn, (deep, tall), -(quarter @ turn)[2] * wide / 2),
+            (quarter.T @ turn, (deep, tall), -(quarter.T @ turn)[2] * wide / 2),
+            (up @ turn, (wide, deep), np.array([0.0, -tall / 2, 0.0])),
+        )
+        for axes, (a, b), shift in sides:
+            picture = self.paint(maker, (a, b), disparity)
+            half = np.array([a / 2, b / 2, 1.0])
+            self.surfaces.append(Surface("plane", middle + shift, axes, half, picture, gloss=gloss))
+
+    def ball(self, x: float, disparity: float, radius: float) -> None:
+        """Add a ball on the floor; ``radius`` in pixels."""
+        r = radius / disparity
+        middle = self.on_floor(x, disparity)
+        middle[1] -= r
+        picture = self.paint(self.pick(textures.OBJECT_TEXTURES), (2 * np.pi * r, np.pi * r), disparity)
+        turn = rotation(roll=self.rng.uniform(-0.5, 0.5))
+        self.add(Surface("sphere", middle, turn, np.full(3, r), picture))
+
+    def stand(self, shape: Shape, x: float, disparity: float, size: tuple[float, float]) -> None:
+        """Add a cone or an open cylinder on the floor; ``size`` (radius, height) in pixels."""
+        r, tall = size[0] / disparity, size[1] / disparity
+        middle = self.on_floor(x, disparity)
+        middle[1] -= tall / 2
+        picture = self.paint(self.pick(textures.OBJECT_TEXTURES), (2 * np.pi * r, tall), disparity)
+        self.add(Surface(shape, middle, rotation(), np.array([r, tall / 2, r]), picture))
+
+    def spread(self, count: int) -> list[tuple[float, float]]:
+        """Return (column, disparity) of ``count`` places side by side, at mixed depths."""
+        columns = (np.arange(count) + self.rng.uniform(0.25, 0.75, count)) / count * self.width
+        depths = self.far + (self.near - self.far) * (self.rng.permutation(count) + 0.6) / (count + 0.4)
+        return [(float(x), float(d)) for x, d in zip(columns, depths, strict=True)]
+
+
+def add_walls(room: Room) -> None:
+    """Add floor and back wall, and sometimes a side wall."""
+    yaw = room.rng.uniform(-0.25, 0.25)
+    deep = room.focal / room.far
+    half = np.array([0.75 * room.width / room.far + 2, 0.75 * room.height / room.far, 1.0])
+    picture = room.paint(room.pick(textures.WALL_TEXTURES), (2 * half[0], 2 * half[1]), room.far * 1.2)
+    room.surfaces.append(
+        Surface("plane", np.array([0.0, 0.0, deep]), rotation(yaw), half, room.faded(picture), unbounded=True)
+    )
+    lay_floor(room)
+    if room.rng.random() < 0.5:
+        _add_side_wall(room, on_right=room.rng.random() < 0.5)
+
+
+def _add_side_wall(room: Room, on_right: bool) -> None:
+    """Add a wall that comes forward out of the picture; at its edge (in both views) still within the range."""
+    near, share = 0.7 * room.max_disparity, room.rng.uniform(0.08, 0.2)
+    if on_right:
+        first, last = room.at(room.width * (1 - share), 0, room.far), room.at(room.width + near, 0, near)
+    else:
+        first, last = room.at(0, 0, near), room.at(room.width * share, 0, room.far)
+    along = last - first
+    length = float(np.hypot(along[0], along[2]))
+    half = np.array([length, 0.75 * room.height / room.far, 1.0])
+    picture = room.paint(room.pick(textures.WALL_TEXTURES), (2 * half[0], 2 * half[1]), room.far * 1.2)
+    middle = (first + last) / 2
+    middle[1] = 0.0
+    turn = rotation(-np.arctan2(along[2], along[0]))
+    room.surfaces.append(Surface("plane", middle, turn, half, room.faded(picture), unbounded=True))
+
+
+def lay_floor(room: Room) -> None:
+    """Add the floor alone."""
+    deep, near = room.focal / room.far, room.focal / room.max_disparity
+    half = np.array([0.75 * room.width / room.far, (deep - near) * 0.6, 1.0])
+    maker = room.pick(textures.FLOOR_TEXTURES)
+    picture = room.paint(maker, (2 * half[0], 1.2 * half[1]), room.far * 1.5, 1.3)
+    middle = np.array([0.5, room.floor, (deep + near) / 2])
+    room.surfaces.append(Surface("plane", middle, rotation(pitch=np.pi / 2), half, picture, unbounded=True))
+
+
+def _rays(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Vector, Vector]:
+    """(origin, direction) of the rays through pixel positions; t along them is the depth Z."""
+    kind = np.result_type(columns, rows)
+    one = np.ones((1, 1), kind)
+    direction = ((columns - room.center[0]) / room.focal, (rows - room.center[1]) / room.focal, one)
+    return (one * right, one * 0, one * 0), direction
+
+
+def trace(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Array, NDArray[np.int16]]:
+    """Return depth and index of the nearest surface along rays: ``columns`` (1, W) or (H, W), ``rows`` (H, 1)."""
+    shape = np.broadcast_shapes(columns.shape, rows.shape)
+    depth = np.full(shape, np.inf, np.result_type(columns, rows))
+    owner = np.full(shape, -1, np.int16)
+    for index, surface in enumerate(room.surfaces):
+        bounds = _bounds(room, surface, right)
+        y = np.flatnonzero((rows[:, 0] >= bounds[2]) & (rows[:, 0] <= bounds[3]))
+        x = (
+            np.flatnonzero((columns[0] >= bounds[0]) & (columns[0] <= bounds[1]))
+            if columns.shape[0] == 1
+            else np.arange(shape[1])
+        )
+        if not y.size or not x.size:
+            continue
+        part = np.s_[y[0] : y[-1] + 1, x[0] : x[-1] + 1]
+        some_columns = columns[:, part[1]] if columns.shape[0] == 1 else columns[part]
+        t = surface.hit(*_rays(room, some_columns, rows[part[0]], right))
+        closer = t < depth[part]
+        depth[part][closer] = t[closer]
+        owner[part][closer] = index
+    return depth, owner
+
+
+def _bounds(room: Room, surface: Surface, right: bool) -> tuple[float, float, float, float]:
+    """Pixels that a surface can cover: first and last column, first and last row."""
+    if surface.unbounded:
+        return -np.inf, np.inf, -np.inf, np.inf
+    corners = surface.corners()
+    columns = (corners[:, 0] - right) / corners[:, 2] * room.focal + room.center[0]
+    rows = corners[:, 1] / corners[:, 2] * room.focal + room.center[1]
+    return columns.min() - 1, columns.max() + 1, rows.min() - 1, rows.max() + 1
+
+
+def light_maps(room: Room) -> list[NDArray[np.float32] | None]:
+    """Return the light on every plane, as :func:`render` wants it; None for other shapes."""
+    return [_lightmap(room, i) if s.shape == "plane" else None for i, s in enumerate(room.surfaces)]
+
+
+def _lightmap(room: Room, index: int) -> NDArray[np.float32]:
+    """Light on a plane, with the soft shadows of the other surfaces, over its square: (n, n) float32."""
+    surface = room.surfaces[index]
+    side = np.linspace(-1, 1, _LIGHTMAP_SIDE)
+    a, b = np.meshgrid(side * surface.half_size[0], side * surface.half_size[1])
+    x, y, z = (surface.center[i] + a * surface.axes[0, i] + b * surface.axes[1, i] for i in range(3))
+    to_light: Vector = (room.light[0] - x, room.light[1] - y, room.light[2] - z)
+    length = np.sqrt(to_light[0] ** 2 + to_light[1] ** 2 + to_light[2] ** 2)
+    normal = surface.axes[2]
+    facing = np.abs(normal[0] * to_light[0] + normal[1] * to_light[1] + normal[2] * to_light[2]) / length
+    lit = np.ones_like(facing)
+    for other, caster in enumerate(room.surfaces):
+        if other != index and not caster.unbounded:
+            t = caster.hit((x, y, z), to_light)
+            lit[(t > 1e-3) & (t < 1)] = 0.0
+    soft = cv2.GaussianBlur(lit, (0, 0), 1.3) if not lit.all() else lit
+    return np.asarray(_AMBIENT_LIGHT + (1.15 - _AMBIENT_LIGHT) * np.sqrt(facing) * (0.35 + 0.65 * soft), np.float32)
+
+
+def render(room: Room, lightmaps: list[NDArray[np.float32] | None], right: bool, rays: int) -> NDArray[np.float32]:
+    """Return one view, (H, W, 3) float32, nominally in [0, 1]."""
+    offsets = (np.arange(rays) + 0.5) / rays - 0.5
+    columns = (np.arange(room.width)[:, None] + offsets).ravel()[None].astype(np.float32)
+    image = np.empty((room.height, room.width, 3), np.float32)
+    for top in range(0, room.height, _BAND_ROWS):
+        bottom = min(top + _BAND_ROWS, room.height)
+        rows = (np.arange(top, bottom)[:, None] + offsets).ravel()[:, None].astype(np.float32)
+        depth, owner = trace(room, columns, rows, right)
+        colors = np.zeros((*owner.shape, 3), np.float32)
+        for index, surface in enumerate(room.surfaces):
+            mine = owner == index
+            y, x = np.flatnonzero(mine.any(axis=1)), np.flatnonzero(mine.any(axis=0))
+            if not y.size:
+                continue
+            part = np.s_[y[0] : y[-1] + 1, x[0] : x[-1] + 1]
+            (ox, _, _), (dx, dy, _) = _rays(room, columns[:, part[1]], rows[part[0]], right)
+            z = depth[part]
+            shaded = _shade(room, surface, lightmaps[index], (ox + z * dx, z * dy, z))
+            colors[part][mine[part]] = shaded[mine[part]]
+            if surface.gloss and room.surroundings is not None:
+                mirrored = np.repeat(np.repeat(room.surroundings[top:bottom], rays, axis=0), rays, axis=1)
+                colors[mine] += np.float32(surface.gloss) * mirrored[mine]
+        image[top:bottom] = cv2.resize(colors, (room.width, bottom - top), interpolation=cv2.INTER_AREA)
+    return image
+
+
+def _shade(room: Room, surface: Surface, lightmap: NDArray[np.float32] | None, point: Vector) -> NDArray[np.float32]:
+    """Colors of points that lie on a surface (others in the rectangle get some color)."""
+    column, row = surface.picture_position(point)
+    # Rays of the rectangle that hit something else can lie far off, beyond what remap can index.
+    column, row = np.clip(column, -20000, 20000), np.clip(row, -20000, 20000)
+    paint = cv2.remap(surface.texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    if lightmap is not None:
+        y, x = (np.float32((_LIGHTMAP_SIDE - 1) / max(side - 1, 1)) for side in surface.texture.shape[:2])
+        light = cv2.remap(lightmap, column * x, row * y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    else:
+        nx, ny, nz = surface.normal(point)
+        lx, ly, lz = (np.float32(room.light[i]) - point[i] for i in range(3))
+        facing = np.maximum(0.0, (nx * lx + ny * ly + nz * lz) / np.sqrt(lx * lx + ly * ly + lz * lz))
+        light = np.asarray(_AMBIENT_LIGHT + (1.15 - _AMBIENT_LIGHT) * np.sqrt(facing), np.float32)
+    shaded: NDArray[np.float32] = np.asarray(paint * light[:, :, None], np.float32)
+    return shaded
