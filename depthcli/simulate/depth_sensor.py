@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
-from depthcli.simulate.kinect_scenes import Disparity
 
+Disparity = NDArray[np.float32]
+"""(H, W), pixels, NaN = unknown."""
 Mask = NDArray[np.bool_]
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import typical_intrinsics
 from depthcli.core.frames import RgbdFrame
 from depthcli.simulate import textures
-from depthcli.simulate.depth_sensor import KinectSample, discs, simulate_kinect
+from depthcli.simulate.depth_sensor import Disparity, KinectSample, discs, simulate_kinect
 from depthcli.simulate.stereo_scenes import make_scene
 
 SceneKind = Literal["planes", "foreground", "curved", "camouflage"]
@@ -21,8 +21,6 @@ SequenceKind = Literal["static", "moving", "camera"]
 SEQUENCE_KINDS: tuple[SequenceKind, ...] = get_args(SequenceKind)
 
 _COLOR_NOISE = 2.0  # grey levels, of every frame of a sequence
-Disparity = NDArray[np.float32]
-"""(H, W) float32, pixels, NaN = unknown."""
 Shot = tuple[NDArray[np.uint8], Disparity, NDArray[np.float64] | None]
 """Color (H, W, 3), true disparity (H, W), and the camera's pose (4, 4): from its coordinates to the world's, meters."""
 
