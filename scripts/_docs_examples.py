@@ -12,7 +12,7 @@ A page runs from top to bottom in an empty folder of its own. What follows the l
 | ``flow`` | drawn: names with ``->`` between them, a row a line |
 
 ``hidden`` runs a block without showing it, ``exit=N`` expects that exit code, ``lines=N`` shows at most so many lines
-of each output. An image of the page whose file the blocks wrote is taken from the folder.
+of each output, ``needs=opencl`` runs it only where such a device works. An image of the page whose file the blocks wrote is taken from the folder.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 BLOCK = re.compile(
@@ -47,6 +48,18 @@ for line in sys.stdin:
             traceback.print_exc()
     print(json.dumps([failed, printed.getvalue()]), flush=True)
 """
+
+
+@cache
+def why_missing(kind: str) -> str:
+    """Return why no device of this kind (opencl, cuda) works here, or ''."""
+    from depthcli.device import DeviceError, find_device
+
+    try:
+        find_device(kind)
+    except DeviceError as error:
+        return str(error)
+    return ""
 
 
 class ExampleError(Exception):
@@ -96,7 +109,7 @@ class Page:
     def _block(self, found: re.Match[str]) -> str:
         language, text = found["head"], found["text"]
         settings = dict(word.partition("=")[::2] for word in found["settings"].split())
-        unknown = settings.keys() - {"file", "hidden", "exit", "lines"}
+        unknown = settings.keys() - {"file", "hidden", "exit", "lines", "needs"}
         if unknown:
             raise ExampleError(f"{self._place(found)}: unknown setting {', '.join(sorted(unknown))}")
         if "file" in settings:
@@ -106,6 +119,9 @@ class Page:
             shown = f"```{{code-block}} {language}\n:caption: {settings['file']}\n\n{text}```"
         elif language in SHOWN_ONLY:
             return found[0]
+        elif "needs" in settings and (why := why_missing(settings["needs"])):
+            print(f"  {self._place(found)}: not run, {why}", file=sys.stderr)
+            shown = f"```{language}\n{text}```"
         elif language == "flow":
             shown = flow_chart(text)
         elif language == "console":

@@ -32,8 +32,11 @@ def _handles() -> tuple[list[tuple[DeviceInfo, Any]], str]:
         except cl.Error:
             continue
         for handle in handles:
-            if _compiles_nothing(handle.version):
-                why = f"PoCL {handle.driver_version}'s compiler does not know this processor; a newer PoCL may"
+            try:
+                _try_out(cl, handle)
+            except (cl.Error, MemoryError) as error:
+                # PoCL shows processors that its compiler does not know: https://github.com/pocl/pocl/issues/1049
+                why = f"{handle.name.strip()} ({platform.name.strip()}) runs no kernel: {_message(error)}"
                 continue
             info = DeviceInfo(
                 address=f"opencl:{len(found)}",
@@ -46,10 +49,14 @@ def _handles() -> tuple[list[tuple[DeviceInfo, Any]], str]:
     return found, "" if found else why
 
 
-def _compiles_nothing(version: str) -> bool:
-    # PoCL shows a processor newer than its compiler as "generic", for which the compiler then refuses all kernels:
-    # https://github.com/pocl/pocl/issues/1049
-    return "pocl" in version.lower() and version.rstrip().endswith("-generic")
+def _try_out(cl: Any, handle: Any) -> None:
+    """Compile and run a kernel; raise the driver's error where the device cannot."""
+    context = cl.Context([handle])
+    with warnings.catch_warnings(), cl.CommandQueue(context) as queue:
+        warnings.simplefilter("ignore")  # what the compiler says
+        program = cl.Program(context, "__kernel void one(__global int *a) { a[0] = 1; }").build()
+        program.one(queue, (1,), None, cl.Buffer(context, cl.mem_flags.READ_WRITE, 4))
+        queue.finish()
 
 
 def list_devices() -> list[DeviceInfo]:

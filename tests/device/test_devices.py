@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.resources
 import json
-import shutil
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -26,9 +27,6 @@ _LIMIT = 400  # seconds
 
 @pytest.mark.system
 def test_device_implementations_in_a_process_of_their_own():
-    pytest.importorskip("pyopencl", reason="pyopencl is not installed")
-    if shutil.which("ld") is None:
-        pytest.skip("PoCL links its kernels with ld, which is not installed (package binutils)")
     if not depthcli.device.opencl.list_devices():
         pytest.skip(depthcli.device.opencl.why_no_device())
     tests = Path(__file__).with_name("implementations.py")
@@ -50,21 +48,77 @@ def test_cuda_takes_the_kernels(file):
     assert nvrtc.messages(library, CUDA + COMMON + file.read_text("utf-8"), OPTIONS) == ""
 
 
-@pytest.mark.parametrize(("processor", "count"), [("znver3", 1), ("generic", 0)])
-def test_a_processor_that_pocl_does_not_know_is_no_device(monkeypatch, processor, count):
-    device = SimpleNamespace(
-        version=f"OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-{processor}", driver_version="3.0",
-        name="pthread", type=2, global_mem_size=1 << 33,
-    )  # fmt: skip
-    platform = SimpleNamespace(name="PoCL", get_devices=lambda: [device])
-    known = {"get_platforms": lambda: [platform], "device_type": SimpleNamespace(GPU=4), "Error": RuntimeError}
-    monkeypatch.setitem(sys.modules, "pyopencl", SimpleNamespace(**known))
+class Pocl:
+    """Stands for the package pyopencl with PoCL, whose compiler may not know the processor."""
+
+    class Error(Exception):
+        pass
+
+    device_type, mem_flags = SimpleNamespace(GPU=4), SimpleNamespace(READ_WRITE=1)
+
+    def __init__(self, error: str) -> None:
+        self.error = error
+
+    def get_platforms(self):
+        device = SimpleNamespace(version="OpenCL 3.0 PoCL", name="a processor", type=2, global_mem_size=1 << 33)
+        return [SimpleNamespace(name="PoCL", get_devices=lambda: [device])]
+
+    def Context(self, devices):  # noqa: N802
+        return self
+
+    def CommandQueue(self, context):  # noqa: N802
+        return contextlib.nullcontext(SimpleNamespace(finish=lambda: None))
+
+    def Program(self, context, text):  # noqa: N802
+        return self
+
+    def Buffer(self, context, flags, size):  # noqa: N802
+        return None
+
+    def build(self):
+        if self.error:
+            raise Pocl.Error(self.error)
+        return SimpleNamespace(one=lambda *arguments: None)
+
+
+@pytest.mark.parametrize("error", ["", "clBuildProgram failed\n\nerror: unknown target CPU 'generic'"])
+def test_a_processor_that_pocl_does_not_know_is_no_device(monkeypatch, error):
+    monkeypatch.setitem(sys.modules, "pyopencl", Pocl(error))
     depthcli.device.opencl._handles.cache_clear()
     try:
-        assert len(depthcli.device.opencl.list_devices()) == count
-        assert ("does not know this processor" in depthcli.device.opencl.why_no_device()) == (count == 0)
+        assert len(depthcli.device.opencl.list_devices()) == (0 if error else 1)
+        assert ("unknown target CPU 'generic'" in depthcli.device.opencl.why_no_device()) == bool(error)
     finally:
         depthcli.device.opencl._handles.cache_clear()
+
+
+PAGE = """
+import sys
+from pathlib import Path
+sys.path.insert(0, "scripts")
+from _docs_examples import Page
+text, folder = Path("docs/how_to/gpu.md").read_text("utf-8"), Path(sys.argv[1])
+Page("gpu.md", text, folder / "run", folder / "pictures", "").run()
+"""
+
+
+@pytest.mark.system
+def test_without_devices_all_that_needs_one_is_skipped_with_the_reason(tmp_path):
+    for name in ("pyopencl", "cupy"):
+        (tmp_path / f"{name}.py").write_text("raise ImportError('hidden')")
+    root = Path(__file__).parents[2]
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{root}", "PATH": path}
+    tests = ["tests/device/test_devices.py", "tests/test_scripts.py", "-k", "process_of_their_own or gpu_is_measured"]
+    for command in (
+        [sys.executable, "-m", "pytest", "-q", "-rs", "-n0", "-p", "no:cacheprovider", *tests],
+        [sys.executable, "-c", PAGE, str(tmp_path)],
+    ):
+        run = subprocess.run(
+            command, cwd=root, env=environment, capture_output=True, text=True, timeout=_LIMIT, check=False
+        )
+        assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-3000:]
+        assert "pyopencl is not installed" in run.stdout + run.stderr
 
 
 GPU = DeviceInfo("opencl:1", "a card", 1 << 33, True, "somebody's")
