@@ -12,7 +12,8 @@ A page runs from top to bottom in an empty folder of its own. What follows the l
 | ``flow`` | drawn: names with ``->`` between them, a row a line |
 
 ``hidden`` runs a block without showing it, ``exit=N`` expects that exit code, ``lines=N`` shows at most so many lines
-of each output, ``needs=opencl`` runs it only where such a device works. An image of the page whose file the blocks wrote is taken from the folder.
+of each output, ``needs=opencl`` runs it only where such a device works. An image of the page whose file the blocks
+wrote is taken from the folder.
 """
 
 from __future__ import annotations
