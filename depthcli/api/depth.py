@@ -19,10 +19,10 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame, color8, infrared_image
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, DepthResult, Result
+from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import MILLIMETERS
 from depthcli.io.formats.files import naming, warn
 from depthcli.io.formats.plain_text import numbers
-from depthcli.io.formats.rigs import read_color_infrared_rig
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import frame_by_frame
 from depthcli.methods.transparent.config import TransparentConfig

@@ -17,7 +17,7 @@ from depthcli.core.config_file import ConfigData
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.result import Clock
-from depthcli.io.formats.stereo_images import pair_of
+from depthcli.io.formats.images import pair_of
 from depthcli.kernels.jit import compile_seconds, one_at_a_time
 from depthcli.run.presets import find_config, find_preset
 

@@ -19,7 +19,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
-from depthcli.io.formats import rigs
+from depthcli.io.formats import calibrations
 from depthcli.io.formats.networks import network_path, read_network
 from depthcli.methods.stereo.config import Calibration, PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
@@ -133,7 +133,7 @@ def _with_networks(config: PairConfigT, address: str) -> PairConfigT:
 def read_rig(calibration: Calibration) -> Rig:
     """Read the two cameras of a calibration; InputError where it cannot be read."""
     paths = [Path(file) for file in calibration.files]
-    return rigs.read_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
+    return calibrations.read_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
 
 
 def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[Any]) -> RectifiedRig:

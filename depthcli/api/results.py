@@ -16,11 +16,11 @@ from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.core.frames import Image, color8
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
 from depthcli.core.result import DepthResult, Result
+from depthcli.io.formats.calibrations import read_geometry, write_geometry
 from depthcli.io.formats.depth import MILLIMETERS, write_depth_png, write_points
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png
-from depthcli.io.formats.pair_geometry import read_geometry, write_geometry
 from depthcli.io.formats.pictures import (
     DEPTH_STATUS_PALETTE,
     STATUS_PALETTE,

@@ -162,7 +162,7 @@ def _recognized(
     from depthcli.commands._runs import recognized
     from depthcli.evaluation import protocols
     from depthcli.io.formats.files import collected_warnings
-    from depthcli.io.formats.headers import image_size
+    from depthcli.io.formats.images import image_size
     from depthcli.run.reports import read_report
 
     if not os.path.isdir(place) or read_report(place):
@@ -174,7 +174,7 @@ def _recognized(
         with collected_warnings():
             try:
                 shape = GivenMap(run, path, tried.scale, tried.invalid).load().shape
-                return shape == tuple(image_size(usable[name].left)[:2])
+                return shape == image_size(usable[name].left)
             except DepthcliError:
                 return False
 
@@ -186,10 +186,10 @@ def _recognized(
 
 def memory_for(method: UsesNetworks, scene: MapsScene, max_disparity: int | None) -> int | None:
     """Estimate the memory for a scene by the left image's size; None where the maps give the range."""
-    from depthcli.io.formats.headers import image_size
+    from depthcli.io.formats.images import image_size
 
     top = max_disparity or scene.max_disparity
-    return None if top is None else method.peak_bytes(image_size(scene.left)[:2], top, len(scene.maps))
+    return None if top is None else method.peak_bytes(image_size(scene.left), top, len(scene.maps))
 
 
 def loaded(one: GivenMap, shape: tuple[int, int]) -> NDArray[np.float32]:

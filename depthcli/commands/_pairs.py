@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from depthcli.commands._old_batch import ConfigCommand
 from depthcli.commands._rectified import UNIT, check_unit
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.stereo import StereoScene
@@ -71,27 +71,28 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     def memory_of(self, config: PairConfigT, scene: StereoScene) -> int | None:
         """Estimate by the left image's size; None where key points give the range."""
-        from depthcli.io.formats.headers import image_size
+        from depthcli.io.formats.images import image_size
         from depthcli.methods.stereo.matching import host_bytes
 
         min_disparity, max_disparity = given_range(config, scene)
         if not (isinstance(min_disparity, int) and isinstance(max_disparity, int)):
             return None
-        shape, limits = image_size(scene.left)[:2], self.limits(config, 0)
+        shape, limits = image_size(scene.left), self.limits(config, 0)
         return host_bytes(self.matcher(config, scene), shape, max_disparity - min_disparity, limits)
 
     def effort(self, config: PairConfigT, scene: StereoScene) -> int | None:
         """Return pixels times disparities, from the beginning of the left image's file."""
-        from depthcli.io.formats.headers import peeked_size
+        from depthcli.io.formats.images import image_size
 
-        size = peeked_size(scene.left)
-        if size is None:
+        try:
+            height, width = image_size(scene.left)
+        except InputError:
             return None
         min_disparity, max_disparity = given_range(config, scene)
-        n_disparities = size.width // 4 + 1  # ranges by key points are in proportion to the width
+        n_disparities = width // 4 + 1  # ranges by key points are in proportion to the width
         if isinstance(min_disparity, int) and isinstance(max_disparity, int):
             n_disparities = max_disparity - min_disparity + 1
-        return size.height * size.width * max(n_disparities, 1)
+        return height * width * max(n_disparities, 1)
 
     def columns(self) -> tuple[Column, ...]:
         """Return size of the map, share of pixels with a value, share that was measured rather than filled."""

@@ -107,7 +107,7 @@ def _pair_of(
     rig: RectifiedRig, scene: StereoScene, left: NDArray[np.generic], right: NDArray[np.generic]
 ) -> tuple[StereoPair, NDArray[np.generic]]:
     """Return the rectified pair, and its left image with the colors that the scene's has."""
-    from depthcli.io.formats.stereo_images import pair_of
+    from depthcli.io.formats.images import pair_of
 
     views = rig.images(left, right)
     assert scene.right is not None  # it was loaded
@@ -122,8 +122,8 @@ def save_views(
 ) -> None:
     """Write each view as ``<name>.png`` and, where ``rig`` has metric depth, ``calib.txt`` with the search range."""
     from depthcli.core.cameras.rig import RectifiedRig
+    from depthcli.io.formats.calibrations import write_geometry
     from depthcli.io.formats.images import write_png
-    from depthcli.io.formats.pair_geometry import write_geometry
 
     for name, view in views.items():
         write_png(folder / f"{name}.png", view)

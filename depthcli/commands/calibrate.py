@@ -67,9 +67,9 @@ class CalibrateCommand(Command):
         from depthcli.commands import _calibration_report as report
         from depthcli.commands._calibration import calibrated
         from depthcli.io.calibration_photos import find_photos
+        from depthcli.io.formats.calibrations import write_calibration
         from depthcli.io.formats.files import remove_temporaries, write_text
         from depthcli.io.formats.images import write_png
-        from depthcli.io.formats.rigs import write_calibration
         from depthcli.run.json_csv import to_json
 
         board = _board(values)

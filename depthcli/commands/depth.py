@@ -194,7 +194,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
 def _geometry(config: DepthOptions, scene: DisparityScene) -> PairGeometry:
     from depthcli.core.cameras.camera import Intrinsics
     from depthcli.core.cameras.triangulation import PairGeometry
-    from depthcli.io.formats.pair_geometry import read_geometry
+    from depthcli.io.formats.calibrations import read_geometry
 
     if config["focal"] is not None and config["baseline"] is not None:
         height, width = scene.load().shape

@@ -136,15 +136,15 @@ def _find_maps(
 
 def _entry(scene: str, split: str, path: Path, row: Row, seconds: float | None) -> Entry:
     from depthcli.evaluation.benchmarks import Entry
-    from depthcli.io.formats.headers import image_size
+    from depthcli.io.formats.images import image_size
 
     measured = sum(row.get("seconds", {}).values()) if seconds is None else seconds
     image = Path(row["source"]) if row.get("source") else None
     size = None
     try:
         if image is not None and os.path.isfile(image):
-            header = image_size(image)
-            size = (header.width, header.height)
+            height, width = image_size(image)
+            size = (width, height)
     except InputError:
         pass
     if size is None and isinstance(row.get("width"), int) and isinstance(row.get("height"), int):

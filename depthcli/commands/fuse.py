@@ -45,7 +45,7 @@ class FuseCommand(PairCommand["FuseConfig"]):
 
     def matcher(self, config: FuseConfig, scene: StereoScene) -> PairMatcher:
         """Return fusion; volumes made elsewhere are read when the pair is matched."""
-        from depthcli.io.formats.npy import map_npy
+        from depthcli.io.formats.disparity import map_npy
         from depthcli.methods.fusion.config import FusionWithVolumes
 
         files = self._volumes(config, scene)

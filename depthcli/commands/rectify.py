@@ -102,7 +102,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
     def memory_of(self, config: RectifyOptions, scene: StereoScene) -> None:
         """Return None, since it is little more than the images; InputError where the calibration cannot be read."""
         if not config["uncalibrated"]:
-            from depthcli.io.formats.rigs import read_rig
+            from depthcli.io.formats.calibrations import read_rig
 
             how = self._calibrated(config)
             read_rig(self._calibration, how.unit, how.fisheye, how.cameras)

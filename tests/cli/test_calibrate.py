@@ -14,8 +14,8 @@ from depthcli.algorithms.calibration.boards import Chessboard, Corners
 from depthcli.cli import main
 from depthcli.core.cameras.rig import Rig
 from depthcli.io.calibration_photos import find_photos
+from depthcli.io.formats.calibrations import read_rig
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.rigs import read_rig
 from tests import boards
 from tests.boards import SIZE, SQUARE
 

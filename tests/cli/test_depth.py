@@ -13,10 +13,10 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
+from depthcli.io.formats.calibrations import read_geometry, write_geometry
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.pair_geometry import read_geometry, write_geometry
 from depthcli.io.formats.pictures import read_status
 
 V3 = """cam0=[713.189 0 56.021; 0 713.189 38.263; 0 0 1]

@@ -16,11 +16,10 @@ from depthcli.cli import main
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
+from depthcli.io.formats.calibrations import read_geometry, read_rig
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.pair_geometry import read_geometry
 from depthcli.io.formats.pictures import read_status
-from depthcli.io.formats.rigs import read_rig
 from depthcli.methods.stereo import rectification, search_range
 from depthcli.methods.stereo.rectification import match_views, rectify_uncalibrated, row_error
 

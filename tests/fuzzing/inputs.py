@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from depthcli.core.volumes import Grid
-from depthcli.io.formats.nifti import encode_header
-from depthcli.io.formats.volumes import write_array
+from depthcli.io.formats.volumes import _nifti_header, write_array
 
 SHAPE = (9, 12, 14)  # slices, rows, columns of the volumes
 GRID = Grid(SHAPE[::-1], (1.0, 1.5, 2.0), (-3.0, 4.0, 5.0))
@@ -95,9 +94,9 @@ def others() -> dict[str, bytes]:
         "behind.mhd": f"{meta}ElementType = MET_FLOAT\nElementDataFile = behind.raw\n".encode(),
         "local.nrrd": f"{nrrd}\n".encode() + fixed,
         "behind.nhdr": f"{nrrd}data file: behind.raw\n\n".encode(),
-        "volume.nii": encode_header(GRID, False) + fixed,
-        "packed.nii.gz": gzip.compress(encode_header(GRID, False) + fixed, 1, mtime=0),
-        "field.nii": encode_header(GRID, True) + field,
+        "volume.nii": _nifti_header(GRID, False) + fixed,
+        "packed.nii.gz": gzip.compress(_nifti_header(GRID, False) + fixed, 1, mtime=0),
+        "field.nii": _nifti_header(GRID, True) + field,
         "affine.txt": elastix("AffineTransform", "1 0 0 0 1 0 0 0 1 0.5 0.25 0", "initial.txt"),
         "bspline.txt": elastix("BSplineTransform", " ".join(["0.1"] * 192), more=_BSPLINE),
         "affine.tfm": _TFM,

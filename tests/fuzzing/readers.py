@@ -13,15 +13,13 @@ import numpy as np
 
 from depthcli.core.errors import InputError
 from depthcli.io import pairs
-from depthcli.io.formats import depth, disparity, fields, pictures, rigs, transforms, volumes
+from depthcli.io.formats import depth, disparity, fields, pictures, volumes
+from depthcli.io.formats.calibrations import read_color_infrared_rig, read_geometry, read_rig
+from depthcli.io.formats.disparity import map_npy
+from depthcli.io.formats.fields import read_landmarks
 from depthcli.io.formats.files import read_bytes, shown
-from depthcli.io.formats.headers import image_size
-from depthcli.io.formats.images import read_grey, read_image
-from depthcli.io.formats.landmarks import read_landmarks
+from depthcli.io.formats.images import image_size, read_grey, read_image, read_pair
 from depthcli.io.formats.networks import read_network
-from depthcli.io.formats.npy import map_npy
-from depthcli.io.formats.pair_geometry import read_geometry
-from depthcli.io.formats.stereo_images import read_pair
 from tests.damage import NAMES, bomb, damaged, originals, put_special
 from tests.fuzzing.common import Fault
 from tests.fuzzing.inputs import GRID, odd_json, others, write_behind
@@ -54,9 +52,9 @@ SUITED: dict[str, tuple[Callable[[Path], Any], ...]] = {
                 lambda path: fields.read_field(path, GRID)),
     ".csv": (pairs.read_table, lambda path: read_landmarks(path, GRID)),
     ".txt": (lambda path: read_landmarks(path, GRID, True), read_geometry),
-    "transforms": (transforms.read_transform,),
-    ".yaml": (lambda path: rigs.read_rig([path]), lambda path: rigs.read_color_infrared_rig(path, (9, 9), (9, 9))),
-    ".json": (read_network, lambda path: rigs.read_color_infrared_rig(path, (9, 9), (9, 9))),
+    "transforms": (fields.read_transform,),
+    ".yaml": (lambda path: read_rig([path]), lambda path: read_color_infrared_rig(path, (9, 9), (9, 9))),
+    ".json": (read_network, lambda path: read_color_infrared_rig(path, (9, 9), (9, 9))),
 }  # fmt: skip
 
 

@@ -9,10 +9,17 @@ import pytest
 
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import InputError
-from depthcli.io.formats.depth import SENSOR, implausible_depth, read_codes, read_depth, write_depth_png, write_ply
+from depthcli.io.formats.depth import (
+    SENSOR,
+    implausible_depth,
+    read_codes,
+    read_depth,
+    read_kinect_raw,
+    write_depth_png,
+    write_ply,
+)
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.kinect import read_kinect_raw
 from tests.scenes import DATA, needs_data
 
 

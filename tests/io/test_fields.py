@@ -234,7 +234,7 @@ def test_elastix_chain_that_comes_back(tmp_path):
 
 def test_no_transform_at_all(tmp_path):
     (tmp_path / "t.tfm").write_text("nothing\n")
-    with pytest.raises(InputError, match="not a transform"):
+    with pytest.raises(InputError, match="cannot be read"):
         read_moving_transform(tmp_path / "t.tfm", None, "auto", Volume(np.zeros(GRID.shape, np.float32), GRID), None)
 
 

@@ -9,11 +9,9 @@ from pathlib import Path
 import pytest
 
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.io.formats.disparity import read_disparity, read_pfm
+from depthcli.io.formats.disparity import map_npy, read_disparity, read_pfm
 from depthcli.io.formats.files import read_bytes, shown
-from depthcli.io.formats.headers import image_size
-from depthcli.io.formats.images import read_image
-from depthcli.io.formats.npy import map_npy
+from depthcli.io.formats.images import image_size, read_image
 
 
 def map_costs(path):

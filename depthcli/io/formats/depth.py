@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.kinect import UNKNOWN_CODE
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import shown, warn, write_bytes
@@ -29,9 +30,6 @@ _ROOM = (0.2, 20.0)  # median depths that are plausible for a room, meters
 MIN_DEPTH, MAX_DEPTH = 0.01, 100.0
 """Median depths that are plausible at all, meters: from a macro lens to a street."""
 
-_AXES, _CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
-_VERTEX = np.dtype([(name, "<f4") for name in _AXES] + [(name, "u1") for name in _CHANNELS])
-
 # Codes per meter of common files: millimeters, TUM RGB-D, eighths and tenths of millimeters, KITTI, centimeters.
 _COMMON_SCALES = (1000.0, 5000.0, 8000.0, 10_000.0, 256.0, 100.0)
 
@@ -45,6 +43,16 @@ def read_codes(path: Path | str) -> NDArray[np.uint16]:
         Not readable, damaged, or not one channel of codes from 0 to 65535; one line that names the file.
     """
     return _codes(read_plane(path), path)
+
+
+def read_kinect_raw(path: Path | str) -> NDArray[np.uint16]:
+    """Return (H, W) uint16 raw codes 0..2047 of a first-generation Kinect, in either order of bytes."""
+    raw = read_codes(path)
+    if raw.max() > UNKNOWN_CODE:  # the bytes are the wrong way round
+        raw = raw.byteswap()
+    if raw.max() > UNKNOWN_CODE:
+        raise InputError(f"{shown(path)}: codes up to {int(raw.max())}, a Kinect's go to {UNKNOWN_CODE}")
+    return raw
 
 
 def _codes(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
@@ -109,18 +117,15 @@ def implausible_depth(
     far = float(np.quantile(known, 0.95)) if known.size and limits == SENSOR else 0.0
     if not known.size or (limits[0] <= median <= limits[1] and far <= _MAX_SENSOR_DEPTH):
         return ""
-    others = [s for s in _COMMON_SCALES if s != scale]
-    fitting = [
-        *(s for s in others if _within(median * scale / s, SENSOR) and far * scale / s <= _MAX_SENSOR_DEPTH),
-        *(s for s in others if limits != SENSOR and _within(median * scale / s, _ROOM)),
-    ]
+
+    def fits(other: float, low: float, high: float) -> bool:
+        return other != scale and low <= median * scale / other <= high
+
+    fitting = [s for s in _COMMON_SCALES if fits(s, *SENSOR) and far * scale / s <= _MAX_SENSOR_DEPTH]
+    fitting += [s for s in _COMMON_SCALES if limits != SENSOR and fits(s, *_ROOM)]
     hint = f"; a depth scale of {fitting[0]:g} would fit" if fitting else ""
-    beyond = f", and 5 % are beyond {far:.3g} m," if _within(median, limits) else ""
+    beyond = f", and 5 % are beyond {far:.3g} m," if limits[0] <= median <= limits[1] else ""
     return f"{shown(path)}: the median depth is {median:.3g} m{beyond} at {scale:g} codes per meter{hint}"
-
-
-def _within(value: float, limits: tuple[float, float]) -> bool:
-    return limits[0] <= value <= limits[1]
 
 
 def check_fb(path: Path | str, fb: float, depth: NDArray[np.float32]) -> None:
@@ -207,16 +212,10 @@ def write_ply(
 
 def write_points(path: Path | str, points: NDArray[np.float32], color: NDArray[np.uint8]) -> None:
     """Write points (N, 3) with colors (N, 3) RGB as PLY, binary little endian; OutputError where that cannot be."""
-    vertices = np.empty(len(points), _VERTEX)
-    for names, values in ((_AXES, points), (_CHANNELS, color)):
-        for k, name in enumerate(names):
-            vertices[name] = values[:, k]
-    write_bytes(path, _ply_header(len(points)).encode("ascii") + vertices.tobytes())
-
-
-def _ply_header(count: int) -> str:
-    types = {"f": "float", "u": "uchar"}
-    properties = [f"property {types[_VERTEX[name].kind]} {name}" for name in (*_AXES, *_CHANNELS)]
-    return "\n".join(
-        ["ply", "format binary_little_endian 1.0", f"element vertex {count}", *properties, "end_header", ""]
-    )
+    vertices = np.empty(len(points), [("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    vertices["xyz"], vertices["rgb"] = points, color
+    properties = [f"property float {name}" for name in "xyz"] + [
+        f"property uchar {c}" for c in ("red", "green", "blue")
+    ]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties, "end_header", ""]
+    write_bytes(path, "\n".join(header).encode("ascii") + vertices.tobytes())

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.errors import InputError, OutputError
-from depthcli.io.formats.files import naming, read_bytes, shown, warn, write_bytes
-from depthcli.io.formats.headers import image_kind, pfm_header
-from depthcli.io.formats.images import decode_floats, decode_grey
+from depthcli.core.errors import InputError
+from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn, write_bytes
+from depthcli.io.formats.images import NPY_MAGIC, decode_floats, decode_grey, image_kind, pfm_header, png_bytes
 from depthcli.io.formats.map_format import read_by_plugin
-from depthcli.io.formats.npy import NPZ_MAGIC, decode_npy, npy_in_npz
 
 KITTI_SCALE = 256.0
 """Codes per pixel of 16-bit disparity PNGs (KITTI, DSEC)."""
+
+_NPZ_MAGIC = b"PK\x03\x04"
+_MAX_UNPACKED_BYTES = 1 << 30  # of an array in an .npz file, as much as the largest images take
+_MAP_NAMES = ("disp", "disparity", "disp_left", "depth", "arr_0")  # arrays that are taken of several in an .npz file
 
 
 def read_disparity(
@@ -131,27 +133,68 @@ def read_plane(path: Path | str) -> NDArray[Any]:
         return plane
     data = read_bytes(path)
     with naming(path):
-        if data.startswith(NPZ_MAGIC):
-            return decode_npy(npy_in_npz(data))
-        kind = image_kind(data)
-        if kind == "pfm":
+        if data.startswith((NPY_MAGIC, _NPZ_MAGIC)):
+            return _decode_npy(data)
+        if image_kind(data) == "Pfm":
             return _decode_pfm(data, path)
-        if kind == "npy":
-            return decode_npy(data)
         floats = decode_floats(data)
         return decode_grey(data) if floats is None else floats
 
 
+def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
+    """Return the array of a ``.npy`` file, mapped into memory, so that only the parts in use are read.
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, or not an array of numbers with ``dimensions`` axes.
+    """
+    with open_regular(path), naming(path):
+        try:
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+        except Exception as error:  # damaged headers raise many kinds
+            raise InputError(f"damaged, or no .npy file ({str(error)[:200]})") from None
+        return _numbers(array, dimensions)
+
+
+def _decode_npy(data: bytes) -> NDArray[Any]:
+    """Return the (H, W) array of a ``.npy`` file, or the map of an ``.npz`` file: its only array, or the named one."""
+    try:
+        stored = np.load(BytesIO(data), allow_pickle=False)
+        if isinstance(stored, np.ndarray):
+            return _numbers(stored, 2)
+        names = stored.files if len(stored.files) == 1 else [name for name in _MAP_NAMES if name in stored.files]
+        if len(names) != 1:
+            raise InputError(
+                f"an .npz file of {len(stored.files)} arrays ({', '.join(stored.files)[:200]}); want a single one, or "
+                f"one of them called {', '.join(_MAP_NAMES)}"
+            )
+        if (size := max(info.file_size for info in stored.zip.infolist())) > _MAX_UNPACKED_BYTES:
+            raise InputError(f"too large: {size} bytes")
+        return _numbers(stored[names[0]], 2)
+    except InputError:
+        raise
+    except Exception as error:  # numpy, zipfile and zlib raise many kinds for damage, MemoryError among them
+        raise InputError(f"damaged .npy or .npz file ({str(error)[:200]})") from None
+
+
+def _numbers(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
+    if array.ndim != dimensions or array.dtype.kind not in "biuf" or not array.size:
+        want = "(H, W)" if dimensions == 2 else "(H, W, D)"
+        raise InputError(f"want an {want} array of numbers, got {array.dtype} of shape {array.shape}")
+    return array
+
+
 def _decode_pfm(data: bytes, path: Path | str) -> NDArray[np.float32]:
-    (height, width, channels, _), little, start = pfm_header(data)
+    (height, width, channels), dtype, start = pfm_header(data)
     n_values = width * height * channels
     want, got = n_values * 4, len(data) - start
     if want > got:
         raise InputError(f"damaged PFM ({width} x {height} needs {want} bytes of data, the file has {got})")
     if want < got:
         warn(f"{shown(path)}: the PFM has {got - want} bytes more than its {width} x {height} values; they are ignored")
-    values = np.frombuffer(data, "<f4" if little else ">f4", n_values, start).reshape(height, width, channels)[::-1]
-    if channels == 3 and not all(np.array_equal(values[..., 0], values[..., c], equal_nan=True) for c in (1, 2)):
+    values = np.frombuffer(data, dtype, n_values, start).reshape(height, width, channels)[::-1]
+    if channels == 3 and not np.array_equal(values, np.repeat(values[..., :1], 3, axis=2), equal_nan=True):
         raise InputError("a colour PFM, want one channel")
     plane: NDArray[np.float32] = values[..., 0].astype(np.float32, order="C")
     return plane
@@ -193,18 +236,14 @@ def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) 
     OutputError
         The file cannot be written.
     """
-    data = encode_disparity_png(disparity)
-    if data is None:
-        raise OutputError(f"{path}: cannot be encoded as PNG")
-    write_bytes(path, data)
+    write_bytes(path, encode_disparity_png(disparity))
 
 
-def encode_disparity_png(disparity: NDArray[np.floating[Any]]) -> bytes | None:
-    """Return the bytes that :func:`write_disparity_png` writes; None where they cannot be made."""
+def encode_disparity_png(disparity: NDArray[np.floating[Any]]) -> bytes:
+    """Return the bytes that :func:`write_disparity_png` writes."""
     if disparity.ndim != 2:
         raise ValueError(f"want (H, W), got {disparity.shape}")
     known = np.isfinite(disparity)
     codes = np.zeros(disparity.shape, np.uint16)
     codes[known] = np.clip(np.rint(disparity[known].astype(np.float64) * KITTI_SCALE), 1, 65535).astype(np.uint16)
-    done, data = cv2.imencode(".png", codes)
-    return data.tobytes() if done else None
+    return png_bytes(codes)

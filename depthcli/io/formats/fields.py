@@ -1,4 +1,4 @@
-"""Transforms and displacement fields of the usual registration programs, all as mm along LPS on the fixed grid.
+"""Transforms, displacement fields and landmarks of the usual registration programs, all in mm along LPS.
 
 ======================  ==============================================================================
 ITK, elastix            vector MHA, NRRD, NIfTI: displacement, mm, LPS; ``.tfm .txt .h5 .mat`` transforms;
@@ -11,6 +11,8 @@ Learn2Reg, VoxelMorph   ``.npz`` or 4-D NIfTI (X, Y, Z, 3): displacement, voxels
 
 from __future__ import annotations
 
+import contextlib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,10 +23,17 @@ from numpy.typing import NDArray
 from depthcli.algorithms.resampling import nearest
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
-from depthcli.io.formats.files import naming, open_regular
-from depthcli.io.formats.nifti import check_whole, read_header
-from depthcli.io.formats.transforms import read_transform
-from depthcli.io.formats.volumes import place, read_image, read_volume, simple_itk, suffix_of
+from depthcli.io.formats.files import naming, open_regular, read_bytes
+from depthcli.io.formats.plain_text import numbers
+from depthcli.io.formats.volumes import (
+    itk_header,
+    library_errors,
+    place,
+    read_itk,
+    read_volume,
+    simple_itk,
+    suffix_of,
+)
 
 READINGS = {
     "itk": "displacement in mm, LPS (ITK, elastix, ANTs)",
@@ -38,6 +47,10 @@ _MIN_RATIO = 1.1  # mutual information of the better reading over that of the na
 _MIN_GAIN = 0.02  # and by how much it must be more, nats
 _N_SAMPLES = 60_000  # voxels that the readings of a field are compared at
 _N_BINS = 24  # of the histogram of each volume
+_MAX_BYTES = 1 << 30  # a text of B-spline parameters may be long
+_INITIAL = re.compile(r'^\s*\(InitialTransformParameters?FileName\s+("[^"\n]*"|[^\s)]+)', re.MULTILINE)
+_MAX_CHAIN = 100  # transforms of elastix that begin with one another; a registration has two or three
+_COLUMNS = re.compile(r"(?:^|_)([xyz])(?:_|$)")
 
 
 @dataclass(frozen=True)
@@ -70,14 +83,15 @@ def read_field(path: Path, fixed: Grid) -> Field:
         if kind == ".npz":
             return _bare(_npz(path), fixed)
         if kind in (".nii", ".nii.gz"):
-            header = read_header(path)
-            if len(header["dim"]) == 4 and header["dim"][3] == 3:
-                bad = check_whole(path)
-                values = simple_itk().GetArrayFromImage(read_image(path))
-                values.reshape(-1)[bad] = np.nan  # which SimpleITK made 0
+            header = itk_header(path)
+            if header.GetDimension() == 4 and header.GetSize()[3] == 3:
+                image, unknown = read_itk(path)
+                values = simple_itk().GetArrayFromImage(image)
+                if unknown is not None:
+                    values[unknown.reshape(values.shape)] = np.nan
                 return _bare(values.transpose(1, 2, 3, 0), fixed)
-            if header["intent_name"] == "NREG_TRANS":
-                named = "positions" if abs(header["intent_p1"]) < 0.5 else "niftyreg"
+            if header.GetMetaData("intent_name").strip() == "NREG_TRANS":
+                named = "positions" if abs(float(header.GetMetaData("intent_p1"))) < 0.5 else "niftyreg"
         volume = read_volume(path, vector=True)
         return Field(volume.values, volume.grid, named)
 
@@ -205,3 +219,180 @@ def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
     a, b = p.sum(axis=1, keepdims=True), p.sum(axis=0, keepdims=True)
     known = p > 0
     return float(np.sum(p[known] * np.log(p[known] / (a * b)[known])))
+
+
+def read_transform(path: Path) -> Any:
+    """Return the SimpleITK transform of a file of ITK, or of a chain of elastix parameter files.
+
+    Raises
+    ------
+    InputError
+        Not readable, or a kind of transform that is not read.
+    """
+    sitk = simple_itk()
+    with naming(path):
+        if suffix_of(path) == ".txt":
+            text = read_bytes(path, _MAX_BYTES).decode("latin-1")
+            if "(Transform " in text:
+                with library_errors():
+                    return sitk.CompositeTransform(_elastix_chain(path, text, ()))
+        with open_regular(path), library_errors():
+            return sitk.ReadTransform(str(path))
+
+
+def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]:
+    """This file's transform, then those it starts from: SimpleITK applies the last one first."""
+    fields = _elastix_fields(text)
+    if path.resolve() in before or len(before) > _MAX_CHAIN:
+        raise InputError("its chain of initial transforms comes back to it")
+    if fields.get("HowToCombineTransforms", ["Compose"])[0] != "Compose":
+        raise InputError("transforms that are added, not composed, are not read")
+    own = _elastix_transform(fields)
+    file = _initial(path, text)
+    if file is None:
+        return [own]
+    with naming(file):
+        below = read_bytes(file, _MAX_BYTES).decode("latin-1")
+    return [own, *_elastix_chain(file, below, (*before, path.resolve()))]
+
+
+def _initial(path: Path, text: str) -> Path | None:
+    """The file that an elastix transform starts from, beside it or where it says; None where there is none."""
+    found = _INITIAL.findall(text)
+    name = found[-1].strip('"') if found else ""
+    if name in ("", "NoInitialTransform"):
+        return None
+    beside, elsewhere = path.parent / Path(name).name, Path(name)
+    return elsewhere if not beside.is_file() and elsewhere.is_file() else beside
+
+
+def transform_files_read_with(path: Path) -> tuple[Path, ...]:
+    """Return the files that a chain of elastix parameter files leads to, ``path`` not among them."""
+    files: list[Path] = []
+    with contextlib.suppress(InputError):  # reading the transform says what is wrong
+        while suffix_of(path) == ".txt" and len(files) < _MAX_CHAIN:
+            text = read_bytes(path, _MAX_BYTES).decode("latin-1")
+            below = _initial(path, text) if "(Transform " in text else None
+            if below is None or below in files:
+                break
+            files.append(below)
+            path = below
+    return tuple(files)
+
+
+def _elastix_fields(text: str) -> dict[str, list[str]]:
+    fields = {}
+    for line in text.splitlines():
+        match = re.match(r"\s*\((\w+)\s+(.*?)\)\s*(//.*)?$", line)
+        if match:
+            fields[match[1]] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', match[2])] or [""]
+    return fields
+
+
+def _elastix_transform(fields: dict[str, list[str]]) -> Any:
+    sitk = simple_itk()
+    name = fields.get("Transform", [""])[0]
+
+    def values(key: str, count: int, default: list[float] | None = None) -> list[float]:
+        found: list[float] = numbers(fields.get(key, default), key, (count,)).tolist()
+        return found
+
+    if values("FixedImageDimension", 1, [3.0]) != [3.0]:
+        raise InputError("not a transform of three dimensions")
+    parameters = values("TransformParameters", -1)
+    wanted = {"TranslationTransform": 3, "EulerTransform": 6, "AffineTransform": 12}.get(name)
+    if wanted not in (None, len(parameters)):
+        raise InputError(f"{name} with {len(parameters)} parameters, want {wanted}")
+    if name == "TranslationTransform":
+        return sitk.TranslationTransform(3, parameters)
+    if name == "AffineTransform":
+        return sitk.AffineTransform(parameters[:9], parameters[9:], values("CenterOfRotationPoint", 3))
+    if name == "EulerTransform":
+        transform = sitk.Euler3DTransform()
+        transform.SetComputeZYX(fields.get("ComputeZYX", ["false"])[0] == "true")
+        transform.SetCenter(values("CenterOfRotationPoint", 3))
+        transform.SetParameters(parameters)
+        return transform
+    if name not in ("BSplineTransform", "RecursiveBSplineTransform"):
+        raise InputError(f"a {name} is not read; write the field with transformix -def all")
+    x, y, z = (int(n) for n in values("GridSize", 3))
+    order = values("BSplineTransformSplineOrder", 1, [3.0])[0]
+    if order not in (1, 2, 3):
+        raise InputError(f"B-splines of order {order:.6g}, want 1, 2 or 3")
+    if min(x, y, z) < 1 or len(parameters) != 3 * x * y * z:
+        raise InputError(f"{len(parameters)} B-spline parameters do not fit a grid of {[x, y, z]}")
+    # elastix writes the direction column by column.
+    axes = np.array(values("GridDirection", 9, [1, 0, 0, 0, 1, 0, 0, 0, 1])).reshape(3, 3).T
+    spacing, index = np.array(values("GridSpacing", 3)), np.array(values("GridIndex", 3, [0.0, 0.0, 0.0]))
+    if min(spacing) <= 0:
+        raise InputError("no usable GridSpacing")
+    origin = np.array(values("GridOrigin", 3)) + axes @ (spacing * index)
+    grid = Grid((x, y, z), tuple(spacing), tuple(origin), tuple(axes.ravel()))
+    images = []
+    for component in np.array(parameters).reshape(3, *grid.shape):
+        image = sitk.GetImageFromArray(component)
+        place(image, grid)
+        images.append(image)
+    return sitk.BSplineTransform(images, int(order))
+
+
+def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.float64]:
+    """Return (N, 3) positions x, y, z in mm, LPS, of a list of points.
+
+    Parameters
+    ----------
+    grid : of the volume that the points lie in, for files of indices
+    raw : the volume is a DIR-Lab raw file: a text of whole numbers counts voxels from 1
+
+    Raises
+    ------
+    InputError
+        No such file, no points, or a line that is none.
+    """
+    with naming(path):
+        lines = [line.strip() for line in read_bytes(path, 1 << 26).decode("latin-1").splitlines() if line.strip()]
+        if lines and lines[0].lower() in ("point", "index"):
+            points = _points(lines[2:], [0, 1, 2], 3)
+            return grid.to_point(points[:, ::-1]) if lines[0].lower() == "index" else points
+        columns, first = [0, 1, 2], 0
+        if lines and not _is_row(lines[0]):
+            columns, first = _columns_of(lines[0]), 1
+        points = _points(lines[first:], columns, first + 1)
+        if raw and suffix_of(path) == ".txt":
+            return grid.to_point(points[:, ::-1] - 1)
+        return points
+
+
+def _split(line: str) -> list[str]:
+    return [part.strip() for part in (line.split(",") if "," in line else line.split())]
+
+
+def _is_row(line: str) -> bool:
+    try:
+        [float(part) for part in _split(line)]
+    except ValueError:
+        return False
+    return True
+
+
+def _columns_of(line: str) -> list[int]:
+    """Columns of x, y and z by their names; the first three where none says so."""
+    names = [_COLUMNS.search(name.lower()) for name in _split(line)]
+    columns = {match[1]: k for k, match in enumerate(names) if match}
+    return [columns[axis] for axis in "xyz"] if len(columns) == 3 else [0, 1, 2]
+
+
+def _points(lines: list[str], columns: list[int], first: int) -> NDArray[np.float64]:
+    points = []
+    for number, line in enumerate(lines, first):
+        parts = _split(line)
+        try:
+            points.append([float(parts[k]) for k in columns])
+        except (ValueError, IndexError):
+            raise InputError(f"point {number}: want x, y, z (got {line[:60]!r})") from None
+    if not points:
+        raise InputError("no points")
+    array = np.array(points)
+    if not np.isfinite(array).all():
+        raise InputError("a point that is not finite")
+    return array

@@ -1,15 +1,18 @@
-"""Read and write images, refusing damaged files.
+"""Images as files: PNG, JPEG, Netpbm, TIFF, BMP; single ones, and the two of a pair.
 
-Many decoders take damaged files without complaint (a grey lower half, a torn row). Here a file either
-gives all of its pixels or an :class:`InputError`. Pillow decodes what it can hold; OpenCV decodes color of
-16 bit, which Pillow cannot.
+Pillow decodes what it can hold, OpenCV color and PNG of 16 bit and TIFF of floating point, which Pillow cannot.
 """
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import re
+import warnings
+from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
-from typing import Any, cast
+from typing import IO, TYPE_CHECKING, Any, cast
 
 import cv2
 import numpy as np
@@ -17,26 +20,36 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image as Image
-from depthcli.io.formats.files import naming, read_bytes, write_bytes
-from depthcli.io.formats.headers import (
-    ImageSize,
-    check_png,
-    check_size,
-    decoding,
-    holds_floats,
-    image_kind,
-    image_size,
-    open_with_pillow,
-    pnm_header,
-)
+from depthcli.core.frames import StereoPair, luma
+from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, write_bytes
+
+if TYPE_CHECKING:
+    from PIL.ImageFile import ImageFile
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".pnm", ".tif", ".tiff", ".bmp")
 """File name endings that scene folders are searched for, best known first."""
 
-_MAX_TEXT_BYTES = 1 << 25  # every number takes 50 bytes while it is read
-_JPEG_MARKER = re.compile(rb"\xff+([^\x00\xff])")  # a coded 0xff is followed by 0, and markers by fill bytes of 0xff
-_ARITHMETIC = (0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF)  # markers of frames with arithmetic codes
-_OTHER_BITS = bytes(range(7, 247, 5)) * 2  # put after every scan, to see whether a decoder needs more bits
+NPY_MAGIC = b"\x93NUMPY"
+
+_KINDS = {
+    "Png": (b"\x89PNG\r\n\x1a\n",),
+    "Jpeg": (b"\xff\xd8",),
+    "Pnm": (b"P2", b"P3", b"P5", b"P6"),
+    "Tiff": (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
+    "Bmp": (b"BM",),
+    "Pfm": (b"Pf", b"PF"),
+    "Npy": (NPY_MAGIC,),
+}
+_PNM_HEADER = re.compile(rb"P\d(?:\s|#[^\n]*\n)+" + rb"(\d{1,9})(?:\s|#[^\n]*\n)+" * 2 + rb"(\d{1,9})\s")
+# Comment lines, as some programs write them, may stand between the numbers.
+_PFM_GAP = rb"\s+(?:#[^\n]*\n\s*)*"
+_PFM_HEADER = re.compile(rb"(P[fF])" + (_PFM_GAP + rb"(\d{1,9})") * 2 + _PFM_GAP + rb"([-+0-9.eE]{1,40})(?:\r\n|\s)")
+_HEADER_BYTES = 1 << 14  # first part of a file, which nearly always holds the size of the image
+_MAX_DECODED_BYTES = 1 << 30
+# Decoded bytes a stored one: 12 bits of LZW stand for up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
+_MAX_EXPANSION = 3000
+_MAX_TEXT_BYTES = 1 << 25  # of a plain PGM or PPM: every number takes 50 bytes while it is read
+_WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILES, _FORMAT, _FLOATS = 256, 257, 258, 277, (322, 323), 339, 3  # tags of TIFF
 
 
 def read_image(path: Path | str) -> Image:
@@ -49,7 +62,7 @@ def read_image(path: Path | str) -> Image:
     Raises
     ------
     InputError
-        Not readable, not an image, truncated or damaged, larger than 2 GiB when decoded, or neither 8 nor 16 bit; one
+        Not readable, not an image, truncated or damaged, larger than 1 GiB when decoded, or neither 8 nor 16 bit; one
         line that names the file.
     """
     data = read_bytes(path)
@@ -74,11 +87,54 @@ def decode_grey(data: bytes) -> Image:
     """Return what :func:`read_grey` does, from the bytes of a file."""
     pixels = decode_image(data)
     if pixels.ndim == 3:
-        first = pixels[..., 0]
-        if not (np.array_equal(first, pixels[..., 1]) and np.array_equal(first, pixels[..., 2])):
+        if not (pixels == pixels[..., :1]).all():
             raise InputError("a colour image, want one channel of codes")
-        return cast(Image, np.ascontiguousarray(first))
+        return cast(Image, np.ascontiguousarray(pixels[..., 0]))
     return pixels
+
+
+def decode_image(data: bytes) -> Image:
+    """Return what :func:`read_image` does, from the bytes of a file."""
+    kind = image_kind(data)
+    if kind in ("Pfm", "Npy"):
+        raise InputError(f"a map of numbers ({kind.lower()}), want an image")
+    if kind == "Pnm":
+        return _decode_pnm(data)
+    if kind == "Tiff":
+        bits, is_float = _check_tiff(data)
+        if is_float or bits > 16:
+            raise InputError(f"samples of {bits} bit ({'floating point' if is_float else 'integers'}), want 8 or 16")
+    with _decoding(kind):
+        if kind == "Png":
+            _with_pillow(BytesIO(data), kind).verify()  # the checksums of all chunks
+        image = _with_pillow(BytesIO(data), kind)
+        is_wide = ";16" in str(image.tile[0][3]) and (kind == "Png" or not image.mode.startswith("I;16"))
+        _check_size(image.height, image.width, len(image.getbands()) * (2 if is_wide else 1), len(data))
+        if is_wide:
+            pixels = _with_opencv(data)
+            if pixels.ndim == 3:  # grey with transparency comes as color
+                pixels = pixels[..., 0] if image.mode in ("LA", "La", "I;16") else pixels[..., 2::-1]
+        elif image.mode in ("1", "LA", "La"):
+            pixels = np.array(image.convert("L"))  # a copy: kernels are compiled apart for read-only arrays
+        else:
+            is_plain = image.mode in ("L", "RGB") or image.mode.startswith("I;16")
+            pixels = np.array(image if is_plain else image.convert("RGB"))
+    if pixels.dtype.kind != "u" or pixels.dtype.itemsize > 2 or image.mode == "F":
+        raise InputError("samples of 32 bit, or signed ones; want 8 or 16 bit")
+    return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype.itemsize == 1 else np.uint16))
+
+
+def decode_bits(data: bytes) -> NDArray[np.uint8]:
+    """Return the (H, W) values of a PNG of one channel of 8 bit, which may be numbers in a palette."""
+    if image_kind(data) != "Png":
+        raise InputError("want a PNG of status bits")
+    with _decoding("Png"):
+        _with_pillow(BytesIO(data), "Png").verify()
+        image = _with_pillow(BytesIO(data), "Png")
+        _check_size(image.height, image.width, 1, len(data))
+        if image.mode not in ("P", "L"):
+            raise InputError("want a PNG of status bits, one channel of 8 bit")
+        return np.array(image, np.uint8)
 
 
 def decode_floats(data: bytes) -> NDArray[np.float32] | None:
@@ -86,18 +142,39 @@ def decode_floats(data: bytes) -> NDArray[np.float32] | None:
 
     Numbers of 64 bit become the nearest of 32 bit, infinite beyond their range.
     """
-    if not holds_floats(data):
+    if image_kind(data) != "Tiff" or not _check_tiff(data)[1]:
         return None
-    size = image_size(data)
-    check_size(size, len(data))
-    if size.channels != 1 or size.bits not in (32, 64):
-        raise InputError(f"{size.channels} x {size.bits} bit floating point, want one channel of 32 or 64")
-    # Pillow knows no numbers of 64 bit, and swaps the bytes of compressed big-endian ones twice.
-    pixels = _decode_with_opencv(data)
-    if pixels is None or pixels.dtype.kind != "f" or pixels.shape != (size.height, size.width):
-        raise InputError("damaged TIFF image (cannot be decoded)")
+    with _decoding("Tiff"):
+        pixels = _with_opencv(data)  # Pillow knows no numbers of 64 bit, and swaps some bytes twice
+    if pixels.ndim != 2 or pixels.dtype not in (np.float32, np.float64):
+        raise InputError(f"floating point, {pixels.shape} {pixels.dtype}: want one channel of 32 or 64 bit")
     with np.errstate(over="ignore"):
         return pixels.astype(np.float32)
+
+
+def image_size(path: Path | str) -> tuple[int, int]:
+    """Return height and width of an image or map by the first bytes of its file; nothing is decoded.
+
+    Raises
+    ------
+    InputError
+        Not readable, of no kind that is read, or a header that makes no sense.
+    """
+    with open_regular(path) as file, naming(path):
+        data = file.read(_HEADER_BYTES)
+        kind = image_kind(data)
+        file.seek(0)
+        if kind in ("Pnm", "Pfm"):
+            return (pnm_header if kind == "Pnm" else pfm_header)(data)[0][:2]
+        with _decoding(kind):
+            if kind == "Npy":
+                shape = np.load(path, mmap_mode="r").shape
+                return int(shape[0]), int(shape[1])
+            if kind == "Tiff":
+                tags = _tiff_tags(file)
+                return int(tags[_HEIGHT]), int(tags[_WIDTH])
+            image = _with_pillow(file, kind)
+            return image.height, image.width
 
 
 def write_png(path: Path | str, array: NDArray[Any]) -> None:
@@ -117,115 +194,194 @@ def png_bytes(array: NDArray[Any]) -> bytes:
     return code.tobytes()
 
 
-def decode_image(data: bytes) -> Image:
-    """Return what :func:`read_image` does, from the bytes of a file."""
+def read_pair(left: Path | str, right: Path | str) -> StereoPair:
+    """Return a rectified pair; the range of 10- and 12-bit samples in 16-bit files is declared or found.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_image`, or the images differ in size or type.
+    """
+    images, declared = [], []
+    for path in (left, right):
+        data = read_bytes(path)
+        with naming(path):
+            images.append(decode_image(data))
+            declared.append(_declared_bits(data))
+    bits = declared[0] if declared[0] == declared[1] else None
+    return pair_of(images[0], images[1], (Path(left), Path(right)), bits)
+
+
+def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int | None = None) -> StereoPair:
+    """Return two images as a pair; where one is grey and the other color, both become grey.
+
+    Parameters
+    ----------
+    paths : the files, for messages
+    declared : bits of the samples, where the files say them
+
+    Raises
+    ------
+    InputError
+        The images differ in size or type.
+    """
+    if left.shape[:2] != right.shape[:2] or left.dtype != right.dtype:
+        first, second = (
+            f"{image.shape[1]} x {image.shape[0]} {'grey' if image.ndim == 2 else 'colour'} {image.dtype}"
+            for image in (left, right)
+        )
+        raise InputError(f"{shown(paths[1])}: {second}, but {shown(paths[0].name)} is {first}; the pair must agree")
+    bits = sample_bits(left, right, declared=declared)
+    if left.ndim != right.ndim:
+        # Grey levels of one scale: luma of the color image, in as many bits as it is stored.
+        left, right = luma(left), luma(right)
+    return StereoPair(left, right, bits)
+
+
+def sample_bits(*images: Image, declared: int | None = None) -> int:
+    """Return the bits of the samples of images that share one scale: 8, 16, or what 16-bit files hold.
+
+    Parameters
+    ----------
+    images : uint8 or uint16, of one type
+    declared : what the files say; believed where no sample is larger
+
+    Returns
+    -------
+    ``declared``; else 10 or 12 where no sample of any image is larger than 1023 or 4095; else the type's bits
+    """
+    if images[0].dtype == np.uint8:
+        return 8
+    top = max(int(image.max()) for image in images)
+    if declared is not None and declared <= 16 and top < 1 << declared:
+        return declared
+    return next((used for used in (10, 12) if top < 1 << used), 16)
+
+
+def _declared_bits(data: bytes) -> int | None:
+    """Return the bits of a sample that carry something, where a PNG (sBIT) or PNM (its maximum) says so; else None.
+
+    A maximum of all ones says nothing: most programs write it whatever the camera gave.
+    """
     kind = image_kind(data)
-    if kind in ("pfm", "npy"):
-        raise InputError(f"a map of numbers ({kind}), want an image")
-    size = image_size(data)
-    check_size(size, len(data))
-    if kind == "tiff" and (size.bits not in (8, 16) or holds_floats(data)):
-        of = "floating point" if holds_floats(data) else "integers"
-        raise InputError(f"samples of {size.bits} bit ({of}), want 8 or 16 bit")
-    if kind == "pnm":
-        return _decode_pnm(data)
-    if kind == "jpeg":
-        return _decode_jpeg(data)
-    if kind == "png":
-        data = check_png(data)
-    if size.bits == 16 and (size.channels > 1 or kind == "png"):
-        return _decode_16bit(data, kind, size)
-    return _decode_with_pillow(data, kind)
+    if kind == "Png" and (at := data.find(b"sBIT", 0, max(data.find(b"IDAT"), 0))) > 0:
+        return max(data[at + 4 : at + 4 + data[at - 1]], default=0) or None
+    top = pnm_header(data)[1] if kind == "Pnm" else 255
+    return None if top in (255, 65535) else top.bit_length()
 
 
-def _decode_with_pillow(data: bytes, kind: str) -> Image:
-    image = open_with_pillow(data)
-    if image.mode in ("I", "F"):
-        raise InputError("samples of 32 bit, or signed ones; want 8 or 16 bit")
-    with decoding(kind):
-        image.load()
-        if image.mode in ("1", "LA", "La"):
-            pixels = np.array(image.convert("L"))  # a copy: kernels are compiled apart for read-only arrays
-        elif image.mode in ("L", "RGB") or image.mode.startswith("I;16"):
-            pixels = np.array(image)
-        else:
-            pixels = np.array(image.convert("RGB"))
-    return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype == np.uint8 else np.uint16))
+def image_kind(data: bytes) -> str:
+    """Return the kind of file that begins with ``data``, a key of ``_KINDS``; InputError where it is none."""
+    for kind, magics in _KINDS.items():
+        if data.startswith(magics):
+            return kind
+    if data.startswith(b"\x76\x2f\x31\x01"):
+        raise InputError("an OpenEXR image, which is not read; convert it to PFM, npy or a 16-bit PNG")
+    raise InputError("not a PNG, JPEG, PGM, PPM, TIFF or BMP image, nor a PFM or npy map" if data else "empty file")
 
 
-def _jpeg_scan_ends(data: bytes) -> list[int]:
-    # Where the Huffman codes of every scan and restart interval end; none for arithmetic codes, which may end early.
-    ends = []
-    at, coded, restarts = 2, False, 0
-    while (match := _JPEG_MARKER.search(data, at)) is not None:
-        marker, at = match[1][0], match.end()
-        if coded:
-            ends.append(match.start())
-        if marker == 0xD9:
-            return ends
-        if 0xD0 <= marker <= 0xD7:
-            if (marker - restarts) % 8:
-                raise InputError("damaged JPEG (a restart interval is missing)")
-            restarts += 1
-            continue
-        if marker == 0x01:
-            continue
-        if marker in _ARITHMETIC:
-            return []
-        at += int.from_bytes(data[at : at + 2], "big")
-        coded, restarts = marker == 0xDA, 0
-    raise InputError("truncated JPEG")
+def pnm_header(data: bytes) -> tuple[tuple[int, int, int], int, int]:
+    """Return shape, largest sample, and where the samples begin, of a grey or color Netpbm image."""
+    header = _PNM_HEADER.match(data)
+    width, height, top = (int(text) for text in header.groups()) if header else (0, 0, 0)
+    if header is None or not (width and height and 0 < top < 65536):
+        raise InputError(f"bad PGM/PPM header ({width} x {height}, maximum {top})")
+    return (height, width, 3 if data[:2] in (b"P3", b"P6") else 1), top, header.end()
 
 
-def _decode_jpeg(data: bytes) -> Image:
-    ends = _jpeg_scan_ends(data)
-    pixels = _decode_with_pillow(data, "jpeg")
-    # A scan that ends early is filled up with grey without a warning. With other bits after it, it is filled with
-    # something else; bits after a complete scan are passed over.
-    parts = [data[a:b] for a, b in zip([0, *ends], [*ends, len(data)], strict=True)]
-    if not np.array_equal(pixels, _decode_with_pillow(_OTHER_BITS.join(parts), "jpeg")):
-        raise InputError("damaged JPEG image (some of its pixels are missing)")
-    return pixels
-
-
-def _decode_16bit(data: bytes, kind: str, size: ImageSize) -> Image:
-    pixels = _decode_with_opencv(data)
-    if pixels is None or pixels.dtype != np.uint16:
-        raise InputError(f"damaged {kind.upper()} image (cannot be decoded)")
-    if pixels.ndim == 3:  # grey with transparency comes as color
-        pixels = pixels[..., 0] if size.channels < 3 else pixels[..., 2::-1]
-    return cast(Image, np.ascontiguousarray(pixels))
-
-
-def _decode_with_opencv(data: bytes) -> NDArray[Any] | None:
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+def pfm_header(data: bytes) -> tuple[tuple[int, int, int], str, int]:
+    """Return shape, dtype, and where the values begin, of a PFM map; the sign of its scale says the byte order."""
+    header = _PFM_HEADER.match(data)
     try:
-        with decoding(image_kind(data)):
-            return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    finally:
-        cv2.utils.logging.setLogLevel(level)
+        scale = float(header[4]) if header else 0.0
+    except ValueError:
+        scale = 0.0
+    if header is None or not (int(header[2]) and int(header[3])) or not 0 < abs(scale) < np.inf:
+        raise InputError("bad PFM header")
+    dtype = "<f4" if scale < 0 else ">f4"
+    return (int(header[3]), int(header[2]), 3 if header[1] == b"PF" else 1), dtype, header.end()
 
 
 def _decode_pnm(data: bytes) -> Image:
-    (height, width, channels, bits), top, start = pnm_header(data)
-    count = height * width * channels
+    shape, top, start = pnm_header(data)
+    height, width, channels = shape
+    dtype, count = np.dtype(np.uint16 if top > 255 else np.uint8), height * width * channels
     samples: NDArray[Any]
-    if data[:2] in (b"P2", b"P3"):
-        if len(data) > _MAX_TEXT_BYTES:
-            raise InputError("too large for a plain PGM/PPM; store it as a binary one (P5, P6)")
-        words = data[start:].split(maxsplit=count)[:count]
-        if len(words) < count:
-            raise InputError(f"truncated: {len(words)} samples where {count} are announced")
-        if not all(word.isdigit() and len(word) < 9 for word in words):
-            raise InputError("damaged plain PGM/PPM (not a number)")
-        samples = np.array(words).astype(np.uint32)
-    else:
-        dtype = np.dtype(f">u{bits // 8}")
-        missing = count * dtype.itemsize - (len(data) - start)
-        if missing > 0:
-            raise InputError(f"truncated: {missing} bytes are missing")
-        samples = np.frombuffer(data, dtype, count, start)
+    try:
+        if data[:2] in (b"P2", b"P3"):
+            if len(data) > _MAX_TEXT_BYTES:
+                raise InputError("too large for a plain PGM/PPM; store it as a binary one (P5, P6)")
+            samples = np.array(data[start:].split(maxsplit=count)[:count]).astype(np.uint32)
+        else:
+            samples = np.frombuffer(data, dtype.newbyteorder(">"), count, start)
+        samples = samples.reshape(shape if channels == 3 else shape[:2])
+    except ValueError as error:
+        raise InputError(f"truncated or damaged PGM/PPM ({error})") from None
     if samples.max() > top:
         raise InputError(f"damaged PGM/PPM (sample above the announced maximum {top})")
-    shape = (height, width) if channels == 1 else (height, width, channels)
-    return cast(Image, samples.astype(f"u{bits // 8}").reshape(shape))
+    return cast(Image, samples.astype(dtype))
+
+
+def _check_size(height: int, width: int, bytes_a_pixel: int, stored: int) -> None:
+    """Refuse an image that cannot be in a file of ``stored`` bytes, or takes too much memory to decode."""
+    decoded = height * width * bytes_a_pixel
+    if decoded > _MAX_EXPANSION * stored:
+        raise InputError(f"damaged image (claims {width} x {height} pixels in {stored} bytes)")
+    if decoded > _MAX_DECODED_BYTES:
+        raise InputError(f"too large: {width} x {height} pixels take {decoded >> 20} MiB when decoded")
+
+
+def _check_tiff(data: bytes) -> tuple[int, bool]:
+    """Return the bits of a sample of a TIFF, and whether it is of floating point; refuse one that is too large."""
+    tags = _tiff_tags(BytesIO(data))
+    with _decoding("Tiff"):
+        height, width, samples = int(tags[_HEIGHT]), int(tags[_WIDTH]), int(tags.get(_SAMPLES, 1))
+        bits, tile = int(tags.get(_BITS, (1,))[0]), [int(tags.get(tag, 0)) for tag in _TILES]
+        is_float = _FLOATS in tuple(tags.get(_FORMAT, (1,)))
+    if tile[0] * tile[1] > max(4 * width * height, 1 << 22):
+        raise InputError(f"damaged TIFF image (tiles of {tile[0]} x {tile[1]} pixels)")
+    _check_size(height, width, samples * max(bits // 8, 1), len(data))
+    return bits, is_float
+
+
+def _tiff_tags(file: IO[bytes]) -> Any:
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    with _decoding("Tiff"):
+        head = file.read(16)
+        tags: Any = ImageFileDirectory_v2(head[: 16 if 43 in head[2:4] else 8])
+        file.seek(tags.next)
+        tags.load(file)
+        return tags
+
+
+def _with_pillow(file: IO[bytes], kind: str) -> ImageFile:
+    # Classes are called directly: Image.open has a limit of its own for the number of pixels, and loads all formats.
+    module = importlib.import_module(f"PIL.{kind}ImagePlugin")
+    opened: ImageFile = getattr(module, f"{kind}ImageFile")(file)
+    return opened
+
+
+def _with_opencv(data: bytes) -> NDArray[Any]:
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        pixels: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if pixels is None:
+        raise InputError("damaged image (cannot be decoded)")
+    return pixels
+
+
+@contextlib.contextmanager
+def _decoding(kind: str) -> Iterator[None]:
+    """Make an :class:`InputError` of whatever a decoder raises on damaged data; its warnings are dropped."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except InputError:
+        raise
+    except Exception as error:  # decoders raise many kinds, SyntaxError and MemoryError among them
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"damaged {kind.upper()} image ({reason})") from error

@@ -12,10 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.errors import InputError
 from depthcli.core.maps import DepthStatus, Status
 from depthcli.io.formats.files import naming, read_bytes, write_bytes
-from depthcli.io.formats.headers import check_png, check_size, decoding, image_kind, image_size, open_with_pillow
+from depthcli.io.formats.images import decode_bits
 
 Palette = Mapping[int, tuple[str, tuple[int, int, int]]]
 """Bit -> (word, RGB color); 0 is a pixel without any. The first of several bits gives the color, others tint it."""
@@ -80,14 +79,7 @@ def read_status(path: Path | str) -> NDArray[np.uint8]:
     """
     data = read_bytes(path)
     with naming(path):
-        if image_kind(data) != "png":
-            raise InputError("want a PNG of status bits")
-        check_size(image_size(data), len(data))
-        picture = open_with_pillow(check_png(data))
-        if picture.mode not in ("P", "L"):
-            raise InputError("want a PNG of status bits, one channel of 8 bit")
-        with decoding("png"):
-            return np.array(picture, np.uint8)
+        return decode_bits(data)
 
 
 def status_color(value: int, palette: Palette) -> tuple[int, int, int]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+import reprlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.core.text import short
 
 _MAX_SIDE = 1 << 20  # pixels; no image is as wide
 
@@ -54,9 +54,15 @@ def numbers(value: Any, name: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np
     count = int(np.prod(shape))
     if not array.size or count not in (-1, array.size) or not np.isfinite(array).all():
         wanted = {-1: "finite numbers", 1: "1 number"}.get(count, f"{' x '.join(map(str, shape))} finite numbers")
-        shown = repr(value[:60]) if isinstance(value, str) else short(value)
-        raise InputError(f"{name}: want {wanted} (got {shown})")
+        raise InputError(f"{name}: want {wanted} (got {_shown(value)})")
     return array.reshape(shape)
+
+
+def _shown(value: Any) -> str:
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # Python writes no integer of more than 4300 digits, which YAML holds as 0x...
+        return "a number of thousands of digits"
 
 
 def image_sides(value: Any, name: str) -> tuple[int, int]:

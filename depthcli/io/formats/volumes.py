@@ -9,7 +9,10 @@ from __future__ import annotations
 import contextlib
 import gzip
 import os
+import re
+import struct
 import warnings
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,24 +22,24 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
-from depthcli.io.formats.files import atomic_path, naming, read_bytes, shown
-from depthcli.io.formats.headers import image_size
-from depthcli.io.formats.images import IMAGE_SUFFIXES, read_grey
-from depthcli.io.formats.nifti import check_whole, encode_header, read_header
+from depthcli.io.formats.files import atomic_path, naming, open_regular, read_bytes, shown
+from depthcli.io.formats.images import IMAGE_SUFFIXES, image_size, read_grey
 from depthcli.io.formats.plain_text import json_object, numbers
-from depthcli.io.formats.volume_headers import META_SUFFIXES, NRRD_SUFFIXES, check_volume, files_behind
 
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img")
 """Endings of volume files; ``.img`` is DIR-Lab's raw format, with its size in ``meta.json``."""
 
-_MAX_SIDE = 1 << 20  # voxels; no volume is as wide
 _ITK_READERS = {
     **dict.fromkeys((".nii", ".nii.gz"), "NiftiImageIO"),
-    **dict.fromkeys(META_SUFFIXES, "MetaImageIO"),
-    **dict.fromkeys(NRRD_SUFFIXES, "NrrdImageIO"),
+    **dict.fromkeys((".mha", ".mhd"), "MetaImageIO"),
+    **dict.fromkeys((".nrrd", ".nhdr"), "NrrdImageIO"),
 }
-
+_MAX_SIDE = 1 << 20  # voxels; no volume is as wide
 _MAX_SPACING = 1e12  # mm; 1e-12 is the smallest: squares of both are well within the range of 32 bit
+_NIFTI_FLOATS = {"16": "f4", "64": "f8"}  # by the header's datatype
+_HEADER_BYTES = 1 << 20  # first part of a MetaImage or NRRD file that is searched for the file with its values
+_MAX_LINE = 250  # characters in a header of MetaImage, whose library copies longer ones without a check
+_DATA_FILE = re.compile(rb"^(?:ElementDataFile\s*[=:]|data ?file:)[ \t]*([^\r\n]+)\r?\n?((?:[^\r\n]+\r?\n?)*)", re.M)
 
 Slab = Callable[[int, int], NDArray[np.float32]]
 """Slices ``first`` up to ``last`` of a volume, (n, Y, X), or (n, Y, X, 3) of a vector field."""
@@ -75,12 +78,12 @@ def read_volume(path: Path, vector: bool = False) -> Volume:
             return Volume(plane.astype(np.float32)[None], Grid((plane.shape[1], plane.shape[0], 1), (1.0, 1.0, 1.0)))
         if suffix_of(path) == ".img":
             return _dirlab(path)
-        bad = check_whole(path)
-        volume = _volume(read_image(path), vector)
-        if bad.size:
-            # In the file a field's components lie one after another.
-            in_order = np.moveaxis(volume.values, -1, 0) if vector else volume.values
-            in_order[np.unravel_index(bad[bad < in_order.size], in_order.shape)] = np.nan
+        image, unknown = read_itk(path)
+        volume = _volume(image, vector)
+        # In a NIfTI file a field's components lie one after another.
+        in_order = np.moveaxis(volume.values, -1, 0) if vector else volume.values
+        if unknown is not None:
+            in_order[unknown.reshape(in_order.shape)] = np.nan
         return volume
 
 
@@ -88,40 +91,49 @@ def read_grid(path: Path) -> Grid:
     """Return where the voxels of a volume are, by its header alone; InputError as :func:`read_volume`."""
     with naming(path):
         if suffix_of(path) in IMAGE_SUFFIXES:
-            plane = image_size(path)
-            return Grid((plane.width, plane.height, 1), (1.0, 1.0, 1.0))
+            height, width = image_size(path)
+            return Grid((width, height, 1), (1.0, 1.0, 1.0))
         if suffix_of(path) == ".img":
             return _dirlab_grid(path)
-        with _reader(path) as reader, library_errors():
-            reader.ReadImageInformation()
-        size, spacing = reader.GetSize()[:3], reader.GetSpacing()[:3]
+        reader = itk_header(path)
+        size, spacing = (*reader.GetSize()[:3], 1)[:3], (*reader.GetSpacing()[:3], 1.0)[:3]
         if not 2 <= reader.GetDimension() <= 4 or not all(1 / _MAX_SPACING <= s <= _MAX_SPACING for s in spacing):
             raise InputError(f"{reader.GetDimension()}-D, with a spacing of {spacing}")
-        size, spacing = (*size, 1)[:3], (*spacing, 1.0)[:3]
         return Grid((size[0], size[1], size[2]), (spacing[0], spacing[1], spacing[2]))
 
 
-def read_image(path: Path) -> Any:
-    """Return the SimpleITK image; InputError with the reason in one line."""
-    with _reader(path) as reader, library_errors():
-        return reader.Execute()
+def read_itk(path: Path) -> tuple[Any, NDArray[np.bool_] | None]:
+    """Return the SimpleITK image of a file, and which numbers of a NIfTI file are not finite, which ITK makes 0.
+
+    The latter is None where all are finite, and else flat, in the order of the file.
+    """
+    reader = itk_header(path)
+    unknown = _unknown_in_nifti(path, reader) if suffix_of(path) in (".nii", ".nii.gz") else None
+    with library_errors():
+        return reader.Execute(), unknown
 
 
-def files_read_with(path: Path) -> tuple[Path, ...]:
-    """Return the files that are read beside a volume: those with its values, or with its size."""
-    return (path.with_name("meta.json"),) if suffix_of(path) == ".img" else files_behind(path)
+def itk_header(path: Path) -> Any:
+    """Return SimpleITK's reader of a file, with its header read; it tries no other format than that of the ending.
 
-
-@contextlib.contextmanager
-def _reader(path: Path) -> Iterator[Any]:
-    """Give SimpleITK's reader of a file whose header was checked; it tries no other format than that of the ending."""
+    Raises
+    ------
+    InputError
+        One line with the reason that SimpleITK gives.
+    """
     kind = suffix_of(path)
     if kind not in _ITK_READERS:
         raise InputError(f"no volume of a kind that is read; want {' '.join(VOLUME_SUFFIXES)}")
-    if kind.startswith(".nii"):
-        read_header(path)
-    else:
-        check_volume(path)
+    if kind in (".mha", ".mhd"):
+        with open_regular(path) as stream:
+            header = stream.read(_HEADER_BYTES).partition(b"ElementDataFile")[0]
+        if any(len(line) > _MAX_LINE for line in header.splitlines()):
+            raise InputError(f"a line of over {_MAX_LINE} characters in its header")
+    for file in (path, *files_read_with(path)):
+        if not file.is_relative_to(path.parent) or ".." in file.relative_to(path.parent).parts:
+            raise InputError(f"its values lie in {file.name}, which is not in its own folder")
+        with open_regular(file):  # the library would wait for the other end of a pipe
+            pass
     try:
         str(path).encode()
     except UnicodeEncodeError:
@@ -129,7 +141,48 @@ def _reader(path: Path) -> Iterator[Any]:
     reader = simple_itk().ImageFileReader()
     reader.SetImageIO(_ITK_READERS[kind])
     reader.SetFileName(str(path))
-    yield reader
+    with library_errors():
+        reader.ReadImageInformation()
+    return reader
+
+
+def files_read_with(path: Path) -> tuple[Path, ...]:
+    """Return the files that are read beside a volume: those with its values, or ``meta.json`` with its size."""
+    if suffix_of(path) == ".img":
+        return (path.with_name("meta.json"),)
+    if path.suffix.lower() not in (".mha", ".mhd", ".nrrd", ".nhdr"):
+        return ()
+    try:
+        with open_regular(path) as file:
+            found = _DATA_FILE.search(file.read(_HEADER_BYTES))
+    except InputError:  # reading the volume says what is wrong
+        return ()
+    name = os.fsdecode(found[1]).strip() if found else "LOCAL"
+    if found and name.split()[0] == "LIST":
+        return tuple(path.parent / each.strip() for each in os.fsdecode(found[2]).splitlines() if each.strip())
+    if "%" in name:  # a pattern of numbered files
+        return tuple(sorted(path.parent.glob(re.sub(r"%\d*d", "*", name.split()[0]))))
+    return () if name in ("LOCAL", "Local", "local") else (path.parent / name,)
+
+
+def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.bool_] | None:
+    """Return which numbers are not finite; InputError where the file is cut off, which ITK fills up with zeros."""
+    kind = _NIFTI_FLOATS.get(reader.GetMetaData("datatype"))
+    n_values = int(np.prod(reader.GetSize())) * reader.GetNumberOfComponents()
+    item = int(reader.GetMetaData("bitpix")) // 8 if kind is None else int(kind[1])
+    offset = int(float(reader.GetMetaData("vox_offset")))
+    try:
+        with gzip.open(path) if path.name.lower().endswith(".gz") else open(path, "rb") as file:
+            data = file.read()
+    except (OSError, EOFError, zlib.error):
+        raise InputError("cut off, or not a gzip file") from None
+    if len(data) < offset + n_values * item:
+        raise InputError(f"cut off: {len(data)} bytes, its header promises {offset + n_values * item}")
+    if kind is None:
+        return None
+    order = "<" if data[:2] == struct.pack("<h", 348) else ">"
+    known = np.isfinite(np.frombuffer(data, order + kind, n_values, offset))
+    return None if known.all() else ~known
 
 
 @contextlib.contextmanager
@@ -143,10 +196,6 @@ def library_errors() -> Iterator[None]:
     except Exception as error:  # besides RuntimeError, UnicodeDecodeError of its own messages and TypeError
         lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
         reason = next((line.partition("ERROR: ")[2] or line for line in lines if "ERROR" in line), lines[-1])
-        if "spacing" in str(error):
-            reason = "a spacing of 0"
-        if not isinstance(error, RuntimeError):
-            reason = "damaged"
         raise InputError(f"cannot be read ({reason.partition('): ')[2] or reason})"[:300]) from None
 
 
@@ -246,7 +295,7 @@ def write_volume(path: Path, grid: Grid, slab: Slab, vector: bool = False) -> No
         if kind in (".nii.gz", ".nrrd"):
             packed = stack.enter_context(gzip.GzipFile("", "wb", 1, file, mtime=0))
         if nifti:
-            packed.write(encode_header(grid, vector))
+            packed.write(_nifti_header(grid, vector))
         for part in range(3) if vector and nifti else (slice(None),):  # NIfTI has the components one after another
             for first in range(0, grid.shape[0], step):
                 values = slab(first, min(first + step, grid.shape[0]))
@@ -284,3 +333,48 @@ def _nrrd_header(grid: Grid, vector: bool) -> bytes:
         f"space directions: {directions}\nkinds: {kinds}\nendian: little\nencoding: gzip\n"
         f"space origin: ({','.join(f'{v:.17g}' for v in grid.origin)})\n\n"
     ).encode("ascii")
+
+
+def _nifti_header(grid: Grid, vector: bool) -> bytes:
+    """Return the header of a float32 volume, or of a vector field (intent 1007)."""
+    header = bytearray(352)  # with the four that say whether extensions follow
+    struct.pack_into("<i", header, 0, 348)
+    x, y, z = grid.size
+    struct.pack_into("<8h", header, 40, *((5, x, y, z, 1, 3, 1, 1) if vector else (3, x, y, z, 1, 1, 1, 1)))
+    struct.pack_into("<3h", header, 68, 1007 if vector else 0, 16, 32)
+    axes = np.diag([-1.0, -1.0, 1.0]) @ grid.axes  # RAS
+    origin = np.array([-1.0, -1.0, 1.0]) * np.array(grid.origin)
+    flip = -1.0 if np.linalg.det(axes) < 0 else 1.0
+    rotation = axes.copy()
+    rotation[:, 2] *= flip
+    struct.pack_into("<8f", header, 76, flip, *grid.spacing, 1, 1, 1, 1)
+    struct.pack_into("<f", header, 108, 352.0)
+    struct.pack_into("<f", header, 112, 1.0)
+    header[123] = 2  # mm
+    struct.pack_into("<2h", header, 252, 1, 1)
+    struct.pack_into("<6f", header, 256, *_quaternion(rotation), *origin)
+    affine = np.column_stack([axes * np.array(grid.spacing), origin])
+    struct.pack_into("<12f", header, 280, *affine.ravel())
+    header[344:348] = b"n+1\0"
+    return bytes(header)
+
+
+def _quaternion(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
+    """b, c, d of a proper rotation, with a >= 0 (the NIfTI standard's method)."""
+    trace = float(np.trace(rotation))
+    if trace > -0.5:
+        a = 0.5 * np.sqrt(max(1 + trace, 0.0))
+        skew = rotation - rotation.T
+        b, c, d = np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / (4 * a)
+        return float(b), float(c), float(d)
+    diagonal = np.diag(rotation)
+    k = int(np.argmax(diagonal))
+    i, j = (k + 1) % 3, (k + 2) % 3
+    root = np.sqrt(max(1 + diagonal[k] - diagonal[i] - diagonal[j], 0.0))
+    q = np.zeros(3)
+    q[k] = 0.5 * root
+    q[i] = (rotation[i, k] + rotation[k, i]) / (2 * root)
+    q[j] = (rotation[j, k] + rotation[k, j]) / (2 * root)
+    if rotation[j, i] - rotation[i, j] < 0:
+        q = -q
+    return float(q[0]), float(q[1]), float(q[2])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.io.formats.npy import map_npy
+from depthcli.io.formats.disparity import map_npy
 from depthcli.io.layouts import Folder, Layout
 from depthcli.io.layouts._trees import existing
 from depthcli.io.scenes import Scene, check_same_size

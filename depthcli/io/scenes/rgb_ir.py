@@ -43,9 +43,9 @@ class RgbIrScene(RgbdScene):
             As for :meth:`load`; no calibration, or one that does not fit the images.
         """
         from depthcli.core.frames import RgbIrFrame, infrared_image
+        from depthcli.io.formats.calibrations import read_color_infrared_rig
         from depthcli.io.formats.depth import check_fb
         from depthcli.io.formats.images import read_image
-        from depthcli.io.formats.rigs import read_color_infrared_rig
 
         frame = self.load()
         if self.calibration is None:

@@ -106,10 +106,10 @@ class RgbdScene(Scene):
         if self.hidden is not None:
             files["hidden"] = self.hidden
         if self.calibration is not None:
-            from depthcli.io.formats.kinect import files_read_with
+            from depthcli.io.formats.calibrations import kinect_files_beside
 
             files["calibration"] = self.calibration
-            files |= {f"calibration: {file.name}": file for file in files_read_with(self.calibration) if self.raw}
+            files |= {f"calibration: {file.name}": file for file in kinect_files_beside(self.calibration) if self.raw}
         return files
 
     @property
@@ -119,10 +119,9 @@ class RgbdScene(Scene):
 
     def frame_size(self) -> tuple[int, int]:
         """Return (height, width) of the frame by an image's header alone; InputError where it cannot be read."""
-        from depthcli.io.formats.headers import image_size
+        from depthcli.io.formats.images import image_size
 
-        size = image_size(self.image)
-        return size.height, size.width
+        return image_size(self.image)
 
     def load(self) -> RgbdFrame:
         """Return color and depth of one size, depth in meters and registered to the color, or depth alone.
@@ -273,7 +272,8 @@ class RgbdScene(Scene):
         import cv2
 
         from depthcli.core.cameras.kinect import kinect_v1
-        from depthcli.io.formats.kinect import read_kinect_calibration, read_kinect_raw
+        from depthcli.io.formats.calibrations import read_kinect_calibration
+        from depthcli.io.formats.depth import read_kinect_raw
 
         raw = read_kinect_raw(self.depth)
         calibration = kinect_v1() if self.calibration is None else read_kinect_calibration(self.calibration)

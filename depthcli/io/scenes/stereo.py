@@ -198,7 +198,7 @@ class StereoScene(Scene):
 
     def load(self) -> StereoPair:
         """Return left and right image of one size and dtype, both grey where one is; InputError otherwise."""
-        from depthcli.io.formats.stereo_images import pair_of, read_pair
+        from depthcli.io.formats.images import pair_of, read_pair
 
         right = self._right()
         return (

@@ -108,13 +108,13 @@ class VolumePairScene(Scene):
     @property
     def input_files(self) -> dict[str, Path]:
         """Volumes, transform and the landmarks of the fixed volume, each with the files that its header names."""
-        from depthcli.io.formats import transforms, volumes
+        from depthcli.io.formats import fields, volumes
 
         roles = ("fixed", "moving_warped", "moving", "transform", "displacement", "mask", "landmarks_fixed")
         files: dict[str, Path] = {role: file for role in roles if (file := getattr(self, role)) is not None}
         files |= {f"mask_{name}": file for name, file in self.regions}
         for role, file in tuple(files.items()):
-            behind = volumes.files_read_with(file) + transforms.files_read_with(file)
+            behind = volumes.files_read_with(file) + fields.transform_files_read_with(file)
             files |= {f"{role}: {number}": each for number, each in enumerate(behind, 1)}
         return files
 
@@ -204,8 +204,7 @@ class VolumePairScene(Scene):
         """
         import numpy as np
 
-        from depthcli.io.formats.fields import read_moving_transform
-        from depthcli.io.formats.landmarks import read_landmarks
+        from depthcli.io.formats.fields import read_landmarks, read_moving_transform
         from depthcli.io.formats.volumes import read_volume
 
         self.check()
@@ -234,7 +233,7 @@ class VolumePairScene(Scene):
         """Return (N, 3) landmarks of the fixed volume, mm; None where there are none."""
         import numpy as np
 
-        from depthcli.io.formats.landmarks import read_landmarks
+        from depthcli.io.formats.fields import read_landmarks
 
         if self.landmarks_fixed is None:
             return None

@@ -1,4 +1,8 @@
-"""Calibrations of two cameras, as calibration programs store them, and those of a color and an infrared camera."""
+"""Calibrations as programs and data sets store them.
+
+Two cameras that are not rectified (OpenCV, ROS, Kalibr, KITTI), rectified pairs (Middlebury's ``calib.txt``, KITTI's
+projections, Booster's XML), color with infrared, and the cameras of a first-generation Kinect.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +15,25 @@ from xml.etree import ElementTree
 
 import cv2
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.camera import Camera, Intrinsics
+from depthcli.core.cameras.kinect import KinectCalibration
 from depthcli.core.cameras.rig import Rig
-from depthcli.core.config_file import parse_config
-from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.text import short
+from depthcli.core.cameras.triangulation import PairGeometry
+from depthcli.core.errors import InputError
+from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import naming, read_bytes, write_text
 from depthcli.io.formats.plain_text import image_sides, json_object, key_values, numbers
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Meters of the units that a translation may be stored in."""
 
+_MILLIMETERS = 1000.0
 _UNKNOWN = "no calibration of a kind that is known"
-_MAX_BYTES = 1 << 22  # a calibration has a few kilobytes
+_MAX_BYTES = 1 << 24  # a calibration has a few kilobytes
+_MAX_LISTS = 1000  # in YAML; a calibration has some tens
 _MAX_BASELINE = 20.0  # meters; a longer one is in another unit
 _SENSOR_BASELINES = (1e-4, 10.0)  # meters, of a color and an infrared camera; another one is in another unit
 # What the parts are called in files of OpenCV.
@@ -40,6 +48,13 @@ _NAMES = {
 # Distortion models of the programs' files: whether OpenCV's fisheye model is meant.
 _KALIBR = {"radtan": False, "equidistant": True, "equi": True, "none": False}
 _ROS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
+_KINECT = {
+    **dict.fromkeys(("depth_K", "color_K", "depth_to_color_R"), (3, 3)),
+    **dict.fromkeys(("depth_kc", "color_kc"), (5,)),
+    "depth_to_color_t": (3,),
+    "dc": (2,),
+    "dc_alpha": (2,),
+}
 
 
 def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, cameras: tuple[int, int] = (2, 3)) -> Rig:
@@ -61,13 +76,13 @@ def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, came
     texts = [read_bytes(path, _MAX_BYTES).decode("utf-8", "replace") for path in paths]
     with naming(paths[0]):
         if re.search(r"^K_0\d:", texts[0], re.MULTILINE):
-            rig = _kitti(key_values(texts[0]), cameras)
-        elif "cam0" in (files := [storage_fields(text) for text in texts])[0]:
-            rig = _kalibr(files[0])
+            rig = _kitti_rig(key_values(texts[0]), cameras)
+        elif "cam0" in (files := [_storage_fields(text) for text in texts])[0]:
+            rig = _kalibr_rig(files[0])
         elif "camera_matrix" in files[0]:
-            rig = _ros(files)
+            rig = _ros_rig(files)
         else:
-            rig = _opencv(files, UNITS[unit], fisheye)
+            rig = _opencv_rig(files, UNITS[unit], fisheye)
         if rig.baseline > _MAX_BASELINE:
             raise InputError(f"a baseline of {rig.baseline:g} m; is the translation in millimeters? give the unit mm")
         return rig
@@ -88,10 +103,62 @@ def write_calibration(path: Path, cameras: Sequence[Camera], rig: Rig | None = N
     if rig is not None:
         parts |= {"R": rig.rotation, "T": rig.translation[:, None]}
     for name, part in parts.items():
-        numbers_of = ", ".join(repr(float(value)) for value in part.ravel())
-        lines += [f"{name}: !!opencv-matrix", f"   rows: {part.shape[0]}", f"   cols: {part.shape[1]}", "   dt: d",
-                  f"   data: [ {numbers_of} ]"]  # fmt: skip
+        values = ", ".join(repr(float(value)) for value in part.ravel())
+        rows, columns = part.shape
+        lines += [f"{name}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {columns}", "   dt: d"]
+        lines.append(f"   data: [ {values} ]")
     write_text(path, "\n".join(lines) + "\n")
+
+
+def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry:
+    """Return how the disparities of a rectified pair become depth.
+
+    Parameters
+    ----------
+    path : ``calib.txt`` of Middlebury v3 or ETH3D (``cam0``, ``cam1``, ``doffs``, ``baseline`` in mm); Booster's XML
+        (``proj_matL``, ``baselineLR``); or KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:``
+        (DrivingStereo: ``P_rect_101:``)
+    cameras : numbers of the left and the right one among those of KITTI: 0, 1 grey, 2, 3 color (DrivingStereo: 101,
+        103)
+
+    Raises
+    ------
+    InputError
+        Not readable, of no known kind, or a number is missing or wrong; one line that names the file.
+    """
+    with naming(path):
+        text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
+        if text.lstrip().startswith("<"):
+            return _booster_geometry(_storage_fields(text))
+        fields = key_values(text)
+        if "cam0" in fields:
+            return _middlebury_geometry(fields)
+        if any(re.fullmatch(r"P(\d|_rect_\d{2,3})", key) for key in fields):
+            return _kitti_geometry(fields, cameras)
+        raise InputError("no calibration of a rectified pair that is known (Middlebury's cam0=, KITTI's P2:)")
+
+
+def write_geometry(path: Path, geometry: PairGeometry, max_disparity: int | None = None) -> None:
+    """Write ``calib.txt`` as Middlebury v3 has it (baseline in mm, ``ndisp`` the search range).
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    left = geometry.left
+    camera = "[{:.12g} 0 {:.12g}; 0 {:.12g} {:.12g}; 0 0 1]"
+    lines = {
+        "cam0": camera.format(left.fx, left.cx, left.fy, left.cy),
+        "cam1": camera.format(left.fx, left.cx + geometry.offset, left.fy, left.cy),
+        "doffs": f"{geometry.offset:.12g}",
+        "baseline": f"{geometry.baseline * _MILLIMETERS:.12g}",
+    }
+    if geometry.size is not None:
+        lines |= {"width": str(geometry.size[0]), "height": str(geometry.size[1])}
+    if max_disparity is not None:
+        lines["ndisp"] = str(max_disparity)
+    write_text(path, "".join(f"{key}={value}\n" for key, value in lines.items()))
 
 
 def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_size: tuple[int, int]) -> Rig | float:
@@ -117,16 +184,15 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
     text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
     with naming(path):
         if path.suffix.lower() in (".yml", ".yaml"):
-            stored = _opencv([storage_fields(text)], 1.0, False)
-            cameras = [stored.left, stored.right]
-            rotation, translation = stored.rotation, stored.translation
+            stored = _opencv_rig([_storage_fields(text)], 1.0, False)
+            cameras, rotation, translation = [stored.left, stored.right], stored.rotation, stored.translation
         else:
             fields = json_object(text)
             if fields.get("rectified") is True:
-                fb = fields.get("fb")
-                if isinstance(fb, bool) or not isinstance(fb, int | float) or not 0 < fb < 1e9:
-                    raise InputError(f"fb: want focal length x baseline, pixel meters (got {short(fb)})")
-                return float(fb)
+                fb = float(numbers(fields.get("fb"), "fb", (1,))[0])
+                if not 0 < fb < 1e9:
+                    raise InputError(f"fb: want focal length x baseline, pixel meters (got {fb:g})")
+                return fb
             cameras = [_json_camera(fields, "color", color_size), _json_camera(fields, "infrared", infrared_size)]
             rotation, translation = numbers(fields.get("R"), "R", (3, 3)), numbers(fields.get("t"), "t", (3,))
         color, infrared = (
@@ -137,6 +203,40 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
         if not low < (baseline := float(np.linalg.norm(translation))) < high:
             raise InputError(f"a baseline of {baseline:.3g} m; the translation is in meters")
         return Rig(color, infrared, rotation, translation)
+
+
+def read_kinect_calibration(path: Path) -> KinectCalibration:
+    """Return the calibration of Herrera et al.'s toolbox as JSON, with its distortion map ``dc_beta.npy`` beside it.
+
+    Raises
+    ------
+    InputError
+        A file is damaged, or a field is missing or of the wrong shape.
+    """
+    with naming(path):
+        fields = json_object(read_bytes(path))
+        arrays = {key: numbers(fields.get(key), key, shape) for key, shape in _KINECT.items()}
+        if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
+            raise InputError("singular: focal lengths and dc[1] must not be zero")
+        depth, color = (Camera(arrays[f"{k}_K"], tuple(arrays[f"{k}_kc"].tolist())) for k in ("depth", "color"))
+    beta = kinect_files_beside(path)
+    slope = arrays["dc"][1]
+    return KinectCalibration(
+        depth=depth,
+        color=color,
+        rotation=arrays["depth_to_color_R"],
+        translation=arrays["depth_to_color_t"],
+        offset=float(-arrays["dc"][0] / slope),
+        factor=float(-1.0 / slope),
+        beta=read_plane(beta[0]).astype(np.float64) if beta else None,
+        alpha=(float(arrays["dc_alpha"][0]), float(arrays["dc_alpha"][1])),
+    )
+
+
+def kinect_files_beside(path: Path) -> tuple[Path, ...]:
+    """Return the files that are read beside a Kinect calibration: ``dc_beta.npy``, where it is there."""
+    beta = path.with_name("dc_beta.npy")
+    return (beta,) if beta.is_file() else ()
 
 
 def _json_camera(fields: dict[str, Any], name: str, image_size: tuple[int, int]) -> Camera:
@@ -152,7 +252,7 @@ def _json_camera(fields: dict[str, Any], name: str, image_size: tuple[int, int])
     return Camera(matrix, tuple(_numbers(camera, "distortion", (-1,), name).tolist()))
 
 
-def storage_fields(text: str) -> dict[str, Any]:
+def _storage_fields(text: str) -> dict[str, Any]:
     """Return what a file of JSON, XML or YAML holds, as OpenCV's ``FileStorage``; InputError where it cannot be read.
 
     OpenCV's own reader is not used: for some damaged files it never ends, or ends the process.
@@ -166,17 +266,19 @@ def storage_fields(text: str) -> dict[str, Any]:
             parts = ElementTree.fromstring(text)
             fields = {part.tag: {each.tag: each.text or "" for each in part} or part.text or "" for part in parts}
         else:
-            fields = parse_config(re.sub(r"\A%YAML.*|!!opencv-[\w-]+", "", text), "YAML").data
-    except ConfigError as error:
-        raise InputError(f"{_UNKNOWN} ({error})") from error
-    except (ValueError, RecursionError, ElementTree.ParseError) as error:
-        raise InputError(f"{_UNKNOWN} ({type(error).__name__})") from error
+            text = re.sub(r"\A%YAML.*|!!opencv-[\w-]+", "", text)
+            # Lists thousands deep take hours, and a few aliases may stand for billions of numbers.
+            if text.count("[") > _MAX_LISTS or any(isinstance(each, yaml.AliasToken) for each in yaml.scan(text)):
+                raise InputError(f"{_UNKNOWN} (YAML with aliases, or too many lists)")
+            fields = yaml.safe_load(text)
+    except (ValueError, RecursionError, ElementTree.ParseError, yaml.YAMLError) as error:
+        raise InputError(f"{_UNKNOWN} ({' '.join(str(error).split())[:200]})") from error
     if not isinstance(fields, dict):
         raise InputError(f"{_UNKNOWN} (OpenCV, ROS, Kalibr, KITTI)")
     return fields
 
 
-def _opencv(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -> Rig:
+def _opencv_rig(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -> Rig:
     fields: dict[str, Any] = {}
     for file in files:
         model = f"{file.get('model')} {file.get('distortion_model')}".lower()
@@ -194,18 +296,20 @@ def _opencv(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -> Ri
         size = image_sides([fields["image_width"], fields["image_height"]], "image_width, image_height")
     elif "imageSize" in fields:
         size = image_sides(fields["imageSize"], "imageSize")
-    matrices = [_numbers(fields, names[f"K{n}"], (3, 3)) for n in (1, 2)]
-    lenses = [tuple(_numbers(fields, names[f"D{n}"], (-1,)).tolist()) for n in (1, 2)]
-    left, right = (Camera(matrices[k], lenses[k], size, fisheye) for k in (0, 1))
+    left, right = (
+        Camera(matrix, tuple(_numbers(fields, names[f"D{n}"], (-1,)).tolist()), size, fisheye)
+        for n in (1, 2)
+        for matrix in [_numbers(fields, names[f"K{n}"], (3, 3))]
+    )
     turn = _numbers(fields, names["R"], (-1,))
     matrix = turn if turn.size == 9 else cv2.Rodrigues(numbers(turn.tolist(), names["R"], (3,)))[0]
     translation = _numbers(fields, names["T"], (3,)) * meters
     return Rig(left, right, np.asarray(matrix, np.float64).reshape(3, 3), translation)
 
 
-def _kitti(fields: dict[str, str], numbers_of_cameras: tuple[int, int]) -> Rig:
+def _kitti_rig(fields: dict[str, str], cameras: tuple[int, int]) -> Rig:
     calibrated, rotations, translations = [], [], []
-    for number in numbers_of_cameras:
+    for number in cameras:
         size = image_sides(fields.get(f"S_0{number}"), f"S_0{number}")
         matrix, distortion, rotation, translation = (
             numbers(fields.get(f"{part}_0{number}"), f"{part}_0{number}", shape)
@@ -218,7 +322,7 @@ def _kitti(fields: dict[str, str], numbers_of_cameras: tuple[int, int]) -> Rig:
     return Rig(calibrated[0], calibrated[1], rotation, translations[1] - rotation @ translations[0])
 
 
-def _kalibr(file: dict[str, Any]) -> Rig:
+def _kalibr_rig(file: dict[str, Any]) -> Rig:
     calibrated = []
     for name in ("cam0", "cam1"):
         camera = file.get(name)
@@ -228,15 +332,14 @@ def _kalibr(file: dict[str, Any]) -> Rig:
         if model != "pinhole" or lens not in _KALIBR:
             raise InputError(f"{name}: {model}, {lens}: want pinhole with {', '.join(_KALIBR)}")
         fx, fy, cx, cy = _numbers(camera, "intrinsics", (4,), name)
-        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         distortion = np.zeros(4) if lens == "none" else _numbers(camera, "distortion_coeffs", (4,), name)
         size = image_sides(camera.get("resolution"), f"{name}: resolution")
-        calibrated.append(Camera(matrix, tuple(distortion.tolist()), size, _KALIBR[lens]))
+        calibrated.append(Camera(Intrinsics(fx, fy, cx, cy).matrix, tuple(distortion.tolist()), size, _KALIBR[lens]))
     place = _numbers(file["cam1"], "T_cn_cnm1", (4, 4), "cam1")
     return Rig(calibrated[0], calibrated[1], place[:3, :3], place[:3, 3])
 
 
-def _ros(files: Sequence[dict[str, Any]]) -> Rig:
+def _ros_rig(files: Sequence[dict[str, Any]]) -> Rig:
     if len(files) != 2:
         raise InputError("one camera_info; give the left and the right one: --calibration L --calibration R")
     calibrated, rotations = [], []
@@ -244,9 +347,8 @@ def _ros(files: Sequence[dict[str, Any]]) -> Rig:
         model = str(camera.get("distortion_model", "plumb_bob"))
         if model not in _ROS:
             raise InputError(f"{name}: distortion_model {model}: want {', '.join(_ROS)}")
-        size = image_sides(
-            [camera.get("image_width"), camera.get("image_height")], f"{name}: image_width, image_height"
-        )
+        sides = [camera.get("image_width"), camera.get("image_height")]
+        size = image_sides(sides, f"{name}: image_width, image_height")
         distortion = _numbers(camera, "distortion_coefficients", (-1,), name)
         matrix = _numbers(camera, "camera_matrix", (3, 3), name)
         calibrated.append(Camera(matrix, tuple(distortion.tolist()), size, _ROS[model]))
@@ -259,7 +361,43 @@ def _ros(files: Sequence[dict[str, Any]]) -> Rig:
     return Rig(calibrated[0], calibrated[1], rotations[1].T @ rotations[0], rotations[1].T @ shift)
 
 
+def _middlebury_geometry(fields: dict[str, str]) -> PairGeometry:
+    left = numbers(fields.get("cam0", ""), "cam0", (3, 3))
+    if "doffs" in fields:
+        offset = float(numbers(fields["doffs"], "doffs", (1,))[0])
+    else:
+        offset = float(numbers(fields.get("cam1", ""), "cam1", (3, 3))[0, 2] - left[0, 2])
+    baseline = float(numbers(fields.get("baseline", ""), "baseline", (1,))[0]) / _MILLIMETERS
+    size = None
+    if "width" in fields and "height" in fields:
+        size = image_sides(f"{fields['width']} {fields['height']}", "width, height")
+    return PairGeometry(Intrinsics.of_matrix(left), baseline, offset, size)
+
+
+def _booster_geometry(fields: dict[str, Any]) -> PairGeometry:
+    projections = []
+    for name in ("proj_matL", "proj_matR"):  # (3, 3), (3, 4) or (4, 4)
+        values = _numbers(fields, name, (-1,))
+        if values.size not in (9, 12, 16):
+            raise InputError(f"{name}: want a projection of 3 x 4 numbers (got {values.size})")
+        projections.append(values.reshape(-1, 3 if values.size == 9 else 4))
+    left, right = projections
+    baseline = float(numbers(fields.get("baselineLR"), "baselineLR", (1,))[0]) / _MILLIMETERS
+    return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]))
+
+
+def _kitti_geometry(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeometry:
+    names = [f"P_rect_{n:02}" if any(key.startswith("P_rect_") for key in fields) else f"P{n}" for n in cameras]
+    left, right = (numbers(fields.get(name, ""), name, (3, 4)) for name in names)
+    if abs(left[0, 0]) < 1e-9 or abs(right[0, 0]) < 1e-9:
+        raise InputError("a camera without focal length")
+    baseline = float(left[0, 3] / left[0, 0] - right[0, 3] / right[0, 0])
+    rectified = f"S_rect_{cameras[0]:02}"
+    size = image_sides(fields[rectified], rectified) if fields.get(rectified) else None
+    return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]), size)
+
+
 def _numbers(fields: dict[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
-    """Numbers of a field, or of the ``data`` of a matrix."""
+    """Return the numbers of a field, or of the ``data`` of a matrix."""
     value = fields.get(key)
     return numbers(value.get("data") if isinstance(value, dict) else value, f"{name}: {key}" if name else key, shape)
