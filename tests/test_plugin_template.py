@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli import testing
 from depthcli.core.registry import registry_of
 from depthcli.io.formats.images import write_png
 from depthcli.testing.inputs import shifted_pair
@@ -76,27 +75,22 @@ def test_its_own_tests_pass(env: Environment):
     assert "5 passed" in done.stdout
 
 
-def test_its_readme_names_every_group_with_its_base_and_its_test():
-    rows = re.findall(r"^\| `(depthcli\.\S+)` \| `(\S+)`.* \| `(\w+)` \|$", (ROOT / "docs" / "plugin_template" /
-                      "README.md").read_text("utf-8"), re.MULTILINE)  # fmt: skip
-    for group, base, _ in rows:
+def test_its_readme_names_every_group_with_its_base():
+    text = (ROOT / "docs" / "plugin_template" / "README.md").read_text("utf-8")
+    rows = re.findall(r"^\| `(depthcli\.\S+)` \| `(\S+)` \|$", text, re.MULTILINE)
+    assert len(rows) > 15
+    for group, base in rows:
         module, _, name = base.rpartition(".")
         registry = registry_of(getattr(importlib.import_module(module), name))
         assert registry is not None and registry.group == group
-    assert {check for _, _, check in rows} == set(testing.__all__)
 
 
 def test_it_is_listed(env: Environment):
     assert "constant Write the same disparity everywhere." in " ".join(env.run("--help").stdout.split())
-    methods = env.run("help", "methods").stdout
-    assert re.search(r"squared_difference +\(depthcli-example 1\.0\)", methods), methods
-    assert "two-files" in env.run("help", "layouts").stdout
-    assert re.search(r"\.table +\(depthcli-example 1\.0\)", env.run("help", "formats").stdout)
     presets = env.run("presets").stdout
     assert re.search(r"stereo squared +\(depthcli-example 1\.0\) Squared differences, averaged", presets), presets
     assert "cost:\n  # ``(I(y, x)" in env.run("presets", "show", "depthcli-example:squared").stdout
     assert "# disparity of every pixel, pixels\ndisparity: 5.0" in env.run("presets", "show", "five").stdout
-    assert "eighth-pixel" in env.run("help", "protocols").stdout
 
 
 def test_it_runs_is_evaluated_and_is_refused_with_another_version(env: Environment):

@@ -12,7 +12,7 @@ from depthcli.io.formats.images import write_png
 from depthcli.io.layouts import own_layouts
 from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.walk import discover_scenes
-from depthcli.testing.layouts import check_layout
+from tests.contracts.layouts import check_layout
 
 HEIGHT, WIDTH = 6, 8
 COLOR = np.dstack([np.arange(48, dtype=np.uint8).reshape(HEIGHT, WIDTH) + k for k in range(3)]).astype(np.uint8)

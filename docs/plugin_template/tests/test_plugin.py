@@ -1,18 +1,25 @@
-"""What depthcli asks of everything that this package adds."""
+"""Tests of everything that this package adds."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-from depthcli_example.command import constant
 from depthcli_example.cost import SquaredDifference
 from depthcli_example.layout import TwoFiles
 from depthcli_example.map_format import Table
 from depthcli_example.protocol import EighthPixel
 
+from depthcli.cli import main
 from depthcli.io.layouts import Folder
-from depthcli.testing import check_command, check_cost_measure, check_format, check_layout, check_protocol
+from depthcli.io.scenes import Scene
+from depthcli.testing import check_cost_measure
+
+
+def scene_in(folder: Path) -> Scene:
+    """Return the one scene of a folder."""
+    (scene,) = TwoFiles().scenes(Folder(folder, folder.name, ""))
+    return scene
 
 
 def test_cost():
@@ -20,19 +27,26 @@ def test_cost():
 
 
 def test_layout(scenes: Path):
-    check_layout(TwoFiles(), scenes)
+    near = scene_in(scenes / "near")
+    assert near.layout == "two-files" and near.has_truth and not near.problem
+    assert near.load().shape == (48, 64)
+    assert not TwoFiles().scenes(Folder(scenes, "scenes", ""))
 
 
 def test_format(scenes: Path):
-    check_format(Table(), scenes / "near" / "first_truth.table", np.full((48, 64), 9, np.float32))
+    np.testing.assert_array_equal(Table().read(scenes / "near" / "first_truth.table"), np.full((48, 64), 9))
 
 
 def test_protocol(scenes: Path):
-    (scene,) = TwoFiles().scenes(Folder(scenes / "near", "near", ""))
-    check_protocol(EighthPixel(), scene, scenes / "near" / "first_truth.table")
+    protocol, scene = EighthPixel(), scene_in(scenes / "near")
+    truth = protocol.truth(scene)
+    best = protocol.read(scenes / "near" / "first_truth.table", scene, truth)
+    assert not protocol.wrong(best, truth).any()
+    assert next(score.value for score in protocol.scores(best, truth) if score.metric == protocol.headline) == 0
 
 
 def test_command(scenes: Path, tmp_path: Path):
-    config = tmp_path / "five.yaml"
-    config.write_text("disparity: 5\n")
-    check_command(constant, [config, "--input", scenes], tmp_path / "runs")
+    (tmp_path / "five.yaml").write_text("disparity: 5\n")
+    run = ["constant", str(tmp_path / "five.yaml"), "--input", str(scenes), "--output", str(tmp_path / "run")]
+    assert main(run) == 0
+    assert (tmp_path / "run" / "near" / "disp_left.pfm").is_file()

@@ -24,7 +24,8 @@ from depthcli.methods.fusion.map_costs import matching_costs
 from depthcli.methods.fusion.votes import ColorSupport
 from depthcli.run.presets import find_config
 from depthcli.simulate.stereo_scenes import make_scene
-from depthcli.testing.choices import CHOICE_CHECKS, KINDS, random_proposals
+from tests.contracts.checks import CHECKS
+from tests.contracts.inputs import KINDS, random_proposals
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import choice as naive
 
@@ -44,7 +45,7 @@ def random_network(kinds, units=(8, 4), seed=0):
     return TrainedNetwork(kinds, input_names(kinds), some(size), np.abs(some(size)), layers)
 
 
-@pytest.mark.parametrize("check", CHOICE_CHECKS, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("check", CHECKS["methods.fusion.choice"], ids=lambda check: check.__name__)
 def test_contract(check):
     check(NetworkChoice().with_network(random_network(KINDS), KINDS))
 

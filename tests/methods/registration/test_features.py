@@ -1,4 +1,4 @@
-"""What the features promise beyond the checks of ``depthcli.testing``."""
+"""What the features promise beyond those of ``tests.contracts``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from depthcli.core.method import Family
-from depthcli.testing.features import soft_volume
+from tests.contracts.inputs import soft_volume
 
 FAMILY = Family.of("depthcli.methods.registration.feature")
 

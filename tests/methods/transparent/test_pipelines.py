@@ -17,8 +17,7 @@ from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 from depthcli.run.presets import find_config, list_presets
 from depthcli.simulate.transparent_scenes import sparse_samples
-from depthcli.testing import pipelines
-from depthcli.testing.frames import NOISE, glass
+from tests.contracts.inputs import NOISE, glass
 from tests.scenes import DATA
 
 PRESETS = [name for command, name, _ in list_presets() if command == "transparent" and name != "kinect"]
@@ -32,12 +31,6 @@ def errors(values, truth, mask, sensor):
     """Mean absolute errors in the mask, and outside where the sensor answers; meters."""
     error = np.abs(values - truth)
     return np.nanmean(error[mask]), np.nanmean(error[~mask & np.isfinite(sensor)])
-
-
-@pytest.mark.parametrize("name", PRESETS)
-@pytest.mark.parametrize("check", pipelines.TRANSPARENT_CHECKS, ids=lambda check: check.__name__)
-def test_contract(name, check):
-    check(pipeline(name))
 
 
 @pytest.mark.parametrize("name", ["sparse", "crf"])

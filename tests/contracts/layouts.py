@@ -1,0 +1,25 @@
+"""What every layout promises."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from depthcli.io.layouts import Folder, Layout, own_layouts
+from depthcli.io.scenes import Scene
+
+
+def check_layout(layout: Layout, folder: Path) -> None:
+    """Assert that a layout finds usable scenes in a folder of its own, or in those in it, and no other layout does."""
+    holding = [each for each in (folder, *sorted(folder.iterdir())) if each.is_dir() and _scenes(layout, each)]
+    found = [scene for each in holding for scene in _scenes(layout, each)]
+    assert found and len({scene.name for scene in found}) == len(found)
+    for scene in found:
+        assert isinstance(scene, layout.kind) and scene.layout == layout.name and not scene.problem
+        assert all(file.is_file() for file in scene.input_files.values())
+        scene.load()
+    for each in holding:
+        assert [own.name for own in own_layouts() if _scenes(own, each)] == [layout.name]
+
+
+def _scenes(layout: Layout, folder: Path) -> list[Scene]:
+    return layout.scenes(Folder(folder, folder.name, ""))

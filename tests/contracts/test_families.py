@@ -1,0 +1,83 @@
+"""What every member of a family promises, over the files of its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from depthcli.core.method import Family
+from depthcli.evaluation.protocols import load
+from depthcli.evaluation.results import MapResult
+from depthcli.io.layouts.scenes import Scenes
+from depthcli.io.walk import discover_scenes
+from depthcli.simulate.samples import samples
+from tests.contracts.checks import CHECKS
+from tests.contracts.layouts import check_layout
+
+FIELDS: dict[str, dict[str, Any]] = {
+    "local": {"cost": "census", "aggregation": {"method": "constant_window", "window": 5}},
+    "segments": {"cost": "census"},
+}
+NEED_FILES = ("command", "onnx", "network")
+MEMBERS = [
+    pytest.param(package, name, check, id=f"{package}-{name}-{check.__name__}")
+    for package, checks in CHECKS.items()
+    for name in Family.of(f"depthcli.{package}").own_names
+    if name not in NEED_FILES
+    for check in checks
+]
+
+
+@pytest.mark.parametrize(("package", "name", "check"), MEMBERS)
+def test_methods(package: str, name: str, check: Callable[[Any], None]):
+    family = Family.of(f"depthcli.{package}")
+    check(family.parse({family.key: name, **FIELDS.get(name, {})}))
+
+
+def test_layout_of_our_own_scenes(made_scenes: Path):
+    check_layout(Scenes(), made_scenes)
+
+
+@pytest.mark.parametrize("name", ["middlebury-v2", "eth3d", "kitti-2012", "kitti-2015"])
+def test_protocols(name: str, made_scenes: Path):
+    scene, protocol = discover_scenes(made_scenes)[0], load(name)()
+    truth = protocol.truth(scene)
+    best = protocol.read(scene.disparity_left, scene, truth)  # type: ignore[attr-defined]
+    scores, missing, regions = protocol.scores(best, truth), protocol.missing(truth), protocol.regions(truth)
+    assert all(region.dtype == bool for region in regions.values())
+    headlines = {score.region for score in scores if score.metric == protocol.headline}
+    assert headlines and headlines <= set(regions)
+    assert {(score.metric, score.region) for score in missing} == {(score.metric, score.region) for score in scores}
+    for score, worst in zip(scores, missing, strict=True):
+        if score.metric.worst is not None and not np.isnan(worst.value):
+            assert worst.value == score.metric.worst != score.value
+    assert not protocol.wrong(best, truth).any()
+    result = MapResult("run", scene.name, "set", protocol.name, scores=tuple(scores))
+    assert any(score.metric == protocol.headline for score in protocol.mean([result]))
+    picture = protocol.picture(best, truth)
+    assert picture is None or (picture.dtype == np.uint8 and picture.ndim == 3)
+
+
+@pytest.mark.parametrize("name", ["stereo", "kinect", "cross_modal", "registration"])
+def test_samples_are_found_with_their_truth_and_are_the_same_again(name: str, tmp_path: Path):
+    sample = samples()[name]
+    small = {"count": 2, "width": 96, "height": 64, "max_disparity": 12}
+    defaults = {option.name: option.default for option in sample.options}
+    given = defaults | {key: value for key, value in small.items() if key in defaults}
+    sample.check(given)
+    scenes, written = sample.scenes(given), []
+    for root in (tmp_path / "once", tmp_path / "twice"):
+        for scene in scenes:
+            (root / scene.name).mkdir(parents=True)
+            sample.make(given, scene, root / scene.name)
+        written.append({path.relative_to(root): path.read_bytes() for path in root.rglob("*.*")})
+    assert written[0] and written[0] == written[1]
+    found = discover_scenes(tmp_path / "once")
+    assert all(any(f"{made.name}/".startswith(f"{scene.name}/") for made in found) for scene in scenes)
+    for made in found:
+        assert not made.problem and made.has_truth
+        made.load()
