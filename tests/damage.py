@@ -21,26 +21,8 @@ import numpy as np
 
 EXTREMES = (0, 1, 2, 255, 256, 32767, 32768, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1)
 WORDS = (
-    b"0",
-    b"-1",
-    b"1e9",
-    b"3.5",
-    b"nan",
-    b"inf",
-    b"999999999",
-    b"1" * 25,
-    b"1" * 5000,
-    b"1e305",
-    b"-99999999999",
-    b"300000000",
-    b"0x" + b"f" * 5000,
-    b"0b" + b"1" * 20_000,
-    b"1:" * 3000 + b"1",
-    b"-1e-320",
-    b"",
-    b"\0",
-    b"\xff\xfe",
-    b"'",
+    *b"0 -1 1e9 3.5 nan inf 999999999 1e305 -99999999999 300000000 -1e-320 \0 \xff\xfe '".split(b" "),
+    *(b"", b"1" * 25, b"1" * 5000, b"0x" + b"f" * 5000, b"0b" + b"1" * 20_000, b"1:" * 3000 + b"1"),
 )
 NAMES = (
     "plain", "two words", "-o", "*", "tab\there", "line\nbreak", "\x1b[31mred", "quote'\"", "日本語", "\u202eto left",
@@ -81,13 +63,8 @@ def originals() -> dict[str, bytes]:
         "color.bmp": encoded(".bmp", color),
         "map.pfm": b"Pf\n13 11\n-1\n" + values.astype("<f4").tobytes(),
     }
-    arrays = {
-        "map": values,
-        "half": values.astype(">f2"),
-        "codes": (values * 16).astype(np.int16),
-        "cube": rng.random((4, 5, 6)),
-    }
-    for name, array in arrays.items():
+    half, codes, cube = values.astype(">f2"), (values * 16).astype(np.int16), rng.random((4, 5, 6))
+    for name, array in {"map": values, "half": half, "codes": codes, "cube": cube}.items():
         file = io.BytesIO()
         np.save(file, array)
         made[f"{name}.npy"] = file.getvalue()
@@ -194,21 +171,16 @@ def bomb(rng: np.random.Generator) -> tuple[str, bytes]:
     size = str(side).encode()
     tags = {256: side, 257: side, 258: 8, 259: 8, 262: 1, 273: 8, 277: 1, 278: rng.choice((1, side)), 279: len(zeros)}
     entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
+    directory = struct.pack("<H", len(tags)) + entries + bytes(4)
+    descr = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({side}, {side}), }}".ljust(117).encode()
     bombs = {
         "bomb.png": resealed(b"\x89PNG\r\n\x1a\n" + b"".join(chunks)),
         "bomb.jpg": bytes(jpeg),
-        "bomb.tiff": b"II*\0"
-        + struct.pack("<I", 8 + len(zeros))
-        + zeros
-        + struct.pack("<H", len(tags))
-        + entries
-        + bytes(4),
+        "bomb.tiff": b"II*\0%b" % struct.pack("<I", 8 + len(zeros)) + zeros + directory,
         "bomb.pgm": b"P5 " + size + b" " + size + b" 65535\n" + zeros,
         "bomb.pfm": b"Pf\n" + size + b" " + size + b"\n-1\n" + zeros,
         "bomb.bmp": b"BM" + struct.pack("<IIIIiiHHIIIIII", 0, 0, 54, 40, side, side, 1, 24, 0, 0, 0, 0, 0, 0),
-        "bomb.npy": b"\x93NUMPY\1\0\x76\0"
-        + f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({side}, {side}), }}".ljust(117).encode()
-        + b"\n",
+        "bomb.npy": b"\x93NUMPY\1\0\x76\0" + descr + b"\n",
     }
     name = list(bombs)[rng.integers(len(bombs))]
     return name, bombs[name]
@@ -216,24 +188,9 @@ def bomb(rng: np.random.Generator) -> tuple[str, bytes]:
 
 def put_special(path: Path, rng: np.random.Generator) -> str:
     """Something at ``path`` that is no regular file, or no readable one."""
-    kind = str(
-        rng.choice(
-            [
-                "pipe",
-                "socket",
-                "folder",
-                "loop",
-                "zero",
-                "full",
-                "nothing",
-                "dangling",
-                "empty",
-                "huge",
-                "closed",
-                "proc",
-            ]
-        )
-    )
+    targets = {"zero": "/dev/zero", "full": "/dev/full", "dangling": "/absent/x", "proc": "/proc/self/pagemap"}
+    targets["loop"] = path.name
+    kind = str(rng.choice(["pipe", "socket", "folder", "nothing", "empty", "huge", "closed", *targets]))
     if kind == "pipe":
         os.mkfifo(path)
     elif kind == "socket":
@@ -248,12 +205,5 @@ def put_special(path: Path, rng: np.random.Generator) -> str:
         path.write_bytes(b"")
         path.chmod(0o000 if kind == "closed" else 0o644)
     elif kind != "nothing":
-        targets = {
-            "loop": path.name,
-            "zero": "/dev/zero",
-            "full": "/dev/full",
-            "dangling": "/absent/x",
-            "proc": "/proc/self/pagemap",
-        }
         path.symlink_to(targets[kind])
     return kind

@@ -116,17 +116,6 @@ def test_an_example_that_fails_stops_the_page(page, block: str, said: str):
         page("\n" + block)
 
 
-def test_a_command_of_several_lines_is_one_command(page):
-    text = page("```console\n$ echo a \\\n    b\n$ echo c\n```\n")
-    assert "$ echo a \\\n    b\na b\n$ echo c\nc\n" in text
-
-
-def test_flow_charts_draw_rows_of_boxes():
-    chart = _docs_examples.flow_chart("(image) -> cost -> map <1>\n\nmap -> C(p, d)\n")
-    assert chart.count("<rect") == 5 and chart.count('marker-end="url(#arrow)"') == 3
-    assert chart.count("stroke-dasharray") == 1 and "map &lt;1&gt;" in chart and ">C(p, d)<" in chart
-
-
 @pytest.mark.system
 @pytest.mark.parametrize("name", ["tutorial", "how_to/rig_to_meters", "how_to/sweep"])
 def test_pages_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -65,20 +65,6 @@ def test_help_by_a_python_without_packages(checkout: Path, tmp_path: Path, name:
     assert not re.search(r"\[-[^\]]*\.\.\.", usage), "an option with several words takes positional arguments"
 
 
-@pytest.mark.parametrize("words", [["--presets", "fast,cross", "no/data"], ["no/data", "--only", "speed,large"]])
-def test_a_list_does_not_take_the_data_after_it(checkout: Path, tmp_path: Path, words: list[str]):
-    command = [sys.executable, str(checkout / "scripts" / "bench"), *words]
-    done = subprocess.run(command, cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False)
-    assert done.stderr == "no/data: no folder middlebury_v2 here; name the folder of data sets\n"
-
-
-def test_a_wrong_value_of_a_list_is_named(checkout: Path, tmp_path: Path):
-    command = [sys.executable, str(checkout / "scripts" / "bench"), "--only", "speed,size"]
-    done = subprocess.run(command, cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "argument --only: 'size' is none of speed, accuracy, process, large" in done.stderr
-
-
 def test_a_python_that_is_too_old_is_told_in_a_line(checkout: Path, tmp_path: Path):
     old = tmp_path / "python3"
     old.write_text('#!/bin/sh\n[ "$1" = --version ] && echo "Python 3.8.1" || exit 1\n')

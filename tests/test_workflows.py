@@ -55,29 +55,6 @@ def workflow(tmp_path: Path) -> Runner:
 
 @pytest.mark.system
 @needs("snakemake")
-def test_parts_by_snakemake_are_the_run_of_one_process(data: Path, tmp_path: Path, workflow: Runner):
-    shutil.copy(ROOT / "scripts" / "cluster" / "Snakefile", tmp_path)
-    settings = ["method=fast", f"input={data}", "output=runs/parts", "shards=2"]
-    broken = data / "planes_0" / "right.png"
-    whole = broken.read_bytes()
-    broken.write_bytes(whole[:100])
-    done = workflow("snakemake", "--cores", "2", "--config", *settings)
-    assert done.returncode == 1
-    assert "truncated PNG" in done.stderr
-    assert (tmp_path / "runs" / "parts" / "foreground_0" / "disp_left.pfm").exists()
-    broken.write_bytes(whole)
-    done = workflow("snakemake", "--cores", "2", "--config", *settings)
-    assert done.returncode == 0, done.stderr
-    assert main(["stereo", "fast", "--input", str(data), "--output", str(tmp_path / "runs" / "one"), "--quiet"]) == 0
-    for name in ("run.yaml", "foreground_0/disp_left.pfm", "planes_0/disp_left.pfm"):
-        assert (tmp_path / "runs" / "parts" / name).read_bytes() == (tmp_path / "runs" / "one" / name).read_bytes()
-    done = workflow("snakemake", "--cores", "2", "--config", *settings, "options=--set optimization.p2=60")
-    assert done.returncode == 1
-    assert "holds a run made with another config" in done.stderr
-
-
-@pytest.mark.system
-@needs("snakemake")
 def test_runs_by_snakemake_follow_their_configs(data: Path, tmp_path: Path, workflow: Runner):
     shutil.copy(EXAMPLES / "snakemake" / "Snakefile", tmp_path)
     (tmp_path / "experiments").mkdir()
