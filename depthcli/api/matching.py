@@ -23,8 +23,7 @@ from depthcli.io.formats import calibrations
 from depthcli.io.formats.networks import network_path, read_network
 from depthcli.methods.stereo.config import Calibration, PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
-from depthcli.methods.stereo.networks import networks_in
-from depthcli.methods.stereo.networks.runtime import network_device
+from depthcli.methods.stereo.networks import network_device, networks_in
 from depthcli.methods.stereo.search_range import KeyPointRange, SearchRange, complete_range
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.volume import StereoResult

@@ -21,7 +21,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
 from depthcli.methods.stereo.config import StereoConfig
-from depthcli.methods.stereo.pipeline.command import Command
+from depthcli.methods.stereo.pipeline.command import Program
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.resources import available_memory
 
@@ -167,7 +167,7 @@ class Matcher:
 
     def load_kernels(self) -> None:
         """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""
-        if isinstance(self._method, FusionWithVolumes | Command):
+        if isinstance(self._method, FusionWithVolumes | Program):
             return
         top = self.config.max_disparity
         top = min(top, _MAX_WARMUP_DISPARITY) if isinstance(top, int) and top > 0 else _MAX_WARMUP_DISPARITY

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from depthcli.core.errors import ConfigError, DepthcliError
-from depthcli.device.dialect import COPY, MULTIPLY_ADD, Kernels
+from depthcli.device.dialect import Kernels
 
 __all__ = [
     "Device",
@@ -39,6 +39,7 @@ __all__ = [
 
 KINDS = ("opencl", "cuda")
 """Ways to reach a device, in the order in which ``auto`` tries them."""
+_BENCHMARKS = Kernels("depthcli.device", "benchmarks.cl")
 
 
 class DeviceError(DepthcliError):
@@ -105,20 +106,63 @@ class Launch:
     nbytes: int
 
 
-class Device(ABC):
+class Driver(ABC):
+    """A back end's way to one device. Methods raise whatever the package behind it raises, or DeviceError.
+
+    Attributes
+    ----------
+    errors : exceptions of the package, which become DeviceError
+    has_double : whether kernels may use double precision
+    """
+
+    errors: tuple[type[Exception], ...] = (Exception,)
+    has_double = True
+
+    @abstractmethod
+    def allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
+        """Return the back end's own uninitialized buffer."""
+
+    @abstractmethod
+    def copy_to_device(self, target: Any, array: NDArray[Any]) -> None: ...
+
+    @abstractmethod
+    def copy_to_host(self, target: NDArray[Any], source: Any) -> None: ...
+
+    @abstractmethod
+    def compile(self, kernels: Kernels, name: str) -> Any:
+        """Return the back end's own kernel."""
+
+    @abstractmethod
+    def enqueue(
+        self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any], timed: bool
+    ) -> Any:
+        """Enqueue the kernel; return what :meth:`seconds` needs where it is ``timed``."""
+
+    @abstractmethod
+    def wait(self) -> None: ...
+
+    @abstractmethod
+    def seconds(self, event: Any) -> float:
+        """Return how long a finished kernel ran."""
+
+    def message(self, error: Exception) -> str:
+        """Return the rest of a sentence about the device that failed."""
+        return f"failed: {first_line(error)}"
+
+
+class Device:
     """A device with one queue: commands run in the order in which they are given.
 
     Every method raises DeviceError where the driver fails, or the device has too little memory.
     """
 
-    driver_errors: tuple[type[Exception], ...] = (Exception,)
-    """Exceptions of the package behind the device, which become DeviceError."""
-
-    def __init__(self, info: DeviceInfo) -> None:
+    def __init__(self, info: DeviceInfo, driver: Driver) -> None:
         self.info = info
+        self.has_double = driver.has_double
         self.launches: list[Launch] | None = None
         """Timings of the kernels that ran. None: no timings are taken. To take them, assign a list: every call of
         :meth:`finish` appends the kernels since the last one."""
+        self._driver = driver
         self._kernels: dict[tuple[Kernels, str], Any] = {}
         self._events: list[tuple[str, Any, int]] = []
 
@@ -127,20 +171,20 @@ class Device(ABC):
         array = np.ascontiguousarray(array)
         target = self.empty(array.shape, array.dtype)
         if array.size:
-            self._guarded(self._copy_to_device, target.handle, array)
+            self._guarded(self._driver.copy_to_device, target.handle, array)
         return target
 
     def download(self, array: DeviceArray) -> NDArray[Any]:
         """Return a copy of ``array`` on the host; waits for the kernels that compute it."""
         target: NDArray[Any] = np.empty(array.shape, array.dtype)
         if array.size:
-            self._guarded(self._copy_to_host, target, array.handle)
+            self._guarded(self._driver.copy_to_host, target, array.handle)
         return target
 
     def empty(self, shape: Sequence[int], dtype: DTypeLike) -> DeviceArray:
         """Return an uninitialized array."""
         sizes, kind = tuple(int(n) for n in shape), np.dtype(dtype)
-        return DeviceArray(sizes, kind, self._guarded(self._allocate, sizes, kind))
+        return DeviceArray(sizes, kind, self._guarded(self._driver.allocate, sizes, kind))
 
     def launch(self, kernels: Kernels, name: str, size: Sequence[int], group: Sequence[int], *arguments: Any) -> None:
         """Enqueue a kernel and return at once; its first launch compiles it.
@@ -155,86 +199,54 @@ class Device(ABC):
         """
         kernel = self._kernels.get((kernels, name))
         if kernel is None:
-            kernel = self._kernels[kernels, name] = self._guarded(self._compile, kernels, name)
+            kernel = self._kernels[kernels, name] = self._guarded(self._driver.compile, kernels, name)
         n_groups = tuple(-(-int(n) // g) for n, g in zip(size, group, strict=True))
         if 0 in n_groups:
             return
-        event = self._guarded(self._enqueue, kernel, n_groups, tuple(group), [_argument(a) for a in arguments])
-        if self.launches is not None:
+        values, timed = [_argument(a) for a in arguments], self.launches is not None
+        event = self._guarded(self._driver.enqueue, kernel, n_groups, tuple(group), values, timed)
+        if timed:
             nbytes = sum(argument.nbytes for argument in arguments if isinstance(argument, DeviceArray))
             self._events.append((name, event, nbytes))
 
     def finish(self) -> None:
         """Wait until all commands are done, and take the timings that :attr:`launches` asks for."""
         events, self._events = self._events, []
-        self._guarded(self._wait)
+        self._guarded(self._driver.wait)
         if self.launches is not None:
             self.launches += [
-                Launch(name, self._guarded(self._seconds, event), nbytes) for name, event, nbytes in events
+                Launch(name, self._guarded(self._driver.seconds, event), nbytes) for name, event, nbytes in events
             ]
 
     def measure_bandwidth(self) -> float:
         """Measure the bandwidth of the device's memory by copying a large array: bytes read and written per second."""
         count = min(32 << 20, self.info.memory // 64)
         source, target = self.empty((count,), np.uint32), self.empty((count,), np.uint32)
-        launches_before, self.launches = self.launches, []
-        for _ in range(4):
-            self.launch(COPY, "copy", (count,), (256,), source, target, count)
-        self.finish()
-        seconds = min(launch.seconds for launch in self.launches)
-        self.launches = launches_before
-        return 2 * source.nbytes / seconds
+        return 2 * source.nbytes / self._shortest(_BENCHMARKS, "copy", count, source, target)
 
     def measure_operations(self) -> float:
         """Measure the rate of 32-bit multiplications and additions by chains of both: operations per second."""
         count = 1 << 20
-        target = self.empty((count,), np.float32)
+        seconds = self._shortest(_BENCHMARKS, "multiply_add", count, self.empty((count,), np.float32), 0.5)
+        return 64 * 8 * 4 * 2 * count / seconds
+
+    def _shortest(self, kernels: Kernels, name: str, count: int, *arguments: Any) -> float:
+        """Return the shortest time of four launches, seconds; ``count`` is the last argument."""
         launches_before, self.launches = self.launches, []
         for _ in range(4):
-            self.launch(MULTIPLY_ADD, "multiply_add", (count,), (256,), target, 0.5, count)
+            self.launch(kernels, name, (count,), (256,), *arguments, count)
         self.finish()
         seconds = min(launch.seconds for launch in self.launches)
         self.launches = launches_before
-        return 64 * 8 * 4 * 2 * count / seconds
+        return seconds
 
     def _guarded(self, action: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return action(*arguments)
-        except self.driver_errors as error:
-            raise DeviceError(f"{self.info.address} ({self.info.name}) {self._failure(error)}") from error
-
-    def _failure(self, error: Exception) -> str:
-        return f"failed: {first_line(error)}"
-
-    @abstractmethod
-    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
-        """Return the back end's own uninitialized buffer."""
-
-    @abstractmethod
-    def _copy_to_device(self, target: Any, array: NDArray[Any]) -> None: ...
-
-    @abstractmethod
-    def _copy_to_host(self, target: NDArray[Any], source: Any) -> None: ...
-
-    @abstractmethod
-    def _compile(self, kernels: Kernels, name: str) -> Any:
-        """Return the back end's own kernel."""
-
-    @abstractmethod
-    def _enqueue(self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any]) -> Any:
-        """Enqueue the kernel and return what :meth:`_seconds` needs."""
-
-    @abstractmethod
-    def _wait(self) -> None: ...
-
-    @abstractmethod
-    def _seconds(self, event: Any) -> float:
-        """Return how long a finished kernel ran."""
-
-    @property
-    @abstractmethod
-    def has_double(self) -> bool:
-        """Return whether kernels may use double precision."""
+        except DeviceError as error:
+            raise DeviceError(f"{self.info.address} ({self.info.name}) {error}") from error
+        except self._driver.errors as error:
+            raise DeviceError(f"{self.info.address} ({self.info.name}) {self._driver.message(error)}") from error
 
 
 def first_line(error: Exception) -> str:
@@ -309,7 +321,7 @@ def open_device(wanted: str) -> Device | None:
     if info is None:
         return None
     if info.address not in _open:
-        _open[info.address] = _backend(info.address.partition(":")[0]).open_device(info)
+        _open[info.address] = Device(info, _backend(info.address.partition(":")[0]).open_driver(info))
     return _open[info.address]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.device import Device, DeviceInfo, Kernels, first_line
+from depthcli.device import DeviceError, DeviceInfo, Driver, Kernels, first_line
 from depthcli.device.dialect import CUDA
 
 OPTIONS = ("--std=c++14", "--fmad=false")
@@ -45,59 +45,57 @@ def why_no_device() -> str:
     return _found()[1]
 
 
-def open_device(info: DeviceInfo) -> Device:
+def open_driver(info: DeviceInfo) -> Driver:
     """Open the device of ``info``."""
-    return CudaDevice(info)
+    return CudaDriver(int(info.address.partition(":")[2]))
 
 
-class CudaDevice(Device):
-    """One NVIDIA device through CuPy."""
+class CudaDriver(Driver):
+    """One NVIDIA device through CuPy, which has an exception of its own for every library that can fail."""
 
-    def __init__(self, info: DeviceInfo) -> None:
+    def __init__(self, number: int) -> None:
         import cupy
 
-        super().__init__(info)
         self._cupy = cupy
         self._modules: dict[Kernels, Any] = {}
-        self._guarded(cupy.cuda.Device(int(info.address.partition(":")[2])).use)
+        try:
+            cupy.cuda.Device(number).use()
+        except Exception as error:
+            raise DeviceError(f"cuda:{number} {self.message(error)}") from error
 
-    def _failure(self, error: Exception) -> str:
+    def message(self, error: Exception) -> str:
         if isinstance(error, self._cupy.cuda.memory.OutOfMemoryError):
             return f"has no room: {error}"
-        return super()._failure(error)
+        return super().message(error)
 
-    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
+    def allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
         return self._cupy.empty(shape, dtype)
 
-    def _copy_to_device(self, target: Any, array: NDArray[Any]) -> None:
+    def copy_to_device(self, target: Any, array: NDArray[Any]) -> None:
         target.set(array)
 
-    def _copy_to_host(self, target: NDArray[Any], source: Any) -> None:
+    def copy_to_host(self, target: NDArray[Any], source: Any) -> None:
         source.get(out=target)
 
-    def _compile(self, kernels: Kernels, name: str) -> Any:
+    def compile(self, kernels: Kernels, name: str) -> Any:
         if kernels not in self._modules:
             text = CUDA + kernels.text
             self._modules[kernels] = self._cupy.RawModule(code=text, options=OPTIONS, backend="nvrtc")
         return self._modules[kernels].get_function(name)
 
-    def _enqueue(self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any]) -> Any:
-        if self.launches is None:
-            kernel(n_groups, group, tuple(arguments))
-            return None
+    def enqueue(
+        self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any], timed: bool
+    ) -> Any:
+        if not timed:
+            return kernel(n_groups, group, tuple(arguments))
         start, stop = self._cupy.cuda.Event(), self._cupy.cuda.Event()
         start.record()
         kernel(n_groups, group, tuple(arguments))
         stop.record()
         return start, stop
 
-    def _wait(self) -> None:
+    def wait(self) -> None:
         self._cupy.cuda.get_current_stream().synchronize()
 
-    def _seconds(self, event: Any) -> float:
+    def seconds(self, event: Any) -> float:
         return float(self._cupy.cuda.get_elapsed_time(*event)) * 1e-3
-
-    @property
-    def has_double(self) -> bool:
-        """Return whether kernels may use double precision: always."""
-        return True

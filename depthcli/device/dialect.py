@@ -116,9 +116,3 @@ class Kernels:
         folder = importlib.resources.files(self._package)
         lines = [f"#define {name} {value}\n" for name, value in sorted(self._macros.items())]
         return "".join([*lines, COMMON, *(folder.joinpath(name).read_text("utf-8") for name in self._files)])
-
-
-COPY = Kernels("depthcli.device", "copy.cl")
-"""The kernel by which the bandwidth of a device is measured."""
-MULTIPLY_ADD = Kernels("depthcli.device", "multiply_add.cl")
-"""The kernel by which the rate of operations of a device is measured."""

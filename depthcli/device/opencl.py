@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.device import Device, DeviceError, DeviceInfo, Kernels, first_line
+from depthcli.device import DeviceError, DeviceInfo, Driver, Kernels, first_line
 from depthcli.device.dialect import OPENCL
 
 
@@ -69,80 +69,73 @@ def why_no_device() -> str:
     return _handles()[1]
 
 
-def open_device(info: DeviceInfo) -> Device:
+def open_driver(info: DeviceInfo) -> Driver:
     """Open the device of ``info``."""
-    return OpenClDevice(info, next(handle for own, handle in _handles()[0] if own == info))
+    return OpenClDriver(next(handle for own, handle in _handles()[0] if own == info))
 
 
-class OpenClDevice(Device):
+class OpenClDriver(Driver):
     """One device behind an OpenCL driver."""
 
-    def __init__(self, info: DeviceInfo, handle: Any) -> None:
+    def __init__(self, handle: Any) -> None:
         import pyopencl as cl
         import pyopencl.tools
 
-        super().__init__(info)
-        self.driver_errors = (cl.Error, MemoryError)
+        self.errors = (cl.Error, MemoryError)
+        self.has_double = "cl_khr_fp64" in handle.extensions  # an optional extension of OpenCL 1.2
         self._cl = cl
         self._handle = handle
         # The compiler's own cache of programs would print its messages.
         os.environ.setdefault("PYOPENCL_COMPILER_OUTPUT", "0")
-        self._context = self._guarded(cl.Context, [handle])
-        profiling = cl.command_queue_properties.PROFILING_ENABLE
-        self._queue = self._guarded(lambda: cl.CommandQueue(self._context, properties=profiling))
+        try:
+            self._context = cl.Context([handle])
+            profiling = cl.command_queue_properties.PROFILING_ENABLE
+            self._queue = cl.CommandQueue(self._context, properties=profiling)
+        except self.errors as error:
+            raise DeviceError(f"{handle.name.strip()} {self.message(error)}") from error
         self._pool = pyopencl.tools.MemoryPool(pyopencl.tools.ImmediateAllocator(self._queue))
         self._programs: dict[Kernels, Any] = {}
 
-    def _failure(self, error: Exception) -> str:
+    def message(self, error: Exception) -> str:
         return f"failed: {_message(error)}"
 
-    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
+    def allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
         size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
         try:
             return self._pool.allocate(max(1, size))
-        except self.driver_errors as error:
-            raise DeviceError(
-                f"{self.info.address} ({self.info.name}) has no room for {size >> 20} MiB more"
-            ) from error
+        except self.errors as error:
+            raise DeviceError(f"has no room for {size >> 20} MiB more") from error
 
-    def _copy_to_device(self, target: Any, array: NDArray[Any]) -> None:
+    def copy_to_device(self, target: Any, array: NDArray[Any]) -> None:
         self._cl.enqueue_copy(self._queue, target, array, is_blocking=True)
 
-    def _copy_to_host(self, target: NDArray[Any], source: Any) -> None:
+    def copy_to_host(self, target: NDArray[Any], source: Any) -> None:
         self._cl.enqueue_copy(self._queue, target, source, is_blocking=True)
 
-    def _compile(self, kernels: Kernels, name: str) -> Any:
+    def compile(self, kernels: Kernels, name: str) -> Any:
         if kernels not in self._programs:
-            self._programs[kernels] = self._built(OPENCL + kernels.text, name)
+            options = ["-cl-std=CL1.2"]
+            if self._handle.single_fp_config & self._cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
+                options.append("-cl-fp32-correctly-rounded-divide-sqrt")
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    self._programs[kernels] = self._cl.Program(self._context, OPENCL + kernels.text).build(options)
+            except self._cl.Error as error:
+                raise DeviceError(f"fails: its compiler refuses {name}: {_message(error)}") from error
         return self._cl.Kernel(self._programs[kernels], name)
 
-    def _built(self, text: str, name: str) -> Any:
-        options = ["-cl-std=CL1.2"]
-        if self._handle.single_fp_config & self._cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
-            options.append("-cl-fp32-correctly-rounded-divide-sqrt")
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                return self._cl.Program(self._context, text).build(options)
-        except self._cl.Error as error:
-            raise DeviceError(
-                f"{self.info.address} ({self.info.name}): its compiler refuses {name}: {_message(error)}"
-            ) from error
-
-    def _enqueue(self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any]) -> Any:
+    def enqueue(
+        self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any], timed: bool
+    ) -> Any:
         size = tuple(n * g for n, g in zip(n_groups, group, strict=True))
         return kernel(self._queue, size, group, *arguments)
 
-    def _wait(self) -> None:
+    def wait(self) -> None:
         self._queue.finish()
 
-    def _seconds(self, event: Any) -> float:
+    def seconds(self, event: Any) -> float:
         return float(event.profile.end - event.profile.start) * 1e-9
-
-    @property
-    def has_double(self) -> bool:
-        """Return whether kernels may use double precision, which is an optional extension of OpenCL 1.2."""
-        return "cl_khr_fp64" in self._handle.extensions
 
 
 def _message(error: Exception) -> str:

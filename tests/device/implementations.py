@@ -213,7 +213,7 @@ def test_a_step_without_device_implementation_runs_on_the_processor(device):
 
 def test_kernels_are_timed_on_the_device(device):
     device.launches = []
-    copies = Kernels("depthcli.device", "copy.cl")
+    copies = Kernels("depthcli.device", "benchmarks.cl")
     source, target = device.upload(np.arange(99, dtype=np.uint32)), device.empty((99,), np.uint32)
     device.launch(copies, "copy", (99,), (32,), source, target, 99)
     device.finish()

@@ -11,13 +11,14 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import depthcli.device.cuda
 import depthcli.device.opencl
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError
-from depthcli.device import DeviceError, DeviceInfo, find_device
+from depthcli.device import Device, DeviceError, DeviceInfo, Driver, Kernels, Launch, find_device
 from depthcli.device.cuda import OPTIONS
 from depthcli.device.dialect import COMMON, CUDA
 from tests.device import nvrtc
@@ -119,6 +120,48 @@ def test_without_devices_all_that_needs_one_is_skipped_with_the_reason(tmp_path)
         )
         assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-3000:]
         assert "pyopencl is not installed" in run.stdout + run.stderr
+
+
+class Memory(Driver):
+    """The memory of the host as a device; its only kernel adds one."""
+
+    errors = (ZeroDivisionError,)
+
+    def allocate(self, shape, dtype):
+        return np.empty(shape, dtype)
+
+    def copy_to_device(self, target, array):
+        target[...] = array
+
+    copy_to_host = copy_to_device
+
+    def compile(self, kernels, name):
+        return {"add_one": lambda array: array.__iadd__(1), "fail": lambda array: 1 // 0}[name]
+
+    def enqueue(self, kernel, n_groups, group, arguments, timed):
+        assert (n_groups, group) == ((3, 2), (4, 8))
+        kernel(*arguments)
+        return "event" if timed else None
+
+    def wait(self):
+        pass
+
+    def seconds(self, event):
+        return {"event": 0.5}[event]
+
+
+def test_arrays_go_to_a_device_and_kernels_run_and_are_timed_there():
+    device = Device(DeviceInfo("opencl:0", "memory", 1 << 30, True, "none"), Memory())
+    kernels, there = Kernels("depthcli.device", "benchmarks.cl"), device.upload(np.arange(6, dtype=np.uint8)[::2])
+    device.launch(kernels, "add_one", (9, 16), (4, 8), there)
+    device.launch(kernels, "add_one", (0, 16), (4, 8), there)  # nothing to do
+    device.launches = []
+    device.launch(kernels, "add_one", (9, 16), (4, 8), there)
+    device.finish()
+    assert device.launches == [Launch("add_one", 0.5, 3)]
+    np.testing.assert_array_equal(device.download(there), [2, 4, 6])
+    with pytest.raises(DeviceError, match=r"opencl:0 \(memory\) failed: .*zero"):
+        device.launch(kernels, "fail", (9, 16), (4, 8), there)
 
 
 GPU = DeviceInfo("opencl:1", "a card", 1 << 33, True, "somebody's")

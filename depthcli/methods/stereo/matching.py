@@ -16,8 +16,9 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import Device
+from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
 from depthcli.methods.stereo.on_device import DevicePair, run_stage
-from depthcli.methods.stereo.stages import PairMatcher
+from depthcli.methods.stereo.stages import CostStages, PairMatcher
 from depthcli.methods.stereo.tiling.coarse_to_fine import match_in_tiles
 from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES, Memory
 from depthcli.methods.stereo.volume import StereoResult
@@ -63,17 +64,17 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
     tile_memory = min(limits.memory, limits.tile_memory)
     if has_tiles and (need > tile_memory or limits.tiles == "always"):
         clock = Clock()
-        adjusted, rest = matcher.prepared(pair, max_disparity, clock)
-        held = 0 if adjusted is pair else pair.right.nbytes + pair.shape[0] * pair.shape[1]
-        return match_in_tiles(rest, adjusted, max_disparity, Memory(tile_memory, PROCESS_BYTES + held), clock)
+        prepared, rest = _prepared(matcher, pair, max_disparity, clock)
+        held = 0 if prepared is pair else pair.right.nbytes + pair.shape[0] * pair.shape[1]
+        return match_in_tiles(rest, prepared, max_disparity, Memory(tile_memory, PROCESS_BYTES + held), clock)
     if need > limits.memory:
         raise InputError(
             f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, {max_disparity + 1} "
             f"disparities), {show_bytes(limits.memory)} may be used; see max_disparity"
         )
-    device_need = matcher.device_bytes(pair.shape, max_disparity)
-    if limits.device is None or device_need is None:
+    if limits.device is None or not isinstance(matcher, CostStages):
         return matcher(pair, max_disparity)
+    device_need = matcher.device_bytes(pair.shape, max_disparity)
     device = limits.device.info
     if device_need > device.memory:
         raise InputError(
@@ -81,9 +82,18 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
             f"{show_bytes(device.memory)}; see device, max_disparity"
         )
     clock = Clock()
-    adjusted, rest = matcher.prepared(pair, max_disparity, clock)
-    result: StereoResult = run_stage(rest, DevicePair(limits.device, adjusted), max_disparity, clock)
+    prepared, rest = _prepared(matcher, pair, max_disparity, clock)
+    result: StereoResult = run_stage(rest, DevicePair(limits.device, prepared), max_disparity, clock)
     return result
+
+
+def _prepared(
+    matcher: PairMatcher, pair: StereoPair, max_disparity: int, clock: Clock
+) -> tuple[StereoPair, PairMatcher]:
+    """Adjust the whole images; return the new pair, and the matcher without this step."""
+    if not isinstance(matcher, AdjustingMatcher):
+        return pair, matcher
+    return adjusted(pair, max_disparity, matcher.adjust, clock), matcher.model_copy(update={"adjust": ()})
 
 
 def host_bytes(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> int:
@@ -94,7 +104,7 @@ def host_bytes(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int,
 
 def _needs(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> tuple[int, bool]:
     # The memory of this machine for the whole pair, bytes, and whether it may be matched in tiles instead.
-    if limits.device is None or matcher.device_bytes(shape, max_disparity) is None:
+    if limits.device is None or not isinstance(matcher, CostStages):
         return matcher.peak_bytes(shape, max_disparity), limits.tiles != "never" and matcher.tile_halo() is not None
     if limits.device.info.is_gpu:
         return _HOST_BYTES_PER_PIXEL * shape[0] * shape[1] + _HOST_BYTES, False

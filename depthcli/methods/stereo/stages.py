@@ -44,21 +44,6 @@ class PairMatcher(ABC):
         """Return how many pixels a part of a pair needs around it; None: only the whole pair can be matched."""
         return _TILE_HALO
 
-    def device_bytes(self, shape: tuple[int, int], max_disparity: int) -> int | None:
-        """Estimate the memory of a device that matches a whole pair, bytes; None: only the processor can."""
-        return None
-
-    def cost_stages(self) -> CostStages | None:
-        """Return the stages whose costs can be computed tile by tile; None: tiles are matched as pairs of their own."""
-        return None
-
-    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, PairMatcher]:
-        """Apply the steps that need the whole images; return the new pair, and the matcher without these steps.
-
-        For pairs that are matched in tiles or on a device; ``__call__`` includes these steps.
-        """
-        return pair, self
-
 
 class CostStages(ConfigModel):
     """The stages of a method that computes costs: cost measure, aggregation, optimization, refinement, confidence."""
@@ -92,6 +77,16 @@ class CostStages(ConfigModel):
         optimized = not isinstance(self.optimization, WinnerTakesAll)
         bytes_per_cell = max(2, 7 if aggregated else 0, (6 if aggregated else 5) if optimized else 0)
         return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + self.cost.pixel_bytes())
+
+    def device_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Estimate the bytes on a device of the volumes, where scanlines run one after another, and of the maps."""
+        intersects = getattr(self.aggregation, "support", "") == "intersection"
+        bytes_per_cell = 18 if intersects else 10 if self.aggregation is not None else 7
+        return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + 100)
+
+    def need_whole_volume(self) -> bool:
+        """Return whether a refinement step looks at costs: then tiles are matched as pairs of their own."""
+        return any(step.needs_costs for step in self.refinement)
 
     def halo(self) -> int | None:
         """Return how many pixels around a pixel its optimized costs depend on; None: on the whole image."""

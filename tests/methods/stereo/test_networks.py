@@ -12,13 +12,10 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.method import used_files
-from depthcli.methods.stereo.cost.onnx import Onnx as OnnxCost
-from depthcli.methods.stereo.networks import networks_in
-from depthcli.methods.stereo.networks.images import MeanDeviation, planes, samples
-from depthcli.methods.stereo.networks.profiles import PROFILES
-from depthcli.methods.stereo.networks.runtime import network_device
+from depthcli.methods.stereo.cost.onnx import NetworkCost
+from depthcli.methods.stereo.networks import MeanDeviation, network_device, networks_in, planes, samples
 from depthcli.methods.stereo.pipeline.local import Local
-from depthcli.methods.stereo.pipeline.onnx import Onnx
+from depthcli.methods.stereo.pipeline.onnx import PROFILES, NetworkPipeline
 from tests.methods.stereo._networks import Graph, block_matcher, has_onnx, local_features
 from tests.methods.stereo._pairs import assert_pure, inside, shifted_pair
 
@@ -26,8 +23,8 @@ needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is n
 FORMS = ("six", "grey", "two", "last", "right-first", "four", "iterations")
 
 
-def pipeline(path: Path, **fields: object) -> Onnx:
-    return Onnx.model_validate({"model": str(path), **fields})
+def pipeline(path: Path, **fields: object) -> NetworkPipeline:
+    return NetworkPipeline.model_validate({"model": str(path), **fields})
 
 
 @needs_onnx
@@ -156,9 +153,9 @@ def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path, monkeypatch:
     with pytest.raises(InputError, match=r"flow_init \(1, 2, 4, 4\); is it one part of a network in two files"):
         pipeline(parts).prepare("cpu")
     with pytest.raises(InputError, match="one image as its input"):
-        OnnxCost(model=str(tmp_path / "net.onnx")).prepare("cpu")
+        NetworkCost(model=str(tmp_path / "net.onnx")).prepare("cpu")
     with pytest.raises(InputError, match="want a vector for each pixel"):
-        OnnxCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))).prepare("cpu")
+        NetworkCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))).prepare("cpu")
     with pytest.raises(InputError, match=r"device cuda:0.*install onnxruntime-gpu"):
         pipeline(tmp_path / "net.onnx").prepare("cuda:0")
 
@@ -218,7 +215,7 @@ def test_profiles_are_those_of_published_exports():
 @pytest.mark.parametrize(("channels", "pads"), [(None, 0), (3, 0), (1, 1)])
 def test_costs_are_distances_of_features(tmp_path: Path, distance: str, channels: int | None, pads: int):
     file = local_features(tmp_path / "net.onnx", channels, pads)
-    cost = OnnxCost.model_validate(
+    cost = NetworkCost.model_validate(
         {"model": str(file), "distance": distance, "truncation": 0.8 if distance == "dot" else 90}
     )
     pair, count = shifted_pair(12, 40, 3, noise=30), 9

@@ -113,10 +113,6 @@ class AdjustingMatcher(PairMatcher, BaseModel):
 
     adjust: Adjust = ()
 
-    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, PairMatcher]:
-        """Return the pair with an adjusted right image, and the matcher without that step."""
-        return adjusted(pair, max_disparity, self.adjust, clock), self.model_copy(update={"adjust": ()})
-
 
 def reduction_factor(shape: tuple[int, int], max_disparity: int) -> int:
     """Return the smallest power of 2 by which a pair of (H, W) ``shape`` must be reduced to be matched quickly."""

@@ -63,7 +63,7 @@ class ProgramError(InputError):
     """A program failed: it cannot be started, was ended, or its result cannot be used."""
 
 
-class Command(StereoPipeline):
+class Program(StereoPipeline):
     """A program of others: two images and a range in, a disparity map out.
 
     The program runs for every scene, in a scratch folder of its own, which is kept where the scene fails. The first

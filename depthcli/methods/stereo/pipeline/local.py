@@ -23,13 +23,3 @@ class Local(CostStages, CostPipeline):
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the bytes of the volumes and of the maps."""
         return self.volume_bytes(shape, max_disparity) + 200 * shape[0] * shape[1] + (64 << 20)
-
-    def device_bytes(self, shape: tuple[int, int], max_disparity: int) -> int | None:
-        """Estimate the bytes of the volumes, where scanlines run one after another, and of the maps."""
-        intersects = getattr(self.aggregation, "support", "") == "intersection"
-        bytes_per_cell = 18 if intersects else 10 if self.aggregation is not None else 7
-        return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + 100)
-
-    def cost_stages(self) -> CostStages | None:
-        """Return the pipeline itself; None where a refinement step looks at costs, which needs the whole volume."""
-        return None if any(step.needs_costs for step in self.refinement) else self

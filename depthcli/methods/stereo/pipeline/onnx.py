@@ -2,32 +2,79 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Annotated, ClassVar, cast
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference
-from depthcli.methods.stereo.networks import Network
-from depthcli.methods.stereo.networks.images import ColorOrder, Normalization
-from depthcli.methods.stereo.networks.pairs import PairNetwork
-from depthcli.methods.stereo.networks.profiles import DEFAULT, PROFILES, ProfileName, Sign
-from depthcli.methods.stereo.networks.runtime import Session
-from depthcli.methods.stereo.networks.self_check import check_shifts
+from depthcli.methods.stereo.networks import (
+    ColorOrder,
+    ImageInput,
+    Network,
+    Normalization,
+    Port,
+    Session,
+    padded,
+    planes,
+    samples,
+)
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.volume import StereoResult
+
+ProfileName = Literal["hitnet", "crestereo", "raft-stereo", "igev", "foundation-stereo"]
+Sign = Literal["positive", "negative"]
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Conventions of a network, each of which a field of the config replaces.
+
+    Attributes
+    ----------
+    multiple : of the sides of images that it takes, where it takes more than one size
+    sign : of its output where disparities are positive
+    """
+
+    normalization: Normalization = "0-255"
+    color_order: ColorOrder = "rgb"
+    multiple: int = 32
+    sign: Sign = "positive"
+
+
+PROFILES: dict[ProfileName, Profile] = {
+    # PINTO_model_zoo 142_HITNET, as stereodemo and ONNX-HITNET-Stereo-Depth-estimation run it: one input of 6
+    # channels, left RGB and right RGB, or of 2 grey ones (the network trained for ETH3D), from 0 to 1; sizes are
+    # fixed; output (1, H, W, 1), "reference_output_disparity".
+    "hitnet": Profile(normalization="0-1"),
+    # PINTO_model_zoo 284_CREStereo, as stereodemo and ONNX-CREStereo-Depth-Estimation run it: left and right, or
+    # ("combined") both at half size before both at full size, RGB from 0 to 255; sizes are fixed; output (1, 2, H, W)
+    # whose first channel is the disparity.
+    "crestereo": Profile(),
+    # Exports of princeton-vl/RAFT-Stereo in test mode: left and right, RGB from 0 to 255 (the graph itself normalizes
+    # them); outputs: flow at a fourth of the size, then at full size, along x: minus the disparity.
+    "raft-stereo": Profile(sign="negative"),
+    # Exports of gangweiX/IGEV and IGEV-plusplus in test mode: left and right, or one input of 6 channels, RGB from 0 to
+    # 255 (the graph itself normalizes them); output: the disparity at full size.
+    "igev": Profile(),
+    # scripts/make_onnx.py of NVlabs/FoundationStereo: "left" and "right", RGB from 0 to 255 (the graph itself
+    # normalizes them by ImageNet's moments); sizes are fixed; output "disp".
+    "foundation-stereo": Profile(),
+}
+
 
 _Side = Annotated[int, Field(ge=16, le=16384)]
 
 
-class Onnx(Network, StereoPipeline):
+class NetworkPipeline(Network, StereoPipeline):
     """A network that maps a rectified pair to the left view's disparities, run by onnxruntime.
 
     Inputs are found from names and shapes: one with 6 or 2 channels (left, then right), two images, or four, of which
@@ -63,9 +110,9 @@ class Onnx(Network, StereoPipeline):
     self_check: bool = Field(True, description="whether the network must find a known shift before a run")
 
     def check(self) -> None:
-        network = self._network()
+        self._network()
         if self.self_check:
-            _self_check(self, self.session, network.size)
+            _self_check(self, self.session)
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         """Match the whole pair; disparities beyond 0 .. ``max_disparity`` are out of range.
@@ -103,7 +150,7 @@ class Onnx(Network, StereoPipeline):
         return 1024 * shape[0] * shape[1] + (256 << 20)
 
     def _network(self) -> PairNetwork:
-        base = DEFAULT if self.profile is None else PROFILES[self.profile]
+        base = Profile() if self.profile is None else PROFILES[self.profile]
         given = {name: getattr(self, name) for name in ("normalization", "color_order", "multiple", "sign")}
         conventions = replace(base, **{name: value for name, value in given.items() if value is not None})
         size = None if self.size is None else (self.size[1], self.size[0])
@@ -111,9 +158,9 @@ class Onnx(Network, StereoPipeline):
 
 
 @lru_cache(maxsize=4)
-def _self_check(method: Onnx, session: Session, size: tuple[int, int] | None) -> None:
+def _self_check(method: NetworkPipeline, session: Session) -> None:
     # Once a process, method and opened file: an exception is not kept, but ends the run.
-    check_shifts(method._network(), size, session.model)
+    _check_shifts(method._network())
 
 
 def _mirrored(pair: StereoPair) -> StereoPair:
@@ -138,3 +185,204 @@ def _is_hit(right: NDArray[np.float32]) -> NDArray[np.bool_]:
     hit = np.zeros(right.shape, np.uint8)
     hit[rows[inside], columns[inside]] = 1
     return np.asarray(cv2.dilate(hit, np.ones((1, 3), np.uint8)) != 0)
+
+
+View = Literal["left", "right"]
+
+
+@dataclass(frozen=True)
+class Feed:
+    """What an input gets: one view, or both, one after the other along the channels; at full or at half size."""
+
+    target: ImageInput
+    views: tuple[View, ...]
+    half: bool = False
+
+    @property
+    def channels(self) -> int:
+        """Channels of a view."""
+        return 3 if self.target.channels is None else self.target.channels // len(self.views)
+
+
+@dataclass(frozen=True)
+class PairNetwork:
+    """A network that maps a pair to the left view's disparities.
+
+    Attributes
+    ----------
+    conventions : what it takes and gives
+    size : (H, W) of the images that it takes; None: any, with sides that are a multiple of ``conventions.multiple``
+    """
+
+    session: Session
+    conventions: Profile
+    feeds: tuple[Feed, ...]
+    size: tuple[int, int] | None
+    scalars: dict[str, NDArray[Any]]
+
+    @classmethod
+    def of(
+        cls, session: Session, conventions: Profile, size: tuple[int, int] | None, iterations: int | None
+    ) -> PairNetwork:
+        """Find out from names and shapes what the inputs of a network take.
+
+        Parameters
+        ----------
+        size : (H, W) of the images that the network gets; None: that of its input, if it has one
+        iterations : for a network with an integer input that says how many; None where it has none
+
+        Raises
+        ------
+        InputError
+            The inputs are of no known kind, or do not fit ``size`` or ``iterations``.
+        """
+        counts = [port for port in session.inputs if port.dtype in (np.int32, np.int64) and len(port.shape) < 2]
+        feeds = _feeds([port for port in session.inputs if port not in counts], session.model)
+        if bool(counts) != (iterations is not None) or len(counts) > 1:
+            what = "needs a number of iterations" if counts else "has a fixed number of iterations"
+            raise InputError(f"{session.model}: the network {what}; see iterations")
+        scalars = {port.name: np.full([1] * len(port.shape), iterations, port.dtype) for port in counts}
+        own = next(feed for feed in feeds if not feed.half).target.size
+        fixed = (own[0], own[1]) if own[0] is not None and own[1] is not None else None
+        if fixed is not None and size not in (None, fixed):
+            raise InputError(f"{session.model}: the network takes images of {fixed[1]} x {fixed[0]}; leave size out")
+        return cls(session, conventions, feeds, fixed or size, scalars)
+
+    def __call__(self, pair: StereoPair) -> NDArray[np.float32]:
+        """Return (H, W) float32 disparities of the left view, pixels, whatever range and sign they turn out to have.
+
+        Raises
+        ------
+        InputError
+            The network fails, or gives no map of the size of its input.
+        """
+        views = {}
+        for channels in {feed.channels for feed in self.feeds}:
+            for view, image in zip(("left", "right"), samples(pair, channels), strict=True):
+                if self.size is None:
+                    views[view, channels] = padded(image, self.conventions.multiple)
+                else:
+                    views[view, channels] = _resized(image, self.size)
+        first = next(iter(views.values()))
+        size = (first.shape[0], first.shape[1])
+        values = {feed.target.port.name: self._array(feed, views, size) for feed in self.feeds}
+        disparity = _map_in(self.session.run(values | self.scalars), size, self.session.model)
+        height, width = pair.shape
+        if self.size is None:
+            disparity = disparity[:height, :width]
+        elif size != pair.shape:
+            disparity = _resized(disparity, pair.shape) * np.float32(width / size[1])
+        return -disparity if self.conventions.sign == "negative" else disparity
+
+    def _array(
+        self, feed: Feed, views: dict[tuple[str, int], NDArray[np.float32]], size: tuple[int, int]
+    ) -> NDArray[Any]:
+        images = [views[view, feed.channels] for view in feed.views]
+        if feed.half:
+            own = feed.target.size
+            images = [_resized(image, (own[0] or size[0] // 2, own[1] or size[1] // 2)) for image in images]
+        normal = [planes(image, self.conventions.normalization, self.conventions.color_order) for image in images]
+        return feed.target.array(np.concatenate(normal))
+
+
+def _feeds(ports: list[Port], model: str) -> tuple[Feed, ...]:
+    targets = [ImageInput.of(port, model) for port in ports]
+    if len(targets) == 1 and targets[0].channels in (2, 6):
+        return (Feed(targets[0], ("left", "right")),)
+    if len(targets) == 2 and all(target.channels in (None, 1, 3) for target in targets):
+        return _two(targets, half=False)
+    if len(targets) == 4 and all(target.channels in (None, 1, 3) for target in targets):
+        order = sorted(range(4), key=lambda k: (_area(targets[k]), "init" not in targets[k].port.name.lower(), k))
+        return _two([targets[k] for k in order[:2]], half=True) + _two([targets[k] for k in order[2:]], half=False)
+    shown = ", ".join(f"{port.name} {port.shape}".replace("None", "?") for port in ports)
+    # CREStereo is also exported in two files, of which the second takes two images and the flow of the first.
+    part = "; is it one part of a network in two files? take one file with four images" if len(targets) == 3 else ""
+    raise InputError(
+        f"{model}: want one input of 2 or 6 channels, two images, or four with two at half size; it has {shown}{part}"
+    )
+
+
+def _two(targets: list[ImageInput], half: bool) -> tuple[Feed, ...]:
+    # In the order of the network, unless their names say that the right one comes first.
+    first, second = targets
+    if "right" in first.port.name.lower() and "left" in second.port.name.lower():
+        first, second = second, first
+    return Feed(first, ("left",), half), Feed(second, ("right",), half)
+
+
+def _area(target: ImageInput) -> int:
+    return (target.size[0] or 0) * (target.size[1] or 0)
+
+
+def _map_in(outputs: dict[str, NDArray[Any]], size: tuple[int, int], model: str) -> NDArray[np.float32]:
+    """Return the output that is a map of that size: one whose name has "disp", else the last one."""
+    maps = {name: found for name, array in outputs.items() if (found := _plane(array, size)) is not None}
+    if not maps:
+        shown = ", ".join(f"{name} {array.shape}" for name, array in outputs.items())
+        raise InputError(f"{model}: no output is a map of {size[1]} x {size[0]} pixels; there are {shown}")
+    named = [name for name in maps if "disp" in name.lower()]
+    return np.ascontiguousarray(maps[(named or list(maps))[-1]], np.float32)
+
+
+def _plane(array: NDArray[Any], size: tuple[int, int]) -> NDArray[Any] | None:
+    # The first channel: a second one is the disparity along y.
+    if array.ndim == 4 and array.shape[0] == 1:
+        array = array[0]
+    if array.ndim == 3:
+        array = array[0] if array.shape[1:] == size and array.shape[0] <= 2 else array[..., 0]
+    return array if array.shape == size else None
+
+
+def _resized(image: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    """Return an (H, W) or (H, W, C) image with ``size`` rows and columns: averaged where it shrinks, else linear."""
+    if image.shape[:2] == size:
+        return image
+    shrinks = size[0] <= image.shape[0] and size[1] <= image.shape[1]
+    result = cv2.resize(image, (size[1], size[0]), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    return np.asarray(result.reshape(*size, *image.shape[2:]), np.float32)
+
+
+_SHIFTS = (4, 12)  # pixels
+_SIZE = (192, 320)  # where the network takes any size
+_OCTAVES = (1, 2, 4, 8, 16)  # pixels, of the texture
+
+
+def _check_shifts(network: PairNetwork) -> None:
+    """Raise InputError where ``network`` does not find by how many pixels a textured plane is shifted."""
+    found = []
+    for shift in _SHIFTS:
+        disparity = network(_textured_plane(network.size or _SIZE, shift))
+        rows, columns = (slice(side // 4, 3 * side // 4) for side in disparity.shape)
+        inner = disparity[rows, columns]
+        found.append(float(np.median(inner)) if np.isfinite(inner).all() else np.nan)
+    if _fits(found, 1.0):
+        return
+    text = (
+        f"{network.session.model}: self-check: for pairs shifted by {_SHIFTS[0]} and {_SHIFTS[1]} pixels the network "
+    )
+    text += "gives " + " and ".join(f"{value:.4g}" for value in found)
+    if _fits(found, -1.0):
+        raise InputError(f"{text}: the sign is wrong; set sign to the other one (positive, negative)")
+    scale = found[1] / _SHIFTS[1]
+    if abs(scale) > 0.01 and _fits([value / scale for value in found], 1.0):
+        raise InputError(f"{text}: the scale is wrong, {scale:.3g} for each pixel; want pixels of the full size")
+    raise InputError(
+        f"{text}: it does not find them; see profile, normalization, color_order; self_check: false leaves this out"
+    )
+
+
+def _fits(found: list[float], sign: float) -> bool:
+    return all(abs(sign * value - shift) <= 1 + 0.1 * shift for value, shift in zip(found, _SHIFTS, strict=True))
+
+
+def _textured_plane(size: tuple[int, int], shift: int) -> StereoPair:
+    # Noise of several scales: networks trained with photographs find little in that of single pixels.
+    rng = np.random.default_rng(0)
+    height, width = size[0], size[1] + shift
+    total = np.zeros((height, width, 3), np.float32)
+    for octave in _OCTAVES:
+        noise = rng.standard_normal((-(-height // octave), -(-width // octave), 3)).astype(np.float32)
+        total += cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
+    image = np.clip(total * np.float32(40 / len(_OCTAVES) ** 0.5) + np.float32(128), 0, 255).astype(np.uint8)
+    left, right = (np.ascontiguousarray(part) for part in (image[:, : size[1]], image[:, shift:]))
+    return StereoPair(left, right)

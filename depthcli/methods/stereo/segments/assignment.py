@@ -20,7 +20,7 @@ from depthcli.methods.stereo.volume import CostVolume
 _MIN_GROUP_SIZE = 30  # trusted pixels of connected segments that a plane is fitted to again; choice of this program
 
 
-class Candidates(SegmentPlaneFit):
+class PlaneCandidates(SegmentPlaneFit):
     """Fit the planes that segments may lie on, and drop near-duplicates."""
 
     renamed: ClassVar[dict[str, str]] = {"most": "max_planes"}
@@ -74,7 +74,7 @@ class Assignment:
 
 
 def assign(
-    segments: SegmentedImage, volume: CostVolume, candidates: Candidates, energy: Energy, rounds: int, sweeps: int,
+    segments: SegmentedImage, volume: CostVolume, candidates: PlaneCandidates, energy: Energy, rounds: int, sweeps: int,
     clock: Clock,
 ) -> Assignment | None:  # fmt: skip
     """Return the planes of all segments that minimize the energy (thesis, eq. 2.8); None where no pixel is trusted.

@@ -17,7 +17,7 @@ from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import RefinementStep
 from depthcli.methods.stereo.segments import Step, outputs
-from depthcli.methods.stereo.segments.assignment import Candidates, assign
+from depthcli.methods.stereo.segments.assignment import PlaneCandidates, assign
 from depthcli.methods.stereo.segments.energy import Energy
 from depthcli.methods.stereo.segments.first_estimate import Selection, has_information, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges
@@ -44,7 +44,7 @@ class SegmentSteps(Step):
     )
     selection: Selection = Field(default_factory=Selection, description="how first disparities are taken and trusted")
     split: Split = Field(default_factory=Split, description="cuts of segments that are not planar")
-    planes: Candidates = Field(default_factory=Candidates, description="the planes that segments may lie on")
+    planes: PlaneCandidates = Field(default_factory=PlaneCandidates, description="the planes that segments may lie on")
     energy: Energy = Field(default_factory=Energy, description="energy that the assignment of planes minimizes")
     rounds: int = Field(1, ge=1, le=10, description="number of assignments; planes are fitted again in between")
     sweeps: int = Field(

@@ -69,7 +69,7 @@ def match_in_tiles(
     InputError
         Not even the smallest tiles fit.
     """
-    stages = matcher.cost_stages()
+    stages = matcher if isinstance(matcher, CostStages) and not matcher.need_whole_volume() else None
     halo = None if stages is None else stages.halo()
     prior = None
     if halo is None:

@@ -1,3 +1,11 @@
+// Measures the bandwidth of a device.
+KERNEL void copy(GLOBAL const uint *RESTRICT source, GLOBAL uint *RESTRICT target, int count)
+{
+    int i = GLOBAL_ID(0);
+    if (i < count)
+        target[i] = source[i];
+}
+
 // Measures how many operations a device does: four chains of multiply-adds a thread, of 64 turns with 8 each.
 KERNEL void multiply_add(GLOBAL float *RESTRICT target, float factor, int count)
 {

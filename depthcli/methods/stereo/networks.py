@@ -1,0 +1,305 @@
+"""Networks in ONNX files, run by onnxruntime: what ``pipeline: onnx`` and ``cost: onnx`` have in common.
+
+``Network`` is the part of a config that names a file and a device; ``Session`` is a network that is ready to run;
+``ImageInput`` one of its inputs that takes images. ``samples`` and ``planes`` bring images into the range of values and
+the order of channels that a network was trained with.
+"""
+
+from __future__ import annotations
+
+import os
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, PrivateAttr, Tag, model_validator
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import StereoPair
+from depthcli.kernels.jit import n_threads
+
+_TYPES = {
+    "tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64,
+    "tensor(uint8)": np.uint8, "tensor(int32)": np.int32, "tensor(int64)": np.int64,
+}  # fmt: skip
+_CUDA = "CUDAExecutionProvider"
+_CHANNELS = (1, 2, 3, 6)
+
+
+@dataclass(frozen=True)
+class Port:
+    """An input of a network, with its sizes; None: any."""
+
+    name: str
+    shape: tuple[int | None, ...]
+    dtype: np.dtype[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A network that is ready to run; several threads may use it at a time.
+
+    Attributes
+    ----------
+    model : file of the network, as the user wrote it
+    """
+
+    model: str
+    inputs: tuple[Port, ...]
+    _inference: Any
+
+    def run(self, values: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Return output's name -> array, in the order of the network; InputError where it fails."""
+        names = [output.name for output in self._inference.get_outputs()]
+        try:
+            outputs = self._inference.run(names, dict(values))
+        except Exception as error:  # onnxruntime has an exception of its own for each code of its C interface
+            shapes = ", ".join(f"{name} {value.shape}" for name, value in values.items())
+            raise InputError(f"{self.model}: the network fails for {shapes}: {_first_line(error)}") from error
+        return dict(zip(names, outputs, strict=True))
+
+
+@lru_cache(maxsize=4)
+def _open_session(model: str, changed: int, device: str, threads: int) -> Session:
+    # Outputs had the same bytes at any number of threads in all networks that were measured (convolutions of 32 bits
+    # and of 8 bits); onnxruntime does not promise it for every operation.
+    runtime = _onnxruntime()
+    providers: list[Any] = ["CPUExecutionProvider"]
+    if device != "cpu":
+        if _CUDA not in runtime.get_available_providers():
+            raise InputError(f"--device {device}: this onnxruntime has no CUDA; install onnxruntime-gpu instead of it")
+        providers.insert(0, (_CUDA, {"device_id": int(device.partition(":")[2])}))
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.use_deterministic_compute = True
+    options.log_severity_level = 4  # what fails is raised as well
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # other workers need the processor
+    try:
+        inference = runtime.InferenceSession(model, options, providers=providers)
+    except Exception as error:  # as above
+        raise InputError(f"{model}: not a network that onnxruntime can run ({_first_line(error)})") from error
+    if device != "cpu" and _CUDA not in inference.get_providers():
+        raise InputError(f"--device {device}: onnxruntime cannot use it; are CUDA and cuDNN of its version installed?")
+    ports = []
+    for port in inference.get_inputs():
+        if port.type not in _TYPES:
+            raise InputError(f"{model}: input {port.name} is of type {port.type}; want images")
+        shape = tuple(size if isinstance(size, int) and size > 0 else None for size in port.shape)
+        ports.append(Port(port.name, shape, np.dtype(_TYPES[port.type])))
+    return Session(model, tuple(ports), inference)
+
+
+def _onnxruntime() -> Any:
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise InputError("networks need the package onnxruntime: pip install 'depthcli[onnx]'") from error
+    return onnxruntime
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:300]
+
+
+class Network(BaseModel):
+    """What all methods that run a network have in common: its file, and the device that it runs on."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    model: str = Field(min_length=1, description="file of the network, .onnx; from the current folder")
+    _device: str = PrivateAttr("cpu")
+
+    @property
+    def session(self) -> Session:
+        """The network; a file that has not changed is opened once per process.
+
+        InputError where onnxruntime or the device is missing, or the file is not a network that it can run.
+        """
+        try:
+            changed = os.stat(self.model).st_mtime_ns
+        except OSError as error:
+            raise InputError(f"{self.model}: network cannot be read ({error.strerror or error})") from error
+        return _open_session(self.model, changed, self._device, n_threads())
+
+    def prepare(self, device: str) -> None:
+        """Choose where the network runs, ``cpu`` or ``cuda:N``, and check it there.
+
+        Raises
+        ------
+        InputError
+            onnxruntime or the device is missing, the file cannot be read, or the network is not of the right kind.
+        """
+        self._device = device
+        self.check()
+
+    def used_files(self) -> dict[str, Path]:
+        """Return role -> file: the network, and weights of large ones in files beside it.
+
+        Their names begin with the network's (``net.onnx.data``, ``net.onnx_data``), or are ``net.data``.
+        """
+        path = Path(self.model)
+        prefixes = (f"{path.name}.", f"{path.name}_")
+        weights = [file for file in path.parent.glob("*") if file.name.startswith(prefixes)]
+        if path.with_suffix(".data").is_file():
+            weights.append(path.with_suffix(".data"))
+        return {"model": path} | {f"model/{file.name}": file for file in sorted(weights)}
+
+    @abstractmethod
+    def check(self) -> None:
+        """Raise InputError where the network cannot be used."""
+
+
+def networks_in(value: object) -> Iterator[Network]:
+    """Return all networks of a config, whatever they are a part of."""
+    if isinstance(value, Network):
+        yield value
+    parts: Iterator[object] = iter(())
+    if isinstance(value, BaseModel):
+        parts = (getattr(value, name) for name in type(value).model_fields)
+    elif isinstance(value, Mapping):
+        parts = iter(value.values())
+    elif isinstance(value, list | tuple):
+        parts = iter(value)
+    for part in parts:
+        yield from networks_in(part)
+
+
+def network_device(wanted: str) -> str:
+    """Return where networks run, ``cpu`` or ``cuda:N``, for the text of ``--device``; ConfigError for other kinds."""
+    if wanted == "auto":
+        return "cuda:0" if _CUDA in _onnxruntime().get_available_providers() else "cpu"
+    kind, _, number = wanted.partition(":")
+    if wanted != "cpu" and (kind != "cuda" or not (number.isdigit() or wanted == kind)):
+        raise ConfigError(f"--device {wanted}: networks run on cpu, cuda or cuda:N; auto takes cuda if it is there")
+    return f"cuda:{number or 0}" if kind == "cuda" else "cpu"
+
+
+ColorOrder = Literal["rgb", "bgr"]
+_Moment = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
+class MeanDeviation(BaseModel):
+    """Values ``(v - mean) / deviation`` of samples v in [0, 1], with one number for all channels or three, in RGB."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    mean: tuple[_Moment, ...] = Field(min_length=1, max_length=3, description="of all channels, or of red, green, blue")
+    deviation: tuple[_Moment, ...] = Field(min_length=1, max_length=3, description="standard deviations, as mean")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if {len(self.mean), len(self.deviation)} - {1, 3} or min(self.deviation) <= 0:
+            raise ValueError("mean and deviation: want one number or three; deviations are above 0")
+        return self
+
+
+def _kind(value: object) -> str:
+    return "moments" if isinstance(value, dict | MeanDeviation) else "name"
+
+
+# With a tag, an error speaks of the one that was meant.
+Normalization = Annotated[
+    Annotated[Literal["0-255", "0-1", "imagenet", "image"], Tag("name")] | Annotated[MeanDeviation, Tag("moments")],
+    Discriminator(_kind),
+]
+"""Range of the values that a network takes; ``image``: minus their mean over the image, divided by their deviation."""
+
+_IMAGENET = MeanDeviation(mean=(0.485, 0.456, 0.406), deviation=(0.229, 0.224, 0.225))
+
+
+@dataclass(frozen=True)
+class ImageInput:
+    """An input that takes images.
+
+    Attributes
+    ----------
+    channels : 1, 2, 3 or 6; None: any
+    channels_last : whether channels are the last axis, (H, W, C), not the first one, (C, H, W)
+    size : (H, W); None: any
+    """
+
+    port: Port
+    channels: int | None
+    channels_last: bool
+    size: tuple[int | None, int | None]
+
+    @classmethod
+    def of(cls, port: Port, model: str) -> ImageInput:
+        """Read the layout from the shape of an input: (H, W), (C, H, W), (H, W, C), or four axes with the batch first.
+
+        InputError where the shape has none of these forms.
+        """
+        if len(port.shape) == 2:
+            return cls(port, 1, False, (port.shape[0], port.shape[1]))
+        axes = port.shape[-3:]
+        if 3 <= len(port.shape) <= 4 and (len(port.shape) == 3 or port.shape[0] in (None, 1)):
+            if axes[0] in _CHANNELS or (axes[0] is None and axes[2] not in _CHANNELS):
+                return cls(port, axes[0], False, (axes[1], axes[2]))
+            if axes[2] in _CHANNELS:
+                return cls(port, axes[2], True, (axes[0], axes[1]))
+        shown = " x ".join("?" if size is None else str(size) for size in port.shape)
+        raise InputError(f"{model}: input {port.name} has shape {shown}; want one image of 1, 2, 3 or 6 channels")
+
+    def array(self, planes: NDArray[np.float32]) -> NDArray[Any]:
+        """Return (C, H, W) ``planes`` in the layout and type of the input."""
+        if np.issubdtype(self.port.dtype, np.integer):
+            planes = np.clip(np.rint(planes), 0, 255)
+        if len(self.port.shape) == 2:
+            planes = planes[0]
+        elif self.channels_last:
+            planes = planes.transpose(1, 2, 0)
+        if len(self.port.shape) == 4:
+            planes = planes[None]
+        return np.ascontiguousarray(planes, self.port.dtype)
+
+
+def samples(pair: StereoPair, channels: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return both images as (H, W, 1) luma or (H, W, 3) RGB float32 from 0 to 255; grey ones are repeated for 3."""
+    if channels == 1:
+        images, axes = pair.grey, 1
+        top = float(np.iinfo(images[0].dtype).max)
+    else:
+        top, images, axes = float(pair.top), pair.clamped, 3
+    left, right = (np.repeat(image[..., None], axes, axis=2) if image.ndim == 2 else image for image in images)
+    factor = np.float32(255.0 / top)
+    return left.astype(np.float32) * factor, right.astype(np.float32) * factor
+
+
+def planes(image: NDArray[np.float32], normalization: Normalization, order: ColorOrder) -> NDArray[np.float32]:
+    """Return an (H, W, C) RGB image with values from 0 to 255 as (C, H, W), normalized, in the given order."""
+    if normalization == "image":
+        deviation = float(image.std(dtype=np.float64))
+        values = (image - np.float32(image.mean(dtype=np.float64))) / np.float32(deviation or 1.0)
+    elif normalization == "0-255":
+        values = image
+    elif normalization == "0-1":
+        values = image / np.float32(255)
+    else:
+        moments = _IMAGENET if normalization == "imagenet" else normalization
+        mean, deviation_of = (np.array(m, np.float32) for m in (moments.mean, moments.deviation))
+        if image.shape[2] == 1:
+            mean, deviation_of = mean.mean(keepdims=True), deviation_of.mean(keepdims=True)
+        values = (image / np.float32(255) - mean) / deviation_of
+    if order == "bgr":
+        values = values[..., ::-1]
+    return np.ascontiguousarray(values.transpose(2, 0, 1), np.float32)
+
+
+def padded(image: NDArray[np.float32], multiple: int, margin: int = 0) -> NDArray[np.float32]:
+    """Return an (H, W, C) image whose border is repeated outwards.
+
+    Parameters
+    ----------
+    multiple : which rows and columns then are a multiple of; what is missing is added below and on the right
+    margin : pixels added on all sides before
+    """
+    missing = [-(side + 2 * margin) % multiple for side in image.shape[:2]]
+    if not (margin or any(missing)):
+        return image
+    return np.pad(image, ((margin, margin + missing[0]), (margin, margin + missing[1]), (0, 0)), mode="edge")
