@@ -35,24 +35,6 @@ def test_energy_agrees_with_the_naive_sum():
     assert potts_energy(labels, unary, edges, weights) == pytest.approx(naive.potts(labels, unary, edges, weights))
 
 
-def test_without_edges_every_node_takes_its_cheapest_label():
-    unary = np.random.default_rng(0).random((7, 5))
-    labels, _ = alpha_expansion(unary, np.zeros((0, 2)), np.zeros(0))
-    assert np.array_equal(labels, unary.argmin(axis=1))
-
-
-def test_strong_edges_give_one_label_and_the_best_one():
-    unary = np.array([[0.0, 3.0, 1.0], [3.0, 0.0, 1.0], [0.0, 3.0, 1.0], [3.0, 0.0, 0.5]])
-    labels, energy = alpha_expansion(unary, [[0, 1], [1, 2], [2, 3]], [100.0] * 3)
-    assert labels.tolist() == [2, 2, 2, 2]
-    assert energy == pytest.approx(3.5)
-
-
-def test_undecided_nodes_follow_the_stronger_neighbor():
-    unary = np.array([[0.0, 9.0], [0.0, 0.0], [9.0, 0.0]])
-    assert alpha_expansion(unary, [[0, 1], [1, 2]], [1.0, 2.0])[0].tolist() == [0, 1, 1]
-
-
 def test_starts_from_the_given_labels_and_leaves_inputs_alone():
     unary, edges, weights = _problem(5, 6, 3)
     copies = unary.copy(), edges.copy(), weights.copy()
@@ -80,8 +62,3 @@ def test_starts_from_the_given_labels_and_leaves_inputs_alone():
 def test_bad_problems_are_refused(unary, edges, weights, message):
     with pytest.raises(ValueError, match=message):
         alpha_expansion(unary, edges, weights)
-
-
-def test_bad_initial_labels_are_refused():
-    with pytest.raises(ValueError, match="initial"):
-        alpha_expansion(np.zeros((2, 2)), [], [], initial=[0, 2])

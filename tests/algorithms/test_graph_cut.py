@@ -40,12 +40,6 @@ def test_no_labelling_is_better(shape, seed):
         np.testing.assert_array_equal(array, copy)
 
 
-def test_without_edges_the_sign_decides():
-    rng = np.random.default_rng(1)
-    score = rng.normal(0, 1, (6, 7))
-    np.testing.assert_array_equal(grid_cut(score, _weights(rng, (6, 7), 0.0)), score > 0)
-
-
 @pytest.mark.parametrize(
     ("score", "change", "message"),
     [
@@ -61,8 +55,3 @@ def test_bad_problems_are_refused(score, change, message):
         weights[2] = np.full_like(weights[2], change)
     with pytest.raises(ValueError, match=message):
         grid_cut(score, tuple(weights))
-
-
-def test_missing_weights_are_refused():
-    with pytest.raises(ValueError, match="4 steps"):
-        grid_cut(np.zeros((3, 3)), _weights(np.random.default_rng(0), (3, 3))[:3])

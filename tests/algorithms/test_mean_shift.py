@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.regions import connected_components, merge_small_regions, region_graph
-from depthcli.algorithms.segmentation.mean_shift import MeanShift, mode_colors
+from depthcli.algorithms.regions import connected_components, merge_small_regions
+from depthcli.algorithms.segmentation.mean_shift import mode_colors
 from tests.naive import segments as naive
 
 
@@ -16,23 +16,6 @@ from tests.naive import segments as naive
 def test_components_agree_with_flood_fill(shape, distance):
     color = np.random.default_rng(1).integers(0, 3, (*shape, 3)).astype(np.uint8)
     assert np.array_equal(connected_components(color, distance), naive.components(color, distance))
-
-
-def test_graph_of_two_halves():
-    labels = np.zeros((4, 6), np.int32)
-    labels[:, 3:] = 1
-    image = np.where(labels[..., None] == 1, 10, 200).astype(np.uint8).repeat(3, axis=2)
-    graph = region_graph(labels, image)
-    assert graph.edges.tolist() == [[0, 1]]
-    assert graph.boundary.tolist() == [4]
-    assert graph.sizes.tolist() == [12, 12]
-    assert graph.means.tolist() == [[200] * 3, [10] * 3]
-
-
-def test_graph_without_edges():
-    graph = region_graph(np.zeros((3, 3), np.int32), np.zeros((3, 3), np.uint8))
-    assert graph.edges.shape == (0, 2)
-    assert graph.boundary.shape == (0,)
 
 
 def test_small_regions_join_the_nearest_color():
@@ -44,11 +27,6 @@ def test_small_regions_join_the_nearest_color():
     merged = merge_small_regions(labels, image, 5)
     assert merged.max() == 1
     assert merged[3, 4] == merged[3, 5]
-
-
-def test_one_region_smaller_than_the_limit_stays():
-    image = np.zeros((2, 2, 3), np.uint8)
-    assert np.array_equal(MeanShift(min_size=50)(image), np.zeros((2, 2), np.int32))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (30, 1), (17, 33), (40, 61)])

@@ -37,13 +37,6 @@ def test_neighbors_are_the_nearest(shape, count, neighbors, skip_own):
         assert (found[p, len(expected) :] == -1).all()
 
 
-def test_neighbors_far_from_a_cluster_are_found():
-    rows, columns = np.array([90, 91, 91], np.int32), np.array([90, 90, 91], np.int32)
-    at = np.array([0], np.int32), np.array([0], np.int32)
-    samples = Samples(rows, columns, np.zeros(3, np.float32))
-    np.testing.assert_array_equal(samples.nearest(at, 2, (100, 100)), [[0, 1]])
-
-
 def test_without_samples_there_is_no_value():
     none = Samples.of(np.full((4, 5), np.nan, np.float32))
     fit = SamplePlaneFit()(none, texture((4, 5, 3)), 0.01, _pixels((4, 5)))
@@ -76,25 +69,6 @@ def test_a_plane_is_found_among_outliers():
     assert np.median(error) < 0.004
     assert np.mean(error > 0.03) < 0.01
     assert np.median(ours.confidence) > 0.6
-
-
-def test_color_keeps_two_surfaces_apart():
-    shape = (40, 60)
-    image = np.full((*shape, 3), 20, np.uint8)
-    image[:, 30:] = 220
-    rng = np.random.default_rng(6)
-    rows, columns = (axis.astype(np.int32) for axis in np.divmod(rng.choice(2400, 200, replace=False), 60))
-    samples = Samples(rows, columns, np.where(columns < 30, 1.0, 2.0).astype(np.float32))
-    at = _pixels(shape)
-    ours = SamplePlaneFit()(samples, image, 0.01, at)
-    np.testing.assert_allclose(ours.values, np.where(at[1] < 30, 1.0, 2.0), atol=0.02)
-
-
-def test_sigma_grows_far_from_samples():
-    samples = Samples.of(np.where(np.arange(90)[None, :] < 30, np.float32(1.5), np.float32(np.nan)).repeat(20, axis=0))
-    at = np.array([10, 10, 10], np.int32), np.array([15, 40, 80], np.int32)
-    sigma = SamplePlaneFit()(samples, np.full((20, 90, 3), 50, np.uint8), 0.01, at).sigma
-    assert sigma[0] < sigma[1] < sigma[2]
 
 
 def test_same_bytes_at_any_thread_count_and_inputs_untouched():

@@ -49,12 +49,6 @@ def test_superpixels_have_the_requested_size():
         assert 0.6 < count * size / (60 * 80) < 1.7
 
 
-def test_scale_makes_larger_regions():
-    image = np.random.default_rng(0).integers(0, 60, (40, 50, 3)).astype(np.uint8)
-    counts = [method("felzenszwalb", scale=scale, min_size=1)(image).max() for scale in (1, 30, 1000)]
-    assert counts[0] > counts[1] > counts[2]
-
-
 @pytest.mark.parametrize(("scale", "min_size"), [(60, 1), (300, 30)])
 def test_regions_by_edges_are_those_of_scikit_image(scale, min_size):
     """But for costs that are rounded, and for the order of equal ones."""

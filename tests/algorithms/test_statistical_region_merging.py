@@ -43,12 +43,6 @@ def test_agrees_with_the_definition(height, width, unknown, min_size):
     np.testing.assert_array_equal(method(image, depth), expected[0])
 
 
-def test_the_definition_makes_regions_of_several_sizes_here():
-    layers = naive.region_merging(blocks(23, 16), None, (2000, 300, 20), 0, 1)
-    counts = [layer.max() + 1 for layer in layers]
-    assert counts[0] > counts[1] > counts[2] >= 1 and counts[0] < 23 * 16
-
-
 def test_depth_keeps_apart_what_color_would_join():
     image = np.full((40, 60, 3), 90, np.uint8)
     depth = np.full((40, 60), 2.0, np.float32)
@@ -59,13 +53,6 @@ def test_depth_keeps_apart_what_color_would_join():
     assert len(np.unique(labels[:, :26])) == len(np.unique(labels[:, 34:])) == 1  # the gap joins either
     assert StatisticalRegionMerging(depth_guidance=0)(image, depth).max() == 0
     assert StatisticalRegionMerging()(image).max() == 0
-
-
-def test_depth_of_one_value_or_none_says_nothing():
-    image = blocks(20, 30)
-    plain = StatisticalRegionMerging()(image)
-    for value in (3.0, np.nan):
-        np.testing.assert_array_equal(StatisticalRegionMerging()(image, np.full((20, 30), value, np.float32)), plain)
 
 
 def test_layers_are_nested_and_inputs_untouched():

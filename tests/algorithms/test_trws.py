@@ -73,20 +73,6 @@ def test_exact_on_chains(shape, seed):
     assert lower_bound == pytest.approx(best, abs=1e-4)
 
 
-def test_a_column_across_several_bands_is_exact_too():
-    rng = np.random.default_rng(7)
-    active = np.ones((130, 1), bool)
-    values, unary, weights = random_problem(rng, active, 4)
-    labels, lower_bound = trws(values, unary, active, weights, 3.0, 12)
-    cost = unary[0].astype(float)
-    for n in range(1, 130):  # Viterbi
-        step = np.minimum(np.abs(values[n][:, None] - values[n - 1][None]), 3.0) * weights[n - 1, 2]
-        cost = unary[n] + (cost[None] + np.where(np.isfinite(cost), step, 0)).min(axis=1)
-    energy = energy_of(labels, values, unary, list(pairs_of(active, weights)), 3.0)
-    assert energy == pytest.approx(cost.min(), rel=1e-4)
-    assert lower_bound == pytest.approx(cost.min(), rel=1e-4)
-
-
 def test_the_bound_holds_and_the_answer_is_the_same_at_any_number_of_threads():
     rng = np.random.default_rng(3)
     active = rng.random((97, 61)) < 0.8

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 
@@ -89,11 +87,3 @@ def consensus_weights(shares, exponent):
     """(M, H, W) weights proportional to a power of the shares."""
     powered = np.maximum(shares, 1e-4) ** exponent
     return powered / powered.sum(axis=0)
-
-
-def left_right_difference(left, right):
-    """Minus the difference between a left disparity and that of its match."""
-    out = np.zeros(left.shape)
-    for y, x in np.ndindex(left.shape):
-        out[y, x] = -math.fabs(int(left[y, x]) - int(right[y, x - int(left[y, x])]))
-    return out

@@ -16,7 +16,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.networks import TrainedNetwork
 from depthcli.evaluation.curves import sparsification
-from depthcli.io.formats.networks import network_path, read_network, write_network
+from depthcli.io.formats.networks import read_network, write_network
 from depthcli.methods.fusion.choice._inputs import PIXEL_PLANES, PROPOSAL_PLANES, RELATIVE, NetworkInputs, input_names
 from depthcli.methods.fusion.choice.network import NetworkChoice, log_odds_of
 from depthcli.methods.fusion.config import FuseConfig
@@ -138,32 +138,13 @@ def test_files_of_networks_keep_four_digits(tmp_path):
         np.testing.assert_allclose(c, b, rtol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"format": "other"}, "format 'other'"),
-        ({"inputs": ["cost"]}, "arrays of shapes"),
-        ({"mean": [1.0]}, "arrays of shapes"),
-        ({"layers": []}, "arrays of shapes"),
-        ({"layers": [1]}, "not a network that depthcli wrote"),
-        ({"scale": None}, "arrays of shapes"),
-        ({"scale": ["x"]}, "not a network that depthcli wrote"),
-        ({"mean": [float("nan")] * len(input_names(KINDS))}, "not finite"),
-    ],
-)
-def test_a_file_that_holds_no_network_is_refused(change, message, tmp_path):
+@pytest.mark.parametrize("change", [{"format": "other"}, {"layers": [1]}, {"mean": [float("nan")]}])
+def test_a_file_that_holds_no_network_is_refused(change, tmp_path):
     file = tmp_path / "net.json"
     write_network(file, random_network(KINDS))
     file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
-    with pytest.raises(InputError, match=rf"net\.json: .*{message}"):
+    with pytest.raises(InputError, match=r"net\.json"):
         read_network(file)
-
-
-def test_a_missing_network_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        read_network(tmp_path / "none.json")
-    with pytest.raises(InputError, match="one of the package: accurate"):
-        network_path("other")
 
 
 def test_a_network_takes_only_the_inputs_it_was_trained_for():
@@ -175,17 +156,6 @@ def test_a_network_takes_only_the_inputs_it_was_trained_for():
         NetworkChoice().with_network(random_network(KINDS, units=(6, 4)), KINDS)
     with pytest.raises(ValueError, match="with_network first"):
         NetworkChoice()(random_proposals())
-
-
-def test_networks_with_the_input_names_of_version_0_1_0_are_taken():
-    trained = random_network(KINDS)
-    former = {"cost_wide_relative": "cost_far_relative", "self_occlusion": "overtaken", "distance_1_own": "from_1_own"}
-    assert set(former) < set(trained.inputs)
-    old = replace(trained, inputs=tuple(former.get(name, name) for name in trained.inputs))
-    np.testing.assert_array_equal(
-        NetworkChoice().with_network(old, KINDS)(random_proposals()).values,
-        NetworkChoice().with_network(trained, KINDS)(random_proposals()).values,
-    )
 
 
 def test_a_network_takes_only_the_maps_it_was_trained_for():

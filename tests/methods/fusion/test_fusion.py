@@ -7,8 +7,6 @@ from pydantic import ValidationError
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.winners import left_right_difference, winners
-from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.fusion.blend import add_weighted, blend, measure_weights, normalize_confidences, normalize_costs
 from depthcli.methods.fusion.votes import Ballot, ColorSupport, WindowSupport
@@ -40,15 +38,6 @@ def test_squash_agrees_with_the_reference(dtype, shape, scale, outside):
     want = naive.squash(costs, scale, outside)
     assert got.costs.dtype == np.uint8
     assert np.abs(got.costs - want).max() <= 0.51
-
-
-def test_squash_of_constant_and_negative_costs():
-    flat = normalize_costs(CostVolume(np.zeros((4, 5, 6), np.uint8)), None)
-    assert not flat.costs.any()
-    costs = np.random.default_rng(0).normal(size=(8, 9, 5)).astype(np.float32)
-    got = normalize_costs(CostVolume(costs), None).costs
-    moved = normalize_costs(CostVolume(costs - costs.min()), None).costs
-    np.testing.assert_allclose(got.astype(int), moved.astype(int), atol=1)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
@@ -97,29 +86,10 @@ def test_votes_agree_with_the_reference(shape, n_disparities, tolerance):
         assert np.abs(ballot.costs(None, 1.0, 4080).costs - 4080 * (1 - spread(fading))).max() < 0.6
 
 
-def test_votes_do_not_cross_a_color_edge_but_reach_far_within_a_surface():
-    image = np.zeros((20, 60, 3), np.uint8)
-    image[:, 30:] = 200
-    disparities = np.zeros((1, 20, 60), np.int32)
-    disparities[:, :, 30:] = 9
-    disparities[0, 10, 45] = 4
-    ballot = Ballot(disparities, np.ones((1, 20, 60), np.float32), 16, 0, ColorSupport(image, 20, 15))
-    winner = ballot.costs(None, 1.0, 4080).costs.argmin(axis=2)
-    np.testing.assert_array_equal(winner, np.where(np.arange(60) < 30, 0, 9) * np.ones((20, 1)))
-
-
 def test_confidences_become_comparable_by_their_ranks_and_lrc_by_its_pixels():
     values = np.random.default_rng(0).integers(0, 9, (2, 5, 6)).astype(np.float32)
     np.testing.assert_allclose(normalize_confidences(values, "pkr"), naive.ranks(values), rtol=1e-6)
     np.testing.assert_allclose(normalize_confidences(-values, "lrc"), 1 / (1 + values), rtol=1e-6)
-
-
-def test_left_right_difference_is_the_confidence_measure():
-    costs = np.random.default_rng(0).integers(0, 99, (9, 30, 12)).astype(np.uint16)
-    left, right = winners(costs)
-    got = -left_right_difference(left, right)
-    np.testing.assert_array_equal(got, naive.left_right_difference(left, right))
-    np.testing.assert_array_equal(got, confidence_maps(costs, ["lrc"])["lrc"])
 
 
 @pytest.mark.parametrize("mode", ["consensus", "confidence", "equal", "select", "vote"])
@@ -194,31 +164,11 @@ def test_a_volume_made_elsewhere_counts_as_a_measure():
         ({}, "learned.npy: no such volume"),
         ({"learned.npy": np.zeros((40, 70, 3))}, r"want shape \(40, 70, 12 or more\), got \(40, 70, 3\)"),
         ({"learned.npy": np.full((40, 70, 12), np.nan)}, "NaN or infinite"),
-        ({"learned.npy": np.full((40, 70, 12), "x")}, "want numbers"),
     ],
 )
 def test_a_volume_that_does_not_fit_is_refused(volumes, message):
     with pytest.raises(InputError, match=message):
         fusion(measures=["census", {"volume": "learned.npy"}])(shifted_pair(), 11, volumes)
-
-
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {"measures": []},
-        {"measures": [{"cost": "census", "volume": "x.npy"}]},
-        {"measures": [{}]},
-        {"measures": ["censsus"]},
-        {"weights": "best"},
-        {"vote_confidence": "pkrr"},
-        {"confidence": ["consensuss"]},
-        {"consensus": {"window": 8}},
-        {"refine": []},
-    ],
-)
-def test_impossible_configs_are_refused(fields):
-    with pytest.raises(ValidationError):
-        fusion(**fields)
 
 
 def test_the_segment_pipeline_works_on_fused_costs():
@@ -236,11 +186,8 @@ def test_the_segment_pipeline_works_on_fused_costs():
 @pytest.mark.parametrize(
     ("fields", "place"),
     [
-        ({"segments": {"cost": "census"}}, ("segments", "cost")),
-        ({"segments": {"windoww": 3}}, ("segments", "windoww")),
         ({"segments": {"planes": {"mots": 3}}}, ("segments", "planes", "mots")),
         ({"segments": {}, "refinement": ["subpixel"]}, ("refinement",)),
-        ({"segments": {}, "confidence": ["lrc"]}, ("confidence",)),
         ({"segments": {}, "optimization": "scanline"}, ("optimization",)),
     ],
 )
@@ -248,17 +195,3 @@ def test_fields_without_effect_beside_segments_are_refused(fields, place):
     with pytest.raises(ValidationError) as caught:
         fusion(**fields)
     assert [error["loc"] for error in caught.value.errors()] == [place]
-
-
-def test_defaults_and_optimization_of_further_rounds_are_allowed_beside_segments():
-    fusion(segments={}, refinement=[], confidence=[], optimization="winner_takes_all")
-    fusion(segments={}, optimization="scanline", consensus={"rounds": 1})
-
-
-def test_names_of_confidence_measures_may_be_upper_case():
-    assert fusion(vote_confidence="LRC", confidence=["PKR", "Consensus"]).confidence == ("pkr", "consensus")
-
-
-def test_a_dumped_config_validates_to_itself():
-    first = fusion(measures=["census", {"cost": {"method": "rank", "window": [5, 5]}, "scale": 3}])
-    assert Fusion.model_validate(first.model_dump(mode="json")) == first

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.methods.fusion import Fusion
@@ -81,24 +80,6 @@ def test_a_move_gives_the_mix_of_least_energy(seed):
     moved = weak.move(a, b, 0.0)
     assert moved is not a
     assert weak.energy(moved) <= best + 0.02
-
-
-def test_proposals_within_the_smallest_difference_change_nothing():
-    scored = random_scored_map(6, 6, 0)
-    near = ScoredMap(scored.values + np.float32(0.1), scored.slopes, scored.cost - np.float32(5))
-    assert Smoothness.of(texture((6, 6, 3), 2), 1.0, 10.0, 0.1, 2.0).move(scored, near, 0.25) is scored
-
-
-def test_a_slope_costs_nothing_and_a_step_does():
-    y, x = np.mgrid[:20, :30]
-    image = np.full((20, 30, 3), 90, np.uint8)
-    smoothness = Smoothness.of(image, 4.0, 10.0, 0.1, 2.0)
-    none = np.zeros((20, 30), np.float32)
-    plane = (5 + 0.4 * x - 0.2 * y).astype(np.float32)
-    step = np.where(x < 15, 5, 12).astype(np.float32)
-    gradient = np.stack([np.full_like(plane, 0.4), np.full_like(plane, -0.2)])
-    assert smoothness.energy(ScoredMap(plane, gradient, none)) < 0.01
-    assert smoothness.energy(ScoredMap(step, slopes(step, image), none)) == pytest.approx(20 * 4 * 2, rel=0.01)
 
 
 def test_agreement_is_the_weighted_share():
@@ -174,18 +155,8 @@ def test_same_bytes_at_any_thread_count_and_on_small_images(color):
         assert fusion(blocky_pair(height, width, color), 5).disparity.values.shape == (height, width)
 
 
-def test_a_flat_pair_does_not_crash():
-    image = np.full((20, 30, 3), 80, np.uint8)
-    assert Fusion.model_validate(SMALL)(StereoPair(image, image), 8).disparity.valid.all()
-
-
 def test_agreement_without_maps_and_maps_beside_segments_are_refused():
     with pytest.raises(ValidationError, match="'agreement' is that of several maps"):
         Fusion.model_validate({**SMALL, "maps": None})
     with pytest.raises(ValidationError, match="no effect beside 'segments'"):
         Fusion.model_validate({"measures": ["census"], "segments": {}, "maps": SMALL["maps"]})
-
-
-def test_memory_counts_the_largest_of_what_runs_in_turn():
-    alone = Fusion.model_validate({**SMALL, "maps": None, "confidence": []})
-    assert Fusion.model_validate(SMALL).peak_bytes((300, 400), 64) > alone.peak_bytes((300, 400), 64)

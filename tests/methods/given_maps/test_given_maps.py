@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from depthcli.api.maps import fusion_of, judge_of, networks
 from depthcli.core.config_file import load_config
-from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
-from depthcli.methods.given_maps import Networks, judged_maps, map_measures, odds_of, offsets
+from depthcli.methods.given_maps import judged_maps, map_measures, odds_of, offsets
 from depthcli.methods.given_maps._evidence import _COST, _OPTIMIZATION, _REFINEMENT, Evidence
-from depthcli.methods.given_maps._planes import OTHERS, hidden_by_map
+from depthcli.methods.given_maps._planes import OTHERS
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.run.presets import find_config
@@ -63,12 +61,6 @@ def test_planes_are_those_of_single_pixels(pair: StereoPair, broken: np.ndarray)
         assert judged.plane("missing")[y, x] == np.isnan(broken[y, x])
 
 
-def test_pixels_that_a_nearer_one_covers():
-    values = np.full((1, 20), 2, np.float32)
-    values[0, 10:14] = 6  # matches 4 .. 7, which 6 .. 9 have, too
-    assert np.flatnonzero(hidden_by_map(values)[0]).tolist() == [6, 7, 8, 9]
-
-
 def test_the_kernel_is_the_network(pair: StereoPair, broken: np.ndarray):
     evidence, known = Evidence.of(pair, 32, Clock()), networks()
     judged = judged_maps(evidence, [broken, broken + 1])[0]
@@ -91,12 +83,6 @@ def test_the_costs_are_those_of_the_preset_fast():
     fast = load_config(StereoConfig, find_config("stereo", "fast")).pipeline
     assert isinstance(fast, Local)
     assert (fast.cost, fast.optimization, fast.refinement) == (_COST, _OPTIMIZATION, _REFINEMENT)
-
-
-def test_networks_for_other_inputs_are_refused():
-    known = networks()
-    with pytest.raises(InputError, match="another version"):
-        Networks(replace(known.right, inputs=("x", *known.right.inputs[1:])), known.hidden, known.one_view)
 
 
 def test_one_map_has_no_relation_to_others(pair: StereoPair, broken: np.ndarray):

@@ -55,19 +55,6 @@ def test_filled_pixels_are_smoothed_as_by_the_reference(shape, monkeypatch):
     assert (smoothed[np.isnan(values)] <= limit[np.isnan(values)]).sum() >= (filled <= limit)[np.isnan(values)].sum()
 
 
-def test_a_ragged_border_between_surfaces_becomes_straighter():
-    values = np.full((60, 120), 10, np.float32)
-    values[:, 60:] = 30
-    values[:, 40:80] = np.nan
-    rng = np.random.default_rng(0)
-    cost = np.where(rng.random(values.shape) < 0.5, np.float32(8), np.float32(0))  # half of the starts are unreliable
-    free, none = np.full(values.shape, np.inf, np.float32), np.empty((0, *values.shape), np.int32)
-    filled, _ = fill_gaps(values, np.full((60, 120, 3), 100, np.uint8), none, free, cost, None)
-    assert set(np.unique(filled)) == {10, 30}
-    assert (np.diff(filled, axis=1) != 0).sum(axis=1).max() == 1  # one border in each row
-    assert np.abs(np.diff((filled == 10).sum(axis=1))).max() <= 3
-
-
 def test_planes_continue_and_fade():
     columns = np.mgrid[:40, :80][1].astype(np.float32)
     values = 20 + 0.2 * columns
@@ -104,14 +91,6 @@ def test_color_edges_limits_and_costs_decide_between_surfaces():
     assert shares[0] == pytest.approx(0.5, abs=0.04) and shares[1] == pytest.approx(0.7, abs=0.04)
 
 
-def test_nothing_known_and_nothing_unknown():
-    nothing = np.full((5, 6), np.nan, np.float32)
-    args = np.zeros((5, 6, 3), np.uint8), np.zeros((1, 5, 6), np.int32), nothing, np.zeros((5, 6), np.float32), 0.1
-    assert np.isnan(fill_gaps(nothing, *args)[0]).all()
-    full = np.ones((5, 6), np.float32)
-    np.testing.assert_array_equal(fill_gaps(full, *args)[0], full)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("pipeline", [PlaneVotes(), Dsrm(), ShadowSmoother()], ids=["accurate", "dsrm", "fast"])
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved"])
@@ -127,24 +106,6 @@ def test_holes_in_a_frame_without_shadows_are_filled_better_than_by_the_nearest_
     frame = RgbdFrame(color, depth)
     error, nearest = (np.abs(43.5 / m(frame).depth.values - truth)[holes].mean() for m in (pipeline, NearestFill()))
     assert error < (1.2 if isinstance(pipeline, ShadowSmoother) else 0.8) * nearest
-
-
-@pytest.mark.slow
-def test_depth_alone_keeps_outlines_fills_gaps_and_removes_noise():
-    _, truth = make_kinect_scene("planes", 3, 320, 240, 40)
-    rng = np.random.default_rng(0)
-    measured = truth + 0.3 * rng.standard_normal(truth.shape, np.float32)
-    holes = np.zeros(truth.shape, bool)
-    for _ in range(12):
-        y, x = rng.integers(0, 210), rng.integers(0, 285)
-        holes[y : y + 25, x : x + 25] = True
-    frame = RgbdFrame.without_color((43.5 / np.where(holes, np.nan, measured)).astype(np.float32), 43.5, None)
-    refined = PlaneVotes()(frame)
-    error, before = (np.abs(43.5 / depth - truth) for depth in (refined.depth.values, frame.depth))
-    nearest = np.abs(43.5 / NearestFill()(frame).depth.values - truth)[holes].mean()
-    assert refined.depth.density == 1
-    assert error[~holes].mean() < 0.5 * before[~holes].mean()
-    assert error[holes].mean() < 0.8 * nearest
 
 
 def test_where_shadows_lie_can_be_set():

@@ -6,21 +6,18 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.filters import joint_bilateral_fill
-from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.methods.kinect.disparity import nearest_fill
-from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother, weighted_smoothing
+from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
 from depthcli.methods.kinect.pipeline.guided import Guided
 from depthcli.methods.kinect.pipeline.inpaint import Inpaint
 from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
-from depthcli.methods.kinect.shadows import Shadow, Shadows, shadow_background
 from depthcli.simulate.depth_sensor import simulate_kinect
-from depthcli.simulate.kinect_scenes import make_kinect_scene, make_kinect_sequence
+from depthcli.simulate.kinect_scenes import make_kinect_scene
 
 METHODS = [
     FastGlobalSmoother(), Guided(), Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateralFill(), NearestFill(),
@@ -50,23 +47,6 @@ def test_all_fill_gaps_and_leave_the_input_alone(method, sample):
         assert (refined.depth.status[known] == DepthStatus.KEPT).all()
         assert (refined.depth.status[~known] == DepthStatus.GAP_FILLED).all()
     np.testing.assert_array_equal(refined.depth.values, method(frame).depth.values)
-
-
-def test_joint_bilateral_is_its_formula():
-    rng = np.random.default_rng(1)
-    color = rng.integers(100, 140, (24, 26, 3), dtype=np.uint8)
-    values = rng.uniform(10, 20, (24, 26)).astype(np.float32)
-    values[8:12, 9:14] = np.nan
-    filled = joint_bilateral_fill(color, values, 11, 4.0, 15.0)
-    for y, x in np.argwhere(np.isnan(values)):
-        total = weights = 0.0
-        for v in range(max(y - 5, 0), min(y + 6, 24)):
-            for u in range(max(x - 5, 0), min(x + 6, 26)):
-                if not np.isnan(values[v, u]):
-                    contrast = ((color[v, u].astype(int) - color[y, x]) ** 2).sum()
-                    w = np.exp(-((v - y) ** 2 + (u - x) ** 2) / 32 - contrast / 450)
-                    total, weights = total + w * values[v, u], weights + w
-        assert filled[y, x] == pytest.approx(total / weights, rel=1e-4)
 
 
 def test_nearest_fill_takes_the_nearest_known_value():
@@ -144,26 +124,6 @@ def test_realsense_hole_filling(mode, value):
     assert 43.5 / refined.depth.values[1, 2] == pytest.approx(value, rel=1e-5)
 
 
-def test_realsense_lowers_the_noise_of_a_static_camera():
-    frames = make_kinect_sequence("static", 6, 0, 160, 120, 24)
-    method, state = Realsense(), None
-    errors = []
-    for sample in frames:
-        refined, state = method.step(sample.frame(), state)
-        errors.append(np.abs(43.5 / refined.depth.values - sample.truth)[sample.measured].mean())
-    assert errors[-1] < 0.8 * errors[0]
-
-
-def test_background_of_a_shadow_is_the_value_on_its_left():
-    truth = np.full((9, 90), 10.0, np.float32)
-    truth[:, 40:60] = 20
-    sample = simulate_kinect(np.zeros((9, 90, 3), np.uint8), truth, 0, noise=0.0, discs=0)
-    level = np.zeros_like(sample.disparity)
-    planes = WindowPlanes(sample.disparity, level, level, level)
-    background, _ = shadow_background(sample.disparity, planes, 1.0, Shadows(Shadow(1.0)))
-    np.testing.assert_array_equal(background[sample.occluded], 10)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved", "camouflage"])
 def test_shadow_smoother_has_smaller_errors_than_the_smoother_it_uses(kind):
@@ -175,18 +135,3 @@ def test_shadow_smoother_has_smaller_errors_than_the_smoother_it_uses(kind):
     assert np.nanmean(ours[sample.gap]) < 0.8 * np.nanmean(peer[sample.gap])
     assert np.nanmean(ours[sample.mismatch]) < 0.8 * np.nanmean(peer[sample.mismatch])
     assert np.nanmean(ours[sample.measured]) < 0.24
-
-
-def test_weighted_smoothing_is_the_same_at_any_number_of_threads():
-    rng = np.random.default_rng(0)
-    color = cv2.GaussianBlur(rng.integers(0, 256, (241, 333, 3), np.uint8), (0, 0), 2)
-    disparity = 50 * rng.random((241, 333), np.float32)
-    before = cv2.getNumThreads()
-    found = []
-    for threads in (1, 3, 8):
-        cv2.setNumThreads(threads)
-        found.append(weighted_smoothing(color, disparity, np.ones_like(disparity), 900, 5))
-        assert cv2.getNumThreads() == threads
-    cv2.setNumThreads(before)
-    np.testing.assert_array_equal(found[1], found[0])
-    np.testing.assert_array_equal(found[2], found[0])

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import cv2
-import numba
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
-from depthcli.core.frames import RgbdFrame
-from depthcli.core.maps import DepthStatus
+from depthcli.algorithms.plane_fitting.window_planes import window_planes
 from depthcli.methods.kinect.candidates import LEVELS, ExtraVotes, Voters, cast_votes, hidden_openings
 from depthcli.methods.kinect.depth_edges import MIN_OFFSET, correct_probability, outline_offsets
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
@@ -108,25 +105,6 @@ def test_votes_agree_with_the_reference():
     assert agree >= 0.95 * len(pixels)  # a vote at the border of two bins may fall into either
 
 
-def test_without_voters_there_are_no_candidates():
-    shape = (6, 7)
-    nothing = np.zeros(shape, np.float32)
-    planes = WindowPlanes(np.full(shape, np.nan, np.float32), nothing, nothing, nothing)
-    lab = np.zeros((*shape, 3), np.uint8)
-    voters = [Voters.of(lab, planes, nothing, stride) for stride, _ in LEVELS]
-    values, shares = cast_votes(
-        np.array([[0, 0]], np.int32),
-        lab,
-        voters,
-        ExtraVotes(*[nothing] * 4, nothing[None], nothing),
-        0.3,
-        3,
-        9.0,
-        nothing + 9,
-    )
-    assert np.isnan(values).all() and (shares == 0).all()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("fattening", [2, 4, 6])
 def test_outline_offsets_are_the_simulated_fattening(fattening):
@@ -147,15 +125,6 @@ def test_correct_probability_separates_right_from_wrong_measurements():
     assert sample.mismatch[known & (right > 0.9)].mean() < 0.05
 
 
-def test_a_frame_without_edges_or_without_depth_has_no_unreliable_pixels():
-    lab = np.full((20, 60, 3), 100, np.uint8)
-    flat = np.full((20, 60), 12, np.float32)
-    assert (correct_probability(lab, flat, 1.0, Shadows()) == 1).all()
-    assert (correct_probability(lab, np.full_like(flat, np.nan), 1.0, Shadows()) == 1).all()
-    assert measure_shadows(flat, 1.0) == Shadows()
-    assert measure_shadows(np.full_like(flat, np.nan), 1.0) == Shadows()
-
-
 def test_shadows_are_measured_on_both_sides():
     sample = sample_of(size=(400, 300), discs=0)
     found = measure_shadows(sample.disparity, 1.5)
@@ -173,16 +142,6 @@ def test_the_width_of_shadows_is_measured(baseline, covered):
     step = np.median(np.diff(sample.truth)[np.diff(sample.truth) > 2])
     expected = baseline * step - (4 if covered else 0)
     assert shadow.scale * step - shadow.covered == pytest.approx(expected, abs=2.0)
-
-
-def test_holes_are_more_probable_the_more_gaps_are_no_shadows():
-    sample = sample_of(size=(400, 300), discs=0)
-    holed = sample.disparity.copy()
-    for y in range(10, 280, 40):
-        for x in range(10, 380, 45):
-            holed[y : y + 25, x : x + 30] = np.nan
-    assert measure_shadows(sample.disparity, 1.5).p_hole < 0.2
-    assert measure_shadows(holed, 1.5).p_hole > 0.7
 
 
 def test_limits_and_rims_of_shadows():
@@ -207,19 +166,6 @@ def test_limits_and_rims_of_shadows():
     turned = window_planes(mirrored[1], np.ones_like(truth), 0.1)
     np.testing.assert_allclose(shadow_limits(*mirrored, turned, 1.0, 0.3, right)[0][:, ::-1], limit, rtol=1e-5)
     np.testing.assert_allclose(shadow_background(mirrored[1], turned, 1.0, right)[0][:, ::-1], rim, atol=1e-4)
-
-
-def test_shadows_of_another_baseline_have_other_limits():
-    truth = np.full((30, 160), 10.0, np.float32)
-    truth[:, 90:130] = 22.0
-    sample = simulate_kinect(np.full((30, 160, 3), 90, np.uint8), truth, 0, noise=0.0, discs=0, baseline=2.0)
-    planes = window_planes(sample.disparity, np.ones_like(truth), 0.1)
-    shadows = Shadows(Shadow(1.0, scale=2.0))
-    limit, factor = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, shadows)
-    gap = np.isnan(sample.disparity[15])
-    assert gap.sum() == 24
-    np.testing.assert_allclose(limit[15, gap], 22 - np.arange(24, 0, -1) / 2 + 0.3, rtol=1e-5)
-    assert (factor[15, gap] < 0.05).all()
 
 
 def test_an_opening_closed_by_the_sensor_is_found_by_its_color():
@@ -259,60 +205,3 @@ def test_errors_are_below_those_of_library_filters_everywhere(kind):
         other = np.abs(frame.fb / peer(frame).depth.values - sample.truth)
         assert error[sample.gap].mean() < 0.5 * other[sample.gap].mean()
         assert error[sample.mismatch].mean() < other[sample.mismatch].mean()
-
-
-def test_status_and_sigma():
-    sample = sample_of()
-    refined = PlaneVotes()(sample.frame())
-    status = refined.depth.status
-    assert (status[sample.gap] == DepthStatus.GAP_FILLED).all()
-    assert (status[sample.mismatch] == DepthStatus.CORRECTED).mean() > 0.6
-    assert (status[sample.measured] == DepthStatus.SMOOTHED).mean() > 0.9
-    assert (refined.sigma > 0).all()
-    shares = refined.sigma * 43.5 / refined.depth.values**2  # back to pixels
-    assert np.median(shares) == pytest.approx(0.3, abs=0.1)
-
-
-def test_a_plane_is_filled_exactly():
-    rows, columns = np.mgrid[:90, :120]
-    truth = (20 + 0.08 * columns - 0.05 * rows).astype(np.float32)
-    depth = 43.5 / truth
-    depth[30:60, 40:70] = np.nan
-    refined = PlaneVotes()(RgbdFrame(np.full((90, 120, 3), 120, np.uint8), depth.astype(np.float32)))
-    assert np.abs(43.5 / refined.depth.values - truth)[30:60, 40:70].mean() < 0.25
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (3, 5), (9, 400)])
-def test_tiny_and_narrow_frames(shape):
-    rng = np.random.default_rng(0)
-    color = rng.integers(0, 255, (*shape, 3), dtype=np.uint8)
-    depth = np.where(rng.random(shape) < 0.5, 2.0, np.nan).astype(np.float32)
-    depth.flat[0] = 2.0
-    for method in (PlaneVotes(), JointBilateralFill(), FastGlobalSmoother()):
-        refined = method(RgbdFrame(color, depth)).depth
-        known = refined.values[~np.isnan(refined.values)]
-        np.testing.assert_allclose(known, 2.0, rtol=1e-3)
-    assert PlaneVotes()(RgbdFrame(color, depth)).depth.density == 1
-
-
-def test_nothing_known_is_an_error():
-    frame = RgbdFrame(np.zeros((8, 9, 3), np.uint8), np.full((8, 9), np.nan, np.float32))
-    for method in (PlaneVotes(), JointBilateralFill(), FastGlobalSmoother()):
-        with pytest.raises(ValueError, match="no pixel"):
-            method(frame)
-
-
-def test_same_bytes_at_any_number_of_threads_and_inputs_untouched():
-    sample = sample_of(seed=3)
-    frame = sample.frame()
-    color, depth = frame.color.copy(), frame.depth.copy()
-    most = numba.get_num_threads()
-    results = []
-    for threads in (1, most):
-        numba.set_num_threads(threads)
-        results.append(PlaneVotes()(frame))
-    numba.set_num_threads(most)
-    np.testing.assert_array_equal(results[0].depth.values, results[1].depth.values)
-    np.testing.assert_array_equal(results[0].sigma, results[1].sigma)
-    np.testing.assert_array_equal(frame.color, color)
-    np.testing.assert_array_equal(frame.depth, depth)

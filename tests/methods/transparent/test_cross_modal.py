@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from scipy.optimize import nnls
 
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
@@ -22,7 +21,6 @@ from depthcli.methods.transparent.cross_modal import (
     MatchSelection,
     learned_weights,
     mix_channels,
-    solve_nnls,
 )
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene
 from tests.methods.stereo._pairs import assert_pure, texture
@@ -103,13 +101,6 @@ def test_cameras_that_cannot_be_matched_are_refused(changes, message):
         CrossModal()(frame, Clock())
 
 
-def test_least_squares_without_negative_values():
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        matrix, target = rng.normal(size=(30, 3)), rng.normal(size=30)
-        np.testing.assert_allclose(solve_nnls(matrix, target), nnls(matrix, target)[0], atol=1e-9)
-
-
 def test_weights_of_the_channels_are_learned_from_the_sensor():
     rng = np.random.default_rng(1)
     color = cv2.GaussianBlur(rng.integers(0, 256, (80, 120, 3)).astype(np.uint8), (0, 0), 1.2)
@@ -147,16 +138,6 @@ def test_selected_matches_are_right_and_none_lie_on_widened_edges():
     known = np.isfinite(kept)
     assert 0.15 < known.mean() < np.isfinite(all_of).mean()
     assert np.mean(np.abs(kept - scene.disparity)[known] > 1) < 0.08
-
-
-def test_speckles_are_taken_off_the_infrared_image():
-    scene = make_transparent_scene(5, 128, 96, 16, speckles=0.03)
-    smooth = cv2.medianBlur(scene.infrared, 3)
-    found = CrossModal(max_disparity=16, median=3).match(scene.color, scene.infrared, scene.sensor).dense
-    by_hand = CrossModal(max_disparity=16).match(scene.color, smooth, scene.sensor).dense
-    np.testing.assert_array_equal(found, by_hand)
-    plain = CrossModal(max_disparity=16).match(scene.color, scene.infrared, scene.sensor).dense
-    assert np.mean(found != plain) > 0.2
 
 
 def test_same_bytes_at_any_thread_count_and_inputs_untouched():

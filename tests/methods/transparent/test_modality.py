@@ -34,16 +34,6 @@ def test_faded_costs_agree_with_the_reference(shape, dtype):
     assert_pure(lambda: faded_costs(costs, left, right, 30.0).costs, left, right, costs.costs)
 
 
-def test_costs_of_flat_pixels_fade_and_others_stay():
-    costs = volume((20, 40, 8))
-    flat, rough = np.full((20, 40), 200, np.uint8), texture((20, 40), 3)
-    np.testing.assert_array_equal(faded_costs(costs, rough, rough, 1e-3).costs, costs.costs)
-    faded = faded_costs(costs, flat, rough, 4.0).costs.astype(int)
-    assert np.ptp(faded, axis=2).max() == 0
-    saturated = faded_costs(costs, rough, flat, 4.0).costs.astype(int)
-    assert np.ptp(saturated[:, 8:], axis=2).max() == 0
-
-
 def test_costs_beside_a_disparity():
     costs = volume((4, 5, 6))
     rows, columns = np.mgrid[:4, :5]

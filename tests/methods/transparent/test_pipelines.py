@@ -43,35 +43,6 @@ def test_glass_is_found_and_nothing_else_is_touched(name, seed):
     assert outside < 1.02 * sensor
 
 
-@pytest.mark.parametrize("name", ["sparse", "crf"])
-def test_errors_are_below_those_of_the_baselines(name):
-    frame, truth, mask = glass(4, outliers=0.3)
-    ours, _ = errors(pipeline(name)(frame).depth.values, truth, mask, frame.depth)
-    for baseline in ("nearest", "textbook", "joint-bilateral"):
-        theirs, _ = errors(pipeline(baseline)(frame).depth.values, truth, mask, frame.depth)
-        assert ours < 0.7 * theirs
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_a_single_sample_and_an_empty_sparse_map(name):
-    frame, _, _ = glass(5)
-    nothing = np.full(frame.shape, np.nan, np.float32)
-    one = nothing.copy()
-    one[3, 4] = frame.depth[3, 4]
-    for sparse in (one, nothing):
-        result = pipeline(name)(replace(frame, sparse=sparse))
-        known = np.isfinite(frame.depth)
-        if name != "textbook":  # which labels every pixel anew
-            np.testing.assert_array_equal(result.depth.values[known], frame.depth[known])
-
-
-def test_samples_that_agree_with_the_sensor_leave_it_alone():
-    frame, _, mask = glass(6)
-    honest = replace(frame, sparse=np.where(mask, np.nan, frame.sparse).astype(np.float32))
-    unreliable = pipeline("sparse")(honest).pictures["unreliable"] > 0
-    assert unreliable.mean() < 0.01
-
-
 def test_little_confidence_makes_samples_count_less():
     frame, truth, mask = glass(7, outliers=0.0)
     plain = np.full(frame.shape, 1, np.float32)

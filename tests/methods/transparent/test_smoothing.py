@@ -7,7 +7,7 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.methods.transparent.pipeline.robust import Smoothing
-from tests.methods.stereo._pairs import assert_pure, texture
+from tests.methods.stereo._pairs import texture
 from tests.naive import transparent as naive
 
 
@@ -43,18 +43,3 @@ def test_near_samples_and_elsewhere_values_stay():
     changed = Smoothing(reach=0.1)(values, one, image, wanted) != values
     assert changed[wanted & np.isfinite(values)].sum() > 100
     assert not changed[~wanted & np.isfinite(values)].any()
-
-
-def test_an_edge_of_color_keeps_both_sides_apart():
-    values = np.full((20, 40), 1.0, np.float32)
-    values[:, 20:] = 2.0
-    image = np.zeros((20, 40, 3), np.uint8)
-    image[:, 20:] = 200
-    smooth = Smoothing(reach=0.05)(values, _samples((20, 40), [0], [0]), image, np.ones((20, 40), np.bool_))
-    np.testing.assert_allclose(smooth, values, rtol=1e-5)
-
-
-def test_same_bytes_at_any_thread_count_and_inputs_untouched():
-    values, image, wanted = _scene((60, 80), 3)
-    samples = _samples((60, 80), [30], [40])
-    assert_pure(lambda: Smoothing()(values, samples, image, wanted), values, image, wanted)
