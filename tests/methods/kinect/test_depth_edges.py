@@ -8,8 +8,6 @@ import pytest
 from depthcli.methods.kinect.depth_edges import edge_distance
 from tests.naive import kinect as naive
 
-NAN = np.nan
-
 
 def random_disparity(height, width, seed=0, unknown=0.2):
     rng = np.random.default_rng(seed)

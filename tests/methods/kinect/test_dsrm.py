@@ -35,10 +35,6 @@ def errors(result, kinect: KinectSample) -> dict[str, float]:
     return {name: float(off[getattr(kinect, name)].mean()) for name in ("gap", "mismatch", "measured")}
 
 
-def raw(kinect: KinectSample, name: str) -> float:
-    return float(np.abs(kinect.disparity - kinect.truth)[getattr(kinect, name)].mean())
-
-
 def test_leaving_out_unreliable_pixels_is_better_than_the_plain_method():
     kinect = sample()
     best, plain = (errors(preset(name)(kinect.frame()), kinect) for name in ("dsrm", "dsrm-plain"))

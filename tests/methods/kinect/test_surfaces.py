@@ -27,10 +27,6 @@ def noisy(height, width, seed=0, unknown=0.3):
     return values
 
 
-def one_segment(values):
-    return Polynomial()(values, np.zeros(values.shape, np.int32), 0.1)
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("unknown", [0.0, 0.3, 1.0])
 def test_max_disparity_in_gaps(shape, unknown):

@@ -15,12 +15,10 @@ from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
-from depthcli.run.presets import find_config, list_presets
+from depthcli.run.presets import find_config
 from depthcli.simulate.transparent_scenes import sparse_samples
 from tests.contracts.inputs import NOISE, glass
 from tests.scenes import DATA
-
-PRESETS = [name for command, name, _ in list_presets() if command == "transparent" and name != "kinect"]
 
 
 def pipeline(name):
