@@ -13,7 +13,6 @@ import importlib.util
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Annotated, Any, ClassVar, cast
 
 from pydantic import (
@@ -115,7 +114,7 @@ class Method(ConfigModel):
         return {key: self.method_name(), **handler(self)}
 
 
-class Family(Registry[type[Method]]):
+class Family(Registry[Method]):
     """The methods found in one package, and those that plug-ins add to it.
 
     Parameters
@@ -127,7 +126,7 @@ class Family(Registry[type[Method]]):
     _of: ClassVar[dict[str, Family]] = {}  # by package
 
     def __init__(self, package: str, key: str = "method") -> None:
-        super().__init__(package, _method_in, self._checked)
+        super().__init__(package)
         self.key = key
         Family._of[package] = self
 
@@ -136,11 +135,6 @@ class Family(Registry[type[Method]]):
         """Return the family that ``package`` declares; KeyError where it declares none."""
         importlib.import_module(package)
         return cls._of[package]
-
-    def _checked(self, value: Any) -> type[Method]:
-        if not (isinstance(value, type) and issubclass(value, Method) and registry_of(value) is self):
-            raise TypeError(f"expected a class derived from a method of {self.package}, got {value!r}")
-        return value
 
     def _find_alias(self, plain: str, names: Iterable[str]) -> str | None:
         return next((name for name in names if plain in map(plain_name, self.load(name).aliases)), None)
@@ -187,15 +181,6 @@ class Family(Registry[type[Method]]):
 
     def _unknown(self, text: str, name: Any = None) -> PydanticCustomError:
         return PydanticCustomError("method_name", "{text}", {"text": text + self.suggestions(name)})
-
-
-def _method_in(module: ModuleType) -> type[Method]:
-    own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
-    found = [v for v in own if issubclass(v, Method) and any("__call__" in vars(base) for base in v.__mro__[:-1])]
-    if len(found) != 1:
-        names = " and ".join(v.__name__ for v in found) or "no method"
-        raise TypeError(f"{module.__name__} defines {names}; a file of a family holds one method")
-    return found[0]
 
 
 def method_of(package: str, key: str = "method") -> Any:

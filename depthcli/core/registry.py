@@ -1,4 +1,4 @@
-"""Named objects of one kind: the modules of a package, and what plug-ins add to them.
+"""Named classes of one kind: one in each module of a package, and those that plug-ins add.
 
 An installed package offers plug-ins as entry points, one group a registry (``depthcli.stereo.cost``); a file of a user
 is read by :func:`load_file`, and every class in it that derives from one of a registry's package is a plug-in. They are
@@ -23,7 +23,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from depthcli.core.errors import ConfigError
@@ -35,7 +34,7 @@ _FILE_MODULE = "depthcli_plugin_"  # the module of a file is called so, with the
 _FILES_VARIABLE = "DEPTHCLI_PLUGIN_FILES"  # worker processes find the files there
 
 _registries: dict[str, Registry[Any]] = {}  # by group
-_homes: dict[str, str] = {}  # package, or module, of base classes -> group
+_homes: dict[str, str] = {}  # package of base classes -> group
 _file_plugins: dict[Path, list[Plugin]] = {}  # of every file that was read
 _plugin_by_class: dict[type, Plugin] = {}
 
@@ -46,11 +45,11 @@ class PluginWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Plugin:
-    """An object that a package, or a file, adds to a registry.
+    """A class, or a command, that a package or a file adds.
 
     Attributes
     ----------
-    name : of the object, with underscores
+    name : of the class, with underscores
     group : of the registry, ``depthcli.stereo.cost``
     package, version : of the distribution; the file's name and the start of its SHA-256 digest for a file
     reference : ``module:attribute``
@@ -84,34 +83,24 @@ class Plugin:
 
 
 class Registry(Generic[T]):
-    """Named objects of one kind.
+    """Named classes of one kind, each derived from a base class that their package defines.
 
     Parameters
     ----------
-    package : whose public modules are our own objects
-    own : returns the object of one of its modules
-    check : returns the object that a plug-in offers, or raises TypeError or ValueError with what is wrong
-    bases : modules outside of the package that hold base classes of its objects
+    package : whose public modules hold our own classes, one each
     group : of entry points; by default the package without the names of rooms
     """
 
-    def __init__(
-        self,
-        package: str,
-        own: Callable[[ModuleType], T],
-        check: Callable[[Any], T],
-        bases: tuple[str, ...] = (),
-        group: str = "",
-    ) -> None:
-        self.package, self._own, self._check = package, own, check
+    def __init__(self, package: str, group: str = "") -> None:
+        self.package = package
         self.group = group or ".".join(part for part in package.split(".") if part not in _ROOMS)
         _registries[self.group] = self
-        _homes.update(dict.fromkeys((package, *bases), self.group))
+        _homes[package] = self.group
 
     @property
     def own_names(self) -> tuple[str, ...]:
-        """The names of our own objects, with underscores, sorted."""
-        path = importlib.import_module(self.package).__path__
+        """The names of our own classes, with underscores, sorted."""
+        path = getattr(importlib.import_module(self.package), "__path__", ())
         return tuple(sorted(module.name for module in pkgutil.iter_modules(path) if not module.name.startswith("_")))
 
     def plugins(self) -> dict[str, Plugin]:
@@ -152,11 +141,11 @@ class Registry(Generic[T]):
         return known
 
     def _find_alias(self, plain: str, names: Iterable[str]) -> str | None:
-        """Return the first of ``names`` whose object is also called ``plain``; objects have one name, methods more."""
+        """Return the first of ``names`` whose class is also called ``plain``; methods have aliases."""
         return None
 
-    def load(self, name: str) -> T:
-        """Return the object of that name, which :meth:`find` or :meth:`names` gave.
+    def load(self, name: str) -> type[T]:
+        """Return the class of that name, which :meth:`find` or :meth:`names` gave.
 
         Raises
         ------
@@ -165,17 +154,24 @@ class Registry(Generic[T]):
         ConfigError
             It is a plug-in's and cannot be loaded.
         """
-        if name in self.own_names:
-            return self._own(importlib.import_module(f"{self.package}.{name}"))
-        return self._load_plugin(self.plugins()[name])
+        if name not in self.own_names:
+            return self._load_plugin(self.plugins()[name])
+        module = importlib.import_module(f"{self.package}.{name}")
+        own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
+        found = [v for v in own if any(base.__module__ == self.package for base in v.__mro__)]
+        if len(found) != 1:
+            names = " and ".join(v.__name__ for v in found) or "no class"
+            raise TypeError(f"{module.__name__} defines {names}; a file of this folder holds one class of its family")
+        return found[0]
 
-    def _load_plugin(self, plugin: Plugin) -> T:
-        def use(value: Any) -> T:
-            checked = self._check(value)
-            _plugin_by_class[value if isinstance(value, type) else type(value)] = plugin
-            return checked
+    def _load_plugin(self, plugin: Plugin) -> type[T]:
+        def use(value: Any) -> type[T]:
+            if not isinstance(value, type) or next(_groups_of(value), None) != self.group:
+                raise TypeError(f"expected a class derived from one of {self.package}, got {value!r}")
+            _plugin_by_class[value] = plugin
+            return value
 
-        loaded: T = plugin.load(use)
+        loaded: type[T] = plugin.load(use)
         return loaded
 
 

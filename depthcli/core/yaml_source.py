@@ -104,12 +104,13 @@ def read_config(path: Path) -> ConfigData:
 
 def parse_config(text: str, name: str) -> ConfigData:
     """Parse the text of a config file, which messages call ``name``; ConfigError where it is no mapping."""
-    config = ConfigData(name)
-    config.data = parse_value(text, name, config.places)
-    if not isinstance(config.data, dict):
-        got = "nothing" if config.data is None else short(config.data)
-        raise ConfigError(f"{name}: expected a mapping of keys to values, got {got}")
-    return config
+    places: dict[Location, str] = {}
+    data = parse_value(text, name, places)
+    if not isinstance(data, dict):
+        raise ConfigError(
+            f"{name}: expected a mapping of keys to values, got {'nothing' if data is None else short(data)}"
+        )
+    return ConfigData(name, data, places)
 
 
 def parse_value(text: str, name: str, places: dict[Location, str] | None = None) -> Any:

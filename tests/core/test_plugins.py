@@ -21,7 +21,6 @@ from depthcli.core.method import Family, used_plugins
 from depthcli.io import layouts
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
-from depthcli.io.formats.map_format import map_suffixes
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.run import presets
 
@@ -326,9 +325,8 @@ def test_maps_of_a_format_are_read_everywhere(file: Path, tmp_path: Path):
 def test_a_format_cannot_take_an_ending_of_ours(tmp_path: Path):
     path = tmp_path / "bad.py"
     path.write_text(FILE.replace(".numbers", ".png"))
-    registry.load_file(path)
-    with pytest.warns(UserWarning, match=r"my_text of bad\.py .*\.png is read by depthcli itself"):
-        assert ".numbers" not in map_suffixes()
+    with pytest.raises(ConfigError, match=r"bad\.py:\d+: .*\.png is read by depthcli itself"):
+        registry.load_file(path)
 
 
 def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
@@ -392,18 +390,18 @@ def test_a_scheduler_refuses_files(file: Path, scenes: Path, tmp_path: Path, cap
     assert "mine.py" in capsys.readouterr().err
 
 
-def test_a_file_of_a_family_holds_one_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (tmp_path / "strange_family").mkdir()
-    (tmp_path / "strange_family" / "__init__.py").write_text("")
-    method = "class {}(Method):\n    def __call__(self):\n        return 1\n"
-    head = "from depthcli.core.method import Method\n"
-    (tmp_path / "strange_family" / "both.py").write_text(head + method.format("A") + method.format("B"))
-    (tmp_path / "strange_family" / "none.py").write_text("x = 1\n")
+def test_a_file_of_a_family_holds_one_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    folder = tmp_path / "strange_family"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("from depthcli.core.method import Method\nclass Base(Method): ...\n")
+    head = "from strange_family import Base\n"
+    (folder / "both.py").write_text(f"{head}class A(Base): ...\nclass B(Base): ...\n")
+    (folder / "none.py").write_text(head)
     monkeypatch.syspath_prepend(str(tmp_path))
     for known in ("_registries", "_homes"):  # the family is no one else's
         monkeypatch.setattr(registry, known, dict(getattr(registry, known)))
     family = Family("strange_family")
-    with pytest.raises(TypeError, match=r"both defines A and B; a file of a family holds one method"):
+    with pytest.raises(TypeError, match=r"both defines A and B; a file of this folder holds one class"):
         family.load("both")
-    with pytest.raises(TypeError, match="defines no method"):
+    with pytest.raises(TypeError, match="defines no class"):
         family.load("none")

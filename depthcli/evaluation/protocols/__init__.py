@@ -15,7 +15,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 import numpy as np
@@ -255,19 +254,7 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
 AnyProtocol: TypeAlias = Protocol[Any, Any]
 
 
-def _protocol_in(module: ModuleType) -> type[AnyProtocol]:
-    own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
-    (protocol,) = (v for v in own if issubclass(v, Protocol))
-    return protocol
-
-
-def _checked(value: Any) -> type[AnyProtocol]:
-    if not (isinstance(value, type) and issubclass(value, Protocol)):
-        raise TypeError(f"want a class derived from depthcli.evaluation.protocols.Protocol, got {value!r}")
-    return value
-
-
-_REGISTRY = Registry(__name__, _protocol_in, _checked)
+_REGISTRY = Registry[AnyProtocol](__name__)
 
 
 def names() -> list[str]:

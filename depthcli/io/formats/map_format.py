@@ -25,6 +25,14 @@ class MapFormat(ABC):
     suffixes: ClassVar[tuple[str, ...]]
     """Endings of the files' names, in lower case, with the dot."""
 
+    def __init_subclass__(cls) -> None:
+        """Raise TypeError where the endings are not those of other files."""
+        suffixes = getattr(cls, "suffixes", ())
+        if not isinstance(suffixes, tuple) or not all(str(suffix).startswith(".") for suffix in suffixes):
+            raise TypeError(f"suffixes: expected a tuple of endings such as ('.flo5',), got {suffixes!r}")
+        if taken := [suffix for suffix in suffixes if suffix in MAP_SUFFIXES or suffix != suffix.lower()]:
+            raise TypeError(f"suffixes: {taken[0]} is read by depthcli itself, or not in lower case")
+
     @property
     def name(self) -> str:
         """Name of the plug-in."""
@@ -46,31 +54,12 @@ class MapFormat(ABC):
         """
 
 
-def _checked(value: Any) -> MapFormat:
-    if not (isinstance(value, type) and issubclass(value, MapFormat)):
-        raise TypeError(f"want a class derived from depthcli.io.formats.map_format.MapFormat, got {value!r}")
-    suffixes = getattr(value, "suffixes", ())
-    if not (isinstance(suffixes, tuple) and suffixes and all(isinstance(s, str) and s[:1] == "." for s in suffixes)):
-        raise TypeError(f"suffixes: want a tuple of endings such as ('.flo5',), got {suffixes!r}")
-    if taken := [suffix for suffix in suffixes if suffix in MAP_SUFFIXES or suffix != suffix.lower()]:
-        raise ValueError(f"suffixes: {taken[0]} is read by depthcli itself, or not in lower case")
-    return value()
-
-
-class _Formats(Registry[MapFormat]):
-    """The formats of plug-ins; this package's own are no classes."""
-
-    @property
-    def own_names(self) -> tuple[str, ...]:
-        return ()
-
-
-_REGISTRY = _Formats(__name__, lambda module: module.FORMAT, _checked, group="depthcli.formats")
+_REGISTRY = Registry[MapFormat](__name__, group="depthcli.formats")
 
 
 def map_formats() -> dict[str, MapFormat]:
     """Return ending -> format of plug-ins, in the order of their names; the first that has an ending reads it."""
-    formats = [_REGISTRY.load(name) for name in _REGISTRY.names()] if _REGISTRY.plugins() else []
+    formats = [_REGISTRY.load(name)() for name in _REGISTRY.names()] if _REGISTRY.plugins() else []
     return {suffix: each for each in reversed(formats) for suffix in each.suffixes}
 
 

@@ -7,7 +7,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, ClassVar
 
 from depthcli.core.errors import InputError
@@ -183,30 +182,18 @@ class Layout(ABC):
         return self.kind(**(own | values))
 
 
-def _layout_in(module: ModuleType) -> Layout:
-    own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
-    (layout,) = (v for v in own if issubclass(v, Layout))
-    return layout()
-
-
-def _checked(value: Any) -> Layout:
-    if not (isinstance(value, type) and issubclass(value, Layout)):
-        raise TypeError(f"want a class derived from depthcli.io.layouts.Layout, got {value!r}")
-    return value()
-
-
-_REGISTRY = Registry(__name__, _layout_in, _checked)
+_REGISTRY = Registry[Layout](__name__)
 
 
 @cache
 def own_layouts() -> tuple[Layout, ...]:
     """Return the layouts of this package, sorted by name."""
-    return tuple(_REGISTRY.load(name) for name in _REGISTRY.own_names)
+    return tuple(_REGISTRY.load(name)() for name in _REGISTRY.own_names)
 
 
 def layouts() -> tuple[Layout, ...]:
     """Return every layout: those of this package, then those of plug-ins."""
-    return (*own_layouts(), *(_REGISTRY.load(name) for name in _REGISTRY.names()[len(own_layouts()) :]))
+    return (*own_layouts(), *(_REGISTRY.load(name)() for name in _REGISTRY.names()[len(own_layouts()) :]))
 
 
 def layout_plugins(scenes: Iterable[Scene]) -> set[Plugin]:

@@ -70,16 +70,10 @@ class Sample(ABC):
         """Write one scene into the empty ``folder``, in a layout of ours, and return facts for the report."""
 
 
-def _checked(value: Any) -> Sample:
-    if not (isinstance(value, type) and issubclass(value, Sample)):
-        raise TypeError(f"want a class derived from depthcli.simulate.samples.Sample, got {value!r}")
-    return value()
-
-
-_REGISTRY = Registry(__name__, lambda module: module.SAMPLE, _checked)
+_REGISTRY = Registry[Sample](__name__)
 
 
 def samples() -> dict[str, Sample]:
     """Return name -> kind of sample, ``stereo`` first, those of plug-ins last."""
     names = sorted(_REGISTRY.names(), key=lambda name: (name != "stereo", name not in _REGISTRY.own_names))
-    return {name: _REGISTRY.load(name) for name in names}
+    return {name: _REGISTRY.load(name)() for name in names}

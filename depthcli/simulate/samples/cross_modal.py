@@ -54,6 +54,3 @@ class CrossModalSample(StereoSample):
     def views(self, values: Mapping[str, Any], left: Image, right: Image, seed: int) -> tuple[Image, Image]:
         """Return grey, and infrared with a projector's dots."""
         return cross_modal_pair(left, right, seed, values["speckles"])
-
-
-SAMPLE = CrossModalSample()

@@ -74,6 +74,3 @@ class KinectSampleKind(Sample):
         write_meta(folder, meta)
         height, width = samples[0].truth.shape
         return {"width": width, "height": height, "frames": len(samples)}
-
-
-SAMPLE = KinectSampleKind()

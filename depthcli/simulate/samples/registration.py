@@ -136,6 +136,3 @@ def _sampled(volume: NDArray[np.float32], field: NDArray[np.float32]) -> NDArray
             share *= weight[axis] if side else 1 - weight[axis]
         total += share * volume[low[0] + corner[0], low[1] + corner[1], low[2] + corner[2]]
     return total
-
-
-SAMPLE = RegistrationSample()

@@ -107,6 +107,3 @@ def write_scene(
     if "nonocc" in masks:
         facts["nonocc"] = round(float(masks["nonocc"].mean()), 6)
     return facts
-
-
-SAMPLE = StereoSample()

@@ -92,6 +92,3 @@ class TransparentSample(Sample):
         write_files(folder, {"color": color}, {"depth": sensor, "depth_true": truth, "sparse": sparse}, masks)
         write_meta(folder, meta)
         return {"width": color.shape[1], "height": color.shape[0]}
-
-
-SAMPLE = TransparentSample()
