@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, PrivateAttr
 
+from depthcli.algorithms.pixel_network import TILE, log_odds
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
@@ -24,7 +25,6 @@ from depthcli.core.method import ConfigModel
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock, Result
 from depthcli.methods.given_maps._evidence import BYTES_PER_CELL, BYTES_PER_PIXEL, Evidence
-from depthcli.methods.given_maps._network import log_odds
 from depthcli.methods.given_maps._planes import ALONE, INPUTS, alone_planes, other_planes
 from depthcli.methods.given_maps._shape import ONE_VIEW, one_view_planes
 from depthcli.methods.given_maps.measures import Judged, map_measures, measure_name, measured, measured_in_one_view
@@ -87,7 +87,7 @@ class Networks:
         )
         for network, names, inputs in expected:
             units = [weights.shape[1] for weights, _ in network.layers[:2]]
-            if network.maps != names or network.inputs != inputs or any(n % 4 for n in units):
+            if network.maps != names or network.inputs != inputs or any(n % TILE for n in units):
                 raise InputError("the network was trained for another version: its inputs are not these")
 
 
@@ -187,7 +187,7 @@ class MapJudge(UsesNetworks):
         grey = StereoPair(left, left).grey8[0].astype(np.float32)
         planes = one_view_planes(whole, grey, max_disparity)
         clock.start("network")
-        odds = log_odds(network, offsets(network, self.within), (planes, planes[:0]))
+        odds = log_odds(network, offsets(network, self.within), planes, planes[:0])
         probability = np.where(missing, np.float32(0), _logistic(odds))
         status = np.where(probability < 0.5, Status.MISMATCH, Status.MEASURED)
         status = np.where(missing, Status.NO_DATA, status).astype(np.uint8)
@@ -228,12 +228,12 @@ def without_gaps(values: NDArray[np.float32], max_disparity: int) -> tuple[NDArr
 
 def odds_of(networks: Networks, judged: Judged, within: float) -> NDArray[np.float32]:
     """Return the log odds (H, W) that the values of a map are right within so many pixels."""
-    return log_odds(networks.right, offsets(networks.right, within), (judged.alone, judged.others))
+    return log_odds(networks.right, offsets(networks.right, within), judged.alone, judged.others)
 
 
 def status_of(networks: Networks, judged: Judged, probability: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return the status of a map, as that of a :class:`MapJudgment`."""
-    hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], (judged.alone, judged.others[:0])) > 0
+    hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], judged.alone, judged.others[:0]) > 0
     return with_reasons(judged.values, judged.missing, probability, hidden)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.filters import local_moments
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.fusion.choice import Proposals
 from depthcli.methods.fusion.map_costs import (
     NEIGHBORS,
@@ -55,27 +54,6 @@ RELATIVE = ("cost_wide", "cost_narrow", "decorrelation", "color_difference_5")
 PIXEL_PLANES = ("min_cost", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
 """Planes of the pixel, the same for all proposals: its smallest cost, standard deviations of windows and gradient of
 the left image (grey levels), share of the proposals that are filled, and how far its light is trusted (0 .. 1)."""
-# Names of inputs in networks that version 0.1.0 wrote, and their present names.
-_FORMER_NAMES = {
-    "cost_far": "cost_wide",
-    "cost_near": "cost_narrow",
-    "dissent_near": "disagreement_narrow",
-    "dissent_far": "disagreement_wide",
-    "color": "color_difference",
-    "color_near": "color_difference_5",
-    "contradicted": "contradiction_narrow",
-    "contradicted_far": "contradiction_wide",
-    "hidden": "hidden_narrow",
-    "raw": "excess_cost",
-    "right_difference": "right_view_difference",
-    "from_left": "match_column",
-    "overtaken": "self_occlusion",
-    "rough": "roughness",
-    "rough_near": "roughness_9",
-    "above_5": "above_mean_11",
-    "above_12": "above_mean_25",
-    "least_raw": "min_cost",
-}
 
 # Networks are trained with these; another value wants another training.
 _MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
@@ -84,7 +62,7 @@ _NOISE = np.float32(4.0)  # added to variances under a correlation, grey levels 
 _MAX_MISFIT = 2.0  # between neighbors, pixels
 _WINDOW = 7  # side of the windows that are correlated, pixels
 _REACH = 9  # half side of the window that slopes are fitted in, pixels
-RELATIVE_INDICES = np.array([PROPOSAL_PLANES.index(name) for name in RELATIVE])
+_RELATIVE_INDICES = np.array([PROPOSAL_PLANES.index(name) for name in RELATIVE])
 
 
 def input_names(kinds: tuple[str, ...]) -> tuple[str, ...]:
@@ -92,14 +70,6 @@ def input_names(kinds: tuple[str, ...]) -> tuple[str, ...]:
     relative = (f"{name}_relative" for name in RELATIVE)
     distances = (f"distance_{k}_{kind}" for k, kind in enumerate(kinds))
     return (*PROPOSAL_PLANES, *relative, *distances, *PIXEL_PLANES)
-
-
-def current_name(name: str) -> str:
-    """Return today's name of an input, which may be one that version 0.1.0 gave it."""
-    plane = name.removesuffix("_relative")
-    if plane in _FORMER_NAMES:
-        return _FORMER_NAMES[plane] + name[len(plane) :]
-    return re.sub(r"^from_(?=\d)", "distance_", name)
 
 
 @dataclass(frozen=True)
@@ -167,52 +137,16 @@ class NetworkInputs:
             shared.reshape(len(PIXEL_PLANES), pixels),
         )
 
+    def of_proposal(self, n: int) -> NDArray[np.float32]:
+        """Return the inputs of proposal ``n`` in the order of :func:`input_names`, (inputs, P) float32."""
+        compared = self.own[_RELATIVE_INDICES]
+        relative = compared[:, n] - compared.min(axis=1)
+        distances = np.minimum(np.abs(self.values[n] - self.values), _MAX_DISTANCE)
+        return np.concatenate([self.own[:, n], relative, distances, self.shared])
+
     def rows(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the inputs of some pixels, (len(pixels), N, inputs) float32."""
-        own, values, shared = self.own[:, :, pixels], self.values[:, pixels], self.shared[:, None, pixels]
-        compared = own[RELATIVE_INDICES]
-        relative = compared - compared.min(axis=1, keepdims=True)
-        distances = np.minimum(np.abs(values - values[:, None]), _MAX_DISTANCE)
-        shared = np.broadcast_to(shared, (len(PIXEL_PLANES), *values.shape))
-        return np.concatenate([own, relative, distances, shared]).transpose(2, 1, 0)
-
-
-@jit
-def gather(values, own, shared, relative, n, first, out):
-    """Write the inputs of proposal n, in the order of :func:`input_names`, of the pixels from ``first`` on.
-
-    ``out`` is (F, pixels); pixels beyond the last one keep what it holds.
-    """
-    count, pixels = values.shape
-    last = min(pixels, first + out.shape[1])
-    at = 0
-    for k in range(own.shape[0]):
-        cells, here = out[at], own[k, n, first:last]
-        for i in range(here.size):
-            cells[i] = here[i]
-        at += 1
-    for k in relative:
-        cells, here = out[at], own[k, n, first:last]
-        for i in range(here.size):
-            cells[i] = here[i]
-        for m in range(count):
-            other = own[k, m, first:last]
-            for i in range(other.size):
-                cells[i] = min(cells[i], other[i])
-        for i in range(here.size):
-            cells[i] = here[i] - cells[i]
-        at += 1
-    here = values[n, first:last]
-    for m in range(count):
-        cells, other = out[at], values[m, first:last]
-        for i in range(here.size):
-            cells[i] = min(abs(here[i] - other[i]), _MAX_DISTANCE)
-        at += 1
-    for k in range(shared.shape[0]):
-        cells, plane = out[at], shared[k, first:last]
-        for i in range(plane.size):
-            cells[i] = plane[i]
-        at += 1
+        return np.stack([self.of_proposal(n)[:, pixels].T for n in range(len(self.values))], axis=1)
 
 
 def correlation(grey: Any, moments: Any, warped: Any) -> Any:

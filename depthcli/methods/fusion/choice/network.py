@@ -8,27 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr
 
+from depthcli.algorithms.pixel_network import TILE, log_odds
 from depthcli.core import memory
 from depthcli.core.errors import InputError
 from depthcli.core.networks import TrainedNetwork
 from depthcli.kernels.exponential import exp_minus
-from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.kernels.lanes import LANES, load, minimum, splat, store
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.choice._inputs import (
     PIXEL_PLANES,
     PROPOSAL_PLANES,
-    RELATIVE_INDICES,
     NetworkInputs,
-    current_name,
-    gather,
     input_names,
 )
 from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE
 
-INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
 _MAX_MAPS = BLOCK_DEPTH  # all shares of a pixel are averaged in one block
-TILE = 4  # units of a layer that are summed at a time: their sums stay in registers
 
 
 class NetworkChoice(ChoiceMethod):
@@ -57,8 +52,7 @@ class NetworkChoice(ChoiceMethod):
                 f"here they are {', '.join(maps)}: train one (scripts/train_choice.py) or choose by 'energy'"
             )
         units = [weights.shape[1] for weights, _ in trained.layers[:2]]
-        inputs = tuple(map(current_name, trained.inputs))
-        if inputs != input_names(maps) or any(n % TILE for n in units) or len(maps) > _MAX_MAPS:
+        if trained.inputs != input_names(maps) or any(n % TILE for n in units) or len(maps) > _MAX_MAPS:
             raise InputError(f"network {self.weights!r} was trained for another version: its inputs are not these")
         copy = self.model_copy()
         copy._trained = trained
@@ -68,87 +62,24 @@ class NetworkChoice(ChoiceMethod):
         if self._trained is None:
             raise ValueError(f"network {self.weights!r}: hand its arrays in with with_network first")
         count, height, width = proposals.values.shape
-        log_odds = log_odds_of(self._trained, NetworkInputs.of(proposals)).reshape(count, height, width)
+        odds = log_odds_of(self._trained, NetworkInputs.of(proposals)).reshape(count, height, width)
         shares = memory.empty((height, width, _MAX_MAPS), np.float32)
-        softmax(log_odds, shares)
+        softmax(odds, shares)
         proposals.narrow.sum(shares)
         values = np.empty((height, width), np.float32)
         probability = np.empty((height, width), np.float32)
-        take_largest(proposals.values, log_odds, shares, values, probability)
+        take_largest(proposals.values, odds, shares, values, probability)
         return ChosenMap(values, probability)
 
     def bytes_per_pixel(self, count: int) -> int:
-        return 4 * (count * (len(PROPOSAL_PLANES) + 4) + len(PIXEL_PLANES) + 2 * _MAX_MAPS) + 100
+        return 4 * (count * (len(PROPOSAL_PLANES) + 6) + 90 + len(PIXEL_PLANES) + 2 * _MAX_MAPS) + 100
 
 
 def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.float32]:
     """Return the log odds of every proposal to be right, (N, P) float32."""
-    out = np.empty(inputs.values.shape, np.float32)
-    (w1, b1), (w2, b2), (w3, b3) = trained.layers
-    planes = (inputs.values, inputs.own, inputs.shared, RELATIVE_INDICES, trained.mean, trained.scale)
-    _log_odds(*planes, tiled(w1), b1, tiled(w2), b2, w3.ravel(), b3, out)
-    return out
-
-
-def tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    # (units / 4, inputs, 4): in the order in which the kernel reads them
-    inputs, units = weights.shape
-    return np.ascontiguousarray(weights.reshape(inputs, units // TILE, TILE).transpose(1, 0, 2))
-
-
-@jit
-def _positive(a):
-    return splat(np.float32(0)) - minimum(splat(np.float32(0)) - a, splat(np.float32(0)))
-
-
-@jit
-def layer(source, inputs, weights, offsets, target):
-    # Rectified units of LANES pixels: flat ``source`` and ``target`` hold LANES values an input, a unit.
-    for tile in range(weights.shape[0]):
-        w = weights[tile]
-        a, b = splat(offsets[tile * TILE]), splat(offsets[tile * TILE + 1])
-        c, d = splat(offsets[tile * TILE + 2]), splat(offsets[tile * TILE + 3])
-        for i in range(inputs):
-            x = load(source, i * LANES)
-            a += splat(w[i, 0]) * x
-            b += splat(w[i, 1]) * x
-            c += splat(w[i, 2]) * x
-            d += splat(w[i, 3]) * x
-        store(target, (tile * TILE) * LANES, _positive(a))
-        store(target, (tile * TILE + 1) * LANES, _positive(b))
-        store(target, (tile * TILE + 2) * LANES, _positive(c))
-        store(target, (tile * TILE + 3) * LANES, _positive(d))
-
-
-@parallel_jit
-def _log_odds(values, own, shared, relative, mean, scale, w1, b1, w2, b2, w3, b3, out):
-    count, pixels = values.shape
-    size = mean.size
-    groups = (pixels + LANES - 1) // LANES
-    chunk = 64
-    for task in prange((groups + chunk - 1) // chunk):
-        block = np.zeros((size, LANES), np.float32)
-        flat = block.reshape(size * LANES)
-        hidden = np.empty(w1.shape[0] * TILE * LANES, np.float32)
-        second = np.empty(w2.shape[0] * TILE * LANES, np.float32)
-        last = np.empty(LANES, np.float32)
-        for group in range(task * chunk, min(groups, (task + 1) * chunk)):
-            first = group * LANES
-            for n in range(count):
-                gather(values, own, shared, relative, n, first, block)
-                for i in range(size):
-                    cells = block[i]
-                    for lane in range(LANES):
-                        z = (cells[lane] - mean[i]) * scale[i]
-                        cells[lane] = min(max(z, -INPUT_BOUND), INPUT_BOUND)
-                layer(flat, size, w1, b1[n], hidden)
-                layer(hidden, w1.shape[0] * TILE, w2, b2, second)
-                total = splat(b3[0])
-                for i in range(w3.size):
-                    total += splat(w3[i]) * load(second, i * LANES)
-                store(last, 0, total)
-                for lane in range(min(LANES, pixels - first)):
-                    out[n, first + lane] = last[lane]
+    nothing = np.empty((0, inputs.values.shape[1]), np.float32)
+    offsets = trained.layers[0][1]
+    return np.stack([log_odds(trained, row, inputs.of_proposal(n), nothing) for n, row in enumerate(offsets)])
 
 
 @parallel_jit
