@@ -42,8 +42,7 @@ from depthcli.io.formats.networks import write_network
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, judged_maps
 from depthcli.methods.given_maps._evidence import Evidence
-from depthcli.methods.given_maps._planes import ALONE, INPUTS, OTHERS
-from depthcli.methods.given_maps._shape import ONE_VIEW
+from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS
 from depthcli.methods.given_maps.measures import Judged
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.refinement.background_fill import fill_background

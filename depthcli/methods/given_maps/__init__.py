@@ -3,7 +3,7 @@
 In: a pair and maps of its left view. Out: a :class:`MapJudgment` of the first one, to which the others are witnesses;
 or, of :mod:`.fusion`, one map. :class:`MapJudge` computes the costs of the pair (``_evidence``, those of the preset
 ``stereo fast``), planes of what they, the map's shape and the other maps say of every pixel (``_planes``), and has a
-small network weigh them (``_network``). Single planes are measures of their own (``measures``).
+small network weigh them (``algorithms.pixel_network``). Single planes are measures of their own (``measures``).
 `scripts/train_confidence.py` trains the network on tuning scenes.
 """
 
@@ -25,8 +25,15 @@ from depthcli.core.method import ConfigModel
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock, Result
 from depthcli.methods.given_maps._evidence import BYTES_PER_CELL, BYTES_PER_PIXEL, Evidence
-from depthcli.methods.given_maps._planes import ALONE, INPUTS, alone_planes, other_planes
-from depthcli.methods.given_maps._shape import ONE_VIEW, one_view_planes
+from depthcli.methods.given_maps._planes import (
+    ALONE,
+    INPUTS,
+    ONE_VIEW,
+    alone_planes,
+    one_view_planes,
+    other_planes,
+    pixel_planes,
+)
 from depthcli.methods.given_maps.measures import Judged, map_measures, measure_name, measured, measured_in_one_view
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 
@@ -212,9 +219,10 @@ def judged_maps(evidence: Evidence, maps: Sequence[NDArray[np.float32]], known: 
     if not (maps or known) or any(one.shape != shape for one in maps):
         raise ValueError(f"want maps of the images' size {shape}, got {[one.shape for one in maps]}")
     parts = [(one.values, one.missing, one.alone) for one in known]
+    shared = pixel_planes(evidence)
     for one in maps:
         whole, missing = without_gaps(one, largest)
-        parts.append((whole, missing, alone_planes(whole, missing, evidence)))
+        parts.append((whole, missing, alone_planes(whole, missing, evidence, shared)))
     others = other_planes(np.stack([values for values, _, _ in parts]), [alone for _, _, alone in parts], evidence)
     return [Judged(*part, other) for part, other in zip(parts, others, strict=True)]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +11,8 @@ from numpy.typing import NDArray
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
-from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.votes import ColorSupport, narrow_support, wide_support
-from depthcli.methods.given_maps._shape import image_planes
 from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.optimization.scanline import Scanline
@@ -94,37 +91,3 @@ class Evidence:
         """Both images, grey levels 0 .. 255 as float32."""
         left, right = (image.astype(np.float32) for image in self.pair.grey8)
         return left, right
-
-    @cached_property
-    def pixel_planes(self) -> dict[str, NDArray[Any]]:
-        """The planes that are the same for all maps, (H, W) float32 each."""
-        trust = self.pair.light_trust
-        planes = image_planes(self.grey[0])
-        planes["light_trust"] = np.ones(self.pair.shape, np.float32) if trust is None else trust / np.float32(255)
-        planes["min_cost"], planes["peak"] = peaks(self.optimized, self.left)
-        return planes
-
-
-def peaks(volume: CostVolume, winner: NDArray[np.uint16]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the cost of every pixel's winner, and log(smallest cost elsewhere / it), (H, W) float32 each."""
-    best = np.empty(winner.shape, np.float32)
-    peak = np.empty(winner.shape, np.float32)
-    _peaks(volume.costs, winner, np.float32(1 / volume.scale), best, peak)
-    return best, peak
-
-
-@parallel_jit
-def _peaks(costs, winner, unit, best, peak):
-    height, width, n_disparities = costs.shape
-    soft = np.float32(2)
-    for y in prange(height):
-        for x in range(width):
-            row, w = costs[y, x], int(winner[y, x])
-            count = min(n_disparities, x + 1)
-            second = np.uint16(65535)
-            for d in range(max(0, w - 1)):
-                second = min(second, row[d])
-            for d in range(w + 2, count):
-                second = min(second, row[d])
-            best[y, x] = np.float32(row[w]) * unit
-            peak[y, x] = min(np.float32(np.log((np.float32(second) * unit + soft) / (best[y, x] + soft))), soft)

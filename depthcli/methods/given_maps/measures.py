@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.methods.given_maps._evidence import Evidence
-from depthcli.methods.given_maps._planes import ALONE, OTHERS
-from depthcli.methods.given_maps._shape import ONE_VIEW
+from depthcli.methods.given_maps._planes import ALONE, ONE_VIEW, OTHERS
 
 Plane = NDArray[np.float32]
 _MAX_DIFFERENCE = np.float32(16.0)  # pixels
