@@ -25,13 +25,13 @@ from depthcli import testing
 from depthcli.api.inputs import COMMANDS
 from depthcli.cli import command_of
 from depthcli.commands import grouped_names, help_of
-from depthcli.commands._page import RESULTS
 from depthcli.core.columns import ColumnHelp
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.core.registry import with_package
 from depthcli.evaluation import columns as evaluation
 from depthcli.evaluation import protocols
+from depthcli.evaluation.evaluate import RESULTS
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 from depthcli.io.formats.volumes import VOLUME_SUFFIXES

@@ -22,6 +22,7 @@ from pathlib import Path
 import _env  # (first: continues in the checkout's environment)
 import numpy as np
 
+from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number, Table
 from depthcli.io.walk import discover_scenes
@@ -67,7 +68,7 @@ def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
                 start = time.perf_counter()
                 disparity = winners(aggregate(volume, pair).costs)[0].astype(np.float32)
                 seconds = time.perf_counter() - start
-                rates = MiddleburyV2Protocol().headlines(disparity, truth)
+                rates = headlines(MiddleburyV2Protocol(), disparity, truth)
                 bad = {mask: round(rates[mask], 3) for mask in MASKS}
                 rows.append({"similarity": similarity, "aggregation": name, "window": window, "scene": scene.name,
                              **bad, "seconds": round(seconds, 4)})  # fmt: skip

@@ -26,7 +26,7 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.plots import Line, line_plot
-from depthcli.evaluation.protocols import load
+from depthcli.evaluation.protocols import headlines, load
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import compare
 from depthcli.io.scenes.stereo import StereoScene
@@ -81,7 +81,7 @@ class Experiments:
         rates = []
         for scene in scenes:
             judge = load(protocol)()
-            by_region = judge.headlines(match(change(scene.load()), scene.max_disparity or 255), judge.truth(scene))
+            by_region = headlines(judge, match(change(scene.load()), scene.max_disparity or 255), judge.truth(scene))
             rates.append(next(iter(by_region.values())))
         return rates
 

@@ -28,8 +28,7 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.evaluation import protocols
-from depthcli.evaluation.calibration import HiddenPixels, Reliability, reliability
-from depthcli.evaluation.curves import sparsification
+from depthcli.evaluation.curves import HiddenPixels, Reliability, reliability, sparsification
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.stereo.config import StereoConfig

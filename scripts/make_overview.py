@@ -19,6 +19,7 @@ import cv2
 import matplotlib
 import numpy as np
 
+from depthcli.evaluation.protocols import headlines, picture
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.walk import discover_scenes
@@ -47,8 +48,8 @@ def main() -> int:
             if preset == "accurate":
                 shown = matplotlib.colormaps["turbo"](estimate / np.nanmax(truth.disparity))[..., :3]
                 panels.append((255 * shown).round().astype(np.uint8))
-            panels.append(protocol.picture(estimate, truth))
-            bad = protocol.headlines(estimate, truth)["nonocc"]
+            panels.append(picture(protocol, estimate, truth))
+            bad = headlines(protocol, estimate, truth)["nonocc"]
             print(f"{preset}: {bad:.2f} % of the visible pixels are off by more than 1 px")
     gap = np.full((HEIGHT, 6, 3), 255, np.uint8)
     strip = np.hstack([part for panel in panels for part in (panel, gap)][:-1])

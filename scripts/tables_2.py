@@ -19,6 +19,7 @@ import numpy as np
 
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
+from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import average_ranks
@@ -62,7 +63,7 @@ def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
     for name in SCENES:
         scene = by_name[name]
         values = pipeline(scene.load(), scene.max_disparity).disparity.values
-        rates = MiddleburyV2Protocol().headlines(values, MiddleburyV2Protocol().truth(scene))
+        rates = headlines(MiddleburyV2Protocol(), values, MiddleburyV2Protocol().truth(scene))
         figures += [rates[mask] for mask in MASKS]
     return figures
 

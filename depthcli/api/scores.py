@@ -16,6 +16,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings
+from depthcli.evaluation.protocols._disparity import DisparityProtocol, scale_warning
 from depthcli.evaluation.scores import Score, find_score
 from depthcli.io.formats.images import png_bytes
 from depthcli.io.scenes import Scene
@@ -158,14 +159,17 @@ def evaluate(
         error = judge.error(values, prepared)
     except ValueError as problem:
         raise InputError(f"estimate: {problem}") from None
+    warning = None
+    if isinstance(judge, DisparityProtocol):
+        warning = scale_warning(judge.resized(values, prepared), prepared.values)
     return Scores(
         judge.name,
         judge.headline.heading,
-        judge.headlines(values, prepared),
+        protocols.headlines(judge, values, prepared),
         tuple(judge.scores(values, prepared)),
         error,
-        judge.picture(values, prepared),
-        tuple(judge.warnings(values, prepared)),
+        protocols.picture(judge, values, prepared),
+        () if warning is None else (warning,),
     )
 
 

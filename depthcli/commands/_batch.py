@@ -9,20 +9,23 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel
 
+from depthcli.commands._evaluation import print_place, print_tables, viewers, write_page
 from depthcli.commands._flags import conditions_of, exit_code, flags_of
 from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.commands._page import PAGE_BUDGET, PAGE_FILE, new_page, write_page
-from depthcli.commands._tables import print_place, print_tables
-from depthcli.commands.evaluate import evaluate
 from depthcli.core.config_file import load_config
-from depthcli.core.errors import ConfigError, DepthcliError
+from depthcli.core.errors import ConfigError
 from depthcli.core.flags import Condition, Flags
 from depthcli.core.method import used_files
 from depthcli.core.text import one_line
+from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
+from depthcli.evaluation.map_files import run_names
+from depthcli.evaluation.protocols import load
 from depthcli.io.formats.pictures import write_legend
 from depthcli.io.inputs import local
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd_sequence import SequenceScene
+from depthcli.report.page import Page
+from depthcli.report.run_without_truth import RunWithoutTruth
 from depthcli.run.batch import Batch, Outcome, SceneT
 from depthcli.run.console import run_table
 from depthcli.run.json_csv import Row, to_json
@@ -38,7 +41,6 @@ from depthcli.run.task import RunOptions as _Options
 
 if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport
-    from depthcli.report.run_without_truth import RunWithoutTruth
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -86,7 +88,7 @@ def run_batch(
     config : the CONFIG argument, by which a preset is known
     """
     reporter = options.reporter
-    conditions = conditions_of(vars(options))
+    conditions = conditions_of(options.flag, options.fail_flagged)
     how, command = _options_of(options), _AsCommand(batch)
     if options.dry_run or options.list_scenes:
         if options.dry_run:
@@ -111,7 +113,7 @@ def run_batch(
         document = report_document(batch.command, rows) | flags.to_dict()
         reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
     elif evaluation is not None:
-        print_tables(evaluation, vars(options), reporter)
+        print_tables(evaluation, reporter, None, options.quiet)
     elif not options.quiet:
         reporter.data(run_table(rows, batch.columns))
     if conditions and not (options.json or options.quiet):
@@ -119,13 +121,13 @@ def run_batch(
     total = len(scenes) if how.shard is None else len(rows)
     reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {options.output}")
     if evaluation is not None:
-        print_place(options.output / "evaluation", page_file is not None, reporter)
+        print_place(options.output / "evaluation", reporter)
     elif page_file is not None:
         reporter.info(f"page to open in a browser: {page_file}")
     if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
         return 1
     incomplete = failed or problems or (evaluation is not None and evaluation.failed)
-    return exit_code(bool(incomplete), flags, vars(options))
+    return exit_code(bool(incomplete), flags, options.fail_flagged, options.shard)
 
 
 def _evaluated(
@@ -146,40 +148,27 @@ def _evaluated(
     output, truth = options.output / "evaluation", source.input if source is not None else None
     in_folder = truth is not None and not os.path.isfile(local(truth))  # pairs of a table have no truth
     scored = [scene for scene in scenes if in_folder and scene.has_truth]
-    page = None
-    if options.html:
-        page = new_page(reporter.command_line, {"html_budget": PAGE_BUDGET, "html": True}, output)
-        if page is not None and len(scored) < len(scenes):
-            page.run = _without_truth(batch, [s for s in scenes if s not in scored], rows, options.output)
+    others = [s for s in scenes if s not in scored]
+    shown = _without_truth(batch, others, rows, options.output) if options.html and others else None
+    views = viewers(reporter, output, options.html, without_truth=shown)
     if scored and source is not None and truth is not None:
-        report = evaluate(
-            [options.output], truth, output, source.patterns, source.layout, reporter=reporter, page=page,
+        report = evaluate_runs(
+            [options.output], truth, output, source.patterns, source.layout, reporter=reporter, viewers=views,
             kinds=batch.truth_kinds or {type(scene) for scene in scenes}, conditions=conditions,
             rows={str(row["scene"]): row for row in rows},
         )  # fmt: skip
-        return report, None if page is None or not page.written else output / PAGE_FILE, report.flags
-    shows = ": the page shows the maps without scores" if page is not None else ", nothing to compare with"
+        return report, output / PAGE_FILE if options.html else None, report.flags
+    shows = ": the page shows the maps without scores" if options.html else ", nothing to compare with"
     reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
     flags = flags_of(conditions, rows, reporter)
-    if page is None:
-        return None, None, flags
-    page.flags = flags
-    try:
-        write_page(page, reporter)
-    except DepthcliError as error:  # the maps are there
-        reporter.error(f"no {PAGE_FILE}: {error}")
-        return None, None, flags
-    return None, output / PAGE_FILE, flags
+    written = any(isinstance(page, Page) and write_page(page, output, flags, reporter) for page in views)
+    return None, output / PAGE_FILE if written else None, flags
 
 
 def _without_truth(
     batch: Batch[SceneT], scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path
 ) -> RunWithoutTruth:
     """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
-    from depthcli.evaluation.comparison import run_names
-    from depthcli.evaluation.protocols import load
-    from depthcli.report.run_without_truth import RunWithoutTruth
-
     by_name, shown, row_of = {str(row["scene"]): row for row in rows}, list[Scene](), dict[str, Row]()
     for scene in scenes:
         row = by_name.get(scene.name, {})

@@ -76,9 +76,9 @@ def find_map_scenes(
     ConfigError, InputError
         As :func:`depthcli.commands._scenes.find_scenes`; no such run, or several files may be its maps.
     """
-    from depthcli.commands._runs import by_run, find_runs, names_in_run, number_of, pattern_of, positive
+    from depthcli.commands._runs import by_run, number_of, pattern_of, positive
     from depthcli.commands._scenes import find_scenes
-    from depthcli.evaluation.map_files import DisparityFiles, MapFiles, MapOptions
+    from depthcli.evaluation.map_files import DisparityFiles, MapFiles, MapOptions, find_runs, names_in_run
 
     places = find_runs([*first, *others])
     own = dict(list(places.items())[: len(first)])
@@ -159,8 +159,8 @@ def _recognized(
     reporter: Reporter,
 ) -> MapOptions:
     # The options with the pattern of the maps of a run that holds none under a usual name.
-    from depthcli.commands._runs import recognized
     from depthcli.evaluation import protocols
+    from depthcli.evaluation.map_files import recognized
     from depthcli.io.formats.files import collected_warnings
     from depthcli.io.formats.images import image_size
     from depthcli.run.reports import read_report
@@ -178,7 +178,7 @@ def _recognized(
             except DepthcliError:
                 return False
 
-    found = recognized(run, place, options, {name: (protocol, names[name]) for name in usable}, fits)
+    found = recognized(run, place, options, {name: (protocol.files, names[name]) for name in usable}, fits)
     if found != options:
         reporter.info(f"{run}: taken as its maps: {found.pattern} (--pattern says otherwise)")
     return found

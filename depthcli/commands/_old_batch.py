@@ -11,10 +11,6 @@ from typing import TYPE_CHECKING, ClassVar, Generic
 
 from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flags_of
 from depthcli.commands._old_options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
-from depthcli.commands._page import PAGE_BUDGET, PAGE_FILE, new_page, write_page
-from depthcli.commands._tables import print_place, print_tables
-from depthcli.commands.evaluate import evaluate
-from depthcli.core.errors import DepthcliError
 from depthcli.core.flags import Condition, Flags
 from depthcli.core.method import used_files
 from depthcli.core.option import Option
@@ -95,10 +91,12 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
 
     def run_on(self, config: ConfigT, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> int:
         """Compute scenes, evaluate where asked, print table or JSON; or only list the scenes. Return the exit code."""
-        options, output, conditions = run_options(values), values["output"], conditions_of(values)
+        options, output = run_options(values), values["output"]
+        conditions = conditions_of(values.get("flag"), bool(values.get("fail_flagged")))
         if values.get("dry_run") or values["list_scenes"]:
             self._list(config, scenes, values, options, reporter)
             return 0
+        from depthcli.commands._evaluation import print_place, print_tables
         from depthcli.io.formats.pictures import write_legend
         from depthcli.run.presets import preset_of
         from depthcli.run.reports import report_document
@@ -125,19 +123,19 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         elif evaluation is None and not values["quiet"]:
             reporter.data(run_table(rows, self.columns()))
         elif evaluation is not None:
-            print_tables(evaluation, values, reporter)
+            print_tables(evaluation, reporter, None, values["quiet"])
         if conditions and not (values["json"] or values["quiet"]):
             reporter.data(flags.text())
         total = len(scenes) if options.shard is None else len(rows)
         reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {output}")
         if evaluation is not None:
-            print_place(output / "evaluation", page_file is not None, reporter)
+            print_place(output / "evaluation", reporter)
         elif page_file is not None:
             reporter.info(f"page to open in a browser: {page_file}")
         if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
             return 1
         incomplete = failed or problems or (evaluation is not None and evaluation.failed)
-        return exit_code(bool(incomplete), flags, values)
+        return exit_code(bool(incomplete), flags, bool(values.get("fail_flagged")), values.get("shard"))
 
     def _list(
         self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
@@ -166,39 +164,33 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         """
         if not (values.get("evaluate") or values.get("html")):
             return None, None, flags_of(conditions, rows, reporter)
+        from depthcli.commands._evaluation import viewers, write_page
+        from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
         from depthcli.io.inputs import local
+        from depthcli.report.page import Page
 
         output, truth = values["output"] / "evaluation", values.get("input")
         in_folder = truth is not None and not os.path.isfile(local(truth))  # pairs of a table have no truth
         scored = [scene for scene in scenes if in_folder and scene.has_truth]
-        page = None
-        if values.get("html"):
-            page = new_page(reporter.command_line, {"html_budget": PAGE_BUDGET, **values}, output)
-            if page is not None and len(scored) < len(scenes):
-                page.run = self._without_truth([s for s in scenes if s not in scored], rows, values["output"])
+        others = [s for s in scenes if s not in scored]
+        shown = self._without_truth(others, rows, values["output"]) if values.get("html") and others else None
+        views = viewers(reporter, output, bool(values.get("html")), without_truth=shown)
         if scored:
-            report = evaluate(
+            report = evaluate_runs(
                 [values["output"]], values["input"], output, values["scenes"] or ["*"], values["layout"],
-                reporter=reporter, kinds=self.truth_kinds(scenes), page=page, conditions=conditions,
+                reporter=reporter, kinds=self.truth_kinds(scenes), viewers=views, conditions=conditions,
                 rows={str(row["scene"]): row for row in rows},
             )  # fmt: skip
-            return report, None if page is None or not page.written else output / PAGE_FILE, report.flags
-        shows = ": the page shows the maps without scores" if page is not None else ", nothing to compare with"
+            return report, output / PAGE_FILE if values.get("html") else None, report.flags
+        shows = ": the page shows the maps without scores" if values.get("html") else ", nothing to compare with"
         reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
         flags = flags_of(conditions, rows, reporter)
-        if page is None:
-            return None, None, flags
-        page.flags = flags
-        try:
-            write_page(page, reporter)
-        except DepthcliError as error:  # the maps are there
-            reporter.error(f"no {PAGE_FILE}: {error}")
-            return None, None, flags
-        return None, output / PAGE_FILE, flags
+        written = any(isinstance(page, Page) and write_page(page, output, flags, reporter) for page in views)
+        return None, output / PAGE_FILE if written else None, flags
 
     def _without_truth(self, scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path) -> RunWithoutTruth:
         """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
-        from depthcli.evaluation.comparison import run_names
+        from depthcli.evaluation.map_files import run_names
         from depthcli.evaluation.protocols import load
         from depthcli.io.scenes.rgbd_sequence import SequenceScene
         from depthcli.report.run_without_truth import RunWithoutTruth
@@ -237,7 +229,7 @@ class ConfigCommand(BatchCommand[ModelT, SceneT]):
     def run(self, values: Values, reporter: Reporter) -> int:
         """Compute every scene, then evaluate where that is asked for; return the exit code."""
         run_options(values)  # wrong ones are reported before any file is read
-        conditions_of(values)
+        conditions_of(values.get("flag"), bool(values.get("fail_flagged")))
         config = self.config(values)
         return self.run_on(config, self.find(values, reporter), values, reporter)
 

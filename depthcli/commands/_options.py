@@ -187,6 +187,25 @@ class ScoredRunOptions(RunOptions):
     html: HtmlOption = False
 
 
+@dataclass(frozen=True, kw_only=True)
+class TableOptions:
+    """Which tables of an evaluation are printed, and how."""
+
+    tables: Annotated[
+        str | None,
+        Option("--tables", metavar="NAMES", help="Tables to print: all, or metrics,scenes-nonocc ... or headline."),
+    ] = None
+    format: Annotated[
+        str | None, Option("--format", metavar="FORMAT", help="Print wide tables: latex, markdown or csv.")
+    ] = None
+    columns: Annotated[
+        str | None, Option("--columns", metavar="NAMES", help="Of the tables, print only these columns.")
+    ] = None
+    caption: Annotated[
+        str | None, Option("--caption", metavar="TEXT", help="Caption of the one table that --tables chooses.")
+    ] = None
+
+
 def with_groups(function: Callable[..., int]) -> Callable[..., int]:
     """Return a command's function with the signature that typer reads: the fields of groups are options of their own.
 

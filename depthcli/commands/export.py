@@ -1,111 +1,92 @@
 """Check the maps of a run and pack them for a benchmark.
 
 All that is wrong with the maps is reported together, and nothing is written then.
+
+Examples:
+  depthcli export runs/accurate --for eth3d --method accurate -o eth3d.zip
 """
 
 from __future__ import annotations
 
 import math
 import os
+import zipfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated
 
+from typer import Argument, Option
+
+from depthcli.commands._options import Printing
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
-from depthcli.core.option import Option
-from depthcli.run.command import Command, Values
-from depthcli.run.console import Reporter
+from depthcli.evaluation.benchmarks import Benchmark, Entry, Submission, benchmark
+from depthcli.evaluation.protocols import load
+from depthcli.io.formats.disparity import read_disparity
+from depthcli.io.formats.files import atomic_path, collected_warnings, remove_temporaries
+from depthcli.io.formats.images import image_size
 from depthcli.run.json_csv import Row, to_json
-
-if TYPE_CHECKING:
-    from depthcli.evaluation.benchmarks import Benchmark, Entry
+from depthcli.run.reports import read_report
 
 _MAX_NAMED = 12  # scenes that one message names, which keeps it within a few lines
 
 
-class ExportCommand(Command):
-    """``depthcli export RUN --for BENCHMARK --method NAME --output FILE.zip``."""
-
-    arguments = (Option("run", Path, "Run folder, or a folder of others' maps.", "RUN", required=True, group="Input"),)
-
-    options = (
-        Option(
-            "for_", str, "middlebury-v3, kitti-2012, kitti-2015 or eth3d.", "BENCHMARK", required=True, group="Output"
-        ),
-        Option("method", str, "Name of the method at the benchmark.", "NAME", required=True, group="Output"),
-        Option("output", Path, "The archive to write.", "FILE.zip", short="-o", required=True, group="Output"),
-        Option("split", str, "Only the training or only the test scenes.", "SPLIT", group="Input"),
-        Option("sparse", bool, "Submit maps with holes as sparse ones (Middlebury).", default=False, group="Output"),
-        Option(
-            "seconds", float, "Run time of every scene, where the run has no report.", "S", min_value=0.0, group="Input"
-        ),
-        Option("overwrite", bool, "Replace the archive.", default=False, group="Output"),
-    )
-
-    page = "how_to/submit"
-    examples = ("depthcli export runs/accurate --for eth3d --method accurate -o eth3d.zip",)
-
-    def run(self, values: Values, reporter: Reporter) -> int:
-        """Check all maps, then write them; return the exit code.
-
-        Raises
-        ------
-        ConfigError
-            The benchmark would not take the maps: all reasons, one per line.
-        """
-        from depthcli.evaluation.benchmarks import Submission, benchmark
-        from depthcli.io.formats.disparity import read_disparity
-        from depthcli.io.formats.files import collected_warnings, remove_temporaries
-
-        target, bench = values["output"], benchmark(values["for_"])
-        if os.path.exists(target) and not values["overwrite"]:
-            raise ConfigError(f"{target}: is there already; choose another --output, or --overwrite it")
-        problems = [f"--method: {wrong}"] if (wrong := bench.check_name(values["method"])) else []
-        if values["split"] is not None and values["split"] not in bench.scenes:
-            raise ConfigError(f"--split: want {' or '.join(bench.scenes)} (got {values['split']!r})")
-        splits = [values["split"]] if values["split"] else list(bench.scenes)
-        entries, missing = _find_maps(values["run"], bench, splits, values["seconds"])
-        problems += missing
-        sizes: dict[str, tuple[int, int]] = {}
-        submission = Submission(values["method"], values["sparse"], sizes)
-        with reporter:
-            reporter.start(len(entries), 0, "check")
-            for entry in entries:
-                try:
-                    with collected_warnings() as lines:
-                        disparity = read_disparity(entry.file)
-                    problems += [f"{entry.scene}: {reason}" for reason in bench.problems(entry, disparity, submission)]
-                    sizes[entry.scene] = (disparity.shape[1], disparity.shape[0])
-                except DepthcliError as error:
-                    problems.append(f"{entry.scene}: {error}")
-                for line in lines:
-                    reporter.info(f"warning: {line}")
-                reporter.step()
-        problems += bench.problems_together(submission)
-        if problems:
-            head = f"{values['run']}: not as {values['for_']} takes it, nothing written:"
-            raise ConfigError("\n".join([head, *(f"  {line}" for line in problems)]))
-        if unknown := [entry.scene for entry in entries if entry.size is None]:
-            reporter.info(f"sizes not checked, as the images are not known: {_named(unknown)}")
-        files = (bench.files(entry, read_disparity(entry.file), submission) for entry in entries)
-        remove_temporaries(target.parent, target.name)
-        names = _write_archive(target, files)
-        counts = {split: sum(entry.split == split for entry in entries) for split in splits}
-        parts = ", ".join(f"{n} {split}" for split, n in counts.items() if n)
-        reporter.info(f"{target}: {len(names)} files, {parts} scenes")
-        if values["json"]:
-            document = {"benchmark": values["for_"], "method": values["method"], "file": str(target), "files": names}
-            reporter.data(to_json(document))
-        return 0
+def export(
+    printing: Printing,
+    run: Annotated[Path, Argument(metavar="RUN", help="Run folder, or a folder of others' maps.")],
+    for_: Annotated[str, Option("--for", metavar="BENCHMARK", help="middlebury-v3, kitti-2012, kitti-2015 or eth3d.")],
+    method: Annotated[str, Option(metavar="NAME", help="Name of the method at the benchmark.")],
+    output: Annotated[Path, Option("--output", "-o", metavar="FILE.zip", help="The archive to write.")],
+    split: Annotated[str | None, Option(metavar="SPLIT", help="Only the training or only the test scenes.")] = None,
+    sparse: Annotated[bool, Option("--sparse", help="Submit maps with holes as sparse ones (Middlebury).")] = False,
+    seconds: Annotated[
+        float | None, Option(metavar="S", min=0.0, help="Run time of every scene, where the run has no report.")
+    ] = None,
+    overwrite: Annotated[bool, Option("--overwrite", help="Replace the archive.")] = False,
+) -> int:
+    """Check all maps, write them, and return the exit code; ConfigError with all reasons, one per line."""
+    reporter, bench = printing.reporter, benchmark(for_)
+    if os.path.exists(output) and not overwrite:
+        raise ConfigError(f"{output}: is there already; choose another --output, or --overwrite it")
+    if split is not None and split not in bench.scenes:
+        raise ConfigError(f"--split: must be {' or '.join(bench.scenes)} (got {split!r})")
+    splits = [split] if split else list(bench.scenes)
+    entries, problems = _find_maps(run, bench, splits, seconds)
+    if wrong := bench.check_name(method):
+        problems.insert(0, f"--method: {wrong}")
+    sizes: dict[str, tuple[int, int]] = {}
+    submission = Submission(method, sparse, sizes)
+    with reporter:
+        reporter.start(len(entries), 0, "check")
+        for entry in entries:
+            try:
+                with collected_warnings() as lines:
+                    disparity = read_disparity(entry.file)
+                problems += [f"{entry.scene}: {reason}" for reason in bench.problems(entry, disparity, submission)]
+                sizes[entry.scene] = (disparity.shape[1], disparity.shape[0])
+            except DepthcliError as error:
+                problems.append(f"{entry.scene}: {error}")
+            for line in lines:
+                reporter.info(f"warning: {line}")
+            reporter.step()
+    problems += bench.problems_together(submission)
+    if problems:
+        head = f"{run}: not as {for_} takes it, nothing written:"
+        raise ConfigError("\n".join([head, *(f"  {line}" for line in problems)]))
+    if unknown := [entry.scene for entry in entries if entry.size is None]:
+        reporter.info(f"sizes not checked, as the images are not known: {_named(unknown)}")
+    remove_temporaries(output.parent, output.name)
+    names = _write_archive(output, (bench.files(e, read_disparity(e.file), submission) for e in entries))
+    counts = {name: sum(entry.split == name for entry in entries) for name in splits}
+    reporter.info(f"{output}: {len(names)} files, {', '.join(f'{n} {name}' for name, n in counts.items() if n)} scenes")
+    if printing.json:
+        reporter.data(to_json({"benchmark": for_, "method": method, "file": str(output), "files": names}))
+    return 0
 
 
 def _find_maps(
     run: Path, bench: Benchmark, splits: Sequence[str], seconds: float | None
 ) -> tuple[list[Entry], list[str]]:
     """The maps of the benchmark's scenes, and what is wrong: a split of which one scene is there must be complete."""
-    from depthcli.evaluation.protocols import load
-    from depthcli.run.reports import read_report
-
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such folder")
     rows, files = read_report(run), load(bench.protocol).files
@@ -135,9 +116,6 @@ def _find_maps(
 
 
 def _entry(scene: str, split: str, path: Path, row: Row, seconds: float | None) -> Entry:
-    from depthcli.evaluation.benchmarks import Entry
-    from depthcli.io.formats.images import image_size
-
     measured = sum(row.get("seconds", {}).values()) if seconds is None else seconds
     image = Path(row["source"]) if row.get("source") else None
     size = None
@@ -154,10 +132,6 @@ def _entry(scene: str, split: str, path: Path, row: Row, seconds: float | None) 
 
 def _write_archive(target: Path, maps: Iterable[dict[str, bytes]]) -> list[str]:
     """Write the files of all maps without times or owners, so that the same maps give the same bytes."""
-    import zipfile
-
-    from depthcli.io.formats.files import atomic_path
-
     names: list[str] = []
     with atomic_path(target) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
         for files in maps:
@@ -172,6 +146,3 @@ def _write_archive(target: Path, maps: Iterable[dict[str, bytes]]) -> list[str]:
 def _named(scenes: Sequence[str]) -> str:
     more = f", and {len(scenes) - _MAX_NAMED} more" if len(scenes) > _MAX_NAMED else ""
     return ", ".join(scenes[:_MAX_NAMED]) + more
-
-
-COMMAND = ExportCommand()

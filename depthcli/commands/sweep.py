@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING
 
 from depthcli.commands._old_batch import ConfigCommand
 from depthcli.commands._old_options import CONFIG, LAYOUT, OUTPUT, RUN, SCENES, run_options
-from depthcli.commands._page import HTML, PAGE_FILE, new_page
-from depthcli.commands.evaluate import evaluate
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.run.batch import SOME_FAILED
@@ -54,7 +52,9 @@ class SweepCommand(Command):
         Option("set", str, "Override one key in all runs; repeatable.", "KEY=VALUE", repeatable=True),
         *RUN,
         Option("dry_run", bool, "List the runs, with how much of each is done.", default=False, group="Run"),
-        *HTML,
+        Option("html", bool, "Also write report.html: maps and errors in a browser.", default=False, group="Report"),
+        Option("html_budget", str, "Size of its pictures beyond which they are scaled down.", "SIZE", default="50MB",
+               group="Report"),
     )  # fmt: skip
 
     page = "how_to/sweep"
@@ -105,7 +105,7 @@ class SweepCommand(Command):
             _print_result(axes, tried, own_run, report, values, reporter)
             failed |= bool(report.failed)
             if values["html"]:
-                reporter.info(f"page to open in a browser: {values['output'] / 'evaluation' / PAGE_FILE}")
+                reporter.info(f"page to open in a browser: {values['output'] / 'evaluation' / 'report.html'}")
         return SOME_FAILED if failed else 0
 
 
@@ -152,6 +152,8 @@ def _print_plan(
 
 
 def _evaluate(sweep: SweepCommand, values: Values, names: Sequence[str], reporter: Reporter) -> EvaluationReport | None:
+    from depthcli.commands._evaluation import viewers
+    from depthcli.evaluation.evaluate import evaluate_runs
     from depthcli.io.walk import discover_scenes
 
     scenes = discover_scenes(values["input"], None, values["layout"], values["scenes"] or ["*"])
@@ -160,9 +162,9 @@ def _evaluate(sweep: SweepCommand, values: Values, names: Sequence[str], reporte
         return None
     target = values["output"] / "evaluation"
     runs = [values["output"] / _RUNS / name for name in names]
-    return evaluate(
+    return evaluate_runs(
         runs, values["input"], target, values["scenes"] or ["*"], values["layout"], reporter=reporter,
-        page=new_page(reporter.command_line, values, target),
+        viewers=viewers(reporter, target, values["html"], values["html_budget"]),
     )  # fmt: skip
 
 

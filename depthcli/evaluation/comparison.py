@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from depthcli.core.errors import InputError
 from depthcli.core.flags import Flags
 from depthcli.core.text import summarized
-from depthcli.evaluation.protocols import AnyProtocol
-from depthcli.evaluation.ranking import Ranking
-from depthcli.evaluation.results import COMMON_MEAN, MEAN, MapResult, Record
-from depthcli.evaluation.scores import Key, Score
-from depthcli.evaluation.statistics import average_ranks
+from depthcli.evaluation.protocols import AnyProtocol, scene_means
+from depthcli.evaluation.results import COMMON_MEAN, MEAN, MapResult, record
+from depthcli.evaluation.scores import Key, Score, in_order
+from depthcli.evaluation.statistics import Ranking, average_ranks
 
 
 @dataclass(frozen=True)
@@ -28,47 +25,59 @@ class Section:
     A run's mean over **all** scenes counts a scene without a map as wholly wrong. The mean over the **common** scenes,
     of which every run has a map, compares what was computed. Ranks are taken over the common scenes alone. A mean in
     one region is over those of the scenes that have truth in it (``scenes_with``).
+
+    Attributes
+    ----------
+    data_set, protocol, runs, results : what is compared, in the order of the results
+    scenes : names of all scenes
+    common : names of the scenes of which every run has a map
+    regions : names of the regions, in the protocol's order; the first is the main region
+    keys : all pairs of metric and region that have a score
+    known : region -> scenes whose truth is known somewhere in it
+    means : (run, over the common scenes alone) -> (metric, region) -> mean
     """
 
     data_set: str
     protocol: AnyProtocol
     runs: tuple[str, ...]
     results: tuple[MapResult, ...]
+    scenes: list[str]
+    common: frozenset[str]
+    regions: list[str]
+    keys: list[Key]
+    known: dict[str, frozenset[str]]
+    means: dict[tuple[str, bool], dict[Key, Score]]
 
-    @cached_property
-    def scenes(self) -> list[str]:
-        """Names of all scenes, in the order of the results."""
-        return list(dict.fromkeys(result.scene for result in self.results))
-
-    @cached_property
-    def common(self) -> frozenset[str]:
-        """Names of the scenes of which every run has a map."""
-        return frozenset(self.scenes) - {result.scene for result in self.results if result.error}
-
-    @cached_property
-    def regions(self) -> list[str]:
-        """Names of the regions, in the protocol's order; the first is the main region."""
-        return self.protocol.ordered(score.region for result in self.results for score in result.scores)
-
-    @cached_property
-    def keys(self) -> list[Key]:
-        """All pairs of metric and region that have a score."""
-        return list(dict.fromkeys(score.key for result in self.results for score in result.scores))
+    @classmethod
+    def of(cls, data_set: str, protocol: AnyProtocol, runs: tuple[str, ...], results: Sequence[MapResult]) -> Section:
+        """Compare the results of all runs."""
+        scenes = list(dict.fromkeys(result.scene for result in results))
+        common = frozenset(scenes) - {result.scene for result in results if result.error}
+        scored = [(score, result.scene) for result in results for score in result.scores]
+        regions = in_order((score.region for score, _ in scored), protocol.region_order)
+        known = {
+            region: frozenset(scene for s, scene in scored if s.region == region and not math.isnan(s.density))
+            for region in regions
+        }
+        means = {}
+        for run in runs:
+            own = [result for result in results if result.run == run]
+            means[run, False] = {score.key: score for score in protocol.mean(own)}
+            shared = [result for result in own if result.scene in common]
+            means[run, True] = means[run, False]
+            if len(shared) < len(own):
+                means[run, True] = {score.key: score for score in protocol.mean(shared)}
+        keys = list(dict.fromkeys(score.key for score, _ in scored))
+        return cls(data_set, protocol, runs, tuple(results), scenes, common, regions, keys, known, means)
 
     @property
     def incomplete(self) -> bool:
-        """True where some run has no map of some scene."""
+        """True if some run has no map of some scene."""
         return len(self.common) < len(self.scenes)
-
-    @cached_property
-    def _scenes_by_region(self) -> dict[str, frozenset[str]]:
-        known = [(s.region, r.scene) for r in self.results for s in r.scores if not math.isnan(s.density)]
-        return {region: frozenset(scene for name, scene in known if name == region) for region in self.regions}
 
     def scenes_with(self, region: str, common: bool = False) -> frozenset[str]:
         """Return the names of the scenes, or common scenes, whose truth is known somewhere in a region."""
-        found = self._scenes_by_region[region]
-        return found & self.common if common else found
+        return self.known[region] & self.common if common else self.known[region]
 
     @cached_property
     def figure_regions(self) -> list[str]:
@@ -77,8 +86,8 @@ class Section:
         They are the protocol's, without those that some scene lacks, so that every scene counts alike; or else the
         main region.
         """
-        named = self.protocol.figure_regions(self.regions)
-        return [name for name in named if len(self.scenes_with(name)) == len(self.scenes)] or named[:1]
+        named = self.regions if self.protocol.averages_regions else self.regions[:1]
+        return [name for name in named if len(self.known[name]) == len(self.scenes)] or named[:1]
 
     def results_of(self, run: str, common: bool = False) -> list[MapResult]:
         """Return one run's results of all scenes, or of the common ones."""
@@ -87,81 +96,27 @@ class Section:
     def n_missing(self, run: str, region: str | None = None) -> int:
         """Return the number of scenes, or of those with truth in a region, of which a run has no map."""
         missing = {result.scene for result in self.results_of(run) if result.error}
-        return len(missing if region is None else missing & self.scenes_with(region))
-
-    @cached_property
-    def _means(self) -> dict[tuple[str, bool], dict[Key, Score]]:
-        """(run, over the common scenes alone) -> (metric, region) -> mean."""
-
-        def means(run: str, common: bool) -> dict[Key, Score]:
-            return {score.key: score for score in self.protocol.mean(self.results_of(run, common))}
-
-        made = {(run, False): means(run, False) for run in self.runs}
-        return made | {(run, True): means(run, True) if self.incomplete else made[run, False] for run in self.runs}
+        return len(missing if region is None else missing & self.known[region])
 
     def mean(self, run: str, key: Key, common: bool = False) -> Score:
-        """Return a run's mean over all scenes or the common ones; NaN where there is none."""
-        return self._means[run, common].get(key) or Score(*key, math.nan, 0, math.nan)
+        """Return a run's mean over all scenes or the common ones; NaN if there is none."""
+        return self.means[run, common].get(key) or Score(*key, math.nan, 0, math.nan)
 
     def overall(self, run: str, common: bool = False) -> Score:
-        """Return the single figure of a run over all scenes or the common ones; NaN where there is none.
-
-        It is the headline over ``figure_regions``.
-        """
+        """Return the single figure of a run, the headline over ``figure_regions``; NaN if there is none."""
         keys = [(self.protocol.headline, region) for region in self.figure_regions]
         if len(keys) == 1:  # the mean of that region, which a protocol may compute in its own way
             return self.mean(run, keys[0], common)
-        pairs = [
-            (result.by_key[key], self.protocol.weight(result.scene))
-            for result in self.results_of(run, common)
-            for key in keys
-            if key in result.by_key
-        ]
-        return self.protocol.pool(*zip(*pairs, strict=True)) if pairs else self.mean(run, keys[0], common)
-
-    def records(self) -> list[Record]:
-        """Return the means of every run, metric and region, over all scenes (``MEAN``) and common ones."""
-        made = []
-        for run in self.runs:
-            for key in self._means[run, False]:
-                n_scenes, n_common = (len(self.scenes_with(key[1], common)) for common in (False, True))
-                n_missing = self.n_missing(run, key[1])
-                missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
-                note = f"over {n_scenes} scenes{missing}"
-                both = ((MEAN, False, note), (COMMON_MEAN, True, f"over the {n_common} scenes that all runs have"))
-                for scene, common, about in both:
-                    score = self.mean(run, key, common)
-                    made.append(Record(run, self.data_set, scene, self.protocol.name, score, note=about))
-        return made
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Return the means of every run, metric and region as plain values."""
-        return [
-            self._row(run, score, self.mean(run, key, common=True))
-            for run in self.runs
-            for key, score in self._means[run, False].items()
-        ]
-
-    def overall_rows(self) -> list[dict[str, Any]]:
-        """Return the single figure of every run as plain values."""
-        regions = "+".join(self.figure_regions)
-        return [
-            self._row(run, self.overall(run), self.overall(run, common=True)) | {"mask": regions} for run in self.runs
-        ]
-
-    def _row(self, run: str, score: Score, common: Score) -> dict[str, Any]:
-        return {
-            "run": run, "data_set": self.data_set, "protocol": self.protocol.name, **score.row(),
-            "scenes": len(self.scenes_with(score.region)), "missing": self.n_missing(run, score.region),
-            "common": len(self.scenes_with(score.region, common=True)), "value_common": common.value,
-        }  # fmt: skip
+        scored = (([r.by_key[k] for k in keys if k in r.by_key], r.scene) for r in self.results_of(run, common))
+        together = [([replace(s, region=keys[0][1]) for s in scores], scene) for scores, scene in scored]
+        return (scene_means(self.protocol, together) or [self.mean(run, keys[0], common)])[0]
 
     def threshold_curve(self, run: str) -> list[Score]:
         """Return the means over all scenes of one metric at many thresholds."""
-        return self.protocol.pooled((r.dense, r.scene) for r in self.results_of(run))
+        return scene_means(self.protocol, ((r.dense, r.scene) for r in self.results_of(run)))
 
     def by_scene(self, run: str) -> list[float]:
-        """Return one run's single figure of every scene, lower is better: signed; NaN where there is no map."""
+        """Return one run's single figure of every scene, lower is better: signed; NaN if there is no map."""
         keys = [(self.protocol.headline, region) for region in self.figure_regions]
         made = []
         for result in self.results_of(run):
@@ -184,18 +139,45 @@ class Section:
         ranks = average_ranks(np.array(grid, np.float64).reshape(len(self.runs), -1))
         return {run: float(rank) for run, rank in zip(self.runs, ranks, strict=True)}
 
-    def threshold_rows(self) -> list[dict[str, Any]]:
-        """Return the lines of the plot against the threshold, one for every run that has one, as plain values."""
-        made = []
-        for run in self.runs:
-            if scores := self.threshold_curve(run):
-                m = scores[0].metric
-                made.append({
-                    "run": run, "data_set": self.data_set, "protocol": self.protocol.name,
-                    "metric": m.name, "mask": scores[0].region, "unit": m.unit, "convention": m.convention,
-                    "thresholds": [s.metric.threshold for s in scores], "values": [s.value for s in scores],
-                })  # fmt: skip
-        return made
+
+def _records(section: Section) -> list[dict[str, Any]]:
+    """Return the means of every run, metric and region, over all scenes (``MEAN``) and common ones."""
+    made = []
+    for run in section.runs:
+        where = {"run": run, "data_set": section.data_set, "protocol": section.protocol.name}
+        for key in section.means[run, False]:
+            n_missing = section.n_missing(run, key[1])
+            missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
+            notes = (
+                f"over {len(section.scenes_with(key[1]))} scenes{missing}",
+                f"over the {len(section.scenes_with(key[1], common=True))} scenes that all runs have",
+            )
+            for scene, common, note in zip((MEAN, COMMON_MEAN), (False, True), notes, strict=True):
+                made.append(record({**where, "scene": scene}, section.mean(run, key, common), note=note))
+    return made
+
+
+def _row(section: Section, run: str, score: Score, common: Score) -> dict[str, Any]:
+    """Return a mean over all scenes, and that over the common ones, as plain values."""
+    return {
+        "run": run, "data_set": section.data_set, "protocol": section.protocol.name, **score.row(),
+        "scenes": len(section.scenes_with(score.region)), "missing": section.n_missing(run, score.region),
+        "common": len(section.scenes_with(score.region, common=True)), "value_common": common.value,
+    }  # fmt: skip
+
+
+def _threshold_rows(section: Section) -> list[dict[str, Any]]:
+    """Return the lines of the plot against the threshold, one for every run that has one, as plain values."""
+    made = []
+    for run in section.runs:
+        if scores := section.threshold_curve(run):
+            m = scores[0].metric
+            made.append({
+                "run": run, "data_set": section.data_set, "protocol": section.protocol.name,
+                "metric": m.name, "mask": scores[0].region, "unit": m.unit, "convention": m.convention,
+                "thresholds": [s.metric.threshold for s in scores], "values": [s.value for s in scores],
+            })  # fmt: skip
+    return made
 
 
 @dataclass(frozen=True)
@@ -252,12 +234,12 @@ class EvaluationReport:
         for result in self.results:
             if result.scores:
                 groups.setdefault((result.data_set, result.protocol), []).append(result)
-        return [Section(d, self.protocols[p], self.runs, tuple(results)) for (d, p), results in groups.items()]
+        return [Section.of(d, self.protocols[p], self.runs, results) for (d, p), results in groups.items()]
 
-    def records(self) -> list[Record]:
-        """Return every number of the evaluation: of all results, then the means of every section."""
+    def records(self) -> list[dict[str, Any]]:
+        """Return the rows of ``scores.csv``: every number of all results, then the means of every section."""
         made = [record for result in self.results for record in result.records()]
-        return made + [record for section in self.sections for record in section.records()]
+        return made + [record for section in self.sections for record in _records(section)]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values; NaN where there is no number."""
@@ -266,9 +248,19 @@ class EvaluationReport:
             "runs": list(self.runs),
             "plugins": self.plugins,
             "results": [result.to_dict() for result in self.results],
-            "means": [row for section in self.sections for row in section.rows()],
-            "headlines": [row for section in self.sections for row in section.overall_rows()],
-            "by_threshold": [row for section in self.sections for row in section.threshold_rows()],
+            "means": [
+                _row(section, run, score, section.mean(run, key, common=True))
+                for section in self.sections
+                for run in section.runs
+                for key, score in section.means[run, False].items()
+            ],
+            "headlines": [
+                _row(section, run, section.overall(run), section.overall(run, common=True))
+                | {"mask": "+".join(section.figure_regions)}
+                for section in self.sections
+                for run in section.runs
+            ],
+            "by_threshold": [row for section in self.sections for row in _threshold_rows(section)],
             "comparisons": [
                 {
                     "data_set": section.data_set,
@@ -286,13 +278,3 @@ class EvaluationReport:
             "warnings": self.warnings,
             **self.flags.to_dict(),
         }
-
-
-def run_names(places: Sequence[Path]) -> list[str]:
-    """Return names of folders or files, with as many parents as make them differ; InputError where two are one."""
-    parts = [place.resolve().parts for place in places]
-    for depth in range(1, max(len(p) for p in parts) + 1):
-        names = ["_".join(p[-depth:]).strip("/") or "run" for p in parts]
-        if len(set(names)) == len(names):
-            return names
-    raise InputError("the same run is given twice")

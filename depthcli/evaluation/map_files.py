@@ -1,17 +1,20 @@
-"""Where the maps of a run lie: which file is scored for a scene, and which files beside it belong to it."""
+"""The runs that are evaluated, and where their maps lie: which file is scored for a scene, and which belong to it."""
 
 from __future__ import annotations
 
 import itertools
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from depthcli.core.errors import InputError
+from depthcli.io.formats.files import shown
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
+from depthcli.io.inputs import local
 
+_N_SHOWN = 5  # patterns, or files, in a message
 _MAX_LISTED = 50_000  # files of a run folder that are looked at
 # Words in the names of files that are no maps of the left view.
 _OTHER_WORDS = re.compile(
@@ -101,7 +104,7 @@ class MapFiles:
     def status(self, path: Path) -> Path | None:
         """Return the status map beside a map; None where there is none."""
         file = path.parent / "status.png"
-        return file if self._in_run_folder(path) and os.path.isfile(file) else None
+        return file if self._in_run_folder(path) and file.is_file() else None
 
     def _in_run_folder(self, path: Path) -> bool:
         """True where the map is named as in a run folder, so that the files beside it belong to it."""
@@ -120,8 +123,7 @@ class DisparityFiles(MapFiles):
         """Yield also result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, else ``disp0METHOD_s.pfm``."""
         yield from super().candidates(folder, scene)
         inside = folder / scene
-        files = sorted(inside.glob("disp0*.pfm"))
-        kit = sorted(path for path in files if not path.stem.startswith("disp0GT"))
+        kit = sorted(path for path in inside.glob("disp0*.pfm") if not path.stem.startswith("disp0GT"))
         dense = [path for path in kit if not path.stem.endswith("_s")] or kit
         named = [path for path in dense if path.stem == f"disp0{folder.resolve().name}"] or dense
         if len(named) > 1:
@@ -157,10 +159,6 @@ def found_patterns(folder: Path, scenes: Mapping[str, Sequence[str]], suffixes: 
 
 def map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:
     """Yield the paths of the files with these endings in a folder, relative to it, with ``/``, sorted."""
-    if not os.path.isdir(folder):  # in an archive
-        below = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("[!.]*") if os.path.isfile(path))
-        yield from (path for path in below if path.lower().endswith(tuple(suffixes)))
-        return
     for place, folders, files in os.walk(folder):
         folders.sort()
         for file in sorted(files):
@@ -179,3 +177,113 @@ def _is_other(pattern: str) -> bool:
         not stem[: found.start()][-1:].isalpha() and not stem[found.end() :][:1].isalpha()
         for found in _OTHER_WORDS.finditer(stem)
     )
+
+
+def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
+    """Return name -> folder or file of every run.
+
+    Parameters
+    ----------
+    runs : ``PLACE``, which is called by its folder's name, or ``NAME=PLACE``
+
+    Raises
+    ------
+    InputError
+        There is none, a place does not exist, or two runs have one name.
+    """
+    given = [_split(str(run)) for run in runs]
+    if not given:
+        raise InputError("no run to evaluate")
+    given = [(name, local(place)) for name, place in given]
+    if absent := [place for _, place in given if not os.path.exists(place)]:
+        raise InputError(f"{shown(absent[0])}: no such folder")
+    places = [place for name, place in given if not name]
+    unnamed = iter(run_names(places) if places else [])
+    names = [name or next(unnamed) for name, _ in given]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"two runs are called {twice[0]}: give one of them another name, NAME=DIR")
+    return dict(zip(names, [place for _, place in given], strict=True))
+
+
+def _split(text: str) -> tuple[str, Path]:
+    """Name, or an empty text, and place of a run."""
+    name, equals, place = text.partition("=")
+    if equals and name and place and not os.path.exists(text) and "/" not in name:
+        return name, Path(place)
+    return "", Path(text)
+
+
+def run_names(places: Sequence[Path]) -> list[str]:
+    """Return names of folders or files, with as many parents as make them differ; InputError where two are one."""
+    parts = [place.resolve().parts for place in places]
+    for depth in range(1, max(len(p) for p in parts) + 1):
+        names = ["_".join(p[-depth:]).strip("/") or "run" for p in parts]
+        if len(set(names)) == len(names):
+            return names
+    raise InputError("the same run is given twice")
+
+
+def names_in_run(scene: str, folder: Path | None, unique: bool) -> list[str]:
+    """Return the names that a scene may have in a run folder, the longest form first.
+
+    Parameters
+    ----------
+    folder : that of the scenes, or None
+    unique : no other scene has its short name
+    """
+    of_folder = [] if folder is None else [f"{folder.resolve().name}/{scene}"]
+    return [scene, *of_folder, *([scene.rpartition("/")[2]] if unique else [])]
+
+
+def _has_standard_map(folder: Path, files: MapFiles, names: Sequence[str]) -> bool:
+    try:
+        return files.find(folder, names) is not None
+    except InputError:  # several files claim to be the map: an error of that scene alone
+        return True
+
+
+def recognized(
+    run: str,
+    folder: Path,
+    options: MapOptions,
+    scenes: Mapping[str, tuple[MapFiles, Sequence[str]]],
+    fits: Callable[[str, Path, MapOptions], bool],
+) -> MapOptions:
+    """Return the options with the one pattern that the maps of a run have where none has a usual place.
+
+    Parameters
+    ----------
+    run, folder : name and folder of the run
+    options : what was given for the run
+    scenes : scene -> where its maps may lie, and the names that it may have in the run folder
+    fits : whether a file can be read as the map of a scene with such options
+
+    Raises
+    ------
+    InputError
+        Several patterns are as frequent, and not exactly one of them is that of files that can be read; the message
+        names the files and gives a ``--maps``.
+    """
+    if options.pattern or any(_has_standard_map(folder, *scene) for scene in scenes.values()):
+        return options
+    suffixes = tuple({suffix: None for files, _ in scenes.values() for suffix in files.endings})
+    found = found_patterns(folder, {scene: names for scene, (_, names) in scenes.items()}, suffixes)
+    max_scenes = max(map(len, found.values()), default=0)
+    likely = [pattern for pattern, of in found.items() if len(of) == max_scenes][:_N_SHOWN]
+    if not likely:
+        return options
+    if len(likely) == 1:
+        return MapOptions(likely[0], options.scale, options.invalid)
+    fitting = []
+    for pattern in likely:
+        scene = found[pattern][0]
+        chosen = MapOptions(pattern, options.scale, options.invalid)
+        path = chosen.files(scenes[scene][0]).find(folder, scenes[scene][1])
+        if path is not None and fits(scene, path, chosen):
+            fitting.append(chosen)
+    if len(fitting) == 1:
+        return fitting[0]
+    files = ", ".join(path for path, _ in zip(map_paths(folder, suffixes), range(_N_SHOWN), strict=False))
+    best = fitting[0].pattern if fitting else likely[0]
+    why = f"{len(fitting)} kinds of file can be the maps" if fitting else "no file there can be read as a map"
+    raise InputError(f"{shown(folder)}: {why} ({files}, ...); say which: --maps '{run}={best}'")

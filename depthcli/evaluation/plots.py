@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from depthcli.core.errors import ConfigError
-from depthcli.evaluation.calibration import Reliability
 from depthcli.evaluation.comparison import Section
-from depthcli.evaluation.curves import PERCENTAGES, Sparsification
+from depthcli.evaluation.curves import PERCENTAGES, Reliability, Sparsification
 from depthcli.evaluation.statistics import mean_of_known
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def plots(section: Section) -> dict[str, str]:
     if (curves := _by_threshold(section)) is not None:
         made["Against the threshold, over all scenes; dots: thresholds of the tables"] = curves
     if any(not math.isnan(r.seconds) for r in section.results):
-        of_all = f"{metric}, {' + '.join(section.protocol.figure_regions(section.regions))}"
+        of_all = f"{metric}, {' + '.join(section.figure_regions)}"
         made[f"Time against {of_all}: means of a scene"] = _times(section, of_all)
     for (region, of), svg in _sparsifications(section):
         made[f"Sparsification, {region}: {'share of wrong pixels' if of == 'bad' else 'mean error'} of the most "

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +13,9 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import color8
+from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.render import Table
+from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import Palette
 from depthcli.io.scenes import Scene
@@ -58,6 +62,29 @@ class ShownMap:
     note: str = ""
 
 
+def planes_beside(path: Path, files: MapFiles) -> dict[str, NDArray[Any]]:
+    """Return name -> confidence map beside a map; those that cannot be read are left out."""
+    found = {}
+    for name, file in files.confidences(path).items():
+        with contextlib.suppress(InputError):
+            found[name] = read_plane(file)
+    return found
+
+
+def _plane(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
+    """Return one run's map as stored, with the confidence maps beside it."""
+    return ShownMap(read_plane(path), planes_beside(path, files))
+
+
+def first_image(scene: Scene) -> NDArray[np.uint8] | None:
+    """Return the left image of a scene, or its first, (H, W, 3) uint8 RGB; None if it is no picture."""
+    try:
+        files = scene.input_files
+        return color8(read_image(files.get("left") or next(iter(files.values()))))
+    except (InputError, StopIteration):
+        return None
+
+
 @dataclass(frozen=True)
 class Presentation:
     """How a protocol's tables are worded and its maps are shown; it computes no score.
@@ -77,7 +104,15 @@ class Presentation:
     palette : colors and words of the status map beside a map
     opacity : initial opacity of a map's colors over the scene's image, 0 to 1
     verdicts : words for a pixel that is right, and for one that is wrong
-    scale : lowest and highest value of the colors where no truth is known; None: by the map
+    scale : lowest and highest value of the colors if no truth is known; None: by the map
+    show : returns one run's map as it is shown if no truth is known; InputError if it cannot be read
+    image : returns the picture of a scene that is shown beneath its maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey
+        levels of a volume; None if there is none
+    on_grid : returns an array of a region's shape as an image or volume, NaN or False where it has no point, given the
+        truth; None: the points lie on no grid and cannot be shown
+    axes : returns the axes of what is shown if it is a volume, given the truth; empty: it is an image
+    at_points : returns whether the truth is known at few points, so that the whole map is shown
+    tables : returns further tables of a run, from what the protocol keeps of every scene with a map
     """
 
     title: str = ""
@@ -94,6 +129,12 @@ class Presentation:
     opacity: float = 1.0
     verdicts: tuple[str, str] = ("right", "wrong")
     scale: tuple[float, float] | None = None
+    show: Callable[[Path, Scene, MapFiles], ShownMap] = _plane
+    image: Callable[[Scene], NDArray[np.uint8] | None] = first_image
+    on_grid: Callable[[NDArray[Any], Any], NDArray[Any] | None] = lambda points, _: points if points.ndim > 1 else None
+    axes: Callable[[Any], tuple[Axis, ...]] = lambda _: ()
+    at_points: Callable[[Any], bool] = lambda _: False
+    tables: Callable[[str, Sequence[Any]], list[Table]] = lambda _, __: []
 
     @property
     def pixel_kind_names(self) -> tuple[str, ...]:
@@ -106,34 +147,6 @@ class Presentation:
         """Colors of the error pictures in words."""
         words = [f"{color}: {kind}" for (color, _), kind in zip(_COLORS, self.pixel_kind_names, strict=True)]
         return "; ".join(words[1:] + words[:1])
-
-    def tables(self, run: str, kept: Sequence[Any]) -> list[Table]:
-        """Return further tables of a run, from what the protocol keeps of every scene with a map."""
-        return []
-
-    def on_grid(self, points: NDArray[Any], truth: Any) -> NDArray[Any] | None:
-        """Return an array of a region's shape as an image or volume, NaN or False where it has no point.
-
-        None: the points lie on no grid and cannot be shown.
-        """
-        return points if points.ndim > 1 else None
-
-    def axes(self, truth: Any) -> tuple[Axis, ...]:
-        """Return the axes of what is shown where it is a volume; empty: it is an image."""
-        return ()
-
-    def image(self, scene: Scene) -> NDArray[np.uint8] | None:
-        """Return the left image of a scene, or its first, to be shown beneath its maps; None where it is no picture.
-
-        Returns
-        -------
-        (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey levels of a volume, or None
-        """
-        try:
-            files = scene.input_files
-            return color8(read_image(files.get("left") or next(iter(files.values()))))
-        except (InputError, StopIteration):
-            return None
 
 
 _COLORS = (

@@ -1,14 +1,14 @@
-"""Results: what one run scored on one scene, and the records in which every number of an evaluation is written."""
+"""The scores of one run on one scene, and the rows in which every number of an evaluation is written."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from depthcli.evaluation.calibration import HiddenPixels, Reliability
-from depthcli.evaluation.curves import Sparsification
+from depthcli.evaluation.curves import ConfidenceCurve, HiddenPixels
 from depthcli.evaluation.scores import Key, Metric, Score, find_score
 from depthcli.io.formats.files import short_path
 
@@ -22,59 +22,22 @@ COLUMNS = (
 """Columns of ``scores.csv``; ``mask`` is the region, by the name that the column has always had."""
 
 
-@dataclass(frozen=True)
-class Record:
-    """One number of an evaluation, a row of the long form.
+def record(result: Mapping[str, str], score: Score | None, source: str = "", note: str = "") -> dict[str, Any]:
+    """Return one number of an evaluation as a row of ``scores.csv``: ``COLUMNS``, empty if there is nothing to write.
 
-    Attributes
+    Parameters
     ----------
-    run, data_set, scene, protocol : where the number belongs; ``scene`` may be ``MEAN`` or ``COMMON_MEAN``
+    result : ``run``, ``data_set``, ``scene`` (or ``MEAN``, ``COMMON_MEAN``) and ``protocol``
     score : metric, region, value and denominator; None: the note says why there is no number
-    source : path of the map inside its run folder, or empty
-    note : what has to be known beside the number, or empty
+    source : path of the map inside its run folder
+    note : what has to be known beside the number
     """
-
-    run: str
-    data_set: str
-    scene: str
-    protocol: str
-    score: Score | None
-    source: str = ""
-    note: str = ""
-
-    def row(self) -> dict[str, Any]:
-        """Return the row of ``scores.csv``: ``COLUMNS``, empty where there is nothing to write."""
-        cells = {"metric": "failed"} if self.score is None else self.score.row()
-        if self.scene == COMMON_MEAN:
-            cells |= {"density": None, "pixels": None, "wrong": None}
-        cells |= {"run": self.run, "data_set": self.data_set, "scene": self.scene, "protocol": self.protocol}
-        cells |= {"map": self.source, "note": self.note}
-        found = {name: cells.get(name) for name in COLUMNS}
-        return {k: "" if v is None or (isinstance(v, float) and not math.isfinite(v)) else v for k, v in found.items()}
-
-
-@dataclass(frozen=True)
-class ConfidenceCurve:
-    """The sparsification curve of one confidence measure in one region.
-
-    Attributes
-    ----------
-    region, confidence : names of the region and of the confidence measure
-    of : what falls along the curve: ``bad``, the share of wrong pixels, or ``error``, the mean absolute error
-    line : the sparsification curve with its areas
-    reliability : of ``bad``, how often pixels of a confidence are right; None where it is no probability
-    """
-
-    region: str
-    confidence: str
-    of: str
-    line: Sparsification
-    reliability: Reliability | None = None
-
-    @property
-    def areas(self) -> dict[str, float]:
-        """All areas by name, and the expected calibration error ``ece``."""
-        return {**self.line.areas(), "ece": math.nan if self.reliability is None else self.reliability.ece}
+    cells = {"metric": "failed"} if score is None else score.row()
+    if result["scene"] == COMMON_MEAN:
+        cells |= {"density": None, "pixels": None, "wrong": None}
+    cells |= {**result, "map": source, "note": note}
+    found = {name: cells.get(name) for name in COLUMNS}
+    return {k: "" if v is None or (isinstance(v, float) and not math.isfinite(v)) else v for k, v in found.items()}
 
 
 @dataclass(frozen=True)
@@ -85,7 +48,7 @@ class MapResult:
     ----------
     run, scene, data_set, protocol : where the numbers belong
     source : the map's path inside its run folder, or empty
-    scores : where the map is missing, the worst of every metric (``Protocol.missing``); empty where there is no
+    scores : where the map is missing, the worst of every metric (``missing_scores``); empty where there is no
         usable truth
     dense : scores of the headline's metric at many thresholds, for plots (``Protocol.threshold_curve``)
     curves : sparsification curves of the confidence maps that lie beside the map
@@ -139,22 +102,24 @@ class MapResult:
         """Path of the table of its points in the output folder, where the protocol has such a table."""
         return short_path(f"points/{self.run}/{self.scene}.csv")
 
-    def records(self) -> list[Record]:
-        """Return the scores, the areas of the curves (metric ``AREA:CONFIDENCE:KIND``), and the reason of a failure."""
-        where = (self.run, self.data_set, self.scene, self.protocol)
+    def records(self) -> list[dict[str, Any]]:
+        """Return the rows of ``scores.csv``: scores, areas of the curves (metric ``AREA:CONFIDENCE:KIND``), failure."""
+        where = {"run": self.run, "data_set": self.data_set, "scene": self.scene, "protocol": self.protocol}
         note = f"missing, counted as wholly wrong: {self.error}" if self.error else self.warning
-        made = [Record(*where, score, self.source, note) for score in self.scores]
-        for c in self.curves:
-            for area, value in c.areas.items():
-                if area == "ece" and c.reliability is None:
-                    continue
-                metric = Metric(f"{area}:{c.confidence}:{c.of}", "")
-                made.append(Record(*where, Score(metric, c.region, value, c.line.pixels, math.nan), self.source))
+        made = [record(where, score, self.source, note) for score in self.scores]
+        others = [
+            Score(Metric(f"{area}:{c.confidence}:{c.of}", ""), c.region, value, c.line.pixels, math.nan)
+            for c in self.curves
+            for area, value in c.areas.items()
+            if area != "ece" or c.reliability is not None
+        ]
         if self.hidden is not None:
-            for name, value in self.hidden.shares().items():
-                score = Score(Metric(f"hidden {name}", "%"), "all", value, self.hidden.pixels, math.nan)
-                made.append(Record(*where, score, self.source))
-        return [*made, Record(*where, None, self.source, self.error)] if self.error else made
+            others += [
+                Score(Metric(f"hidden {name}", "%"), "all", value, self.hidden.pixels, math.nan)
+                for name, value in self.hidden.shares().items()
+            ]
+        made += [record(where, score, self.source) for score in others]
+        return [*made, record(where, None, self.source, self.error)] if self.error else made
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""

@@ -7,7 +7,7 @@ therefore carries its region, denominator and density, and its :class:`Metric` t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -175,3 +175,36 @@ def find_score(
         what = f"{metric}, region {region}, threshold {threshold}, convention {convention}"
         raise KeyError(f"{len(fitting)} scores for {what}" if fitting else f"no score {what}")
     return fitting[0]
+
+
+def pooled(
+    pool: Callable[[Sequence[Score], Sequence[float]], Score], scored: Iterable[tuple[Sequence[Score], float]]
+) -> list[Score]:
+    """Return one score for every metric and region out of (scores, weight) of several scenes."""
+    groups: dict[Key, list[tuple[Score, float]]] = {}
+    for scores, weight in scored:
+        for score in scores:
+            groups.setdefault(score.key, []).append((score, weight))
+    return [pool(*zip(*group, strict=True)) for group in groups.values()]
+
+
+def mean_of_scenes(scores: Sequence[Score], weights: Sequence[float]) -> Score:
+    """Return the weighted mean over the scenes.
+
+    Empty regions are left out. A region in which a map has no value counts as the metric's worst; if the metric has no
+    bound, the mean is NaN.
+    """
+    pairs = [(s, w) for s, w in zip(scores, weights, strict=True) if not math.isnan(s.density)]
+    metric, total = scores[0].metric, math.fsum(w for _, w in pairs)
+    worst = math.nan if metric.worst is None else metric.worst
+    value, density = math.nan, math.nan
+    if total:
+        value = math.fsum(w * (worst if math.isnan(s.value) else s.value) for s, w in pairs) / total
+        density = math.fsum(w * s.density for s, w in pairs) / total
+    return Score(metric, scores[0].region, value, sum(s.pixels for s, _ in pairs), density)
+
+
+def in_order(regions: Iterable[str], order: Sequence[str]) -> list[str]:
+    """Return names of regions in the order of a protocol's ``region_order``, then all others by name."""
+    present = set(regions)
+    return [name for name in order if name in present] + sorted(present - set(order))

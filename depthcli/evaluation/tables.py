@@ -1,6 +1,7 @@
-"""Narrow tables of an evaluation: its records arranged in rows and columns, to be read.
+"""The tables of an evaluation: on a terminal, in ``report.md``, for papers (LaTeX, Markdown, CSV) and on the page.
 
-They have a row for every run or scene and a column for every metric or region; ``wide_tables`` has the others.
+Narrow tables have a row for every run or scene and a column for every metric or region. Wide ones have a row for every
+run, a column for every scene or metric, and ranked numbers.
 """
 
 from __future__ import annotations
@@ -9,12 +10,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from depthcli.evaluation.calibration import HiddenPixels, Reliability
+from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import EvaluationReport, Section
-from depthcli.evaluation.render import Number, Table
-from depthcli.evaluation.results import ConfidenceCurve
-from depthcli.evaluation.scores import Score
+from depthcli.evaluation.curves import ConfidenceCurve, HiddenPixels, Reliability
+from depthcli.evaluation.render import FORMATS, Number, Table, markdown_code, markdown_link, markdown_text
+from depthcli.evaluation.scores import Key, Score
 from depthcli.evaluation.statistics import mean_of_known
+
+NAMES = ("headline", "overview", "metrics", "scenes", "further", "confidence", "hidden", "missing")
+"""Names of tables; behind them may stand a region or run and a data set, as in ``metrics-nonocc``."""
+
+_WIDTH = 100  # characters of a line of the headline table
+
 
 MISSING = "*: scenes without a map count as wholly wrong; where a metric has no worst value there is no mean over all"
 _MAX_SCENE_COLUMNS = 4  # of a narrow table; more scenes are its rows
@@ -283,3 +290,177 @@ def _areas(curves: Sequence[ConfidenceCurve]) -> tuple[str, ...]:
     means["ece"] = Reliability.pooled(known).ece if known else math.nan
     means["ratio"] = means["auc"] / means["optimal"] if means["optimal"] > 0 else math.nan
     return tuple(Number(value, 2 if name == "ratio" else 4) for name, value in means.items())
+
+
+def wide_tables(report: EvaluationReport) -> list[Table]:
+    """Return the wide tables: of every section the headline by scene, then the means of all metrics, by region."""
+    made = []
+    for section in report.sections:
+        scenes = [wide_by_scene(section, (section.protocol.headline, region)) for region in section.regions]
+        made += named(report, section, scenes + [wide_by_metric(section, region) for region in section.regions])
+    return made
+
+
+Column = tuple[str, list[Number], bool | None, str]
+"""Heading, number of every run, whether larger is better (None: not ranked), and the scene it speaks of, or empty."""
+
+
+def wide_by_scene(section: Section, key: Key) -> Table:
+    """Return one metric in one region: a column for every scene, then the means and, where they are known, times."""
+    metric, region = key
+    columns: list[Column] = []
+    for scene in section.scenes:
+        results = [next(r for r in section.results_of(run) if r.scene == scene) for run in section.runs]
+        if any(key in r.by_key for r in results):
+            cells = [cell_of(section, r.by_key.get(key), "*" * bool(r.error)) for r in results]
+            columns.append((short(scene), cells, metric.larger_is_better, scene))
+    if len(section.scenes) > 1:
+        heading = section.protocol.presentation.mean_heading
+        columns.append(_means(section, key, f"{heading} of {len(section.scenes_with(region))}"))
+        if section.common and section.incomplete:
+            n_common = len(section.scenes_with(region, common=True))
+            columns.append(_means(section, key, f"{heading} of {n_common} common", common=True))
+        if metric == section.protocol.headline and len(section.runs) > 1:
+            ranks = [Number(rank, 1) for rank in section.average_rank([key]).values()]
+            columns.append(("avg rank", ranks, False, ""))
+    return _wide(section, f"{section.data_set}: {metric.heading_with_unit}, {region}", columns, f"scenes-{region}")
+
+
+def wide_by_metric(section: Section, region: str) -> Table:
+    """Return the means over the scenes of every metric in one region, a column for each."""
+    columns = [_means(section, key, key[0].heading) for key in section.keys if key[1] == region]
+    many = len(section.scenes_with(region))
+    over = f"means over {many} scenes" if many > 1 else ", ".join(map(short, section.scenes_with(region)))
+    return _wide(section, f"{section.data_set}: {over}, {region}", columns, f"metrics-{region}")
+
+
+def _means(section: Section, key: Key, heading: str, common: bool = False) -> Column:
+    cells = [
+        cell_of(section, section.mean(run, key, each), mark) for run, each, mark in mean_rows(section) if each == common
+    ]
+    return heading, cells, key[0].larger_is_better, ""
+
+
+def _wide(section: Section, title: str, columns: list[Column], name: str) -> Table:
+    """Columns as a table, with the mean seconds of a scene, a megapixel, and 10^9 pixels x disparities beside."""
+    runs = [section.results_of(run) for run in section.runs]
+    times = {
+        "seconds": [mean_of_known(r.seconds for r in results) for results in runs],
+        "s/MP": [mean_of_known(1e6 * r.seconds / r.size for r in results if r.size) for results in runs],
+        "s/GD": [
+            mean_of_known(1e9 * r.seconds / (r.size * r.n_disparities) for r in results if r.size and r.n_disparities)
+            for results in runs
+        ],
+    }
+    known = {heading: values for heading, values in times.items() if not all(map(math.isnan, values))}
+    columns = columns + [(heading, [Number(v) for v in values], False, "") for heading, values in known.items()]
+    rows = tuple((run, *(cells[i] for _, cells, _, _ in columns)) for i, run in enumerate(section.runs))
+    note = "*: no map, counted as wholly wrong; means over scenes that all runs have beside" * section.incomplete
+    return Table(
+        title,
+        ("run", *(heading for heading, *_ in columns)),
+        rows,
+        note,
+        (None, *(larger for _, _, larger, _ in columns)),
+        ("", *(scene for *_, scene in columns)),
+        name,
+    )
+
+
+def headline_text(report: EvaluationReport) -> str:
+    """Return the headline for a terminal, at most 100 columns wide: of one data set by region, of several by set."""
+    if len(report.sections) == 1:
+        (section,) = report.sections
+        table = summary(section)
+        spare = [
+            "avg rank",
+            density_heading(section),
+            "seconds",
+            *(region_heading(section, r) for r in section.regions[:0:-1]),
+        ]
+        note = ". ".join(filter(None, [MISSING * section.incomplete, tests_note(section)]))
+        return replace(table, note=note).fitted(_WIDTH, spare, ["run"]).text(_WIDTH)
+    fitted = (each.fitted(_WIDTH, ["protocol", "losses", "mean of"], ["data set", "run"]) for each in overview(report))
+    return "".join(table.text(_WIDTH) for table in fitted)
+
+
+def chosen_text(
+    report: EvaluationReport,
+    names: Sequence[str],
+    columns: Sequence[str] = (),
+    form: str | None = None,
+    caption: str | None = None,
+) -> str:
+    """Return tables for a terminal, or in a format.
+
+    Parameters
+    ----------
+    report : the evaluation
+    names : names of tables, or their beginnings up to a dash; ``all``: all. Empty: all of a format are the wide ones
+    columns : headings of the columns to show beside the first one; empty: all
+    form : name of one of ``FORMATS``, in which tables of scenes and metrics are wide; None: aligned text, titles and
+        notes wrapped
+    caption : title in place of the table's own
+
+    Raises
+    ------
+    ConfigError
+        There is no such table or column, or a caption for several tables.
+    """
+    narrow = report_tables(report)
+    if form is None:
+        tables = narrow
+    else:
+        tables = wide_tables(report)
+        tables += [t for t in narrow if t.name.partition("-")[0] not in ("scenes", "metrics")] if names else []
+    chosen = choose(tables, names) if names else tables
+    if columns:
+        known = dict.fromkeys(heading for table in chosen for heading in table.header[1:])
+        if absent := [name for name in columns if name not in known]:
+            raise ConfigError(f"--columns: no {', '.join(absent)} in these tables, which have {', '.join(known)}")
+        chosen = [table.only(columns) for table in chosen if set(columns) & set(table.header[1:])]
+        if not set(columns) & set(TEST_COLUMNS):
+            chosen = [replace(table, note=table.note.partition(TESTS_NOTE)[0].rstrip(". ")) for table in chosen]
+    if caption is not None:
+        if len(chosen) != 1:
+            raise ConfigError(f"--caption: is for one table; give --tables {' or '.join(t.name for t in chosen)}")
+        chosen = [replace(table, title=caption) for table in chosen]
+    return "\n".join(table.text(_WIDTH) if form is None else FORMATS[form](table) for table in chosen)
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raise ConfigError where a name can be that of no table."""
+    wrong = [name for name in names if name.partition("-")[0] not in (*NAMES, "all")]
+    if wrong:
+        raise ConfigError(f"--tables: want all, {', '.join(NAMES)} (got {', '.join(wrong)})")
+
+
+def choose(tables: Sequence[Table], names: Sequence[str]) -> list[Table]:
+    """Return the tables whose name is one of ``names`` or begins with it and a dash; ConfigError where a name has none.
+
+    ``all`` is the name of all; ``headline`` and the like may be of no table where there is nothing for it to show.
+    """
+    for name in names:
+        if name not in ("all", *NAMES) and not any(f"{t.name}-".startswith(f"{name}-") for t in tables):
+            raise ConfigError(f"--tables: no table {name}; there are {', '.join(t.name for t in tables)}")
+    return [t for t in tables if "all" in names or any(f"{t.name}-".startswith(f"{name}-") for name in names)]
+
+
+def report_markdown(report: EvaluationReport) -> str:
+    """Return ``report.md``: all tables and warnings, with links to error pictures and plots."""
+    runs = ", ".join(map(markdown_code, report.runs))
+    out = ["# Evaluation", "", f"Ground truth: {markdown_code(report.truth)}. Runs: {runs}.", ""]
+    if report.plugins:
+        used = ", ".join(f"{package} {version}" for package, version in report.plugins.items())
+        out += [f"Plug-ins: {markdown_code(used)}.", ""]
+    out += [f"**Warning:** {markdown_text(line)}\n" for line in report.warnings]
+    out += [table.markdown() for table in report_tables(report)]
+    out += ["## Error pictures", ""]
+    shown = ((p.name, p.presentation) for p in report.protocols.values())
+    out += [f"{name}: {presentation.legend}.\n" for name, presentation in shown if presentation.error_pictures]
+    for r in report.results:
+        if not r.error:
+            scene = markdown_text(r.scene)
+            out += [f"{markdown_text(r.run)}, {scene}:", "", f"![{scene}]({markdown_link(r.picture)})", ""]
+            out += [f"![{of}, {region}]({markdown_link(path)})\n" for (region, of), path in r.plots.items()]
+    return "\n".join(out)

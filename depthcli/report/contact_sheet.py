@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -10,12 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.protocols import AnyProtocol, picture
+from depthcli.evaluation.results import MapResult
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import draw_text
+from depthcli.io.scenes import Scene
 from depthcli.report.colors import map_picture
 
 Picture: TypeAlias = NDArray[np.uint8]
-Map: TypeAlias = NDArray[np.floating[Any]]
 
 _MAX_SCENES = 4  # rows: the sheet fits a screen
 _MAX_RUNS = 4
@@ -24,55 +27,53 @@ _INK = (40, 40, 40)
 
 
 class ContactSheet:
-    """Small pictures of the first scenes of an evaluation, side by side.
+    """Small pictures of the first scenes of an evaluation, side by side; a ``Viewer``."""
 
-    Parameters
-    ----------
-    runs : names of the runs, a column each
-    """
+    file = "contact_sheet.png"
 
-    def __init__(self, runs: Sequence[str]) -> None:
-        self._runs = list(runs)[:_MAX_RUNS]
+    def __init__(self) -> None:
         self._ends = 0.0, 1.0
         self._rows: dict[str, dict[str, list[Picture]]] = {}
+        self._scene = ""
 
-    @property
-    def is_full(self) -> bool:
-        """True once no further scene has a row: its image need not be read."""
-        return len(self._rows) >= _MAX_SCENES
+    def begin(self, folder: Path) -> None:
+        """Begin a sheet in ``folder``."""
+        self._path = folder / self.file
 
-    def begin_scene(self, scene: str, image: NDArray[np.uint8] | None, truth: Map | None) -> None:
-        """Begin the row of a scene; one without an image, or a volume, has no row.
-
-        Parameters
-        ----------
-        scene : its name
-        image : (H, W, 3), or None
-        truth : (H, W), NaN = unknown, whose range is that of the colors of all maps; or None
-        """
-        if image is None or image.ndim != 3 or image.shape[2] != 3 or self.is_full:
+    def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
+        """Begin the row of a scene; one without an image, or a volume, has no row, nor has any after the first ones."""
+        self._scene = ""
+        if not protocol.presentation.error_pictures or len(self._rows) >= _MAX_SCENES:
             return
-        row = self._rows[scene] = {"": [_small(image)]}
-        if truth is not None and truth.ndim == 2 and np.isfinite(truth).any():
-            known = truth[np.isfinite(truth)]
+        image, values = protocol.presentation.image(scene), truth.values
+        if image is None or image.ndim != 3 or image.shape[2] != 3:
+            return
+        self._scene = scene.name
+        self._protocol = protocol
+        row = self._rows[scene.name] = {"": [_small(image)]}
+        if values.ndim == 2 and np.isfinite(values).any():
+            known = values[np.isfinite(values)]
             self._ends = float(known.min()), float(known.max())
-            row[""].append(_small(map_picture(truth, *self._ends)))
+            row[""].append(_small(map_picture(values, *self._ends)))
 
-    def add_map(self, scene: str, run: str, values: Map | None, errors: NDArray[np.uint8]) -> None:
-        """Add a run's (H, W) map, NaN = no value, and its (H, W, 3) error picture."""
-        if scene not in self._rows or run not in self._runs:
+    def add_map(self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, Any]) -> None:
+        """Add one run's map and its error picture."""
+        if result.scene != self._scene:
             return
-        has_map = values is not None and len(self._rows[scene][""]) > 1
-        self._rows[scene][run] = [_small(map_picture(values, *self._ends))] if has_map and values is not None else []
-        self._rows[scene][run].append(_small(errors))
+        row, protocol = self._rows[self._scene], self._protocol
+        maps = [protocol.values(estimate, truth)] if len(row[""]) > 1 else []
+        errors = picture(protocol, estimate, truth)
+        row[result.run] = [_small(map_picture(values, *self._ends)) for values in maps]
+        row[result.run] += [] if errors is None else [_small(errors)]
 
-    def write(self, path: Path) -> bool:
-        """Write the sheet as PNG; False where there is nothing to show."""
-        rows = {scene: row for scene, row in self._rows.items() if len(row) > 1}
+    def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
+        """Write the sheet as PNG, if there is something to show."""
+        runs = report.runs[:_MAX_RUNS]
+        rows = {scene: row for scene, row in self._rows.items() if any(run in row for run in runs)}
         if not rows:
-            return False
-        columns = ["", *(run for run in self._runs if any(run in row for row in rows.values()))]
-        heights = [max(map(_height, row.values())) for row in rows.values()]
+            return
+        columns = ["", *(run for run in runs if any(run in row for row in rows.values()))]
+        heights = [max(_height(row.get(run, ())) for run in columns) for row in rows.values()]
         width = _GAP + len(columns) * (_WIDTH + _GAP)
         sheet = np.full((_LINE + sum(_LINE + height for height in heights), width, 3), 255, np.uint8)
         for k, run in enumerate(columns):
@@ -82,19 +83,18 @@ class ContactSheet:
             draw_text(sheet, scene, (_GAP, top + _LINE // 2), _INK, max_width=_WIDTH)
             for k, run in enumerate(columns):
                 y, x = top + _LINE, _GAP + k * (_WIDTH + _GAP)
-                for picture in row.get(run, ()):
-                    sheet[y : y + len(picture), x : x + _WIDTH] = picture
-                    y += len(picture) + _GAP
+                for small in row.get(run, ()):
+                    sheet[y : y + len(small), x : x + _WIDTH] = small
+                    y += len(small) + _GAP
             top += _LINE + height
-        write_png(path, sheet)
-        return True
+        write_png(self._path, sheet)
 
 
-def _small(picture: Picture) -> Picture:
-    height = max(1, round(picture.shape[0] * _WIDTH / picture.shape[1]))
-    shrink = cv2.INTER_AREA if picture.shape[1] > _WIDTH else cv2.INTER_NEAREST
-    return np.asarray(cv2.resize(picture, (_WIDTH, min(height, 2 * _WIDTH)), interpolation=shrink), np.uint8)
+def _small(image: Picture) -> Picture:
+    height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
+    shrink = cv2.INTER_AREA if image.shape[1] > _WIDTH else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(image, (_WIDTH, min(height, 2 * _WIDTH)), interpolation=shrink), np.uint8)
 
 
 def _height(pictures: Sequence[Picture]) -> int:
-    return sum(len(picture) + _GAP for picture in pictures)
+    return sum(len(each) + _GAP for each in pictures)

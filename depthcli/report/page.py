@@ -22,12 +22,12 @@ from depthcli.evaluation.plots import plots
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.wide_tables import wide_by_scene
+from depthcli.evaluation.tables import wide_by_scene
 from depthcli.io.formats.files import write_text
 from depthcli.io.scenes import Scene
 from depthcli.report import colors
 from depthcli.report.run_without_truth import RunTable, RunWithoutTruth
-from depthcli.report.scene_view import SceneView, smaller
+from depthcli.report.scene_view import SceneView, smaller, view_with_truth
 
 ASSETS = "assets"
 """Folder beside the page, of the pictures that do not fit into it."""
@@ -54,62 +54,55 @@ class _SavedScene:
 
 
 class Page:
-    """Collects scenes and maps while they are evaluated, and writes the page: begin_scene, add_map per run, ..., write.
+    """``report.html``: a ``Viewer`` of the scenes of an evaluation, and of those of a run that have no truth.
 
-    Scenes are saved in the folder ``assets``, so that only one is in memory; where all of them fit into the page they
-    move there, and the folder is removed.
+    The pictures of every scene are written to the folder ``assets`` when it is complete, so that few are in memory at a
+    time, and embedded at the end; the folder stays where the page would become larger than ``budget``.
 
     Parameters
     ----------
-    folder : where ``report.html`` is written
-    command : the command line that makes the page, shown in it
-    budget : bytes of pictures in the page, beyond which it holds smaller ones
-    run : scenes of a run without ground truth, that are shown as well; or None
-
-    Attributes
-    ----------
-    written : the page is there
-    flags : what a person should look at: the flagged scenes are shown first, in their order
+    command : the command line, shown on the page
+    budget : size of all scenes' pictures in the page itself, bytes; of more, every second, third ... pixel is taken
+    run : scenes without truth that the page shows, too
     """
 
-    def __init__(
-        self, folder: Path, command: str = "", budget: int = BUDGET, run: RunWithoutTruth | None = None
-    ) -> None:
-        self.folder, self.command, self.budget, self.run = folder, command, budget, run
-        self.written = False
-        self.flags = Flags()
+    file = "report.html"
+
+    def __init__(self, command: str = "", budget: int = BUDGET, run: RunWithoutTruth | None = None) -> None:
+        self.command, self.budget, self.run = command, budget, run
         self._saved: list[_SavedScene] = []
         self._scene: SceneView | None = None
 
+    def begin(self, folder: Path) -> None:
+        """Begin a page in ``folder``."""
+        self.folder = folder
+
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
-        """Begin a scene, to which the maps that follow belong; ``truth`` is what ``protocol.truth(scene)`` returned."""
+        """Begin a scene, to which the maps that follow belong."""
         self._save()
-        self._scene = SceneView.of(protocol, scene, truth)
+        self._scene = view_with_truth(protocol, scene, truth)
 
     def add_map(self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, Any]) -> None:
-        """Add one run's map to the scene.
-
-        Parameters
-        ----------
-        result : its scores
-        path : its file
-        estimate, truth : as the protocol's ``read`` and ``truth`` return them
-        confidences : name -> confidence map, as the protocol's ``read_confidence`` returns it
-        """
-        if self._scene is not None:
-            dense = None
+        """Add one run's map to the scene; the whole map, if its truth is known at few points."""
+        if self._scene is None:
+            return
+        shown, dense = self._scene.protocol, None
+        if shown.presentation.at_points(truth):
             with contextlib.suppress(InputError):  # the scores count, the whole map is an extra
-                dense = self._scene.protocol.dense_map(path, self._scene.scene, truth)
-            self._scene.add(result.run, path, estimate, truth, confidences, dense)
+                dense = shown.presentation.show(path, self._scene.scene, shown.files)
+        self._scene.add(result.run, path, estimate, truth, confidences, dense)
 
-    def write(self, report: EvaluationReport | None, scores: str, configs: Mapping[str, str]) -> None:
+    def write(
+        self, report: EvaluationReport | None, scores: str, configs: Mapping[str, str], flags: Flags | None = None
+    ) -> None:
         """Write ``report.html``.
 
         Parameters
         ----------
-        report : the evaluation; None where no scene has a ground truth
+        report : the evaluation; None if no scene has a ground truth
         scores : all of it as JSON
         configs : run -> its resolved config, or empty
+        flags : the flagged scenes, which are shown first; None: those of the report
 
         Raises
         ------
@@ -119,7 +112,8 @@ class Page:
             The page cannot be written.
         """
         self._save()
-        rank = {each.scene: k for k, each in reversed([*enumerate(self.flags.flagged)])}
+        flags = flags or (report.flags if report else Flags())
+        rank = {each.scene: k for k, each in reversed([*enumerate(flags.flagged)])}
         self._saved.sort(key=lambda saved: rank.get(saved.view.name, len(rank)))
         scored, without = list(self._saved), self._add_run()
         factor = max(1, math.ceil(math.sqrt(sum(saved.size for saved in self._saved) / self.budget)))
@@ -141,12 +135,11 @@ class Page:
             scenes=[_scene_data(report, saved.view) for saved in scored] if report else [], without=without,
             data=[_embedded(saved, factor) for saved in self._saved],
             page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=[*map(_swatches, kinds)],
-            flags=self.flags,
+            flags=flags,
             number_of={saved.view.name: i for i, saved in enumerate(self._saved)},
         )  # fmt: skip
-        write_text(self.folder / "report.html", text)
+        write_text(self.folder / self.file, text)
         self._remove_assets(keep=len(self._saved) if factor > 1 else 0)
-        self.written = True
 
     def _add_run(self) -> RunTable | None:
         """Add the scenes without truth, the worst first; return their table."""

@@ -13,7 +13,7 @@ from depthcli.evaluation.render import Number
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.pictures import Palette
 from depthcli.io.scenes import Scene
-from depthcli.report.run_view import RunView
+from depthcli.report.scene_view import SceneView, view_of_run
 from depthcli.run.console import Column
 from depthcli.run.json_csv import Row
 
@@ -44,7 +44,7 @@ class RunTable:
     by: str
     n_failed: int
     n_left_out: int
-    views: list[RunView]
+    views: list[SceneView]
 
 
 @dataclass
@@ -68,10 +68,10 @@ class RunWithoutTruth:
     scenes: Sequence[Scene]
     rows: Mapping[str, Row]
     columns: Sequence[Column]
-    _views: dict[str, RunView] = field(default_factory=dict)
+    _views: dict[str, SceneView] = field(default_factory=dict)
     _problems: dict[str, str] = field(default_factory=dict)
 
-    def views(self) -> Iterator[RunView]:
+    def views(self) -> Iterator[SceneView]:
         """Yield the view of every scene whose map can be read; of very many scenes, of the worst by the report."""
         done = [scene for scene in self.scenes if self.rows.get(scene.name, {}).get("status") != "failed"]
         for scene in sorted(done, key=lambda scene: _doubt(self.rows.get(scene.name, {})))[:_MAX_SHOWN]:
@@ -80,7 +80,7 @@ class RunWithoutTruth:
                 if path is None:
                     raise InputError(f"no map there{self.protocol.files.searched([scene.name])}")
                 with collected_warnings():
-                    view = RunView.of_run(self.protocol, scene, self.name, path, self.palette)
+                    view = view_of_run(self.protocol, scene, self.name, path, self.palette)
             except InputError as error:
                 self._problems[scene.name] = str(error)
                 continue

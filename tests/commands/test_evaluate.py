@@ -16,19 +16,17 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.commands.evaluate import COMMAND, evaluate
 from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.printing import chosen_text
+from depthcli.evaluation.evaluate import evaluate_runs
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.tables import report_tables
+from depthcli.evaluation.tables import chosen_text, report_tables
 from depthcli.io.formats.disparity import read_disparity, write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.walk import discover_scenes
-from depthcli.run.console import Reporter
 from depthcli.run.records import Record, write_record
 from tests.scenes import DATA, needs_data
 
@@ -71,7 +69,7 @@ def test_negative_constants_of_other_programs_are_no_values(truth: Path, tmp_pat
     run = run_of(tmp_path / "sgbm", values)
 
     def scored(invalid: float | None = None) -> MapResult:
-        report = evaluate([run], truth, None, ["a"], protocol="eth3d", settings=Settings(invalid=invalid))
+        report = evaluate_runs([run], truth, None, ["a"], protocol="eth3d", settings=Settings(invalid=invalid))
         return report.results[0]
 
     assert (bad(scored()), scored().value("coverage", "all")) == (0, 75)
@@ -103,7 +101,7 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     half[0, 20] = np.nan
     perfect = run_of(tmp_path / "perfect", {"a": good, "b": good})
     wrong = run_of(tmp_path / "half", {"a": half, "b": half})
-    report = evaluate([perfect, wrong], truth, tmp_path / "out")
+    report = evaluate_runs([perfect, wrong], truth, tmp_path / "out")
     assert report.failed == []
     assert report.warnings == []
     text = text_of(report)
@@ -150,7 +148,7 @@ def test_maps_of_other_programs(tmp_path: Path, truth: Path):
     devkit = tmp_path / "devkit"
     write_disparity_png(devkit / "disp_0" / "a.png", good)
     write_pfm(devkit / "low_res_two_view" / "b.pfm", good)
-    report = evaluate([flat, kit, devkit], truth, tmp_path / "out")
+    report = evaluate_runs([flat, kit, devkit], truth, tmp_path / "out")
     assert report.failed == []
     for result in report.results:
         assert bad(result, "nonocc") == 0, result
@@ -164,7 +162,7 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     (broken / "a" / "disp_left.pfm").write_bytes(b"Pf\n3 3\n-1\nxx")
     told = run_of(tmp_path / "told", {"b": good})
     (told / "report.json").write_text(json.dumps({"scenes": [{"scene": "a", "status": "failed", "error": "too dark"}]}))
-    report = evaluate([run, broken, told], truth, tmp_path / "out")
+    report = evaluate_runs([run, broken, told], truth, tmp_path / "out")
     reasons = {(r.run, r.scene): r.error for r in report.failed}
     assert set(reasons) == {("run", "a"), ("run", "b"), ("broken", "a"), ("told", "a")}
     assert "no map of scene a" in reasons["run", "a"]
@@ -187,7 +185,7 @@ def test_long_names_of_scenes_stop_nothing(tmp_path: Path, truth: Path, length: 
     run = run_of(tmp_path / "run", {"a": exact(truth), long: exact(truth)})
     write_pfm(run / long / "confidence_x.pfm", exact(truth))
     write_pfm(run / "a" / "confidence_x.pfm", exact(truth))
-    report = evaluate([run, tmp_path / "run" / "a"], truth, tmp_path / "out", layout="scenes")
+    report = evaluate_runs([run, tmp_path / "run" / "a"], truth, tmp_path / "out", layout="scenes")
     first = [r for r in report.results if r.run == report.runs[0]]
     assert [(r.scene, r.error, bad(r)) for r in first] == [("a", "", 0), (long, "", 0)]
     for result in first:
@@ -215,7 +213,7 @@ def test_names_in_reports_are_texts(tmp_path: Path, truth: Path):
     name = "=1+1\n## <b>x [l](u) \x1b[31m"
     run = run_of(tmp_path / name, {name: exact(truth)})
     shutil.move(truth / "a", truth / name)
-    report = evaluate([run], truth, tmp_path / "out")
+    report = evaluate_runs([run], truth, tmp_path / "out")
     text = (tmp_path / "out" / "report.md").read_text()
     lines = [line for line in text.splitlines() if "<b>x" in line]
     assert lines
@@ -229,23 +227,23 @@ def test_names_in_reports_are_texts(tmp_path: Path, truth: Path):
 def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     (truth / "a" / "disp_left.png").write_bytes(b"nothing")
-    report = evaluate([run], truth, tmp_path / "out")
+    report = evaluate_runs([run], truth, tmp_path / "out")
     assert [r.scene for r in report.failed] == ["a"]
     assert bad(report.results[1]) == 0
     (truth / "a" / "meta.json").write_text("[]")
-    report = evaluate([run], truth, tmp_path / "out")
+    report = evaluate_runs([run], truth, tmp_path / "out")
     assert "meta.json" in report.failed[0].error
     assert bad(report.results[1]) == 0
     (truth / "b" / "meta.json").write_text("[]")
     with pytest.raises(InputError, match=r"meta\.json"):
-        evaluate([run], truth, tmp_path / "out")
+        evaluate_runs([run], truth, tmp_path / "out")
 
 
 def test_wrong_scale_is_said(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth) * 16, "b": exact(truth)})
-    report = evaluate([run], truth, tmp_path / "out")
+    report = evaluate_runs([run], truth, tmp_path / "out")
     assert len(report.warnings) == 1
-    assert "run: a: the values are about 16 times the truth" in report.warnings[0]
+    assert report.warnings[0].startswith("run: a: ") and "about 16 times the truth" in report.warnings[0]
     assert "16 times the truth" in (tmp_path / "out" / "report.md").read_text()
 
 
@@ -254,7 +252,7 @@ def test_scale_of_the_maps_can_be_said(tmp_path: Path, truth: Path):
     (tmp_path / "run").mkdir()
     for name in ("a", "b"):
         shutil.copy(tmp_path / "fixed.npy", tmp_path / "run" / f"{name}.npy")
-    report = evaluate([tmp_path / "run"], truth, tmp_path / "out", settings=Settings(scale=16))
+    report = evaluate_runs([tmp_path / "run"], truth, tmp_path / "out", settings=Settings(scale=16))
     assert [bad(r) for r in report.results] == [0, 0]
 
 
@@ -269,7 +267,7 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     write_pfm(run / "a" / "confidence_blind.pfm", np.zeros(SHAPE, np.float32))
     write_pfm(run / "b" / "confidence_small.pfm", np.zeros((3, 3), np.float32))
     np.save(run / "b" / "confidence_levels.npy", np.full(SHAPE, -3, np.int16))
-    report = evaluate([run], truth, tmp_path / "out")
+    report = evaluate_runs([run], truth, tmp_path / "out")
     curves = {(c.region, c.confidence, c.of): c.line for c in report.results[0].curves}
     assert list(curves) == list(itertools.product(("nonocc", "all"), ("blind", "oracle"), ("bad", "error")))
     assert curves["nonocc", "blind", "bad"].auc == pytest.approx(0.25)
@@ -291,10 +289,10 @@ def test_runs_of_one_name_are_told_apart(tmp_path: Path, truth: Path):
     good = exact(truth)
     for parent in ("x", "y"):
         run_of(tmp_path / parent / "run", {"a": good, "b": good})
-    report = evaluate([tmp_path / "x" / "run", tmp_path / "y" / "run"], truth, tmp_path / "out")
+    report = evaluate_runs([tmp_path / "x" / "run", tmp_path / "y" / "run"], truth, tmp_path / "out")
     assert report.runs == ("x_run", "y_run")
     with pytest.raises(InputError, match="given twice"):
-        evaluate([tmp_path / "x" / "run", tmp_path / "x" / "run"], truth, tmp_path / "out")
+        evaluate_runs([tmp_path / "x" / "run", tmp_path / "x" / "run"], truth, tmp_path / "out")
 
 
 def test_scene_names_match_with_and_without_their_data_set(tmp_path: Path, truth: Path):
@@ -304,7 +302,7 @@ def test_scene_names_match_with_and_without_their_data_set(tmp_path: Path, truth
     over = tmp_path / "over"
     shutil.copytree(truth, over / "set")
     for where in (truth, over):
-        report = evaluate([short, long], where, tmp_path / "out")
+        report = evaluate_runs([short, long], where, tmp_path / "out")
         assert report.failed == []
 
 
@@ -312,13 +310,13 @@ def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
     seen = []
     for _ in range(2):
-        evaluate([run], truth, tmp_path / "out")
+        evaluate_runs([run], truth, tmp_path / "out")
         seen.append({p.relative_to(tmp_path): p.read_bytes() for p in (tmp_path / "out").rglob("*") if p.is_file()})
         shutil.rmtree(tmp_path / "out")
     files = seen[0]
     assert files == seen[1]
     assert {str(p.relative_to("out")) for p in files} == {
-        "record.json", "report.md", "scores.csv", "scores.json", "contact_sheet.png", "errors/run/a.png",
+        "record.json", "report.md", "scores.csv", "scores.json", "errors/run/a.png",
         "errors/run/b.png",
     }  # fmt: skip
 
@@ -327,22 +325,22 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
     """Own files under the names of results are refused before a scene is opened; earlier results make room."""
     run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
     out = tmp_path / "out"
-    evaluate([run], truth, out)
+    evaluate_runs([run], truth, out)
     (out / "notes.txt").write_text("mine")
     other = run_of(tmp_path / "other", {"a": exact(truth), "b": exact(truth)})
-    evaluate([other], truth, out)
+    evaluate_runs([other], truth, out)
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == [
-        "contact_sheet.png", "errors/other/a.png", "errors/other/b.png", "notes.txt", "record.json", "report.md",
+        "errors/other/a.png", "errors/other/b.png", "notes.txt", "record.json", "report.md",
         "scores.csv", "scores.json",
     ]  # fmt: skip
     (out / "errors/run").mkdir()
     (out / "errors/run/a.png").write_text("mine")  # beside a record: found when results are moved in
     with pytest.raises(OutputError, match=r"errors/run/a\.png would be replaced"):
-        evaluate([run], truth, out)
+        evaluate_runs([run], truth, out)
     assert (out / "errors/other/a.png").is_file()
     assert not list(out.glob(".partial*"))
 
-    monkeypatch.setattr("depthcli.commands._scoring.Scoring.results", None)  # nothing is computed from here on
+    monkeypatch.setattr("depthcli.evaluation.evaluate._Scoring.all_results", None)  # nothing is computed from here on
     for name in ("scores.csv", "report.md", "contact_sheet.png", "errors/run/deeper/a.png"):
         place = tmp_path / "mine" / name
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -353,13 +351,13 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
         shutil.rmtree(tmp_path / "mine")
     write_record(run, Record("", "another", {}, {}, {}))
     with pytest.raises(ConfigError, match="holds results of another command"):
-        evaluate([run], truth, run)
+        evaluate_runs([run], truth, run)
 
 
 def test_an_interrupted_evaluation_is_known_as_ours(tmp_path: Path, truth: Path, monkeypatch: pytest.MonkeyPatch):
     """At every step in which earlier results make room for new ones, a kill leaves files that a record claims."""
     run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
-    evaluate([run], truth, tmp_path / "whole")
+    evaluate_runs([run], truth, tmp_path / "whole")
     whole = {p.relative_to(tmp_path / "whole"): p.read_bytes() for p in (tmp_path / "whole").rglob("*.*")}
     original = os.replace
     for step in range(20):
@@ -373,23 +371,23 @@ def test_an_interrupted_evaluation_is_known_as_ours(tmp_path: Path, truth: Path,
 
         monkeypatch.setattr("os.replace", killed)
         with contextlib.suppress(KeyboardInterrupt):
-            evaluate([run], truth, tmp_path / "out")
+            evaluate_runs([run], truth, tmp_path / "out")
         monkeypatch.setattr("os.replace", original)
         for name, data in whole.items():
             assert not (place := tmp_path / "out" / name).exists() or place.read_bytes() == data
-        evaluate([run], truth, tmp_path / "out")
+        evaluate_runs([run], truth, tmp_path / "out")
         assert {p.relative_to(tmp_path / "out"): p.read_bytes() for p in (tmp_path / "out").rglob("*.*")} == whole
 
 
 def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
     with pytest.raises(InputError, match="no run"):
-        evaluate([], truth, tmp_path / "out")
+        evaluate_runs([], truth, tmp_path / "out")
     with pytest.raises(InputError, match="no such folder"):
-        evaluate([tmp_path / "absent"], truth, tmp_path / "out")
+        evaluate_runs([tmp_path / "absent"], truth, tmp_path / "out")
     for name in ("a", "b"):
         (truth / name / "disp_left.png").unlink()
     with pytest.raises(InputError, match="ground truth"):
-        evaluate([tmp_path], truth, tmp_path / "out")
+        evaluate_runs([tmp_path], truth, tmp_path / "out")
 
 
 @needs_data
@@ -402,7 +400,7 @@ def test_real_scenes_truth_is_zero_and_two_pixels_off_is_hundred(tmp_path: Path)
         write_pfm(tmp_path / "shifted" / scene.name / "disp_left.pfm", disparity - np.float32(2.75))
     for pattern, protocol in wanted.items():
         runs = [tmp_path / "truth", tmp_path / "shifted"]
-        report = evaluate(runs, DATA, tmp_path / "out", [pattern], protocol=protocol)
+        report = evaluate_runs(runs, DATA, tmp_path / "out", [pattern], protocol=protocol)
         assert report.failed == []
         right, shifted = report.results
         assert right.protocol == protocol
@@ -420,7 +418,7 @@ def test_kitti_pairs_end_to_end(tmp_path: Path):
     run.mkdir()
     for pair in ("pair_01", "pair_04", "pair_07"):
         shutil.copy(DATA / "kitti_eval_pairs" / pair / "disp_est.png", run / f"{pair}.png")
-    report = evaluate([run], DATA / "kitti_eval_pairs", tmp_path / "out", protocol="kitti-2015")
+    report = evaluate_runs([run], DATA / "kitti_eval_pairs", tmp_path / "out", protocol="kitti-2015")
     found = [round(r.value("D1", "occ", 3.0, "estimated pixels only"), 2) for r in report.results]
     assert found == [4.19, 3.54, 8.30]
     assert "4.19" in text_of(report)
@@ -440,7 +438,7 @@ def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, trut
         if not issubclass(protocols.load(protocol), DisparityProtocol):
             continue
         for _ in range(12):
-            report = evaluate([run], truth, tmp_path / "out", protocol=protocol)
+            report = evaluate_runs([run], truth, tmp_path / "out", protocol=protocol)
             assert {r.protocol for r in report.results} == {protocol}
             json.loads((tmp_path / "out" / "scores.json").read_text(), parse_constant=pytest.fail)
             broken = bytearray(data[: rng.integers(1, len(data) + 1)] if rng.random() < 0.3 else data)
@@ -459,7 +457,7 @@ def test_truth_without_a_known_pixel_is_a_reason_and_not_an_empty_column(tmp_pat
     write_pfm(scene / "disp_left.pfm", np.full((4, 5), np.nan, np.float32))
     (tmp_path / "run").mkdir()
     write_pfm(tmp_path / "run" / "a.pfm", np.ones((4, 5), np.float32))
-    report = evaluate([tmp_path / "run"], tmp_path / "truth", tmp_path / "out")
+    report = evaluate_runs([tmp_path / "run"], tmp_path / "truth", tmp_path / "out")
     assert [result.scene for result in report.failed] == ["a"]
     assert "no known pixel" in report.failed[0].error
 
@@ -470,8 +468,8 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     poor[:12] += 3
     both = run_of(tmp_path / "both", {"a": good, "b": poor})
     easy = run_of(tmp_path / "easy", {"a": good})
-    report = evaluate([both, easy], truth, tmp_path / "out")
-    means = {(m["run"], m["metric"], m["mask"], m["threshold"]): m for m in report.sections[0].rows()}
+    report = evaluate_runs([both, easy], truth, tmp_path / "out")
+    means = {(m["run"], m["metric"], m["mask"], m["threshold"]): m for m in report.to_dict()["means"]}
     full, lacking = (means[run, "bad", "all", 1.0] for run in ("both", "easy"))
     assert (full["value"], full["scenes"], full["missing"], full["common"], full["value_common"]) == (25, 2, 0, 1, 0)
     assert (lacking["value"], lacking["scenes"], lacking["missing"], lacking["value_common"]) == (50, 2, 1, 0)
@@ -503,7 +501,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
 
 def test_a_complete_set_has_one_mean(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth) + 3, "b": exact(truth)})
-    text = text_of(evaluate([run], truth, None))
+    text = text_of(evaluate_runs([run], truth, None))
     assert "*" not in text
     assert "common" not in text
     assert not (tmp_path / "out").exists()
@@ -512,12 +510,12 @@ def test_a_complete_set_has_one_mean(tmp_path: Path, truth: Path):
 def test_the_protocol_is_given_or_named_by_the_scene(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2012"}))
-    assert [r.protocol for r in evaluate([run], truth, None).results] == ["kitti-2012", "middlebury-v2"]
-    assert [r.protocol for r in evaluate([run], truth, None, protocol="ETH3D").results] == ["eth3d"] * 2
+    assert [r.protocol for r in evaluate_runs([run], truth, None).results] == ["kitti-2012", "middlebury-v2"]
+    assert [r.protocol for r in evaluate_runs([run], truth, None, protocol="ETH3D").results] == ["eth3d"] * 2
     with pytest.raises(InputError, match=r"no protocol called 'kitty'; one of: booster, depth, eth3d, kitti-2012"):
-        evaluate([run], truth, None, protocol="kitty")
+        evaluate_runs([run], truth, None, protocol="kitty")
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitty"}))
-    report = evaluate([run], truth, None)
+    report = evaluate_runs([run], truth, None)
     assert "no protocol called 'kitty'" in report.failed[0].error
     assert bad(report.results[1]) == 0
 
@@ -526,7 +524,7 @@ def test_two_protocols_side_by_side(tmp_path: Path, truth: Path):
     """Different benchmarks have tables of their own, and are never averaged or compared with each other."""
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2015"}))
     runs = [run_of(tmp_path / name, {"a": exact(truth) + d, "b": exact(truth)}) for name, d in (("x", 0), ("y", 5))]
-    report = evaluate(runs, truth, tmp_path / "out")
+    report = evaluate_runs(runs, truth, tmp_path / "out")
     assert [(s.data_set, s.protocol.name) for s in report.sections] == [("set", "kitti-2015"), ("set", "middlebury-v2")]
     assert [c["protocol"] for c in report.to_dict()["comparisons"]] == ["kitti-2015", "middlebury-v2"]
     overview = next(table for table in report_tables(report) if table.title == "Headline by data set")
@@ -542,22 +540,21 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
     good = exact(truth)
     write_pfm(tmp_path / "m.pfm", good + 2)
     # The file of a scene brings the scene's masks and scale.
-    report = evaluate([tmp_path / "m.pfm"], truth / "a" / "disp_left.png", None)
+    report = evaluate_runs([tmp_path / "m.pfm"], truth / "a" / "disp_left.png", None)
     assert report.results[0].scores[0].region == "nonocc"
     assert bad(report.results[0]) == 100
     # Any other file stands for itself.
     shutil.copy(truth / "a" / "disp_left.png", tmp_path / "gt.png")
-    plain = evaluate([tmp_path / "m.pfm"], tmp_path / "gt.png", None, settings=Settings(scale=8, threshold=3))
+    plain = evaluate_runs([tmp_path / "m.pfm"], tmp_path / "gt.png", None, settings=Settings(scale=8, threshold=3))
     assert (bad(plain.results[0]), bad(plain.results[0], threshold=3)) == (100, 0)
-    assert "8-bit disparities need a scale" in evaluate([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed[0].error
-    with pytest.raises(InputError, match="a single map wants a single scene"):
-        evaluate([tmp_path / "m.pfm"], truth, None)
-    values = dict.fromkeys(
-        ("output", "maps", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize", "invalid")
+    assert (
+        "8-bit disparities need a scale"
+        in evaluate_runs([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed[0].error
     )
-    values |= {"runs": [tmp_path / "m.pfm"], "truth": truth / "a" / "disp_left.png", "json": True, "quiet": False}
-    values |= dict.fromkeys(("format", "tables", "columns", "caption"), None) | {"html": False}
-    assert COMMAND.run(values, Reporter(-1)) == 0
+    with pytest.raises(InputError, match="a single map wants a single scene"):
+        evaluate_runs([tmp_path / "m.pfm"], truth, None)
+    single = truth / "a" / "disp_left.png"
+    assert main(["evaluate", str(tmp_path / "m.pfm"), "--truth", str(single), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
 
 
@@ -567,19 +564,19 @@ def test_result_files_of_the_kit_are_not_taken_for_its_truth(tmp_path: Path, tru
     for name in ("disp0GT", "disp0GT_s", "disp0GTy", "disp0ours_s"):
         write_pfm(run / "a" / f"{name}.pfm", good + ("GT" in name) * 5)
     write_pfm(run / "b" / "disp0GT.pfm", good)
-    report = evaluate([run], truth, None)
+    report = evaluate_runs([run], truth, None)
     assert report.results[0].source == "a/disp0ours_s.pfm"
     assert bad(report.results[0]) == 0
     assert [r.scene for r in report.failed] == ["b"]
     write_pfm(run / "a" / "disp0theirs_s.pfm", good)
-    assert "keep one method" in evaluate([run], truth, None).failed[0].error
+    assert "keep one method" in evaluate_runs([run], truth, None).failed[0].error
 
 
 def test_a_short_name_of_two_scenes_is_named_as_such(tmp_path: Path, truth: Path):
     shutil.copytree(truth, tmp_path / "all" / "one")
     shutil.copytree(truth, tmp_path / "all" / "two")
     run = run_of(tmp_path / "run", {"a": exact(truth), "two/a": exact(truth)})
-    report = evaluate([run], tmp_path / "all", None, ["a"])
+    report = evaluate_runs([run], tmp_path / "all", None, ["a"])
     assert [(r.scene, bool(r.error)) for r in report.results] == [("one/a", True), ("two/a", False)]
     assert "several scenes are called a" in report.failed[0].error
 
@@ -600,7 +597,7 @@ def test_seconds_of_the_report_are_shown(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     scenes = [{"scene": name, "status": "done", "seconds": {"cost": 1.5, "refinement": 0.5}} for name in ("a", "b")]
     (run / "report.json").write_text(json.dumps({"scenes": scenes}))
-    (summary, *_) = report_tables(evaluate([run], truth, None))
+    (summary, *_) = report_tables(evaluate_runs([run], truth, None))
     assert (summary.header[-1], summary.rows[0][-1]) == ("seconds", "2.00")
 
 
@@ -618,9 +615,9 @@ def test_formats_settings_and_comparison(tmp_path: Path, truth: Path, capsys: py
     assert r"\textbf{50.00}" in capsys.readouterr().out
     assert main([*command, "--format", "word"]) == 2
     assert "latex, markdown, csv" in capsys.readouterr().err
-    (comparison,) = evaluate([one, two], truth, None).to_dict()["comparisons"]
+    (comparison,) = evaluate_runs([one, two], truth, None).to_dict()["comparisons"]
     assert (comparison["run"], comparison["against"], comparison["losses"]) == ("two", "one", 1)
-    report = evaluate([one, two], truth, None)
+    report = evaluate_runs([one, two], truth, None)
     assert [r.size for r in report.results] == [SHAPE[0] * SHAPE[1]] * 4
 
 
@@ -629,7 +626,7 @@ def test_maps_of_floating_point_in_tiff_files(tmp_path: Path, truth: Path):
     good[3, 3], good[3, 4] = np.nan, np.inf
     assert cv2.imwrite(str(tmp_path / "good.tif"), good)
     np.save(tmp_path / "good.npy", good)
-    report = evaluate([tmp_path / "good.tif", tmp_path / "good.npy"], truth / "a" / "disp_left.png", None)
+    report = evaluate_runs([tmp_path / "good.tif", tmp_path / "good.npy"], truth / "a" / "disp_left.png", None)
     assert report.failed == []
     values = [[s.value for s in r.scores] for r in report.results]
     assert values[0] == values[1]
@@ -736,7 +733,7 @@ def test_wrong_options_of_maps(
 def test_two_runs_of_one_name(tmp_path: Path, truth: Path):
     folder = others(tmp_path / "x", truth, "{scene}.pfm")
     with pytest.raises(InputError, match="two runs are called x: give one of them another name"):
-        evaluate([folder, f"x={folder}"], truth, None)
+        evaluate_runs([folder, f"x={folder}"], truth, None)
 
 
 def kitti_like(folder: Path, name: str, rng: np.random.Generator) -> np.ndarray:
@@ -770,7 +767,7 @@ def test_no_mean_is_over_several_data_sets(tmp_path: Path, truth: Path):
     good = exact(truth)
     maps = {"one/a": good, "one/b": good + 2, "two/a": good + 2}
     runs = [run_of(tmp_path / "x", maps), run_of(tmp_path / "y", {**maps, "two/a": good})]
-    report = evaluate(runs, tmp_path / "all", tmp_path / "out")
+    report = evaluate_runs(runs, tmp_path / "all", tmp_path / "out")
     (overview,) = [table for table in report_tables(report) if table.name == "overview"]
     assert [(row[0], *row[4:7], row[-1]) for row in overview.rows] == [
         ("one", "x", "2", "50.00", "best"), ("one", "y", "2", "50.00", "too few scenes"),
@@ -783,7 +780,7 @@ def test_no_mean_is_over_several_data_sets(tmp_path: Path, truth: Path):
 def test_a_mean_says_how_many_scenes_have_that_truth(tmp_path: Path, truth: Path):
     (truth / "b" / "mask_disc.png").unlink()
     run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
-    report = evaluate([run], truth, tmp_path / "out")
+    report = evaluate_runs([run], truth, tmp_path / "out")
     (section,) = report.sections
     (summary, *_) = report_tables(report)
     # The figure is over the regions that all scenes have; the region of one scene says so.

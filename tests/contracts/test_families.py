@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from depthcli.core.method import Family
-from depthcli.evaluation.protocols import load
+from depthcli.evaluation.protocols import load, missing_scores, picture
 from depthcli.evaluation.results import MapResult
 from depthcli.io.layouts.scenes import Scenes
 from depthcli.io.walk import discover_scenes
@@ -47,7 +47,7 @@ def test_protocols(name: str, made_scenes: Path):
     scene, protocol = discover_scenes(made_scenes)[0], load(name)()
     truth = protocol.truth(scene)
     best = protocol.read(scene.disparity_left, scene, truth)  # type: ignore[attr-defined]
-    scores, missing, regions = protocol.scores(best, truth), protocol.missing(truth), protocol.regions(truth)
+    scores, missing, regions = protocol.scores(best, truth), missing_scores(protocol, truth), truth.regions
     assert all(region.dtype == bool for region in regions.values())
     headlines = {score.region for score in scores if score.metric == protocol.headline}
     assert headlines and headlines <= set(regions)
@@ -58,8 +58,8 @@ def test_protocols(name: str, made_scenes: Path):
     assert not protocol.wrong(best, truth).any()
     result = MapResult("run", scene.name, "set", protocol.name, scores=tuple(scores))
     assert any(score.metric == protocol.headline for score in protocol.mean([result]))
-    picture = protocol.picture(best, truth)
-    assert picture is None or (picture.dtype == np.uint8 and picture.ndim == 3)
+    drawn = picture(protocol, best, truth)
+    assert drawn is not None and drawn.dtype == np.uint8 and drawn.ndim == 3
 
 
 @pytest.mark.parametrize("name", ["stereo", "kinect", "cross_modal", "registration"])

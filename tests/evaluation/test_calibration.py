@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.evaluation.calibration import N_BINS, HiddenPixels, Reliability, reliability
+from depthcli.evaluation.curves import N_BINS, HiddenPixels, Reliability, reliability
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import read_grey, write_png
 

@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.commands.evaluate import evaluate
 from depthcli.evaluation.curves import sparsification
+from depthcli.evaluation.evaluate import evaluate_runs
 from depthcli.evaluation.plots import Line, curve_plot, line_plot
-from depthcli.evaluation.protocols import Settings, load, names
+from depthcli.evaluation.protocols import Settings, load, missing_scores, names
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
+from depthcli.evaluation.scores import in_order
 from depthcli.io.scenes.stereo import StereoScene, StereoTruth
 
 
@@ -51,7 +52,7 @@ def test_matplotlib_is_not_imported_where_nothing_is_drawn(tmp_path: Path, scene
 
 
 def test_curves_are_written_the_same_twice(made: Path, tmp_path: Path, scenes: Path, runs: list[Path]):
-    evaluate(runs, scenes, tmp_path / "again")
+    evaluate_runs(runs, scenes, tmp_path / "again")
     files = sorted(path.relative_to(made) for path in (made / "curves").rglob("*.svg"))
     assert len(files) == 8  # two scenes, two regions, wrong pixels and errors
     for file in files:
@@ -71,7 +72,7 @@ def test_dense_thresholds_agree_with_the_table(name: str, threshold: float | Non
     noc = stored.copy()
     noc[:, :6] = np.nan
     masks = judge.masks(StereoTruth(stored, None, noc, None, {}))
-    truth = DisparityTruth(stored, {m: masks[m] for m in judge.ordered(masks)}, noc)
+    truth = DisparityTruth(stored, {m: masks[m] for m in in_order(masks, judge.region_order)}, noc)
     estimate = np.where(rng.random(stored.shape) < 0.1, np.nan, stored + rng.normal(0, 2, stored.shape))
     estimate = estimate.astype(np.float32)
     before = judge.all_thresholds
@@ -79,7 +80,7 @@ def test_dense_thresholds_agree_with_the_table(name: str, threshold: float | Non
     assert judge.all_thresholds == before
     assert len(dense) >= 24
     assert list(dense) == sorted(dense)
-    main = next(iter(judge.regions(truth)))
+    main = next(iter(truth.regions))
     assert {s.region for s in dense.values()} == {main}
     compared = 0
     for score in judge.scores(estimate, truth):
@@ -90,7 +91,7 @@ def test_dense_thresholds_agree_with_the_table(name: str, threshold: float | Non
     assert compared >= min(3, len(judge.thresholds))
     values = [s.value for s in dense.values()]
     assert values == sorted(values, reverse=True)
-    assert all(s.value == s.metric.worst for s in judge.missing(truth, dense=True))
+    assert all(s.value == s.metric.worst for s in missing_scores(judge, truth, dense=True))
 
 
 def test_dense_ratios_of_depth_agree_with_the_table():
@@ -105,9 +106,9 @@ def test_dense_ratios_of_depth_agree_with_the_table():
 
 
 def test_the_plot_shows_the_means_of_the_report(scenes: Path, runs: list[Path]):
-    report = evaluate(runs, scenes, None)
+    report = evaluate_runs(runs, scenes, None)
     section = report.sections[0]
-    rows = section.threshold_rows()
+    rows = report.to_dict()["by_threshold"]
     for row in rows:
         assert len(row["thresholds"]) >= 24
         keys = [key for key in section.keys if key[1] == row["mask"] and key[0].name == "bad"]

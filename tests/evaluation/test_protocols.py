@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.evaluation import protocols
-from depthcli.evaluation.protocols import Settings
+from depthcli.evaluation.protocols import Settings, missing_scores, picture
 from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, invalid_value, scale_warning
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
 from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, find_score
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, find_score, in_order
 from depthcli.io.formats.disparity import read_disparity, write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.scenes.stereo import StereoScene, StereoTruth
@@ -69,7 +69,7 @@ def test_names_and_unknown_names():
 def test_truth_scores_best_nothing_worst_and_the_headline_is_there(name, mask):
     truth = everywhere((2 + np.arange(60, dtype=np.float32) / 16).reshape(6, 10), mask)
     judge = make(name)
-    for scores, best in ((judge.scores(truth.disparity, truth), True), (judge.missing(truth), False)):
+    for scores, best in ((judge.scores(truth.values, truth), True), (missing_scores(judge, truth), False)):
         headline = next(s for s in scores if (s.metric, s.region) == (judge.headline, mask))
         worst = math.nan if judge.headline.worst is None else judge.headline.worst
         assert headline.value == pytest.approx(0 if best else worst, nan_ok=True)
@@ -82,8 +82,8 @@ def test_truth_scores_best_nothing_worst_and_the_headline_is_there(name, mask):
             assert set(s.row()) == {
                 "metric", "mask", "threshold", "value", "unit", "wrong", "pixels", "density", "convention",
             }  # fmt: skip
-    assert not judge.wrong(truth.disparity, truth).any()
-    assert judge.picture(truth.disparity, truth).shape == (6, 10, 3)
+    assert not judge.wrong(truth.values, truth).any()
+    assert picture(judge, truth.values, truth).shape == (6, 10, 3)
     with pytest.raises(KeyError, match="no score"):
         find_score(scores, "nonsense", mask)
     with pytest.raises(KeyError, match="no score"):
@@ -93,14 +93,14 @@ def test_truth_scores_best_nothing_worst_and_the_headline_is_there(name, mask):
 def test_a_name_that_several_scores_fit_is_an_error():
     truth = everywhere(np.ones((3, 3), np.float32))
     with pytest.raises(KeyError, match="5 scores for bad"):
-        find_score(make("middlebury-v2").scores(truth.disparity, truth), "bad", "all")
+        find_score(make("middlebury-v2").scores(truth.values, truth), "bad", "all")
 
 
 @pytest.mark.parametrize("name", STEREO)
 def test_a_region_without_truth_gives_no_number_and_no_error(name):
     truth = everywhere(np.full((3, 3), np.nan, np.float32))
     judge = make(name)
-    for scores in (judge.scores(np.ones((3, 3), np.float32), truth), judge.missing(truth)):
+    for scores in (judge.scores(np.ones((3, 3), np.float32), truth), missing_scores(judge, truth)):
         assert scores
         assert all(math.isnan(score.value) for score in scores if score.metric.name != "coverage")
         mean = judge.mean([MapResult("r", "a", "d", name, scores=tuple(scores))])
@@ -120,16 +120,16 @@ def test_another_size_is_refused(name, tmp_path):
 def test_a_users_threshold_is_the_headlines(name, threshold):
     truth = everywhere(np.full((1, 4), 1, np.float32))
     judge = make(name, threshold=threshold)
-    scores = judge.scores(truth.disparity + np.array([[0, 1.25, 2, 3]], np.float32), truth)
+    scores = judge.scores(truth.values + np.array([[0, 1.25, 2, 3]], np.float32), truth)
     headline = pick(scores, judge.headline.name, threshold, judge.headline.convention)
     assert headline.wrong == {1.0: 3, 2.5: 1}[threshold]
-    assert judge.wrong(truth.disparity + np.float32(2), truth).all() == (threshold == 1)
+    assert judge.wrong(truth.values + np.float32(2), truth).all() == (threshold == 1)
 
 
 def test_a_map_without_values_counts_as_the_worst_in_means():
     truth = everywhere(np.full((2, 2), 5, np.float32))
     judge = make("middlebury-v2")
-    maps = (truth.disparity, np.full((2, 2), np.nan, np.float32))
+    maps = (truth.values, np.full((2, 2), np.nan, np.float32))
     results = [
         MapResult("r", str(k), "d", judge.name, scores=tuple(judge.scores(m, truth))) for k, m in enumerate(maps)
     ]
@@ -155,8 +155,8 @@ def test_v2_agrees_with_the_naive_one(seed):
 
 def test_an_error_of_exactly_the_threshold_is_right():
     truth = everywhere(np.tile(np.arange(20, dtype=np.float32), (5, 1)))
-    assert pick(make("middlebury-v2").scores(truth.disparity + 1, truth), "bad", 1.0).value == 0
-    assert pick(make("middlebury-v2").scores(truth.disparity + 2, truth), "bad", 1.0).value == 100
+    assert pick(make("middlebury-v2").scores(truth.values + 1, truth), "bad", 1.0).value == 0
+    assert pick(make("middlebury-v2").scores(truth.values + 2, truth), "bad", 1.0).value == 100
 
 
 def test_masks_that_are_not_given_follow_from_both_views():
@@ -244,11 +244,11 @@ def test_v3_thresholds_are_those_of_the_full_size(tmp_path, name, width, resolut
     truth = judge.truth(scene)
     assert truth.factor == factor
     for off, expected in ((2.0, 0), (2.25, 100)):
-        scores = judge.scores(truth.disparity + np.float32(off / factor), truth)
+        scores = judge.scores(truth.values + np.float32(off / factor), truth)
         assert pick(scores, "totbad", 2.0).value == expected
     here = {1: "totbad 2", 2: "totbad 2 (1)", 4: "totbad 2 (0.5)"}
     assert pick(scores, "totbad", 2.0).metric.heading == here[factor]
-    with pytest.raises(ConfigError, match="want F, H or Q"):
+    with pytest.raises(ConfigError, match="expected F, H or Q"):
         Settings(resolution="X")
 
 
@@ -370,7 +370,10 @@ def test_kitti_2012_averages_frames_and_2015_pools_their_pixels():
         assert pick(mean, metric, 3.0, INTERPOLATED).density == 100
     assert pick(mean, "avgerr", None, INTERPOLATED).value == pytest.approx(18 / 5)
     # A frame that a run lacks: all of its pixels are wrong.
-    lacking = [results[0], replace(results[1], scores=tuple(judge.missing(everywhere(frames[1][0], "occ"))), error="x")]
+    lacking = [
+        results[0],
+        replace(results[1], scores=tuple(missing_scores(judge, everywhere(frames[1][0], "occ"))), error="x"),
+    ]
     assert pick(judge.mean(lacking), "D1", 3.0, ESTIMATED_ONLY).value == 40
     assert pick(judge.mean(lacking), "D1", 3.0, INTERPOLATED).density == 80
     assert math.isnan(pick(judge.mean(lacking), "avgerr", None, INTERPOLATED).value)
@@ -380,7 +383,7 @@ def test_kitti_2012_averages_frames_and_2015_pools_their_pixels():
 def test_kitti_frames_without_any_estimate(name, others):
     """The kits divide by at least one pixel: such a frame scores 0 on its estimated pixels, and has a density of 0."""
     judge, empty = make(name), everywhere(np.full((1, 6), 10, np.float32), "occ")
-    nothing = judge.scores(judge.empty_estimate(empty), empty)
+    nothing = judge.scores(np.full_like(empty.values, np.nan), empty)
     for metric, t in (("out", 3.0), ("avgerr", None)):
         score = pick(nothing, metric, t, ESTIMATED_ONLY)
         assert (score.value, score.pixels, score.density) == (0, 0, 0)
@@ -402,13 +405,11 @@ def test_kitti_regions():
     judge = make("kitti-2015")
     masks = judge.masks(stored)
     sizes = {"occ": 3, "occ_bg": 2, "occ_fg": 1, "noc": 2, "noc_bg": 1, "noc_fg": 1}
-    assert {name: int(masks[name].sum()) for name in judge.ordered(masks)} == sizes
+    assert {name: int(masks[name].sum()) for name in in_order(masks, judge.region_order)} == sizes
     # noc has its own values: an estimate of 10 is off by 2 there.
     scores = make("kitti-2012").scores(np.full((1, 5), 10, np.float32), DisparityTruth(occ, masks, noc))
     assert find_score(scores, "avgerr", "noc", None, INTERPOLATED).value == 1
     assert find_score(scores, "avgerr", "occ", None, INTERPOLATED).value == 0
-    assert judge.figure_regions(judge.ordered(masks)) == ["occ"]
-    assert make("kitti-2012").figure_regions(["noc", "occ"]) == ["noc"]
 
 
 # Warnings
@@ -420,8 +421,8 @@ def test_wrong_scale_is_noticed(name, factor):
     _, truth, _ = random_maps(3, (40, 50))
     estimate = truth + np.float32(0.3)
     judge, reference = make(name), replace(everywhere(truth), max_disparity=80)
-    assert judge.warnings(estimate, reference) == []
-    (warning,) = judge.warnings(estimate * np.float32(factor), reference)
+    assert scale_warning(judge.resized(estimate, reference), truth) is None
+    warning = scale_warning(judge.resized(estimate * np.float32(factor), reference), truth)
     assert "times the truth" in warning
 
 
@@ -473,7 +474,7 @@ def test_numbers_of_evaldisp(holes, nonocc, everything):
     (scene,) = discover_scenes(DATA / "middlebury_v3", patterns=["Motorcycle"])
     judge = make("middlebury-v3")
     truth = judge.truth(scene)
-    scores = judge.scores(disturbed(truth.disparity, holes), truth)
+    scores = judge.scores(disturbed(truth.values, holes), truth)
     for mask, t, printed in (("nonocc", 2.0, nonocc), ("all", 4.0, everything)):
         keys = (("bad", t), ("invalid", None), ("totbad", t), ("avgerr", None))
         assert " ".join(f"{find_score(scores, metric, mask, at).value:.2f}" for metric, at in keys) == printed
@@ -493,7 +494,7 @@ def test_numbers_of_the_eth3d_program(holes, mask, printed):
     (scene,) = discover_scenes(DATA / "middlebury_v3", patterns=["Motorcycle"])
     judge = make("eth3d")
     truth = judge.truth(scene)
-    scores = judge.scores(disturbed(truth.disparity, holes), truth)
+    scores = judge.scores(disturbed(truth.values, holes), truth)
     shares = [("coverage", None), *(("bad", t) for t in (0.5, 1.0, 2.0, 4.0))]
     pixels = ["avgerr", "rms", "A50", "A90", "A95", "A99"]
     found = [f"{find_score(scores, metric, mask, t).value / 100:g}" for metric, t in shares]

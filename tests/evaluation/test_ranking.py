@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from depthcli.evaluation.ranking import Ranking
+from depthcli.evaluation.statistics import Ranking
 
 NINE = [float(k) for k in range(1, 10)]
 

@@ -10,9 +10,8 @@ import pytest
 
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import Section
-from depthcli.evaluation.protocols import registration
-from depthcli.evaluation.protocols._registration import error_classes
-from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
+from depthcli.evaluation.protocols import missing_scores, registration
+from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol, error_classes
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.scenes.volume_pair import RegistrationTruth
@@ -54,10 +53,10 @@ def result(scene: str, expected: np.ndarray | None, true: np.ndarray, run: str =
     truth = PreparedTruth(volume.ravel(), None, inside, RegistrationTruth(grid, np.zeros((0, 3)), volume))
     start = MapResult(run, scene, "set", PROTOCOL.name)
     if expected is None:
-        return replace(start, scores=tuple(PROTOCOL.missing(truth)), error="no map")
+        return replace(start, scores=tuple(missing_scores(PROTOCOL, truth)), error="no map")
     estimate = expected.astype(np.float32).ravel()
     return replace(
-        start, scores=tuple(PROTOCOL.scores(estimate, truth)), pooling_data=PROTOCOL.pooling_data(estimate, truth)
+        start, scores=tuple(PROTOCOL.scores(estimate, truth)), pooling_data=PROTOCOL.points(estimate, truth)[1]
     )
 
 
@@ -106,8 +105,8 @@ def test_what_a_run_lacks_changes_no_other_runs_figures():
     pairs = {name: errors_along_x(seed, (4, 50, 40 + 30 * seed)) for seed, name in enumerate("abc")}
     whole = [result(name, *pair, run="whole") for name, pair in pairs.items()]
     lacking = [result(n, None if n == "c" else e, t, run="lacking") for n, (e, t) in pairs.items()]
-    alone = Section("set", PROTOCOL, ("whole",), tuple(whole))
-    beside = Section("set", PROTOCOL, ("whole", "lacking"), (*whole, *lacking))
+    alone = Section.of("set", PROTOCOL, ("whole",), tuple(whole))
+    beside = Section.of("set", PROTOCOL, ("whole", "lacking"), (*whole, *lacking))
     key = (PROTOCOL.headline, "voxels")
     means = [section.mean("whole", key) for section in (alone, beside)]
     assert means[0] == means[1]

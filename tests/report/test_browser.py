@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.commands.evaluate import evaluate
+from depthcli.evaluation.evaluate import evaluate_runs
 from depthcli.io.formats.disparity import read_disparity, read_plane
 from depthcli.report.packing import unpack
 from depthcli.report.page import Page
@@ -195,7 +195,7 @@ def test_without_script_tables_and_pictures_show(browser: Any, made: Path):
 
 
 def test_full_size_comes_from_the_assets(browser: Any, tmp_path: Path, scenes: Path, runs: list[Path]):
-    evaluate(runs, scenes, tmp_path, page=Page(tmp_path, budget=2000))
+    evaluate_runs(runs, scenes, tmp_path, viewers=[Page(budget=2000)])
     visit = Visit(browser, tmp_path / "report.html")
     number = number_of(visit, "plain")
     visit.page.evaluate(f"location.hash = '#scene-{number}/1'")

@@ -7,6 +7,7 @@ import csv
 import json
 import re
 import shutil
+from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,9 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.commands.evaluate import evaluate
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.evaluate import evaluate_runs
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.presentation import RIGHT, WRONG, Presentation, pixel_kinds
 from depthcli.evaluation.protocols import Protocol
@@ -165,7 +166,7 @@ def test_maps_come_back_as_they_were(made: Path, runs: list[Path]):
 @pytest.mark.slow
 def test_beyond_the_budget_pictures_shrink_and_full_ones_lie_beside(tmp_path: Path, scenes: Path, runs: list[Path]):
     output = tmp_path / "out"
-    evaluate(runs, scenes, output, page=Page(output, budget=2000))
+    evaluate_runs(runs, scenes, output, viewers=[Page(budget=2000)])
     page = read(output)
     assert "of their size" in page.text
     view = json.loads(page.scripts["data-1"])["views"][0]
@@ -178,7 +179,7 @@ def test_beyond_the_budget_pictures_shrink_and_full_ones_lie_beside(tmp_path: Pa
     for name in ("good", 'bad "<b>"'):
         small, large = (unpack(v["runs"][name]["values"]) for v in (view, data))
         assert np.array_equal(small, large[::factor, ::factor], equal_nan=True)
-    evaluate(runs, scenes, output, page=Page(output))
+    evaluate_runs(runs, scenes, output, viewers=[Page()])
     assert not (output / "assets").exists()
 
 
@@ -187,11 +188,11 @@ def test_a_missing_map_and_a_single_run(tmp_path: Path, scenes: Path, runs: list
     output, less = tmp_path / "out", tmp_path / "less"
     shutil.copytree(runs[1], less)
     (less / "plain" / "disp_left.pfm").unlink()
-    evaluate([runs[0], less], scenes, output, page=Page(output))
+    evaluate_runs([runs[0], less], scenes, output, viewers=[Page()])
     page = read(output)
     assert "1 map missing" in page.text
     assert any(cell == "100.00*" for table in page.tables for row in table for cell in row)
-    evaluate(runs[:1], scenes, output, page=Page(output))
+    evaluate_runs(runs[:1], scenes, output, viewers=[Page()])
     assert "has the best mean" not in read(output).text
 
 
@@ -199,7 +200,7 @@ def test_a_missing_map_and_a_single_run(tmp_path: Path, scenes: Path, runs: list
 def test_the_same_input_gives_the_same_page(tmp_path: Path, scenes: Path, runs: list[Path]):
     texts = []
     for name in ("one", "two"):
-        evaluate(runs, scenes, tmp_path / name, page=Page(tmp_path / name))
+        evaluate_runs(runs, scenes, tmp_path / name, viewers=[Page()])
         texts.append((tmp_path / name / "report.html").read_bytes())
     assert texts[0] == texts[1]
 
@@ -244,26 +245,45 @@ def test_packing(low: float, high: float):
     assert np.array_equal(unpack(pack_bytes(bits)), bits)
 
 
-class Boxes(Protocol[Any, Any]):
-    """Volumes without a single number a voxel to show: errors alone."""
+INSIDE = np.zeros((4, 6, 8), bool)
+INSIDE[1:3, 2:, ::2] = True
 
-    kind, files, presentation = Scene, MapFiles(("{scene}",), ()), Presentation("boxes", "mm")
+
+@dataclass
+class PointsTruth:
+    values: Any
+    looks_like: str = ""
+    size: int = 192
+
+    @property
+    def regions(self) -> dict[str, Any]:
+        return {"all": np.ones(self.values.shape, bool)}
+
+
+def on_grid(points: Any, truth: Any) -> Any:
+    full = np.full(INSIDE.shape, False if points.dtype == bool else np.nan)
+    full[INSIDE] = points
+    return full
+
+
+class Points(Protocol[Any, Any]):
+    """Errors at some voxels of a volume, a list of points."""
+
+    kind, files = Scene, MapFiles(("{scene}",), ())
+    presentation = Presentation("points", "mm", on_grid=on_grid)
     headline = Metric("mean", "mm")
 
     def truth(self, scene: Scene) -> Any:
-        return np.zeros((4, 6, 8))
+        return PointsTruth(np.zeros(np.count_nonzero(INSIDE)))
 
     def read(self, path: Path, scene: Scene, truth: Any) -> Any:
         raise NotImplementedError
 
-    def empty_estimate(self, truth: Any) -> Any:
-        return truth * np.nan
-
-    def regions(self, truth: Any) -> dict[str, Any]:
-        return {"all": np.ones(truth.shape, bool)}
+    def values(self, estimate: Any, truth: Any) -> Any:
+        return estimate
 
     def error(self, estimate: Any, truth: Any) -> Any:
-        return np.abs(estimate)
+        return np.abs(estimate) + 1
 
     def wrong(self, estimate: Any, truth: Any) -> Any:
         return np.abs(estimate) > 100
@@ -272,72 +292,31 @@ class Boxes(Protocol[Any, Any]):
         return [Score(self.headline, "all", float(np.mean(np.abs(estimate))), truth.size, 100.0)]
 
 
-def test_volumes_show_slices_of_their_errors(tmp_path: Path):
-    judge, scene, page = Boxes(), BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
-    volume = np.arange(4 * 6 * 8, dtype=float).reshape(4, 6, 8)
-    page.begin_scene(judge, scene, judge.truth(scene))
-    result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(volume, judge.truth(scene))))
-    page.add_map(result, tmp_path / "box", volume, judge.truth(scene), {})
-    page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, "truth"), "{}", {})
-    data = json.loads(read(tmp_path).scripts["data-0"])
-    planes = [*volume, *volume.swapaxes(0, 1), *np.moveaxis(volume, 2, 0)]
-    names = [f"{k + 1} of {n}" for n in (4, 6, 8) for k in range(n)]
-    assert [view["name"] for view in data["views"]] == names
-    assert data["start"] == 2
-    for view, plane in zip(data["views"], planes, strict=True):
-        run = view["runs"]["run"]
-        assert (view["truth"], view["image"], run["values"]) == (None, None, None)
-        assert np.allclose(unpack(run["error"]), plane, atol=0.01)
-        assert np.array_equal(unpack(run["wrong"]), plane > 100)
-
-
-INSIDE = np.zeros((4, 6, 8), bool)
-INSIDE[1:3, 2:, ::2] = True
-
-
-class OnGrid(Presentation):
-    """Points shown at the voxels of ``INSIDE``."""
-
-    def on_grid(self, points: Any, truth: Any) -> Any:
-        full = np.full(INSIDE.shape, False if points.dtype == bool else np.nan)
-        full[INSIDE] = points
-        return full
-
-
-class Points(Boxes):
-    """The same at some voxels: a list of points, on a grid."""
-
-    presentation = OnGrid("points", "mm")
-
-    def truth(self, scene: Scene) -> Any:
-        return np.zeros(np.count_nonzero(INSIDE))
-
-
 class PointsWithoutGrid(Points):
-    """The same, on no grid."""
-
     presentation = Presentation("points", "mm")
 
 
-@pytest.mark.parametrize("on_grid", [True, False])
-def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
-    judge = Points() if on_grid else PointsWithoutGrid()
-    scene, page = BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
+@pytest.mark.parametrize("kind", [Points, PointsWithoutGrid])
+def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, kind: type[Points]):
+    judge, scene, page = kind(), BrokenScene(name="box", folder=tmp_path), Page()
     truth = judge.truth(scene)
-    points = np.arange(truth.size, dtype=float) * 4
+    points = np.arange(truth.values.size, dtype=float) * 4
     result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
+    page.begin(tmp_path)
     page.begin_scene(judge, scene, truth)
     page.add_map(result, tmp_path / "box", points, truth, {"c": points})
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, "truth"), "{}", {})
     reader = read(tmp_path)
-    assert ("data-0" in reader.scripts) == on_grid
+    assert ("data-0" in reader.scripts) == (kind is Points)
     assert "1 run, 1 scene of" in reader.text
-    if on_grid:
-        view = json.loads(reader.scripts["data-0"])["views"][2]
+    if kind is Points:
+        data = json.loads(reader.scripts["data-0"])
+        assert [view["name"] for view in data["views"]] == [f"{k + 1} of {n}" for n in (4, 6, 8) for k in range(n)]
+        view = data["views"][2]
         assert np.array_equal(unpack(view["region"]) > 0, INSIDE[2])
         error = unpack(view["runs"]["run"]["error"])
-        assert np.allclose(error[INSIDE[2]], points[truth.size // 2 :], atol=0.01)
-        assert np.array_equal(unpack(view["runs"]["run"]["wrong"]), np.nan_to_num(error) > 100)
+        assert np.allclose(error[INSIDE[2]], points[truth.values.size // 2 :] + 1, atol=0.01)
+        assert np.array_equal(unpack(view["runs"]["run"]["wrong"]), np.nan_to_num(error) > 101)
 
 
 def test_volumes_are_cut_across_every_axis():
@@ -381,7 +360,7 @@ def test_registration_errors_lie_in_their_volume():
     inside[1, 1:3] = True
     judge, error = RegistrationProtocol(), np.arange(10, dtype=np.float32)
     dense = registration_truth(error, grid, None, inside)
-    volume = judge.presentation.on_grid(judge.true_values(dense), dense)
+    volume = judge.presentation.on_grid(dense.values, dense)
     assert np.array_equal(volume[inside], error)
     assert np.isnan(volume[~inside]).all()
     assert np.array_equal(judge.presentation.on_grid(error > 3, dense), np.nan_to_num(volume) > 3)
@@ -401,7 +380,7 @@ def test_landmarks_are_balls_in_their_volume():
         assert set(np.unique(volume[near])) <= {value, error[2]}
     assert (volume[20, 30, 42], volume[20, 30, 38]) == (3, 1)
     assert np.count_nonzero(~np.isnan(volume)) < 100
-    assert judge.size(truth) == 40 * 96 * 128
+    assert truth.size == 40 * 96 * 128
     axes = judge.presentation.axes(truth)
     assert [(axis.plane, axis.ends) for axis in axes] == [("axial", "SI"), ("coronal", "AP"), ("sagittal", "RL")]
     assert [(axis.first, axis.step) for axis in axes] == [(7 + 39 * 2, -2), (-6, -1), (-5, -1)]

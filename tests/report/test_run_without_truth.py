@@ -19,7 +19,7 @@ from depthcli.io.formats.pictures import read_status
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
 from depthcli.report.packing import unpack
-from depthcli.report.scene_view import SceneView
+from depthcli.report.scene_view import view_with_truth
 from tests.report.conftest import ODD, truth_of
 from tests.report.test_page import Reader, read
 
@@ -114,7 +114,7 @@ def test_scenes_with_and_without_truth_share_a_page(pairs: Path, tmp_path: Path,
 def test_beyond_the_budget_each_scene_is_loaded_from_its_own_file(
     pairs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("depthcli.commands._old_batch.PAGE_BUDGET", "2kB")
+    monkeypatch.setattr("depthcli.commands._evaluation.PAGE_BUDGET", "2kB")
     assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "*a*") == 3
     folder = tmp_path / "run" / "evaluation"
     page = json.loads(read(folder).scripts["page"])
@@ -192,8 +192,11 @@ def test_a_registration_without_landmarks(volumes: Path, tmp_path: Path, capsys:
     assert len(reader.images) == 1  # the three slices of preview.png
     volume = read_volume(output / "case" / "expected_error.nii.gz")
     judge = RegistrationProtocol()
-    shown = judge.shown_map(output / "case" / "expected_error.nii.gz", VolumePairScene(
-        name="case", folder=given, fixed=given / "fixed.nii.gz"))  # fmt: skip
+    shown = judge.presentation.show(
+        output / "case" / "expected_error.nii.gz",
+        VolumePairScene(name="case", folder=given, fixed=given / "fixed.nii.gz"),
+        judge.files,
+    )
     inside = ~np.isnan(shown.values)
     assert 0 < inside.mean() < 1  # air is left out
     assert np.array_equal(shown.values[inside], volume.grid.turned(volume.values)[inside])
@@ -207,7 +210,9 @@ def test_a_mask_says_what_is_shown(volumes: Path):
     scene = VolumePairScene(name="pair_0", folder=given, fixed=given / "fixed.nii.gz", mask=mask)
     stored = read_volume(mask)
     want = stored.grid.turned(stored.values) > 0
-    assert np.array_equal(~np.isnan(RegistrationProtocol().shown_map(made, scene).values), want)
+    assert np.array_equal(
+        ~np.isnan(RegistrationProtocol.presentation.show(made, scene, RegistrationProtocol.files).values), want
+    )
 
 
 def test_landmarks_leave_the_whole_volume_in_sight(volumes: Path):
@@ -217,14 +222,14 @@ def test_landmarks_leave_the_whole_volume_in_sight(volumes: Path):
     places = np.array(grid.shape) / 2 + np.array([[0.0, 0, 0], [2, 3, 4]])
     errors = np.array([1, 4], np.float32)
     truth = PreparedTruth(errors, places, None, RegistrationTruth(grid, grid.to_point(places), errors))
-    view = SceneView.of(judge, scene, truth)
+    view = view_with_truth(judge, scene, truth)
     assert view is not None
-    dense = judge.dense_map(made, scene, truth)
-    assert dense is not None
+    assert judge.presentation.at_points(truth)
+    dense = judge.presentation.show(made, scene, judge.files)
     view.add("run", made, judge.read(made, scene, truth), truth, {}, dense)
     for cut, shown in zip(view._cuts, view.data["views"], strict=True):
         values, known = unpack(shown["runs"]["run"]["values"]), unpack(shown["region"]) > 0
         assert np.array_equal(np.isnan(values), np.isnan(dense.values[cut.index]))
         assert np.array_equal(np.isnan(unpack(shown["runs"]["run"]["error"])), ~known)
     voxels = PreparedTruth(errors, None, np.ones(grid.shape, bool), truth.stored)
-    assert judge.dense_map(made, scene, voxels) is None
+    assert not judge.presentation.at_points(voxels)

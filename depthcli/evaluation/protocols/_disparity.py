@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
-from depthcli.evaluation.calibration import HiddenPixels
-from depthcli.evaluation.map_files import DisparityFiles
-from depthcli.evaluation.presentation import Presentation, ShownMap
+from depthcli.evaluation.map_files import DisparityFiles, MapFiles
+from depthcli.evaluation.presentation import Presentation, ShownMap, planes_beside
 from depthcli.evaluation.protocols import Protocol, Settings
-from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally
+from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally, in_order
 from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
 from depthcli.io.formats.files import shown, warn
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
@@ -28,17 +27,29 @@ from depthcli.io.scenes.stereo import StereoScene, StereoTruth
 Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]
 
-PRESENTATION = Presentation(
-    unit="px", quantity="disparity", threshold_axis="threshold, px", error_pictures=True, visible_region="nonocc",
-    palette=STATUS_PALETTE,
-)  # fmt: skip
-"""Common to all stereo protocols, which add title and note."""
-
 _INCONSISTENT = (
     "left-right inconsistent: share of the pixels that the check of both views rejected, occluded ones among them, "
     "filled or not"
 )
 _N_DENSE, _MAX_DENSE_PX = 24, 6.0  # number of evenly spaced thresholds of a plot, and the largest
+_MAX_KITTI_KNOWN = 0.5  # of a laser scanner's truth, which has about 20 %, with the models of cars more
+
+
+def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
+    """Return a run's map with the shares of pixels that are inconsistent, by its status, and that have no value."""
+    values, file = read_disparity(path), files.status(path)
+    figures = {"left-right inconsistent, %": np.nan, "no value, %": 100.0 * float(np.isnan(values).mean())}
+    if file is not None:
+        rejected = (read_status(file) & int(Status.OCCLUDED | Status.MISMATCH)) != 0
+        figures["left-right inconsistent, %"] = 100.0 * float(rejected.mean())
+    return ShownMap(values, planes_beside(path, files), figures=figures, note=_INCONSISTENT)
+
+
+PRESENTATION = Presentation(
+    unit="px", quantity="disparity", threshold_axis="threshold, px", error_pictures=True, visible_region="nonocc",
+    palette=STATUS_PALETTE, show=_shown_map,
+)  # fmt: skip
+"""Common to all stereo protocols, which add title and note."""
 
 
 @dataclass(frozen=True)
@@ -47,28 +58,50 @@ class DisparityTruth:
 
     Attributes
     ----------
-    disparity : (H, W) float32, pixels, NaN = unknown
+    values : (H, W) float32, pixels, NaN = unknown
     masks : name -> (H, W) bool, True = evaluate
-    noc : (H, W) float32, values of the visible pixels where they have their own (KITTI), or None
+    noc : (H, W) float32, values of the visible pixels if they have their own (KITTI), or None
     scale : codes per pixel of the truth's files, or None
     max_disparity, round_disparity : values of an estimate are clipped, and rounded (Middlebury v3)
     factor : size of the benchmark's full image / size of this one (Middlebury v3)
+    looks_like : other protocols that such a truth is usually scored by, or empty
     """
 
-    disparity: Disparity
+    values: Disparity
     masks: Mapping[str, NDArray[np.bool_]]
     noc: Disparity | None = None
     scale: float | None = None
     max_disparity: int | None = None
     round_disparity: bool = False
     factor: int = 1
+    looks_like: str = ""
+
+    def reference(self, region: str) -> Disparity:
+        """Return the values that a region is compared with: those of ``noc`` for its regions."""
+        return self.noc if self.noc is not None and region.startswith("noc") else self.values
+
+    @cached_property
+    def regions(self) -> Masks:
+        """The pixels of the masks whose truth is known."""
+        return {name: mask & ~np.isnan(self.reference(name)) for name, mask in self.masks.items()}
+
+    @property
+    def size(self) -> int:
+        """Number of pixels."""
+        return self.values.size
 
 
 class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     """A protocol for (H, W) float32 disparity maps in pixels, NaN = no value.
 
-    One that derives from it adds ``presentation``, ``thresholds``, ``default_threshold`` and ``scores``, which gets the
-    errors of every region from ``tallies``; ``values`` where maps are changed before they are compared.
+    One that derives from it adds ``presentation``, ``thresholds`` and ``default_threshold``; ``scores``, which gets the
+    errors of every region from ``tallies``, and ``values``, if maps are changed before they are compared.
+
+    Attributes
+    ----------
+    thresholds : of the tables, pixels; with that of the settings they are ``all_thresholds``, ascending
+    default_threshold : of the headline, pixels
+    thresholded_metric : the headline without its threshold
     """
 
     kind = StereoScene
@@ -76,20 +109,13 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     curve_regions: ClassVar[tuple[str, ...]] = ("nonocc", "all")
     takes: ClassVar[tuple[str, ...]] = ("scale", "threshold", "invalid")
     thresholds: ClassVar[tuple[float, ...]]
-    """Thresholds of the tables, pixels; with that of the settings they are ``all_thresholds``, ascending."""
     default_threshold: ClassVar[float]
-    """Threshold of the headline, pixels."""
     thresholded_metric: ClassVar[Metric] = Metric("bad", "%", convention=MISSING_IS_BAD, worst=100.0)
-    """The headline without its threshold."""
 
     def __init__(self, settings: Settings | None = None) -> None:
         super().__init__(settings)
         self.all_thresholds = sorted({*self.thresholds, *filter(None, [self.settings.threshold])})
-
-    @property
-    def headline(self) -> Metric:
-        """``thresholded_metric`` at the benchmark's threshold, or at the user's."""
-        return self.at(self.settings.threshold or self.default_threshold)
+        self.headline = self.at(self.settings.threshold or self.default_threshold)
 
     def at(self, threshold: float) -> Metric:
         """Return the headline's metric at another threshold."""
@@ -108,30 +134,15 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         if np.isnan(stored.disparity).all():
             raise InputError(f"{scene.disparity_left}: the ground truth has no known pixel")
         masks = self.masks(stored)
-        ordered = {name: masks[name] for name in self.ordered(masks)}
+        ordered = {name: masks[name] for name in in_order(masks, self.region_order)}
         return DisparityTruth(stored.disparity, ordered, stored.noc, stored.scale, scene.max_disparity,
-                              scene.round_disparity)  # fmt: skip
-
-    def scene_of_file(self, truth: Path) -> Scene:
-        """Return a scene of one disparity map without masks; integer codes have the scale of the settings."""
-        scale = None if truth.suffix.lower() == ".pfm" else self.settings.scale
-        return StereoScene(name=truth.stem, folder=truth.parent, protocol=self.name, left=truth, disparity_left=truth,
-                           disparity_scale=scale)  # fmt: skip
-
-    def shown_map(self, path: Path, scene: Scene) -> ShownMap:
-        """Return the map with the shares of pixels that are inconsistent, by its status, and that have no value."""
-        values, file = read_disparity(path), self.files.status(path)
-        figures = {"left-right inconsistent, %": math.nan, "no value, %": 100.0 * float(np.isnan(values).mean())}
-        if file is not None:
-            rejected = (read_status(file) & int(Status.OCCLUDED | Status.MISMATCH)) != 0
-            figures["left-right inconsistent, %"] = 100.0 * float(rejected.mean())
-        return ShownMap(values, self._planes(path), figures=figures, note=_INCONSISTENT)
+                              scene.round_disparity, looks_like=_other_protocols(stored.disparity))  # fmt: skip
 
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
-        """Return the map in pixels; 8-bit codes have the truth's scale where the settings have none.
+        """Return the map in pixels; 8-bit codes have the truth's scale if the settings have none.
 
         The setting ``invalid``, or else the constant that :func:`invalid_value` recognizes in another program's map,
-        is no value; the latter with a warning.
+        is no value; the latter with a warning, as where the scale looks wrong.
         """
         codes = truth.scale if truth.scale is not None and truth.scale < 256 else None
         pixels = path.suffix.lower() == ".pfm" and not self.settings.any_scale
@@ -144,7 +155,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         if self.settings.invalid is not None:
             estimate[read_plane(path) == np.float32(self.settings.invalid)] = np.nan
         elif not (path.parent / "record.json").is_file():  # runs of this program mark what has no value
-            invalid = invalid_value(estimate, truth.disparity)
+            invalid = invalid_value(estimate, truth.values)
             if invalid is not None:
                 marked = estimate == np.float32(invalid)
                 estimate[marked] = np.nan
@@ -152,6 +163,8 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
                     f"{shown(path)}: {100 * np.mean(marked):.3g} % of the pixels are {invalid:g}, which the truth "
                     f"never is: taken as no value (evaluate --invalid nan keeps them)"
                 )
+        if (warning := scale_warning(self.resized(estimate, truth), truth.values)) is not None:
+            warn(warning)
         return estimate
 
     def resized(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
@@ -162,67 +175,47 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         ValueError
             The size does not fit.
         """
-        if estimate.shape != truth.disparity.shape:
-            raise ValueError(f"the map is {size(estimate)}, the truth {size(truth.disparity)}")
+        if estimate.shape != truth.values.shape:
+            raise ValueError(f"the map is {size(estimate)}, the truth {size(truth.values)}")
         return estimate
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the values that are compared, here the estimate as it is."""
         return self.resized(estimate, truth)
 
-    def reference(self, truth: DisparityTruth, region: str) -> Disparity:
-        """Return the truth that a region is compared with."""
-        return truth.disparity
-
-    def regions(self, truth: DisparityTruth) -> Masks:
-        """Return the pixels of the masks whose truth is known."""
-        return {name: mask & ~np.isnan(self.reference(truth, name)) for name, mask in truth.masks.items()}
-
     def error(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return (H, W) float32, pixels: single precision, as in the benchmarks' programs."""
-        return difference(self.values(estimate, truth), truth.disparity)
-
-    def true_values(self, truth: DisparityTruth) -> Disparity:
-        """Return (H, W) float32, pixels."""
-        return truth.disparity
+        return difference(self.values(estimate, truth), truth.values)
 
     def tallies(self, estimate: Disparity, truth: DisparityTruth) -> list[Tally]:
         """Return the errors of every region."""
         error = self.error(estimate, truth)
-        return [Tally(name, error[region]) for name, region in self.regions(truth).items()]
+        return [Tally(name, error[region]) for name, region in truth.regions.items()]
+
+    def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
+        """Compute the share of bad pixels at all thresholds, missing ones included, ``avgerr`` and ``rms``."""
+        scores = []
+        for tally in self.tallies(estimate, truth):
+            scores += [tally.rate(self.at(t), ~(tally.error <= np.float32(t))) for t in self.all_thresholds]
+            scores += tally.means()
+        return scores
 
     def threshold_curve(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute the headline's metric at its thresholds and at others up to 6 px, or twice the user's."""
-        dense, main = copy(self), next(iter(self.regions(truth)))
+        dense, main = copy(self), next(iter(truth.regions))
         top = max(_MAX_DENSE_PX, 2 * (self.settings.threshold or 0.0))
         dense.all_thresholds = sorted({*self.all_thresholds, *(top * k / _N_DENSE for k in range(1, _N_DENSE + 1))})
         scores = dense.scores(estimate, replace(truth, masks={main: truth.masks[main]}))
         return [s for s in scores if s.metric.threshold is not None and s.metric == self.at(s.metric.threshold)]
 
-    def hidden(self, status: NDArray[np.uint8], truth: DisparityTruth) -> HiddenPixels | None:
-        """Compare with the pixels of ``all`` that are not in ``nonocc``; None for another size, or where none is."""
-        regions = self.regions(truth)
-        if not {"all", "nonocc"} <= set(regions) or status.shape != regions["all"].shape:
-            return None
-        known, hidden = regions["all"], regions["all"] & ~regions["nonocc"]
-        if not hidden.any():
-            return None
-        said = (status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
-        return HiddenPixels.of(said[known], hidden[known])
 
-    def warnings(self, estimate: Disparity, truth: DisparityTruth) -> list[str]:
-        """Return a line where the scale looks wrong."""
-        warning = scale_warning(self.resized(estimate, truth), truth.disparity)
-        return [] if warning is None else [warning]
-
-    def better_protocols(self, truth: DisparityTruth) -> str:
-        """Name those of KITTI where the truth has the size of its frames and is sparse."""
-        known = float(np.mean(~np.isnan(truth.disparity)))
-        if not (_is_kitti_size(*truth.disparity.shape) and known < _MAX_KITTI_KNOWN):
-            return ""
-        return (
-            f"frames of kitti-2015 or kitti-2012 ({size(truth.disparity)}, truth at {100 * known:.0f} % of the pixels)"
-        )
+def _other_protocols(truth: Disparity) -> str:
+    """Return the protocols of KITTI if the truth has the size of its frames and is sparse; else an empty text."""
+    height, width = truth.shape  # of rectified frames: 370 x 1224 to 376 x 1242
+    known = float(np.mean(~np.isnan(truth)))
+    if not (370 <= height <= 376 and 1224 <= width <= 1242 and known < _MAX_KITTI_KNOWN):
+        return ""
+    return f"frames of kitti-2015 or kitti-2012 ({size(truth)}, truth at {100 * known:.0f} % of the pixels)"
 
 
 def difference(estimate: Disparity, truth: Disparity) -> Disparity:
@@ -234,14 +227,6 @@ def difference(estimate: Disparity, truth: Disparity) -> Disparity:
 def size(array: NDArray[Any]) -> str:
     """Return the size of an (H, W) array as text: width x height."""
     return f"{array.shape[1]} x {array.shape[0]}"
-
-
-_MAX_KITTI_KNOWN = 0.5  # of a laser scanner's truth, which has about 20 %, with the models of cars more
-
-
-def _is_kitti_size(height: int, width: int) -> bool:
-    """Return True for the sizes of rectified KITTI frames: 370 x 1224 to 376 x 1242."""
-    return 370 <= height <= 376 and 1224 <= width <= 1242
 
 
 def invalid_value(estimate: Disparity, truth: Disparity) -> float | None:

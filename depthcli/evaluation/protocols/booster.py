@@ -4,25 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from depthcli.evaluation.protocols._disparity import PRESENTATION, DisparityProtocol, Masks
-from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
-from depthcli.io.scenes.stereo import StereoTruth
+from depthcli.evaluation.protocols._disparity import PRESENTATION, DisparityProtocol
 
 
-class BoosterProtocol(MiddleburyV2Protocol):
+class BoosterProtocol(DisparityProtocol):
     """Bad-pixel rates at 2, 4, 6 and 8 px and average errors; missing values count as bad.
 
     The regions are those of the files: all pixels with a true disparity, those that both views show, and the classes of
     materials from ``class_0`` to ``class_3`` (transparent or a mirror).
     """
 
-    presentation = replace(PRESENTATION, title="Booster: bad pixels, %; missing counts as bad")
+    presentation = replace(PRESENTATION, title="Booster: bad pixels, %; missing counts as bad", scene_rows=True)
     region_order = ("all", "nonocc", "class_0", "class_1", "class_2", "class_3")
     curve_regions = ("all", "nonocc")
     thresholds = (2.0, 4.0, 6.0, 8.0)
     default_threshold = 2.0
-    averages_regions = False
-
-    def masks(self, stored: StereoTruth) -> Masks:
-        """Return the masks of the files."""
-        return DisparityProtocol.masks(self, stored)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Presentation, ShownMap
+from depthcli.evaluation.presentation import Presentation, ShownMap, planes_beside
 from depthcli.evaluation.protocols import Protocol
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.map_format import map_formats
@@ -43,12 +43,37 @@ class DepthTruth:
     regions : name -> (H, W) bool, pixels with known truth
     fb : focal length x baseline, pixel meters, or None
     scale : codes a meter of the truth's files
+    looks_like : always empty
     """
 
     depth: Depth
     regions: dict[str, NDArray[np.bool_]]
     fb: float | None
     scale: float
+    looks_like: str = ""
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """(H, W) millimeters."""
+        return 1000.0 * self.depth.astype(np.float64)
+
+    @property
+    def size(self) -> int:
+        """Number of pixels."""
+        return self.depth.size
+
+
+def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
+    """Return a run's map in mm, with the expected error that lies beside it as ``sigma.pfm``."""
+    scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
+    values, sigma = 1000.0 * read_depth(path, scale).astype(np.float64), path.with_name("sigma.pfm")
+    figures, error, note = {"no value, %": 100.0 * float(np.isnan(values).mean())}, None, ""
+    if sigma.is_file():
+        error = 1000.0 * read_plane(sigma).astype(np.float64)
+        known = error[np.isfinite(error)]
+        figures = {"expected error, mm": float(known.mean()) if known.size else math.nan, **figures}
+        note = "expected error: mean standard deviation of the depth, by the residuals of the fitted models"
+    return ShownMap(values, planes_beside(path, files), error, figures=figures, note=note)
 
 
 class DepthProtocol(Protocol[Depth, DepthTruth]):
@@ -75,6 +100,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         quantity="depth",
         threshold_axis="ratio to the truth",
         palette=DEPTH_STATUS_PALETTE,
+        show=_shown_map,
     )
     region_order = ("all", "gap", "occluded", "specular", "mismatch", "measured", "object", "transparent")
     takes = ("scale", "threshold", "resize")
@@ -92,27 +118,9 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         masks = {name: self._resized(mask.astype(np.uint8)) > 0 for name, mask in stored.masks.items()}
         regions = {"all": known, **{name: mask & known for name, mask in masks.items()}}
         scale = getattr(scene, "depth_scale", _CODES_PER_METER)
-        return DepthTruth(depth, {name: regions[name] for name in self.ordered(regions)}, stored.fb, scale)
-
-    def scene_of_file(self, truth: Path) -> Scene:
-        """Return a scene of one depth map without masks."""
-        scale = self.settings.scale or _CODES_PER_METER
-        return RgbdScene(
-            name=truth.stem, folder=truth.parent, protocol=self.name, color=truth, depth=truth, depth_true=truth,
-            depth_scale=scale,
-        )  # fmt: skip
-
-    def shown_map(self, path: Path, scene: Scene) -> ShownMap:
-        """Return the map in mm, with the expected error that lies beside it as ``sigma.pfm``."""
-        scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
-        values, sigma = 1000.0 * read_depth(path, scale).astype(np.float64), path.with_name("sigma.pfm")
-        figures, error, note = {"no value, %": 100.0 * float(np.isnan(values).mean())}, None, ""
-        if sigma.is_file():
-            error = 1000.0 * read_plane(sigma).astype(np.float64)
-            known = error[np.isfinite(error)]
-            figures = {"expected error, mm": float(known.mean()) if known.size else math.nan, **figures}
-            note = "expected error: mean standard deviation of the depth, by the residuals of the fitted models"
-        return ShownMap(values, self._planes(path), error, figures=figures, note=note)
+        return DepthTruth(
+            depth, {name: regions[name] for name in in_order(regions, self.region_order)}, stored.fb, scale
+        )
 
     def read(self, path: Path, scene: Scene, truth: DepthTruth) -> Depth:
         """Return the map in meters; integer codes have the truth's scale where the settings have none."""
@@ -123,18 +131,14 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         scale = None if meters else self.settings.scale or truth.scale
         estimate = self._resized(read_depth(path, scale))
         if estimate.shape != truth.depth.shape:
-            have, want = (f"{a.shape[1]} x {a.shape[0]}" for a in (estimate, truth.depth))
-            raise InputError(f"{path}: the map is {have}, the truth {want}; evaluate --resize brings both to one size")
+            have, known = (f"{a.shape[1]} x {a.shape[0]}" for a in (estimate, truth.depth))
+            raise InputError(f"{path}: the map is {have}, the truth {known}; evaluate --resize brings both to one size")
         return estimate
 
     def _resized(self, array: NDArray[Any]) -> NDArray[Any]:
         if self.settings.resize is None:
             return array
         return cv2.resize(array, self.settings.resize, interpolation=cv2.INTER_NEAREST)
-
-    def regions(self, truth: DepthTruth) -> dict[str, NDArray[np.bool_]]:
-        """Return the masks, where the truth is known."""
-        return truth.regions
 
     def error(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.float64]:
         """Return (H, W) float64, millimeters."""
@@ -143,10 +147,6 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     def values(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.floating[Any]]:
         """Return (H, W) float64, millimeters."""
         return 1000.0 * estimate.astype(np.float64)
-
-    def true_values(self, truth: DepthTruth) -> NDArray[np.floating[Any]]:
-        """Return (H, W) float64, millimeters."""
-        return 1000.0 * truth.depth.astype(np.float64)
 
     def wrong(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.bool_]:
         """Return True for pixels off by 5 % and more, or by more than the settings' threshold in mm."""

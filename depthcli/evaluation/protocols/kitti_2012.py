@@ -18,8 +18,9 @@ from depthcli.evaluation.protocols._disparity import (
     Masks,
     difference,
 )
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, float_sum
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, float_sum, mean_of_scenes
 from depthcli.io.formats.disparity import KITTI_SCALE
+from depthcli.io.scenes import Scene
 from depthcli.io.scenes.stereo import StereoTruth
 
 INTERPOLATED = "background-interpolated"
@@ -27,6 +28,15 @@ NOTHING_ESTIMATED = 0.0
 """Figure of the estimated pixels where there is none: the kits divide no error by no less than one pixel."""
 
 _EMPTY = np.float32(-1)  # value of a row without any, as the kit writes it
+
+
+def mean_of_frames(scores: Sequence[Score], weights: Sequence[float]) -> Score:
+    """Return the mean over the frames, summed in single precision as by the kit."""
+    mean = mean_of_scenes(scores, weights)
+    unit = 100.0 if mean.metric.unit == "%" else 1.0
+    values = np.array([s.value / unit for s in scores if not math.isnan(s.density)], np.float32)
+    value = unit * float_sum(values) / max(values.size, 1)
+    return mean if math.isnan(mean.value + value) else replace(mean, value=value)
 
 
 class Kitti2012Protocol(DisparityProtocol):
@@ -50,6 +60,7 @@ class Kitti2012Protocol(DisparityProtocol):
     )
     region_order: ClassVar[tuple[str, ...]] = ("noc", "occ")
     curve_regions = ("noc", "occ")
+    pool = staticmethod(mean_of_frames)
     thresholds = (2.0, 3.0, 4.0, 5.0)
     default_threshold = 3.0
     thresholded_metric = Metric("out", "%", convention=INTERPOLATED, worst=100.0)
@@ -59,9 +70,9 @@ class Kitti2012Protocol(DisparityProtocol):
         known = {"occ": known_kitti(stored.disparity)}
         return known if stored.noc is None else {"noc": known_kitti(stored.noc), **known}
 
-    def reference(self, truth: DisparityTruth, region: str) -> Disparity:
-        """Return the values of ``disp_noc`` for its regions, those of ``disp_occ`` for all others."""
-        return truth.noc if truth.noc is not None and region.startswith("noc") else truth.disparity
+    def truth(self, scene: Scene) -> DisparityTruth:
+        """Return the ground truth, for which there is no better protocol."""
+        return replace(super().truth(scene), looks_like="")
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the values that a 16-bit PNG holds: codes 1 to 65535, 256 a pixel."""
@@ -75,8 +86,8 @@ class Kitti2012Protocol(DisparityProtocol):
         filled = interpolate_background(as_is)
         filled[np.isnan(filled)] = _EMPTY
         scores = []
-        for name, region in self.regions(truth).items():
-            reference = self.reference(truth, name)
+        for name, region in truth.regions.items():
+            reference = truth.reference(name)
             # Column after column, the order of the kit's loops: its sums are in single precision.
             inside, known = region.T, ~np.isnan(as_is.T)
             tally = Tally(name, difference(as_is, reference).T[inside])
@@ -95,18 +106,6 @@ class Kitti2012Protocol(DisparityProtocol):
         value = float_sum(error) / error.size if error.size else math.nan
         average = Metric("avgerr", "px", convention=convention, label=f"{est}avgerr")
         return [*scores, tally.number(average, value, error.size)]
-
-    def better_protocols(self, truth: DisparityTruth) -> str:
-        """Return nothing: this is the one for such frames."""
-        return ""
-
-    def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
-        """Compute the mean over the frames, summed in single precision as by the kit."""
-        mean = super().pool(scores, weights)
-        unit = 100.0 if mean.metric.unit == "%" else 1.0
-        values = np.array([s.value / unit for s in scores if not math.isnan(s.density)], np.float32)
-        value = unit * float_sum(values) / max(values.size, 1)
-        return mean if math.isnan(mean.value + value) else replace(mean, value=value)
 
 
 def known_kitti(disparity: Disparity) -> NDArray[np.bool_]:

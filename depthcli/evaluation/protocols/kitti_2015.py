@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.evaluation.pooling import pool_pixels
+from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import (
     PRESENTATION,
     Disparity,
@@ -17,8 +18,25 @@ from depthcli.evaluation.protocols._disparity import (
     difference,
 )
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, NOTHING_ESTIMATED, Kitti2012Protocol
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, percent
 from depthcli.io.scenes.stereo import StereoTruth
+
+
+def pool_pixels(scores: Sequence[Score], weights: Sequence[float]) -> Score:
+    """Return a score over all pixels of all frames: wrong pixels / all pixels, or the mean error."""
+    pixels, n_region = sum(s.pixels for s in scores), sum(s.region_pixels for s in scores)
+    counts = [s.wrong for s in scores if s.wrong is not None]
+    value = density = math.nan
+    if n_region:
+        density = math.fsum(s.region_pixels * s.density for s in scores if s.region_pixels) / n_region
+        if not pixels:
+            value = NOTHING_ESTIMATED
+        elif counts:
+            value = percent(sum(counts), pixels)
+        else:
+            value = math.fsum(s.value * s.pixels for s in scores if s.pixels) / pixels
+    wrong = sum(counts) if counts else None
+    return Score(scores[0].metric, scores[0].region, value, pixels, density, wrong, n_region)
 
 
 class Kitti2015Protocol(Kitti2012Protocol):
@@ -42,11 +60,12 @@ class Kitti2015Protocol(Kitti2012Protocol):
     )
     region_order = ("occ", "occ_bg", "occ_fg", "noc", "noc_bg", "noc_fg")
     curve_regions = ("occ", "noc")
+    pool = staticmethod(pool_pixels)
 
-    @property
-    def headline(self) -> Metric:
-        """D1, or plain outliers above the user's threshold."""
-        return _d1(INTERPOLATED) if self.settings.threshold is None else self.at(self.settings.threshold)
+    def __init__(self, settings: Settings | None = None) -> None:
+        super().__init__(settings)
+        if self.settings.threshold is None:  # else plain outliers above the user's
+            self.headline = _d1(INTERPOLATED)
 
     def masks(self, stored: StereoTruth) -> Masks:
         """Return all pixels of ``occ`` and ``noc``, and their background and objects where there is an object map."""
@@ -60,15 +79,11 @@ class Kitti2015Protocol(Kitti2012Protocol):
         """Return True where the D1 rule, or the user's threshold, is broken."""
         if self.settings.threshold is not None:
             return super().wrong(estimate, truth)
-        return is_d1(difference(self.values(estimate, truth), truth.disparity), truth.disparity)
+        return is_d1(difference(self.values(estimate, truth), truth.values), truth.values)
 
     def metrics(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
         """Compute ``D1``, then the metrics of KITTI 2012."""
         return [tally.rate(_d1(convention), is_d1(error, truth)), *super().metrics(tally, error, truth, convention)]
-
-    def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
-        """Compute a score over all pixels of all frames: wrong pixels / all pixels, or the mean error."""
-        return pool_pixels(scores, NOTHING_ESTIMATED)
 
 
 def is_d1(error: Disparity, truth: Disparity) -> NDArray[np.bool_]:

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import discontinuity_mask
-from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks
-from depthcli.evaluation.scores import Score
+from depthcli.evaluation.protocols._disparity import PRESENTATION, DisparityProtocol, Masks
 from depthcli.io.scenes.stereo import StereoTruth
 
 
@@ -33,14 +32,6 @@ class MiddleburyV2Protocol(DisparityProtocol):
         if stored.right is not None and stored.right.shape == stored.disparity.shape:
             masks = {**derive_masks(stored.disparity, stored.right, masks.get("nonocc")), **masks}
         return masks
-
-    def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
-        """Compute ``bad`` at five thresholds, ``avgerr`` and ``rms``."""
-        scores = []
-        for tally in self.tallies(estimate, truth):
-            scores += [tally.rate(self.at(t), ~(tally.error <= np.float32(t))) for t in self.all_thresholds]
-            scores += tally.means()
-        return scores
 
 
 def derive_masks(

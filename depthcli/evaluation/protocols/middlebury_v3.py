@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +56,7 @@ class MiddleburyV3Protocol(DisparityProtocol):
     thresholds = (0.5, 1.0, 2.0, 4.0)
     default_threshold = 2.0
     takes = ("scale", "threshold", "invalid", "resolution")
+    weights: ClassVar[Mapping[str, float]] = dict.fromkeys(_HARD, 0.5)
     thresholded_metric = Metric("totbad", "%", convention=MISSING_IS_BAD, worst=100.0)
 
     def masks(self, stored: StereoTruth) -> Masks:
@@ -66,10 +69,6 @@ class MiddleburyV3Protocol(DisparityProtocol):
             masks["nonocc"] = derive_masks(stored.disparity, stored.right)["nonocc"]
         return masks
 
-    def weight(self, scene: str) -> float:
-        """Return 0.5 for a hard scene and 1 for all others, as in the site's average."""
-        return 0.5 if scene.rpartition("/")[2] in _HARD else 1.0
-
     def truth(self, scene: Scene) -> DisparityTruth:
         """Return the ground truth with the factor to the benchmark's full size.
 
@@ -79,7 +78,7 @@ class MiddleburyV3Protocol(DisparityProtocol):
         truth = super().truth(scene)
         name, resolution = scene.name.rpartition("/")[2], self.settings.resolution or "F"
         if self.settings.resolution is None and name in MiddleburyV3Benchmark.scenes[TRAINING]:
-            resolution = MiddleburyV3Benchmark.resolution(name, truth.disparity.shape[1])
+            resolution = MiddleburyV3Benchmark.resolution(name, truth.values.shape[1])
         return replace(truth, factor=MiddleburyV3Benchmark.factors[resolution])
 
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
@@ -91,10 +90,10 @@ class MiddleburyV3Protocol(DisparityProtocol):
 
     def resized(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the estimate at the truth's size, nearest neighbor; only its exact half or quarter can be resized."""
-        factor = truth.disparity.shape[1] // estimate.shape[1]
-        if factor not in (1, 2, 4) or truth.disparity.shape != tuple(factor * n for n in estimate.shape):
+        factor = truth.values.shape[1] // estimate.shape[1]
+        if factor not in (1, 2, 4) or truth.values.shape != tuple(factor * n for n in estimate.shape):
             raise ValueError(
-                f"the map is {size(estimate)}, the truth {size(truth.disparity)} "
+                f"the map is {size(estimate)}, the truth {size(truth.values)} "
                 "(the same, or exactly half or a quarter of the size can be evaluated)"
             )
         with np.errstate(over="ignore"):
@@ -104,13 +103,13 @@ class MiddleburyV3Protocol(DisparityProtocol):
         """Return the estimate scaled up, clipped to the range, and rounded where the truth is."""
         fitted = self.resized(estimate, truth)
         if truth.max_disparity is not None:
-            factor = truth.disparity.shape[1] // estimate.shape[1]
+            factor = truth.values.shape[1] // estimate.shape[1]
             # The range of the smaller image, rounded up to whole pixels, at the truth's size.
             top = np.float32(factor * math.ceil(truth.max_disparity / factor))
             fitted[fitted > max(abs(float(top)), 1.0) * _MAX_RANGES] = np.nan
             fitted = np.minimum(fitted, top)
         # The truth is negative in pairs that are cropped or converge.
-        fitted = np.maximum(fitted, np.nanmin(truth.disparity, initial=np.float32(0)))
+        fitted = np.maximum(fitted, np.nanmin(truth.values, initial=np.float32(0)))
         return np.floor(fitted + np.float32(0.5)) if truth.round_disparity else fitted
 
     def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:

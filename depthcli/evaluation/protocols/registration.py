@@ -15,18 +15,27 @@ from depthcli.algorithms.body import body_of_volume, grey_levels
 from depthcli.algorithms.resampling import trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import ENDS, PLANES, Grid
-from depthcli.evaluation.curves import sparsification
+from depthcli.evaluation.curves import ConfidenceCurve, sparsification
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.presentation import Axis, Presentation, ShownMap
 from depthcli.evaluation.protocols import Protocol
-from depthcli.evaluation.protocols._registration import HEADLINE, LIMITS_MM, Errors, error_classes, point_scores
 from depthcli.evaluation.render import Number, Table
-from depthcli.evaluation.results import ConfidenceCurve, MapResult
-from depthcli.evaluation.scores import Score
+from depthcli.evaluation.results import MapResult
+from depthcli.evaluation.scores import Metric, Score, percent
+from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
 
+Errors = NDArray[np.float32]
+
+LIMITS_MM = (3.0, 6.0)
+"""A point is correct below the first, poor below the second, and wrong from there on (Sokooti et al. 2019)."""
+
+HEADLINE = Metric("Spearman", "", worst=-1.0, larger_is_better=True)
+"""Rank correlation of expected and true errors."""
+
+_WORST_SHARE = 0.3  # of TRE30, the robustness of Learn2Reg
 _MAX_POOLED = 8_000_000  # points of several pairs; of more, which take minutes, so many are drawn
 _DRAWING_SEED = 0  # of the points that are drawn, any number: the same for all runs
 _N_BINS = 8  # of the table of expected against true errors
@@ -43,6 +52,7 @@ class PreparedTruth:
     landmarks : (N, 3) float64, (z, y, x) in voxels, or None where the truth is dense
     inside : (Z, Y, X) bool, voxels with known error, or None where the truth is at landmarks
     stored : the truth as the scene has it
+    looks_like : always empty
     """
 
     error: Errors
@@ -50,10 +60,27 @@ class PreparedTruth:
     inside: NDArray[np.bool_] | None
     stored: RegistrationTruth
 
+    looks_like: str = ""
+
     @property
     def region(self) -> str:
         """Name of the one region."""
         return "landmarks" if self.inside is None else "voxels"
+
+    @property
+    def regions(self) -> dict[str, NDArray[np.bool_]]:
+        """The one region, of all points."""
+        return {self.region: np.ones(self.error.shape, np.bool_)}
+
+    @property
+    def values(self) -> Errors:
+        """(N,) true errors, mm."""
+        return self.error
+
+    @property
+    def size(self) -> int:
+        """Number of voxels of the fixed volume."""
+        return math.prod(self.stored.grid.shape)
 
 
 class ExpectedErrorFiles(MapFiles):
@@ -65,56 +92,106 @@ class ExpectedErrorFiles(MapFiles):
         return {"confidence": file} if file != path and file.is_file() else {}
 
 
-class RegistrationPresentation(Presentation):
-    """Points shown in the fixed volume, and tables of expected against true errors."""
-
-    def on_grid(self, points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any]:
-        """Return a volume as it is shown, in which a landmark is a small ball."""
-        grid = truth.stored.grid
-        volume = np.full(grid.shape, False if points.dtype == np.bool_ else np.nan, points.dtype)
-        if truth.inside is not None:
-            volume[truth.inside] = points
-            return grid.turned(volume)
-        assert truth.landmarks is not None
-        shape, spacing = np.array(grid.shape), np.array(grid.spacing[::-1])
-        radius = float(max((shape * spacing).max() * _LANDMARK_RADIUS, spacing.min()))
-        reach = [np.arange(-n, n + 1) for n in (radius / spacing).astype(int)]
-        ball = np.stack(np.meshgrid(*reach, indexing="ij"), -1).reshape(-1, 3)
-        ball = ball[np.linalg.norm(ball * spacing, axis=1) <= radius]
-        for place, value in zip(np.rint(truth.landmarks).astype(np.intp), points, strict=True):
-            cells = place + ball
-            volume[tuple(cells[np.all((cells >= 0) & (cells < shape), axis=1)].T)] = value
+def _on_grid(points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any]:
+    """Return a volume as it is shown, in which a landmark is a small ball."""
+    grid = truth.stored.grid
+    volume = np.full(grid.shape, False if points.dtype == np.bool_ else np.nan, points.dtype)
+    if truth.inside is not None:
+        volume[truth.inside] = points
         return grid.turned(volume)
+    assert truth.landmarks is not None
+    shape, spacing = np.array(grid.shape), np.array(grid.spacing[::-1])
+    radius = float(max((shape * spacing).max() * _LANDMARK_RADIUS, spacing.min()))
+    reach = [np.arange(-n, n + 1) for n in (radius / spacing).astype(int)]
+    ball = np.stack(np.meshgrid(*reach, indexing="ij"), -1).reshape(-1, 3)
+    ball = ball[np.linalg.norm(ball * spacing, axis=1) <= radius]
+    for place, value in zip(np.rint(truth.landmarks).astype(np.intp), points, strict=True):
+        cells = place + ball
+        volume[tuple(cells[np.all((cells >= 0) & (cells < shape), axis=1)].T)] = value
+    return grid.turned(volume)
 
-    def axes(self, truth: PreparedTruth) -> tuple[Axis, ...]:
-        """Return the axes of the volumes as radiologists hang them, the patient's right on the left."""
-        return _axes(truth.stored.grid)
 
-    def image(self, scene: Scene) -> NDArray[np.uint8] | None:
-        """Return grey levels of the fixed volume as it is shown, between its darkest and brightest half percent."""
-        if not isinstance(scene, VolumePairScene):
-            return None
+def _image(scene: Scene) -> NDArray[np.uint8] | None:
+    """Return grey levels of the fixed volume as it is shown, between its darkest and brightest half percent."""
+    if not isinstance(scene, VolumePairScene):
+        return None
+    fixed = read_volume(scene.fixed)
+    return grey_levels(fixed.grid.turned(fixed.values))
+
+
+def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
+    """Return the expected error within the mask or the body, mm, turned as radiologists hang it."""
+    assert isinstance(scene, VolumePairScene)
+    volume = read_volume(path)
+    grid = volume.grid
+    if scene.mask is None:
         fixed = read_volume(scene.fixed)
-        return grey_levels(fixed.grid.turned(fixed.values))
+        inside = body_of_volume(fixed.grid.turned(fixed.values))
+    else:
+        inside = grid.turned(read_volume(scene.mask).values) > 0
+    values = np.where(inside, grid.turned(volume.values), np.float32(np.nan))
+    known = values[np.isfinite(values)]
+    mean, high = (float(known.mean()), float(np.quantile(known, 0.95))) if known.size else (math.nan, math.nan)
+    confidence = {name: grid.turned(read_volume(file).values) for name, file in files.confidences(path).items()}
+    note = "in the body: mean over the mask, or else over tissue and what it encloses, and its 95 % quantile"
+    figures = {"expected error in the body, mm": mean, "95 % quantile, mm": high}
+    return ShownMap(values, confidence, None, _axes(grid), figures, note)
 
-    def tables(self, run: str, kept: Sequence[tuple[Errors, Errors]]) -> list[Table]:
-        """Return the confusion of the classes, and the expected against the true error in bins."""
-        expected, true = map(np.concatenate, zip(*kept, strict=True))
-        known = np.isfinite(expected)
-        expected, true = expected[known], true[known]
-        names, e, t = ("< 3 mm", "3-6 mm", ">= 6 mm"), error_classes(expected), error_classes(true)
-        counts = [(name, *(str(int(np.sum((t == k) & (e == j)))) for j in range(3))) for k, name in enumerate(names)]
-        bins = [
-            (Number(float(expected[part].mean())), Number(float(true[part].mean())), str(len(part)))
-            for part in np.array_split(np.argsort(expected, kind="stable"), min(_N_BINS, max(len(expected), 1)))
-            if len(part)
-        ]
-        title = f"{run}: number of points by true class (rows) and expected class (columns)"
-        header = ("mean expected error, mm", "mean true error, mm", "points")
-        return [
-            Table(title, ("true class", *names), tuple(counts)),
-            Table(f"{run}: expected against true error, in bins of equal size", header, tuple(bins)),
-        ]
+
+def _tables(run: str, kept: Sequence[tuple[Errors, Errors]]) -> list[Table]:
+    """Return the confusion of the classes, and the expected against the true error in bins."""
+    expected, true = map(np.concatenate, zip(*kept, strict=True))
+    known = np.isfinite(expected)
+    expected, true = expected[known], true[known]
+    names, e, t = ("< 3 mm", "3-6 mm", ">= 6 mm"), error_classes(expected), error_classes(true)
+    counts = [(name, *(str(int(np.sum((t == k) & (e == j)))) for j in range(3))) for k, name in enumerate(names)]
+    bins = [
+        (Number(float(expected[part].mean())), Number(float(true[part].mean())), str(len(part)))
+        for part in np.array_split(np.argsort(expected, kind="stable"), min(_N_BINS, max(len(expected), 1)))
+        if len(part)
+    ]
+    title = f"{run}: number of points by true class (rows) and expected class (columns)"
+    header = ("mean expected error, mm", "mean true error, mm", "points")
+    return [
+        Table(title, ("true class", *names), tuple(counts)),
+        Table(f"{run}: expected against true error, in bins of equal size", header, tuple(bins)),
+    ]
+
+
+def error_classes(error: NDArray[np.floating[Any]]) -> NDArray[np.intp]:
+    """Return 0 for errors below 3 mm, 1 below 6 mm, and 2 from there on."""
+    return np.searchsorted(LIMITS_MM, error, side="right")
+
+
+def point_scores(region: str, expected: Errors, true: Errors) -> list[Score]:
+    """Compute every metric over points; expected errors that are not finite are unknown.
+
+    Parameters
+    ----------
+    expected, true : (N,) float32, mm, N > 0
+    """
+    known = np.isfinite(expected)
+    n_known = int(known.sum())
+    e, t = expected[known].astype(np.float64), true[known].astype(np.float64)
+    ordered = np.sort(true.astype(np.float64))
+    worst = ordered[-max(1, round(_WORST_SHARE * len(true))) :]
+    line = sparsification(-e, t) if n_known else None
+    accuracy = 100 * float(np.mean(error_classes(e) == error_classes(t))) if n_known else np.nan
+    values = (
+        (HEADLINE, correlation(ranks(e), ranks(t))),
+        (Metric("Pearson", "", worst=-1.0, larger_is_better=True), correlation(e, t)),
+        (Metric("AUC", "", LIMITS_MM[0], worst=0.0, larger_is_better=True), roc_area(e, t > LIMITS_MM[0])),
+        (Metric("accuracy", "%", worst=0.0, larger_is_better=True), accuracy),
+        (Metric("MAE", "mm"), float(np.abs(e - t).mean()) if n_known else np.nan),
+        (Metric("expected", "mm"), float(e.mean()) if n_known else np.nan),
+        (Metric("AUSE", "mm"), np.nan if line is None else line.ause),
+        (Metric("AURG", "mm", larger_is_better=True), np.nan if line is None else line.aurg),
+        (Metric("TRE", "mm"), float(ordered.mean())),
+        (Metric("TRE std", "mm"), float(ordered.std())),
+        (Metric("TRE30", "mm"), float(worst.mean())),
+    )
+    density, n = percent(n_known, len(true)), len(true)
+    return [Score(metric, region, value, n_known, density, region_pixels=n) for metric, value in values]
 
 
 class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
@@ -127,7 +204,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
 
     kind = VolumePairScene
     files = ExpectedErrorFiles(("{scene}/expected_error", "{scene}"), (".nii.gz", ".nii", ".mha", ".nrrd"))
-    presentation = RegistrationPresentation(
+    presentation = Presentation(
         title="Registration confidence: expected against true error",
         unit="mm",
         quantity="expected error",
@@ -141,6 +218,12 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         verdicts=("true error to 3 mm", "true error above 3 mm"),
         mean_heading="pooled",
         scale=(0.0, 10.0),
+        show=_shown_map,
+        image=_image,
+        on_grid=_on_grid,
+        axes=lambda truth: _axes(truth.stored.grid),
+        at_points=lambda truth: truth.inside is None,
+        tables=_tables,
     )
     region_order = ("landmarks", "voxels")
     headline = HEADLINE
@@ -157,30 +240,6 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
             raise InputError(f"{scene.folder}: the true error of {scene.name} is known nowhere")
         return PreparedTruth(stored.error[inside], None, inside, stored)
 
-    def shown_map(self, path: Path, scene: Scene) -> ShownMap:
-        """Return the expected error within the mask or the body, mm, turned as radiologists hang it."""
-        assert isinstance(scene, VolumePairScene)
-        volume = read_volume(path)
-        grid = volume.grid
-        if scene.mask is None:
-            fixed = read_volume(scene.fixed)
-            inside = body_of_volume(fixed.grid.turned(fixed.values))
-        else:
-            inside = grid.turned(read_volume(scene.mask).values) > 0
-        values = np.where(inside, grid.turned(volume.values), np.float32(np.nan))
-        known = values[np.isfinite(values)]
-        mean, high = (float(known.mean()), float(np.quantile(known, 0.95))) if known.size else (math.nan, math.nan)
-        confidence = {
-            name: grid.turned(read_volume(file).values) for name, file in self.files.confidences(path).items()
-        }
-        note = "in the body: mean over the mask, or else over tissue and what it encloses, and its 95 % quantile"
-        figures = {"expected error in the body, mm": mean, "95 % quantile, mm": high}
-        return ShownMap(values, confidence, None, _axes(grid), figures, note)
-
-    def dense_map(self, path: Path, scene: Scene, truth: PreparedTruth) -> ShownMap | None:
-        """Return the whole volume of expected errors where the truth is known at landmarks."""
-        return self.shown_map(path, scene) if truth.inside is None else None
-
     def read(self, path: Path, scene: Scene, truth: PreparedTruth) -> Errors:
         """Return (N,) expected errors at the points of the truth."""
         return _at_points(path, truth)
@@ -188,10 +247,6 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
     def read_confidence(self, path: Path, truth: PreparedTruth) -> NDArray[Any]:
         """Return (N,) confidences at the points of the truth."""
         return _at_points(path, truth)
-
-    def regions(self, truth: PreparedTruth) -> dict[str, NDArray[np.bool_]]:
-        """Return the one region, of all points."""
-        return {truth.region: np.ones(truth.error.shape, np.bool_)}
 
     def error(self, estimate: Errors, truth: PreparedTruth) -> NDArray[np.floating[Any]]:
         """Return (N,) |expected - true|, mm."""
@@ -205,19 +260,15 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Return (N,) expected errors, mm."""
         return estimate
 
-    def true_values(self, truth: PreparedTruth) -> Errors:
-        """Return (N,) true errors, mm."""
-        return truth.error
+    def points(self, estimate: Errors, truth: PreparedTruth) -> tuple[list[dict[str, float]], tuple[Errors, Errors]]:
+        """Return place, expected and true error of every landmark, mm; and expected and true errors of all points.
 
-    def points(self, estimate: Errors, truth: PreparedTruth) -> list[dict[str, float]]:
-        """Return place, expected and true error of every landmark, mm; empty where the true error is dense."""
+        Where the true error is dense there is no table.
+        """
         rows = zip(*truth.stored.points.T, estimate, truth.error, strict=True) if truth.inside is None else ()
         names = ("x", "y", "z", "expected_error", "true_error")
-        return [{name: round(float(v), 4) for name, v in zip(names, row, strict=True)} for row in rows]
-
-    def size(self, truth: PreparedTruth) -> int:
-        """Return the number of voxels of the fixed volume."""
-        return math.prod(truth.stored.grid.shape)
+        table = [{name: round(float(v), 4) for name, v in zip(names, row, strict=True)} for row in rows]
+        return table, (estimate, truth.error)
 
     def scores(self, estimate: Errors, truth: PreparedTruth) -> list[Score]:
         """Compute every metric over all points."""
@@ -233,10 +284,6 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
             for name, values in confidences.items()
             for of, error in kinds.items()
         ]
-
-    def pooling_data(self, estimate: Errors, truth: PreparedTruth) -> tuple[Errors, Errors]:
-        """Return expected and true errors of all points."""
-        return estimate, truth.error
 
     def mean(self, results: Sequence[MapResult]) -> list[Score]:
         """Compute every metric over all points of the scenes; those of a scene without any value count as the worst.

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks
 from depthcli.evaluation.protocols.kitti_2015 import is_d1
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_IS_BAD, Metric, Score
@@ -31,12 +32,10 @@ class SceneFlowProtocol(DisparityProtocol):
     thresholds = (1.0, 2.0, 3.0)
     default_threshold = _WRONG
 
-    @property
-    def headline(self) -> Metric:
-        """The average error, or the share of errors above the user's threshold."""
-        if self.settings.threshold is None:
-            return Metric("avgerr", "px", convention=ESTIMATED_ONLY)
-        return super().headline
+    def __init__(self, settings: Settings | None = None) -> None:
+        super().__init__(settings)
+        if self.settings.threshold is None:  # else the share of errors above the user's
+            self.headline = Metric("avgerr", "px", convention=ESTIMATED_ONLY)
 
     def masks(self, stored: StereoTruth) -> Masks:
         """Return the masks of the files within the range that is evaluated."""
@@ -51,10 +50,10 @@ class SceneFlowProtocol(DisparityProtocol):
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute ``avgerr``, ``rms``, ``bad`` at three thresholds and ``D1``."""
         scores = []
-        for tally, region in zip(self.tallies(estimate, truth), self.regions(truth).values(), strict=True):
+        for tally, region in zip(self.tallies(estimate, truth), truth.regions.values(), strict=True):
             missing = np.isnan(tally.error)
             scores += tally.means()
             scores += [tally.rate(self.at(t), ~(tally.error <= np.float32(t))) for t in self.all_thresholds]
             d1 = Metric("D1", "%", 3.0, MISSING_IS_BAD, 100.0, label="D1")
-            scores.append(tally.rate(d1, is_d1(tally.error, truth.disparity[region]) | missing))
+            scores.append(tally.rate(d1, is_d1(tally.error, truth.values[region]) | missing))
         return scores

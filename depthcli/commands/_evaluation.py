@@ -1,0 +1,92 @@
+"""What commands do with an evaluation beside computing it: choose its files, print its tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from depthcli.commands._options import TableOptions
+from depthcli.core.errors import ConfigError, DepthcliError
+from depthcli.core.flags import Flags
+from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, Viewer
+from depthcli.evaluation.render import FORMATS
+from depthcli.evaluation.tables import check_names, chosen_text, headline_text
+from depthcli.report.contact_sheet import ContactSheet
+from depthcli.report.page import Page
+from depthcli.report.run_without_truth import RunWithoutTruth
+from depthcli.run.console import Reporter
+from depthcli.run.install import staging_folder
+from depthcli.run.resources import parse_bytes
+from depthcli.run.run_folder import saved_config
+
+PAGE_BUDGET = "50MB"
+"""Default size of a page's pictures beyond which they are scaled down."""
+
+
+def viewers(
+    reporter: Reporter,
+    output: Path | None,
+    html: bool,
+    html_budget: str | None = None,
+    without_truth: RunWithoutTruth | None = None,
+) -> list[Viewer]:
+    """Return what shows the maps of an evaluation: the contact sheet, and the page that ``--html`` requests.
+
+    Raises
+    ------
+    ConfigError
+        There is no folder for the page, or ``html_budget`` is no size.
+    """
+    if not html:
+        return [ContactSheet()]
+    if output is None:
+        raise ConfigError("--html wants --output, the folder to write the page into")
+    return [
+        ContactSheet(),
+        Page(reporter.command_line, parse_bytes(html_budget or PAGE_BUDGET, "--html-budget"), without_truth),
+    ]
+
+
+def write_page(page: Page, output: Path, flags: Flags, reporter: Reporter) -> bool:
+    """Write the page of a run without any truth where an evaluation of the run would be; False if that fails."""
+    assert page.run is not None
+    try:
+        with staging_folder(output, "evaluate", RESULTS, reporter.info) as folder:
+            page.begin(folder)
+            page.write(None, "{}", {page.run.name: saved_config(page.run.folder)}, flags)
+    except DepthcliError as error:  # the maps are there
+        reporter.error(f"no {page.file}: {error}")
+        return False
+    return True
+
+
+def check_tables(options: TableOptions) -> None:
+    """Raise ConfigError where a format or the name of a table is none."""
+    if options.format is not None and options.format not in FORMATS:
+        raise ConfigError(f"--format: must be one of {', '.join(FORMATS)} (got {options.format!r})")
+    check_names(_listed(options.tables))
+
+
+def print_tables(report: EvaluationReport, reporter: Reporter, options: TableOptions | None, quiet: bool) -> None:
+    """Print the tables that the options choose, or else the headline; None: no options."""
+    options = options or TableOptions()
+    names, columns, form = _listed(options.tables), _listed(options.columns), options.format
+    if form is None and columns == [] and options.caption is None and names in ([], ["headline"]):
+        text = "" if quiet else headline_text(report)
+    else:
+        names = names or ([] if form else ["overview", "headline"])
+        text = chosen_text(report, names, columns, form, options.caption)
+    if text:
+        reporter.data(text)
+
+
+def print_place(output: Path, reporter: Reporter) -> None:
+    """Print which file to open."""
+    html = (output / PAGE_FILE).is_file()
+    more = "" if html else "; --html makes a page of it"
+    reporter.info(f"report, with all tables and pictures: {output / (PAGE_FILE if html else 'report.md')}{more}")
+
+
+def _listed(text: str | None) -> list[str]:
+    """Return the parts of ``a,b`` without spaces around them."""
+    return [part for each in (text or "").split(",") if (part := each.strip())]
