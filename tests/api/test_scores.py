@@ -96,7 +96,6 @@ TRUTH = np.ones((4, 5), np.float32)
     [
         ((TRUTH, TRUTH, "middlebury-v4"), "no protocol called 'middlebury-v4'; one of: .*kitti-2015"),
         ((TRUTH[:2], TRUTH), "estimate: the map is 5 x 2, the truth 5 x 4"),
-        ((TRUTH[:2], TRUTH, "depth"), "estimate: 5 x 2, but the truth is 5 x 4"),
         ((TRUTH[:2], TRUTH, "registration"), "estimate: shape"),
         ((TRUTH, TRUTH * np.nan), "no known pixel"),
         ((TRUTH, TRUTH, "depth", {"gap": TRUTH[:3]}), "mask gap: 5 x 3, but the image is 5 x 4"),

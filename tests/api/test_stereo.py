@@ -109,7 +109,6 @@ def test_overrides_are_those_of_set(pair: Images):
         ({"tilez": "never"}, "override tilez: no such key .*did you mean 'tiles'"),
         ({"optimization": {"p2": -1}}, r"override optimization.p2: should be greater than 0 \(got -1\)"),
         ({"overrides": {"cost.": 1}}, "expected the name of a key"),
-        ({"max_disparity": 0}, "should be greater than the smallest disparity, 0"),
         ({"device": "cuda:99"}, "^device cuda:99: "),
     ],
 )
@@ -126,9 +125,7 @@ def test_wrong_configs_are_refused(pair: Images, arguments: dict[str, object], m
         (np.zeros((5, 6), np.uint8), np.full((5, 6), 2.0), r"right: floats must be from 0 to 1, got 2 to 2"),
         (np.full((5, 6), np.nan), np.zeros((5, 6)), "left: floats must be"),
         (np.zeros((5, 6, 2), np.uint8), np.zeros((5, 6), np.uint8), r"left: expected an image of shape .*\(5, 6, 2\)"),
-        (np.zeros((0, 6), np.uint8), np.zeros((0, 6), np.uint8), "left: expected an image"),
         ("left.png", "right.png", "left: expected an image, got a path"),
-        ([[1, 2], [3, 4]], [[1, 2], [3, 4]], "got int64"),
     ],
 )
 def test_wrong_images_are_refused(left: NDArray[np.generic], right: NDArray[np.generic], message: str):
