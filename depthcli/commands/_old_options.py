@@ -61,3 +61,6 @@ def run_options(values: Values) -> RunOptions:
         keep=tuple(name.strip() for name in (values["keep"] or "").split(",") if name.strip()),
         scheduler=values["scheduler"],
     )
+
+
+UNIT = Option("unit", str, "Unit of the translation in an OpenCV calibration: m, cm or mm.", "UNIT", group="Input")

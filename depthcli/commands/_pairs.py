@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from depthcli.commands._old_batch import ConfigCommand
-from depthcli.commands._rectified import UNIT, check_unit
+from depthcli.commands._old_options import UNIT
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.io.scenes import Scene
@@ -46,6 +46,8 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         config, unit = super().config(values), values.get("unit")
         if unit is None:
             return config
+        from depthcli.commands._rectified import check_unit
+
         check_unit(unit)
         if config.calibration is None:
             raise ConfigError("--unit: there is no calibration; give --calibration FILE, too")

@@ -13,6 +13,7 @@ import pytest
 
 import depthcli
 from depthcli.cli import main
+from depthcli.commands import _rectified
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
@@ -20,7 +21,6 @@ from depthcli.io.formats.calibrations import read_geometry, read_rig
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import read_status
-from depthcli.methods.stereo import rectification, search_range
 from depthcli.methods.stereo.rectification import match_views, rectify_uncalibrated, row_error
 
 SIZE = (240, 180)
@@ -330,8 +330,8 @@ def test_a_calibration_costs_a_video_once(video: list[str | Path], tmp_path: Pat
 
         monkeypatch.setattr(place, name, call)
 
-    counted(rectification, "match_views")
-    counted(search_range, "range_of_key_points")
+    counted(_rectified, "match_views")
+    counted(_rectified, "range_of_key_points")
     counted(Camera, "undistortion_maps")
     assert run(*video, "-o", tmp_path / "run", "-q") == 0
     assert calls == {"match_views": 1, "range_of_key_points": 3, "undistortion_maps": 2}

@@ -1,0 +1,172 @@
+"""What ``depth`` computes of a disparity map."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.api.results import PointCloud, chosen_pixels, parse_mask, write_depth
+from depthcli.commands._batch import DEPTH_RESULTS, run_batch
+from depthcli.commands._clouds import check_limits, empty_cloud
+from depthcli.commands._options import RunOptions
+from depthcli.commands._scenes import find_maps
+from depthcli.commands.depth import CloudOptions, MapOptions
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.triangulation import PairGeometry
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import color8
+from depthcli.core.maps import DisparityMap, MatchedMap
+from depthcli.core.result import Clock
+from depthcli.io.formats.calibrations import read_geometry
+from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
+from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.files import naming
+from depthcli.io.formats.images import read_image
+from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
+from depthcli.io.scenes.disparity_map import DisparityScene
+from depthcli.run.batch import Batch, Outcome
+from depthcli.run.console import SIZE, Column, percent
+from depthcli.run.json_csv import Row
+
+
+class DepthConfig(TypedDict):
+    """Options of a run of ``depth``, as ``run.yaml`` holds them; None: not given."""
+
+    focal: float | None
+    baseline: float | None
+    doffs: float | None
+    mask: str | None
+    ply: bool
+    near: float
+    far: float | None
+    depth_scale: float
+
+
+def depth_of_maps(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> int:
+    """Turn every map of a run into depth; return the exit code."""
+    by_hand = [name for name in ("focal", "baseline", "doffs") if getattr(maps, name) is not None]
+    if by_hand and (maps.focal is None or maps.baseline is None):
+        raise ConfigError("--focal and --baseline belong together (and --doffs, where the cameras have one)")
+    if by_hand and maps.calibration is not None:
+        raise ConfigError(f"--calibration and --{by_hand[0]} exclude each other")
+    check_limits(clouds.near, clouds.far)
+    parse_mask(clouds.mask or "all")
+    config = DepthConfig(
+        focal=maps.focal, baseline=maps.baseline, doffs=maps.doffs, mask=clouds.mask, ply=clouds.ply,
+        near=clouds.near, far=clouds.far, depth_scale=clouds.depth_scale,
+    )  # fmt: skip
+    compute = _ToDepth(config)
+    batch = Batch(
+        command="depth",
+        config=config,
+        compute=compute,
+        columns=(SIZE, Column("density", percent("density")), _number("median_depth", "m"), _number("focal", "px"),
+                 _number("baseline", "m")),
+        results=DEPTH_RESULTS,
+        settings=_settings,
+        memory=compute.memory,
+        palette=STATUS_PALETTE,
+        shown_as="depth",
+    )  # fmt: skip
+    return run_batch(batch, find_maps(vars(maps), run.reporter), run)
+
+
+def _number(key: str, unit: str) -> Column:
+    return Column(key.replace("_", " "), lambda row: f"{row[key]:.4g} {unit}" if row.get(key) else "-")
+
+
+def _settings(scene: DisparityScene) -> dict[str, str]:
+    return {"cameras": f"{scene.cameras}"}
+
+
+@dataclass(frozen=True)
+class _ToDepth:
+    """Computes the depth of one map."""
+
+    config: DepthConfig
+
+    def memory(self, scene: DisparityScene) -> None:
+        """Return None, since it is little more than the map itself; InputError where there is no calibration."""
+        if self.config["focal"] is None:
+            self._geometry(scene, (1, 1))
+
+    def __call__(self, scene: DisparityScene, folder: Path, memory: int) -> Outcome:
+        config, clock = self.config, Clock()
+        clock.start("load")
+        disparity = scene.load()
+        height, width = disparity.shape
+        geometry = self._geometry(scene, disparity.shape).for_size(width, height)
+        status = np.zeros(disparity.shape, np.uint8) if scene.status is None else read_status(scene.status)
+        _check_size(scene.status, status, disparity)
+        confidence = {}
+        if (config["mask"] or "").startswith("confident"):
+            for name, file in scene.confidence.items():
+                confidence[name] = read_pfm(file)
+                _check_size(file, confidence[name], disparity)
+        image = None
+        if config["ply"]:
+            if scene.left is None:
+                raise InputError(f"{scene.folder}: the left image is missing, which colors a point cloud; give --input")
+            image = color8(read_image(scene.left))
+            _check_size(scene.left, image, disparity)
+        clock.start("depth")
+        matched = DisparityMap(disparity, status)
+        with naming(scene.folder):
+            kept = chosen_pixels(matched, config["mask"] or "all", confidence)
+            in_cloud = chosen_pixels(matched, config["mask"] or "measured", confidence)
+        depth = geometry.depth(np.where(kept, disparity, np.float32(np.nan)))
+        in_cloud &= (depth >= config["near"]) & (depth <= (math.inf if config["far"] is None else config["far"]))
+        clock.start("save")
+        found = MatchedMap(depth, status)
+        write_depth(found, folder, config["depth_scale"])
+        if image is not None:
+            PointCloud.of(found, geometry.left, image, in_cloud).save(folder / "points.ply")
+        known = np.isfinite(depth)
+        median = round(float(np.median(depth[known])), 6) if known.any() else None
+        beyond, beyond_warning = beyond_png(depth, config["depth_scale"])
+        facts: Row = {
+            "width": width,
+            "height": height,
+            "density": round(float(known.mean()), 6),
+            "median_depth": median,
+            "focal": geometry.left.fx,
+            "baseline": geometry.baseline,
+            "doffs": geometry.offset,
+            "beyond_png": round(beyond, 6),
+        }
+        if image is not None:
+            facts["points"] = int(np.count_nonzero(known & in_cloud))
+        warnings = [] if image is None else empty_cloud(depth, in_cloud)
+        warnings += [f"{beyond_warning}; see --depth-scale"] if beyond_warning else []
+        if median is not None and not MIN_DEPTH <= median <= MAX_DEPTH:
+            warnings.append(
+                f"the median depth is {median:.4g} m, with a focal length of {geometry.left.fx:.4g} px and a baseline "
+                f"of {geometry.baseline:.4g} m; is the calibration that of this map?"
+            )
+        return Outcome(facts, clock.seconds, warnings)
+
+    def _geometry(self, scene: DisparityScene, shape: tuple[int, ...]) -> PairGeometry:
+        focal, baseline = self.config["focal"], self.config["baseline"]
+        if focal is not None and baseline is not None:
+            camera = Intrinsics(focal, focal, (shape[1] - 1) / 2, (shape[0] - 1) / 2)
+            return PairGeometry(camera, baseline, self.config["doffs"] or 0.0)
+        if scene.geometry is not None:
+            return scene.geometry
+        if scene.calibration is None:
+            raise InputError(
+                f"{scene.folder}: no calibration beside the images; give --calibration, or --focal, --baseline"
+            )
+        return read_geometry(scene.calibration, scene.cameras)
+
+
+def _check_size(path: Path | None, values: NDArray[np.generic], disparity: NDArray[np.float32]) -> None:
+    if values.shape[:2] != disparity.shape:
+        raise InputError(
+            f"{path}: {values.shape[1]} x {values.shape[0]}, but the disparity map is "
+            f"{disparity.shape[1]} x {disparity.shape[0]}"
+        )
