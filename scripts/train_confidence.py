@@ -31,7 +31,7 @@ from train_choice import TrainingScene, scenes
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.algorithms.segmentation.felzenszwalb import Felzenszwalb
-from depthcli.api.matching import with_network
+from depthcli.api.stereo import with_network
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +20,12 @@ from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
 from depthcli.io.formats import calibrations
-from depthcli.io.formats.networks import network_path, read_network
 from depthcli.methods.stereo.config import Calibration, PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.networks import network_device, networks_in
 from depthcli.methods.stereo.search_range import KeyPointRange, SearchRange, complete_range
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.volume import StereoResult
-
-if TYPE_CHECKING:
-    from depthcli.methods.fusion.config import FuseConfig
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
@@ -91,7 +87,7 @@ def with_address(config: StereoConfig) -> StereoConfig:
             address = network_device(config.device)
     except (DeviceError, InputError) as error:
         raise ConfigError(str(error)) from error
-    return _with_networks(config.model_copy(update={"device": address}), address)
+    return with_opened_networks(config.model_copy(update={"device": address}), address)
 
 
 def device_of(config: StereoConfig) -> Device | None:
@@ -99,25 +95,14 @@ def device_of(config: StereoConfig) -> Device | None:
     return device.open_device(config.device) if config.pipeline.uses_devices else None
 
 
-def with_network(config: FuseConfig) -> FuseConfig:
-    """Return the config with the arrays of the network that it names, and with other networks opened and checked.
+def with_opened_networks(config: PairConfigT, address: str) -> PairConfigT:
+    """Return the config with its networks opened and checked; on a device other than CUDA's they run on the processor.
 
     Raises
     ------
     ConfigError
-        A network cannot be read or used, or was trained for other maps.
+        A network cannot be used.
     """
-    config = _with_networks(config, "cpu")
-    if config.network_name is None:
-        return config
-    try:
-        return config.with_network(read_network(network_path(config.network_name)))
-    except InputError as error:
-        raise ConfigError(f"maps.choice.weights: {error}") from None
-
-
-def _with_networks(config: PairConfigT, address: str) -> PairConfigT:
-    # Networks that are a part of a pipeline on another device run on the processor.
     if not any(networks_in(config)):
         return config
     config = config.model_copy(deep=True)

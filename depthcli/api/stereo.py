@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from depthcli.api.inputs import Overrides, as_image, computing, load_config, paired
-from depthcli.api.matching import device_of, limits_of, match_pair, rectified_rig, with_address, with_network
+from depthcli.api.matching import device_of, limits_of, match_pair, rectified_rig, with_address, with_opened_networks
 from depthcli.api.results import Disparity
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
+from depthcli.io.formats.networks import network_path, read_network
 from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.command import Program
@@ -209,6 +210,23 @@ def matcher(
         made = Matcher(with_address(load_config(StereoConfig, preset, overrides, **fields)))
     made.load_kernels()
     return made
+
+
+def with_network(config: FuseConfig) -> FuseConfig:
+    """Return the config with the arrays of the network that it names, and with other networks opened and checked.
+
+    Raises
+    ------
+    ConfigError
+        A network cannot be read or used, or was trained for other maps.
+    """
+    config = with_opened_networks(config, "cpu")
+    if config.network_name is None:
+        return config
+    try:
+        return config.with_network(read_network(network_path(config.network_name)))
+    except InputError as error:
+        raise ConfigError(f"maps.choice.weights: {error}") from None
 
 
 def _with_range(fields: dict[str, object], max_disparity: End) -> dict[str, object]:

@@ -31,7 +31,7 @@ class FuseCommand(PairCommand["FuseConfig"]):
 
     def config(self, values: Values) -> FuseConfig:
         """Return the config, with the network that it names."""
-        from depthcli.api.matching import with_network
+        from depthcli.api.stereo import with_network
 
         return with_network(super().config(values))
 

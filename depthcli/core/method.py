@@ -34,10 +34,10 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from depthcli.core.registry import (
     Plugin,
     Registry,
-    plain_name,
     plugin_of,
     plugins_in_use,
     registered_name,
+    registry_in,
     registry_of,
 )
 from depthcli.core.text import did_you_mean
@@ -123,21 +123,18 @@ class Family(Registry[Method]):
     key : the config key that names the method
     """
 
-    _of: ClassVar[dict[str, Family]] = {}  # by package
-
     def __init__(self, package: str, key: str = "method") -> None:
         super().__init__(package)
         self.key = key
-        Family._of[package] = self
 
     @classmethod
     def of(cls, package: str) -> Family:
-        """Return the family that ``package`` declares; KeyError where it declares none."""
+        """Return the family that ``package`` declares; TypeError where it declares none."""
         importlib.import_module(package)
-        return cls._of[package]
-
-    def _find_alias(self, plain: str, names: Iterable[str]) -> str | None:
-        return next((name for name in names if plain in map(plain_name, self.load(name).aliases)), None)
+        family = registry_in(package)
+        if not isinstance(family, cls):
+            raise TypeError(f"{package} declares no family of methods")
+        return family
 
     def parse(self, value: Any, context: Any = None) -> Method:
         """Return the method that a config's ``value`` describes: a name, a mapping, or a method itself.

@@ -19,7 +19,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -33,8 +33,7 @@ _ROOMS = ("methods", "algorithms", "io", "simulate", "evaluation")  # the names 
 _FILE_MODULE = "depthcli_plugin_"  # the module of a file is called so, with the file's name behind it
 _FILES_VARIABLE = "DEPTHCLI_PLUGIN_FILES"  # worker processes find the files there
 
-_registries: dict[str, Registry[Any]] = {}  # by group
-_homes: dict[str, str] = {}  # package of base classes -> group
+_registries: dict[str, Registry[Any]] = {}  # by package
 _file_plugins: dict[Path, list[Plugin]] = {}  # of every file that was read
 _plugin_by_class: dict[type, Plugin] = {}
 
@@ -94,8 +93,7 @@ class Registry(Generic[T]):
     def __init__(self, package: str, group: str = "") -> None:
         self.package = package
         self.group = group or ".".join(part for part in package.split(".") if part not in _ROOMS)
-        _registries[self.group] = self
-        _homes[package] = self.group
+        _registries[package] = self
 
     @property
     def own_names(self) -> tuple[str, ...]:
@@ -141,8 +139,8 @@ class Registry(Generic[T]):
         return known
 
     def _find_alias(self, plain: str, names: Iterable[str]) -> str | None:
-        """Return the first of ``names`` whose class is also called ``plain``; methods have aliases."""
-        return None
+        aliases = ((name, getattr(self.load(name), "aliases", ())) for name in names)
+        return next((name for name, others in aliases if plain in map(plain_name, others)), None)
 
     def load(self, name: str) -> type[T]:
         """Return the class of that name, which :meth:`find` or :meth:`names` gave.
@@ -166,7 +164,7 @@ class Registry(Generic[T]):
 
     def _load_plugin(self, plugin: Plugin) -> type[T]:
         def use(value: Any) -> type[T]:
-            if not isinstance(value, type) or next(_groups_of(value), None) != self.group:
+            if not isinstance(value, type) or registry_of(value) is not self:
                 raise TypeError(f"expected a class derived from one of {self.package}, got {value!r}")
             _plugin_by_class[value] = plugin
             return value
@@ -180,43 +178,42 @@ def plain_name(name: str) -> str:
     return name.lower().replace("-", "_").replace(" ", "_")
 
 
-def _groups_of(kind: type) -> Iterator[str]:
-    """Yield the groups that a class may belong to, by the packages of its base classes, the nearest first."""
+def registry_of(kind: type) -> Registry[Any] | None:
+    """Return the registry that a class belongs to, by the packages of its base classes; None where there is none."""
     for base in kind.__mro__:
         package = base.__module__
         while package:
-            if package in _homes:
-                yield _homes[package]
+            if package in _registries:
+                return _registries[package]
             package = package.rpartition(".")[0]
+    return None
 
 
-def registry_of(kind: type) -> Registry[Any] | None:
-    """Return the registry that a class belongs to, by the packages of its base classes; None where there is none."""
-    return next((_registries[group] for group in _groups_of(kind)), None)
+def registry_in(package: str) -> Registry[Any] | None:
+    """Return the registry that a package declared when it was imported; None where it has none."""
+    return _registries.get(package)
 
 
 def plugin_of(kind: type) -> Plugin | None:
-    """Return the plug-in that a class, or the object of that class, came from; None for our own and unknown ones."""
-    if kind.__module__.startswith("depthcli."):
-        return None
-    if kind not in _plugin_by_class:  # a worker process gets objects without having loaded their plug-ins
-        reference = f"{kind.__module__}:{kind.__qualname__}"
-        known = (plugin for group in _groups_of(kind) for plugin in plugins_in(group))
-        if (found := next((plugin for plugin in known if plugin.reference == reference), None)) is not None:
-            _plugin_by_class[kind] = found
+    """Return the plug-in that a class came from; None for our own and unknown ones."""
+    if kind not in _plugin_by_class and not kind.__module__.startswith("depthcli."):
+        registry, reference = registry_of(kind), f"{kind.__module__}:{kind.__qualname__}"
+        for plugin in registry.plugins().values() if registry else ():  # a worker process got an object of the class
+            if plugin.reference == reference:
+                _plugin_by_class[kind] = plugin
     return _plugin_by_class.get(kind)
 
 
 def registered_name(kind: type) -> str:
-    """Return the name of a class, or of the object of that class, in its registry: its module's, or the plug-in's."""
-    plugin = plugin_of(kind)
-    if plugin is None:
+    """Return the name of a class in its registry: its module's, or the plug-in's."""
+    plugin, registry = plugin_of(kind), registry_of(kind)
+    if plugin is None or registry is None:
         return kind.__module__.rpartition(".")[2]
-    return next(name for name, each in _registries[plugin.group].plugins().items() if each == plugin)
+    return next(name for name, each in registry.plugins().items() if each == plugin)
 
 
 def with_package(kind: type, about: str) -> str:
-    """Return what is said of a class, behind the package and version of the plug-in that it came from."""
+    """Return a text about a class, behind the package and version of the plug-in that it came from."""
     plugin = plugin_of(kind)
     return about if plugin is None else f"({plugin.package} {plugin.version}) {about}"
 
@@ -283,7 +280,8 @@ def load_file(path: Path) -> None:
         version = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
         values = list(vars(importlib.import_module(name)).values())
         for kind in [value for value in values if getattr(value, "__module__", "") == name]:
-            group = next(_groups_of(kind), None) if isinstance(kind, type) else getattr(kind, "plugin_group", None)
+            registry = registry_of(kind) if isinstance(kind, type) else None
+            group = registry.group if registry else getattr(kind, "plugin_group", None)
             if group is not None and not kind.__name__.startswith("_") and not inspect.isabstract(kind):
                 snake = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", kind.__name__).lower()
                 _file_plugins[path].append(Plugin(snake, group, path.name, version, f"{name}:{kind.__qualname__}"))

@@ -156,9 +156,8 @@ def test_classes_of_a_file_are_found_by_their_names(file: Path):
     assert (COSTS.find("wc 5"), COSTS.find("ad"), COSTS.find("mine.py:wc-5")) == (
         "wide_census", "absolute_difference", None,
     )  # fmt: skip
-    groups = {group for group in registry._registries if group.startswith("depthcli.")}  # not those of other tests
-    with_plugins = {each.group for each in registry._registries.values() if each.plugins()}
-    assert groups - with_plugins <= {"depthcli.kinect.model"}
+    lacking = [package for package, each in registry._registries.items() if not each.plugins()]
+    assert [package for package in lacking if package.startswith("depthcli.")] == ["depthcli.methods.kinect.model"]
     assert registry.versions_here([used, replace(used, package="elsewhere")]) == {
         "elsewhere": "missing", "mine.py": used.version,
     }  # fmt: skip
@@ -398,8 +397,7 @@ def test_a_file_of_a_family_holds_one_class(tmp_path: Path, monkeypatch: pytest.
     (folder / "both.py").write_text(f"{head}class A(Base): ...\nclass B(Base): ...\n")
     (folder / "none.py").write_text(head)
     monkeypatch.syspath_prepend(str(tmp_path))
-    for known in ("_registries", "_homes"):  # the family is no one else's
-        monkeypatch.setattr(registry, known, dict(getattr(registry, known)))
+    monkeypatch.setattr(registry, "_registries", dict(registry._registries))  # the family is no one else's
     family = Family("strange_family")
     with pytest.raises(TypeError, match=r"both defines A and B; a file of this folder holds one class"):
         family.load("both")

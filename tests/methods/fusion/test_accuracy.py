@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.api.matching import with_network
+from depthcli.api.stereo import with_network
 from depthcli.core.config_file import load_config
 from depthcli.evaluation.curves import sparsification
 from depthcli.kernels.winners import winners

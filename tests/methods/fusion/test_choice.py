@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
-from depthcli.api.matching import with_network
+from depthcli.api.stereo import with_network
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
