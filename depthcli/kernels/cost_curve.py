@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from depthcli.kernels.exponential import exp_minus
@@ -11,7 +9,7 @@ from depthcli.kernels.jit import jit
 
 
 @jit
-def likelihood(distance: Any) -> Any:
+def likelihood(distance):
     """Return exp(-2 t), a candidate's term of the maximum likelihood measure (Hu and Mordohai, PAMI 2012).
 
     ``t`` is the ``distance`` >= 0 of the candidate's cost from the smallest one.
@@ -20,7 +18,7 @@ def likelihood(distance: Any) -> Any:
 
 
 @jit
-def attainable_likelihood(distance: Any) -> Any:
+def attainable_likelihood(distance):
     """Return exp(-8 t^2), a candidate's term of the attainable maximum likelihood (Hu and Mordohai, PAMI 2012).
 
     ``t`` is the ``distance`` of the candidate's cost from the smallest one.
@@ -29,7 +27,7 @@ def attainable_likelihood(distance: Any) -> Any:
 
 
 @jit
-def peak_ratio(lowest: Any, second: Any, eps: Any) -> Any:
+def peak_ratio(lowest, second, eps):
     """Return the ratio of a curve's ``second`` cost to its ``lowest`` one; ``eps`` > 0 avoids a division by 0.
 
     Which cost is the second one is the measure's choice: that of another minimum, or the second smallest of all.

@@ -26,7 +26,7 @@ bits_float = _bits_as(types.int32, types.float32)
 
 
 @jit
-def exp_minus(x: Any) -> Any:
+def exp_minus(x):
     """Return exp(-x) of a float32 x >= 0, relative error below 1e-6; x above 80 counts as 80."""
     x = min(x, np.float32(80.0)) * np.float32(-1.4426950408889634)
     whole = np.int32(x)
@@ -44,7 +44,7 @@ def exp_minus(x: Any) -> Any:
 
 
 @jit
-def exp2_minus(z: Any) -> Any:
+def exp2_minus(z):
     """Return 2 ** -z of a float32 z >= 0, relative error 2e-7; z above 125 counts as 125.
 
     2 ** -z = 2 ** -n * 2 ** -0.5 * exp(u) with n = int(z), u = ln 2 * (0.5 - (z - n)), |u| < 0.35: the first
@@ -52,8 +52,12 @@ def exp2_minus(z: Any) -> Any:
     """
     half, ln2, root = np.float32(0.5), np.float32(0.6931472), np.float32(0.70710678)
     c2, c3, c4, c5, c6 = (
-        np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24), np.float32(1 / 120), np.float32(1 / 720),
-    )  # fmt: skip
+        np.float32(1 / 2),
+        np.float32(1 / 6),
+        np.float32(1 / 24),
+        np.float32(1 / 120),
+        np.float32(1 / 720),
+    )
     one = np.float32(1)
     z = min(z, np.float32(125))
     n = np.int32(z)
@@ -63,7 +67,7 @@ def exp2_minus(z: Any) -> Any:
 
 
 @jit
-def exp_minus_16(z: Any) -> Any:
+def exp_minus_16(z):
     """Return exp(-16 z) of a float32 z >= 0, absolute error below 1e-4; z above 1 counts as 1.
 
     It is the 16th power of a cubic in z, the Taylor polynomial of exp(-z).

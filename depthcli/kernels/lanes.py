@@ -61,9 +61,7 @@ def load(typingctx: Any, array: Any, index: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         if array.dtype == types.float32:
             return builder.load(_address(context, builder, array, args[0], args[1], _FLOATS), align=4)
-        bytes_ = builder.load(
-            _address(context, builder, array, args[0], args[1], ir.VectorType(_BYTE, LANES)), align=1
-        )  # fmt: skip
+        bytes_ = builder.load(_address(context, builder, array, args[0], args[1], ir.VectorType(_BYTE, LANES)), align=1)
         return builder.uitofp(builder.zext(bytes_, _INTEGERS), _FLOATS)
 
     return _lanes(array, types.intp), codegen
@@ -97,7 +95,7 @@ def load_shorts(typingctx: Any, array: Any, index: Any) -> Any:
             kind = ir.VectorType(_BYTE, SHORT_LANES)
             return builder.zext(
                 builder.load(_address(context, builder, array, args[0], args[1], kind), align=1), _SHORTS
-            )  # fmt: skip
+            )
         return builder.load(_address(context, builder, array, args[0], args[1], _SHORTS), align=2)
 
     return _short_lanes(array, types.intp), codegen
@@ -286,7 +284,7 @@ def exp_minus(typingctx: Any, value: Any) -> Any:
 
 
 @jit
-def lane_exp_minus_16(z: Any) -> Any:
+def lane_exp_minus_16(z):
     """Return exp(-16 z) of z >= 0 in every lane, as :func:`depthcli.kernels.exponential.exp_minus_16`."""
     one = splat(np.float32(1))
     z = minimum(z, one)
@@ -298,6 +296,6 @@ def lane_exp_minus_16(z: Any) -> Any:
 
 
 @jit
-def absolute_difference(a: Any, b: Any) -> Any:
+def absolute_difference(a, b):
     """Return ``|a - b|`` of two vectors, lane by lane."""
     return maximum(a - b, b - a)

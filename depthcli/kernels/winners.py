@@ -34,7 +34,7 @@ def winners(costs: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.uint16]
 
 
 @parallel_jit
-def _integer_winners(costs: Any, left: Any, right: Any) -> None:
+def _integer_winners(costs, left, right):
     # Cost and disparity share one 32-bit key, so that a plain minimum finds both.
     height, width, n_disparities = costs.shape
     for y in prange(height):
@@ -54,7 +54,7 @@ def _integer_winners(costs: Any, left: Any, right: Any) -> None:
 
 
 @parallel_jit
-def _float_winners(costs: Any, left: Any, right: Any) -> None:
+def _float_winners(costs, left, right):
     height, width, n_disparities = costs.shape
     for y in prange(height):
         best_right = np.full(width, np.inf, np.float32)
@@ -73,7 +73,7 @@ def _float_winners(costs: Any, left: Any, right: Any) -> None:
 
 
 @jit
-def partner_difference(disparity: Any, x: int, right: Any) -> Any:
+def partner_difference(disparity, x, right):
     """Return ``|d - d_R|`` of a pixel in column ``x``, ``d_R`` at its match; inf if that is outside the right image.
 
     ``right`` (W,) holds the right view's disparities of the pixel's row.
@@ -99,7 +99,7 @@ def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np
 
 
 @parallel_jit
-def _left_right_difference(left: Any, right: Any, difference: Any) -> None:
+def _left_right_difference(left, right, difference):
     height, width = left.shape
     for y in prange(height):
         for x in range(width):

@@ -5,8 +5,6 @@ Zhang, Lu & Lafruit 2009 (thesis, eq. 3.8-3.9) with the two-threshold rule of Me
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,7 +43,7 @@ def cross_arms(
 
 
 @jit
-def _step(center: Any, neighbor: Any, previous: Any, alive: Any, arm: Any, limit: Any, threshold: Any) -> None:
+def _step(center, neighbor, previous, alive, arm, limit, threshold):
     # Arms grow to ``neighbor`` where it differs from ``center`` by at most limit, from ``previous`` by threshold.
     for k in range(center.shape[0]):
         a, b, c = center[k], neighbor[k], previous[k]
@@ -59,9 +57,7 @@ def _step(center: Any, neighbor: Any, previous: Any, alive: Any, arm: Any, limit
 
 
 @parallel_jit
-def _grow_horizontal(
-    planes: Any, arms: Any, length: int, threshold: int, inner_length: int, inner_threshold: int
-) -> None:
+def _grow_horizontal(planes, arms, length, threshold, inner_length, inner_threshold):
     _, height, width = planes.shape
     for y in prange(height):
         row = planes[:, y]
@@ -84,9 +80,7 @@ def _grow_horizontal(
 
 
 @parallel_jit
-def _grow_vertical(
-    planes: Any, arms: Any, length: int, threshold: int, inner_length: int, inner_threshold: int
-) -> None:
+def _grow_vertical(planes, arms, length, threshold, inner_length, inner_threshold):
     _, height, width = planes.shape
     for y in prange(height):
         for side in range(2, 4):

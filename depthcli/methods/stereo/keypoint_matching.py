@@ -83,10 +83,21 @@ def _search(
     first = np.searchsorted(others.y[order], points.y - rows, side="right").astype(np.int32)
     last = np.searchsorted(others.y[order], points.y + rows, side="left").astype(np.int32)
     nearest, distance = _nearest(
-        points.x, points.sign, points.scale, points.descriptors,
-        others.x[order], others.sign[order], others.scale[order], others.descriptors[order],
-        first, last, low, high, ratio, max_scale_ratio,
-    )  # fmt: skip
+        points.x,
+        points.sign,
+        points.scale,
+        points.descriptors,
+        others.x[order],
+        others.sign[order],
+        others.scale[order],
+        others.descriptors[order],
+        first,
+        last,
+        low,
+        high,
+        ratio,
+        max_scale_ratio,
+    )
     return np.append(order, np.int32(-1))[nearest], distance
 
 
@@ -98,10 +109,22 @@ def _comparable(shift, low, high, sign, other_sign, scale, other_scale, max_scal
 
 
 @parallel_jit
-def _nearest(  # type: ignore[no-untyped-def]
-    x, sign, scale, descriptors, other_x, other_sign, other_scale, other_descriptors,
-    low, high, min_shift, max_shift, ratio, max_scale_ratio,
-) -> Any:  # fmt: skip
+def _nearest(
+    x,
+    sign,
+    scale,
+    descriptors,
+    other_x,
+    other_sign,
+    other_scale,
+    other_descriptors,
+    low,
+    high,
+    min_shift,
+    max_shift,
+    ratio,
+    max_scale_ratio,
+):
     # Nearest candidate of each key point, -1 where there is none or the second is too near; and its distance.
     count = x.size
     nearest = np.full(count, -1, np.int32)
@@ -186,7 +209,7 @@ def nearest_points(
 
 
 @parallel_jit
-def _insert_nearest(center_x: Any, center_y: Any, x: Any, y: Any, index: Any, squared: Any) -> None:
+def _insert_nearest(center_x, center_y, x, y, index, squared):
     for n in prange(index.shape[0]):
         nearest, distances = index[n], squared[n]
         last = distances.size - 1

@@ -24,9 +24,13 @@ from depthcli.core.frames import StereoPair
 from depthcli.kernels.jit import n_threads
 
 _TYPES = {
-    "tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64,
-    "tensor(uint8)": np.uint8, "tensor(int32)": np.int32, "tensor(int64)": np.int64,
-}  # fmt: skip
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(uint8)": np.uint8,
+    "tensor(int32)": np.int32,
+    "tensor(int64)": np.int64,
+}
 _CUDA = "CUDAExecutionProvider"
 _CHANNELS = (1, 2, 3, 6)
 

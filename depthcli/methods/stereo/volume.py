@@ -120,7 +120,7 @@ def as_fixed_point(volume: CostVolume) -> CostVolume:
 
 
 @parallel_jit
-def _scale(costs: Any, factor: Any, fixed: Any) -> None:
+def _scale(costs, factor, fixed):
     height, width, n_disparities = costs.shape
     half = np.float32(0.5)
     for y in prange(height):
@@ -131,7 +131,7 @@ def _scale(costs: Any, factor: Any, fixed: Any) -> None:
 
 
 @parallel_jit
-def fill_outside(costs: Any, outside: Any) -> None:
+def fill_outside(costs, outside):
     """Set the cells of (H, W, D) costs whose match lies outside the right image, d > x."""
     height, width, n_disparities = costs.shape
     for y in prange(height):

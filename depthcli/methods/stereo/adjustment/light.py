@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -95,12 +93,12 @@ def _means(sums: NDArray[np.float32]) -> list[list[NDArray[np.float32]]]:
 
 
 @jit
-def _matching_column(x: int, disparity: Any) -> int:
+def _matching_column(x, disparity):
     return max(x - int(disparity + np.float32(0.5)), 0)
 
 
 @parallel_jit
-def sum_light(disparity: Any, left: Any, right: Any, gains: Any, max_ratio: Any, sums: Any) -> None:
+def sum_light(disparity, left, right, gains, max_ratio, sums):
     """Add left and right grey levels of matches, and their number, to ``sums`` (3, h, w, 3), per pixel of a cell.
 
     Cells are those of the right image. Saturated samples count like others: grey levels are to agree, even where they
@@ -125,7 +123,7 @@ def sum_light(disparity: Any, left: Any, right: Any, gains: Any, max_ratio: Any,
 
 
 @parallel_jit
-def sum_differences(disparity: Any, left: Any, right: Any, sums: Any) -> None:
+def sum_differences(disparity, left, right, sums):
     """Add the mean difference of matches over the channels, and their number, to ``sums`` (2, h, w), per pixel of a
     cell of the left image.
     """

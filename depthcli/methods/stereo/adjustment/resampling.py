@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +46,13 @@ IDENTITY = Correction(np.zeros(N_TERMS), np.ones((1, 1, 3), np.float32))
 
 
 @jit
-def polynomial(c: Any, u: Any, v: Any) -> Any:
+def polynomial(c, u, v):
     """Return the value at (u, v) of the polynomial with the 6 coefficients ``c``."""
     return c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
 
 
 @jit
-def cubic(p0: Any, p1: Any, p2: Any, p3: Any, t: Any) -> Any:
+def cubic(p0, p1, p2, p3, t):
     """Return the Catmull-Rom spline through four samples, between ``p1`` (t = 0) and ``p2`` (t = 1)."""
     half = np.float32(0.5)
     a = half * (p2 - p0)
@@ -62,7 +62,7 @@ def cubic(p0: Any, p1: Any, p2: Any, p3: Any, t: Any) -> Any:
 
 
 @parallel_jit
-def resample(image: Any, row_shift: Any, gains: Any, cell: int, top: Any, out: Any) -> None:
+def resample(image, row_shift, gains, cell, top, out):
     """Write (H, W, C) ``image`` with its rows shifted, times the bilinearly interpolated ``gains``, to ``out``.
 
     Gains below 1 rise to 1 towards the largest grey level ``top``: saturated samples times a gain that varies would

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -97,14 +97,14 @@ class BlockSums(NamedTuple):
 
 
 @jit
-def _bilinear(image: Any, v: int, u: int, t: Any, s: Any) -> Any:
+def _bilinear(image, v, u, t, s):
     upper = image[v, u] + s * (image[v, u + 1] - image[v, u])
     lower = image[v + 1, u] + s * (image[v + 1, u + 1] - image[v + 1, u])
     return upper + t * (lower - upper)
 
 
 @parallel_jit
-def sum_blocks(disparity: Any, left: Any, right: Any, row_shift: Any, sums: Any) -> None:
+def sum_blocks(disparity, left, right, row_shift, sums):
     """Add the fields of :class:`BlockSums` over the matches, shifted by ``row_shift``, to ``sums`` (8, h, w)."""
     height, width = disparity.shape
     right_grey = right.grey
@@ -126,9 +126,12 @@ def sum_blocks(disparity: Any, left: Any, right: Any, row_shift: Any, sums: Any)
                 block = sums[:, i, x // BLOCK]
                 g0 = cubic(right_grey[v - 1, u], right_grey[v, u], right_grey[v + 1, u], right_grey[v + 2, u], t)
                 g1 = cubic(
-                    right_grey[v - 1, u + 1], right_grey[v, u + 1], right_grey[v + 1, u + 1], right_grey[v + 2, u + 1],
+                    right_grey[v - 1, u + 1],
+                    right_grey[v, u + 1],
+                    right_grey[v + 1, u + 1],
+                    right_grey[v + 2, u + 1],
                     t,
-                )  # fmt: skip
+                )
                 residual = left.grey[y, x] - (g0 + s * (g1 - g0))
                 relative = min(abs(residual), _MAX_RESIDUAL) / _HALF_WEIGHT
                 block[7] += np.log(np.float32(1) + relative * relative)

@@ -6,8 +6,6 @@ every d; sum and number of pixels travel in one word, so that one difference giv
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,7 +50,7 @@ def intersected_means(
 
 
 @parallel_jit
-def _row_spans(source: Any, arms: Any, mirrored: Any, spans: Any) -> None:
+def _row_spans(source, arms, mirrored, spans):
     height, width, n_disparities = source.shape
     bits = np.uint32(_LENGTH_BITS)
     for y in prange(height):
@@ -75,7 +73,7 @@ def _row_spans(source: Any, arms: Any, mirrored: Any, spans: Any) -> None:
 
 
 @parallel_jit
-def _column_spans(source: Any, arms: Any, mirrored: Any, spans: Any) -> None:
+def _column_spans(source, arms, mirrored, spans):
     height, width, n_disparities = source.shape
     bits = np.uint32(_LENGTH_BITS)
     block = 4
@@ -106,7 +104,7 @@ def _column_spans(source: Any, arms: Any, mirrored: Any, spans: Any) -> None:
 
 
 @parallel_jit
-def _column_means(spans: Any, arms: Any, mirrored: Any, means: Any) -> None:
+def _column_means(spans, arms, mirrored, means):
     height, width, n_disparities = spans.shape
     bits, mask = np.uint64(_LENGTH_BITS), np.uint64((1 << _LENGTH_BITS) - 1)
     block = 4
@@ -143,7 +141,7 @@ def _column_means(spans: Any, arms: Any, mirrored: Any, means: Any) -> None:
 
 
 @parallel_jit
-def _row_means(spans: Any, arms: Any, mirrored: Any, means: Any) -> None:
+def _row_means(spans, arms, mirrored, means):
     height, width, n_disparities = spans.shape
     bits, mask = np.uint64(_LENGTH_BITS), np.uint64((1 << _LENGTH_BITS) - 1)
     for y in prange(height):

@@ -144,9 +144,7 @@ _accumulate_narrow = _accumulator(_NARROW)
 
 
 @jit
-def _weigh(
-    a0: Any, a1: Any, a2: Any, b0: Any, b1: Any, b2: Any, space: Any, scale: Any, squared: bool, out: Any
-) -> None:
+def _weigh(a0, a1, a2, b0, b1, b2, space, scale, squared, out):
     # out = 2 ** -(space + scale * |a - b|), in a form that compiles to vector code.
     for i in range(out.size):
         d0, d1, d2 = a0[i] - b0[i], a1[i] - b1[i], a2[i] - b2[i]
@@ -157,10 +155,7 @@ def _weigh(
 
 
 @parallel_jit
-def _aggregate(
-    costs: Any, left: Any, right: Any, radius: int, gamma_color: Any, gamma_space: Any, squared: bool,
-    factor: Any, rounding: Any, out: Any,
-) -> None:  # fmt: skip
+def _aggregate(costs, left, right, radius, gamma_color, gamma_space, squared, factor, rounding, out):
     # (H, W, D) costs, (H, 3, W) colors, rows of ``right`` reversed. For every row of the window left weights (tap, x)
     # and right weights (tap, reversed x) are computed once; then every pixel adds its taps for all disparities. In
     # reversed order the right weights of a pixel are contiguous along d, and 0 after the row's end, outside the image.

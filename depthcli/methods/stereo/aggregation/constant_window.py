@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from pydantic import Field
 
@@ -36,19 +34,19 @@ class ConstantWindow(Aggregator):
 
 
 @jit
-def _add(sums: Any, terms: Any) -> None:
+def _add(sums, terms):
     for i in range(sums.size):
         sums[i] += np.uint32(terms[i])
 
 
 @jit
-def _subtract(sums: Any, terms: Any) -> None:
+def _subtract(sums, terms):
     for i in range(sums.size):
         sums[i] -= np.uint32(terms[i])
 
 
 @jit
-def _row_means(columns: Any, window: Any, means: Any, radius: int, rows: int, factor: Any) -> None:
+def _row_means(columns, window, means, radius, rows, factor):
     # ``columns`` are sums over ``rows`` rows.
     width, n_disparities = means.shape
     window[:] = 0
@@ -67,7 +65,7 @@ def _row_means(columns: Any, window: Any, means: Any, radius: int, rows: int, fa
 
 
 @parallel_jit
-def _box_means(costs: Any, means: Any, radius: int, factor: Any, bands: int) -> None:
+def _box_means(costs, means, radius, factor, bands):
     # One band of rows per task: a running sum of rows (columns), then along x a running sum of columns.
     # Every band begins with new column sums, so the result does not depend on the number of bands.
     height, width, n_disparities = costs.shape

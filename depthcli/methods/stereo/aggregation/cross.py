@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -93,7 +93,7 @@ def _inverse_areas(arms: NDArray[np.uint8], horizontal_first: bool) -> NDArray[n
 
 
 @jit
-def _write(low: Any, high: Any, inverse: Any, out: Any, shift: int, last: bool) -> None:
+def _write(low, high, inverse, out, shift, last):
     # The differences of prefix sums: the last ones become means, the others keep their upper 16 bits.
     if last:
         factor = inverse * np.float32(1 << shift)
@@ -106,7 +106,7 @@ def _write(low: Any, high: Any, inverse: Any, out: Any, shift: int, last: bool) 
 
 
 @parallel_jit
-def _row_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, shift: int, last: bool) -> None:
+def _row_sums(source, before, after, inverse, out, shift, last):
     height, width, n_disparities = source.shape
     for y in prange(height):
         prefix = np.empty((width + 1, n_disparities), np.uint32)
@@ -123,7 +123,7 @@ def _row_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, shif
 
 
 @parallel_jit
-def _column_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, shift: int, last: bool) -> None:
+def _column_sums(source, before, after, inverse, out, shift, last):
     # Blocks of columns keep the prefix sums in cache while memory is still read in runs.
     height, width, n_disparities = source.shape
     block = 4

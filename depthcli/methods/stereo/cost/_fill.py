@@ -31,7 +31,7 @@ def popcount(typingctx: Any, value: Any) -> Any:
 
 
 @parallel_jit
-def hamming_volume(left: Any, right: Any, costs: Any) -> None:
+def hamming_volume(left, right, costs):
     """Write the Hamming distance of (H, W) uint64 bit strings into (H, W, D) uint8."""
     height, width = left.shape
     n_disparities = costs.shape[2]
@@ -47,7 +47,7 @@ def hamming_volume(left: Any, right: Any, costs: Any) -> None:
 
 
 @parallel_jit
-def difference_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
+def difference_volume(left, right, costs, limit):
     """Write the sum over channels of |left - right|, at most ``limit``, of (C, H, W) uint8 into (H, W, D) uint8."""
     channels, height, width = left.shape
     n_disparities = costs.shape[2]
@@ -80,7 +80,7 @@ def difference_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
 
 
 @parallel_jit
-def _half_pixel_ranges(features: Any, low: Any, high: Any) -> None:
+def _half_pixel_ranges(features, low, high):
     # Smallest and largest value of (C, H, W) ``features`` within half a pixel along the row, linear between pixels.
     channels, height, width = features.shape
     kind = features.dtype.type
@@ -111,16 +111,11 @@ def tolerant_volume(
     _half_pixel_ranges(left, left_low, left_high)
     right_low, right_high = np.empty_like(right), np.empty_like(right)
     _half_pixel_ranges(right, right_low, right_high)
-    _tolerant_volume(
-        left, left_low, left_high, right, right_low, right_high, costs, np.int16(shift), np.int16(limit)
-    )  # fmt: skip
+    _tolerant_volume(left, left_low, left_high, right, right_low, right_high, costs, np.int16(shift), np.int16(limit))
 
 
 @parallel_jit
-def _tolerant_volume(
-    left: Any, left_low: Any, left_high: Any, right: Any, right_low: Any, right_high: Any,
-    costs: Any, shift: Any, limit: Any,
-) -> None:  # fmt: skip
+def _tolerant_volume(left, left_low, left_high, right, right_low, right_high, costs, shift, limit):
     channels, height, width = left.shape
     n_disparities = costs.shape[2]
     padded = max(n_disparities, SHORT_LANES)

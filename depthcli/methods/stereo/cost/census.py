@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
@@ -62,7 +60,7 @@ def census_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint64
 
 
 @parallel_jit
-def _census(padded: Any, bits: Any, ry: int, rx: int) -> None:
+def _census(padded, bits, ry, rx):
     height, width = bits.shape
     for y in prange(height):
         out = bits[y]

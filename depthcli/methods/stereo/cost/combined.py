@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
@@ -78,13 +76,13 @@ def _rate(lambda_: float) -> np.float32:
 
 
 @jit
-def _share(rate: Any, shares: Any) -> None:
+def _share(rate, shares):
     for i in range(shares.size):
         shares[i] = np.float32(1.0) - exp_minus_16(np.float32(i) * rate)
 
 
 @parallel_jit
-def _add_exponential(costs: Any, rate: Any, unit: Any, total: Any) -> None:
+def _add_exponential(costs, rate, unit, total):
     # A table of 256 entries would not vectorize.
     height, width, n_disparities = costs.shape
     half, one = np.float32(0.5), np.float32(1.0)
@@ -97,7 +95,7 @@ def _add_exponential(costs: Any, rate: Any, unit: Any, total: Any) -> None:
 
 
 @parallel_jit
-def _add_weighted(costs: Any, rate: Any, units: Any, total: Any) -> None:
+def _add_weighted(costs, rate, units, total):
     # As above, with a unit for every pixel.
     height, width, n_disparities = costs.shape
     half, one = np.float32(0.5), np.float32(1.0)
@@ -121,7 +119,7 @@ def _add_weighted(costs: Any, rate: Any, units: Any, total: Any) -> None:
 
 
 @jit
-def _with_share(costs: Any, sums: Any, at: int, rate: Any, unit: Any) -> Any:
+def _with_share(costs, sums, at, rate, unit):
     # Lanes of ``sums`` with the part's terms added, rounded half up; see ``exp_minus_16``.
     share = splat(np.float32(1)) - lane_exp_minus_16(load(costs, at) * splat(rate))
     part = truncated(splat(unit) * share + splat(np.float32(0.5)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -80,7 +80,7 @@ def derivative_filters(sigma: float) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 @parallel_jit
-def _gradient_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
+def _gradient_volume(left, right, costs, limit):
     # (2, H, W) int16 sixteenths into (H, W, D) uint8 quarters, rounded half up.
     height, width, n_disparities = costs.shape
     for y in prange(height):

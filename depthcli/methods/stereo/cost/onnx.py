@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,7 +156,7 @@ def _features(session: Session, target: ImageInput, given: NDArray[np.generic]) 
 
 
 @parallel_jit
-def _products(left: Any, right: Any, scale: Any, largest: Any, costs: Any) -> None:
+def _products(left, right, scale, largest, costs):
     height, width, n_disparities = costs.shape
     channels = left.shape[1]
     half, zero = np.float32(0.5), np.float32(0.0)
@@ -180,7 +180,7 @@ def _products(left: Any, right: Any, scale: Any, largest: Any, costs: Any) -> No
 
 
 @parallel_jit
-def _differences(left: Any, right: Any, scale: Any, largest: Any, costs: Any) -> None:
+def _differences(left, right, scale, largest, costs):
     height, width, n_disparities = costs.shape
     channels = left.shape[1]
     for y in prange(height):

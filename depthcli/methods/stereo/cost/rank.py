@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
@@ -60,7 +58,7 @@ def rank_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint8]:
 
 
 @parallel_jit
-def _rank(padded: Any, ranks: Any, ry: int, rx: int) -> None:
+def _rank(padded, ranks, ry, rx):
     height, width = ranks.shape
     for y in prange(height):
         out = ranks[y]

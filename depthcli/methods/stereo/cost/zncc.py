@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -67,7 +67,7 @@ def _moments(
 
 
 @jit
-def _add_products(left: Any, right: Any, sign: Any, mirror: Any, sums: Any) -> None:
+def _add_products(left, right, sign, mirror, sums):
     columns, n_disparities = sums.shape
     mirror[:columns] = right[::-1]
     for x in range(columns):
@@ -78,10 +78,7 @@ def _add_products(left: Any, right: Any, sign: Any, mirror: Any, sums: Any) -> N
 
 
 @parallel_jit
-def _zncc_volume(
-    left: Any, right: Any, left_mean: Any, left_factor: Any, right_mean: Any, right_factor: Any, scale: Any,
-    floor: Any, costs: Any,
-) -> None:  # fmt: skip
+def _zncc_volume(left, right, left_mean, left_factor, right_mean, right_factor, scale, floor, costs):
     # Sums of products of columns are updated from row to row, those of windows from column to column.
     height, width, n_disparities = costs.shape
     rows, columns = left.shape

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +65,7 @@ class Scanline(Optimizer):
 
 
 @parallel_jit
-def _mark_edges(planes: Any, edges: Any, threshold: int) -> None:
+def _mark_edges(planes, edges, threshold):
     # Sets (4, H, W) to 1 where the pixel to the left, upper left, above, upper right differs in color.
     channels, height, width = planes.shape
     for y in prange(height):
@@ -85,7 +85,7 @@ def _mark_edges(planes: Any, edges: Any, threshold: int) -> None:
 
 
 @parallel_jit
-def _sweep_both(costs: Any, total: Any, edges: Any, table: Any, diagonal: bool) -> None:
+def _sweep_both(costs, total, edges, table, diagonal):
     # One sweep downwards, one upwards. They write their sums until they meet in the middle, and then add them to what
     # the other one has written.
     height, width, n_disparities = costs.shape
@@ -117,7 +117,7 @@ def _sweep_both(costs: Any, total: Any, edges: Any, table: Any, diagonal: bool) 
 
 
 @jit
-def _start(state: Any, n_states: int, n_disparities: int) -> None:
+def _start(state, n_states, n_disparities):
     # Path costs 0 between guard cells.
     state[:] = _BYTE_GUARD if state.itemsize == 1 else _GUARD
     for k in range(n_states):
@@ -127,10 +127,7 @@ def _start(state: Any, n_states: int, n_disparities: int) -> None:
 
 
 @jit
-def _sweep(
-    costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upwards: bool, adds: bool, state: Any,
-    minima: Any, first: int, last: int,
-) -> None:  # fmt: skip
+def _sweep(costs, sums, edges, table, diagonal, upwards, adds, state, minima, first, last):
     # Rows ``first`` to ``last`` of a sweep, written to ``sums`` or, with ``adds``, added to it. Paths from the left,
     # above, upper left and upper right; upwards: from the opposite directions. ``state`` holds the path costs, D + 2
     # cells per pixel: two pixels of the row path, then for each of the three directions from above two rows of W + 2

@@ -170,11 +170,18 @@ class Program(StereoPipeline):
             path = scratch / (self.output or f"output{_SUFFIXES[self.format]}")
             words = self._command_line(
                 {
-                    "left": left, "right": right, "max_disparity": max_disparity, "min_disparity": 0, "output": path,
-                    "scratch": scratch, "name": current_scene().name, "threads": n_threads(), "cwd": os.getcwd(),
+                    "left": left,
+                    "right": right,
+                    "max_disparity": max_disparity,
+                    "min_disparity": 0,
+                    "output": path,
+                    "scratch": scratch,
+                    "name": current_scene().name,
+                    "threads": n_threads(),
+                    "cwd": os.getcwd(),
                     **self.parameters,
                 }
-            )  # fmt: skip
+            )
             clock.start("program")
             run_program(words, scratch, self.timeout)
             clock.start("read")
@@ -268,9 +275,14 @@ def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
     try:
         with logs[0].open("wb") as errors, logs[1].open("wb") as printed:
             program = subprocess.Popen(
-                words, cwd=folder, env=os.environ | {"OMP_NUM_THREADS": str(n_threads())}, start_new_session=True,
-                stdin=subprocess.DEVNULL, stdout=printed, stderr=errors,
-            )  # fmt: skip
+                words,
+                cwd=folder,
+                env=os.environ | {"OMP_NUM_THREADS": str(n_threads())},
+                start_new_session=True,
+                stdin=subprocess.DEVNULL,
+                stdout=printed,
+                stderr=errors,
+            )
     except OSError as error:
         raise ProgramError(f"{name} cannot be started: {error.strerror or error}") from error
     with _ended_group(program.pid):

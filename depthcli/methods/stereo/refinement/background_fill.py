@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from depthcli.core.maps import DisparityMap
@@ -35,7 +33,7 @@ def fill_background(disparity: DisparityMap) -> DisparityMap:
 
 
 @parallel_jit
-def _fill_rows(values: Any) -> None:
+def _fill_rows(values):
     height, width = values.shape
     for y in prange(height):
         row = values[y]
@@ -55,7 +53,7 @@ def _fill_rows(values: Any) -> None:
 
 
 @parallel_jit
-def _fill_columns(values: Any) -> None:
+def _fill_columns(values):
     # Only rows that had no value at all are left.
     height, width = values.shape
     for x in prange(width):

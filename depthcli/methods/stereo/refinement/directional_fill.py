@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +66,7 @@ class DirectionalFill(Refinement):
 
 
 @parallel_jit
-def _color_changes(image: Any, axes: Any, changes: Any) -> None:
+def _color_changes(image, axes, changes):
     # Of (3, H, W): sums over the channels of the differences between pixels and the ones a step back along each axis.
     channels, height, width = image.shape
     for y in prange(height):
@@ -85,9 +83,7 @@ def _color_changes(image: Any, axes: Any, changes: Any) -> None:
 
 
 @parallel_jit
-def _replace(
-    values: Any, measured: Any, changes: Any, right: Any, axes: Any, color_rate: Any, distance_rate: Any, out: Any
-) -> None:
+def _replace(values, measured, changes, right, axes, color_rate, distance_rate, out):
     height, width = values.shape
     for y in prange(height):
         first = 0
@@ -104,7 +100,7 @@ def _replace(
                 dy, dx = (1 - 2 * back) * axes[k // 2, 0], (1 - 2 * back) * axes[k // 2, 1]
                 cost, distance = _search(
                     measured, changes[k // 2], y, x, dy, dx, back, color_rate, distance_rate, agreeing
-                )  # fmt: skip
+                )
                 if cost >= agreeing:
                     continue
                 value = values[y + distance * dy, x + distance * dx]
@@ -120,10 +116,7 @@ def _replace(
 
 
 @jit
-def _search(
-    measured: Any, changes: Any, y: int, x: int, dy: int, dx: int, back: int, color_rate: Any, distance_rate: Any,
-    limit: Any,
-) -> tuple[Any, int]:  # fmt: skip
+def _search(measured, changes, y, x, dy, dx, back, color_rate, distance_rate, limit):
     # Cost and distance, in steps, of the nearest measured pixel in a direction; not less than ``limit`` without one.
     height, width = measured.shape
     edge = np.float32(0)

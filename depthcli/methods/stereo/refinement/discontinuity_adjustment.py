@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from depthcli.core.maps import DisparityMap
@@ -26,7 +24,7 @@ class DiscontinuityAdjustment(Refinement):
 
 
 @parallel_jit
-def _adjust(values: Any, costs: Any, axis: int, adjusted: Any) -> None:
+def _adjust(values, costs, axis, adjusted):
     height, width, n_disparities = costs.shape
     dy, dx = (0, 1) if axis == 1 else (1, 0)
     for y in prange(dy, height - dy):

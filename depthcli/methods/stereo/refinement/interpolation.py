@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +34,7 @@ class Interpolation(Refinement):
 
 
 @parallel_jit
-def _interpolate(values: Any, occluded: Any, image: Any, directions: Any, filled: Any) -> None:
+def _interpolate(values, occluded, image, directions, filled):
     height, width = values.shape
     for y in prange(height):
         for x in range(width):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from pydantic import Field
 
@@ -38,7 +36,7 @@ class LeftRightCheck(Refinement):
 
 
 @parallel_jit
-def _check(values: Any, status: Any, right: Any, tolerance: Any, n_disparities: int) -> None:
+def _check(values, status, right, tolerance, n_disparities):
     occluded, mismatch = np.uint8(1), np.uint8(2)
     height, width = values.shape
     for y in prange(height):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from pydantic import Field
 
@@ -49,7 +47,7 @@ class RegionVoting(Refinement):
 
 
 @parallel_jit
-def _vote(values: Any, arms: Any, voted: Any, bins: int, votes: int, majority: float) -> None:
+def _vote(values, arms, voted, bins, votes, majority):
     height, width = values.shape
     for y in prange(height):
         histogram = np.zeros(bins, np.int32)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -91,9 +89,7 @@ class SlantedMedian(Refinement):
 
 
 @parallel_jit
-def _filter(
-    planes: Any, values: Any, gradient: Any, trust: Any, grid: Any, distance: Any, color_rate: Any, out: Any
-) -> None:
+def _filter(planes, values, gradient, trust, grid, distance, color_rate, out):
     # Inputs but ``grid`` and ``distance`` have a margin without trust. The medians of a block of pixels are found
     # together, by halving intervals.
     height, width = out.shape
@@ -152,5 +148,5 @@ def _filter(
 
 
 @jit
-def _extrapolated(values: Any, gradient: Any, at: int, plane_size: int, back_x: Any, back_y: Any) -> Any:
+def _extrapolated(values, gradient, at, plane_size, back_x, back_y):
     return load(values, at) + load(gradient, at) * back_x + load(gradient, at + plane_size) * back_y

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from depthcli.core.maps import DisparityMap
@@ -35,7 +33,7 @@ class Subpixel(Refinement):
 
 
 @parallel_jit
-def move_to_minimum(costs: Any, values: Any) -> None:
+def move_to_minimum(costs, values):
     """Move (H, W) float32 ``values`` to the minima of parabolas, in place."""
     height, width, n_disparities = costs.shape
     for y in prange(height):

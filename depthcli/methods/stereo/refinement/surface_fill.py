@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from pydantic import Field
 
@@ -53,7 +51,7 @@ class SurfaceFill(Refinement):
 
 
 @parallel_jit
-def _continue_surfaces(values: Any, filled: Any, rows: int, reach: int, support: int, largest: Any) -> None:
+def _continue_surfaces(values, filled, rows, reach, support, largest):
     height, width = values.shape
     for y in prange(height):
         sample = np.empty((4, (2 * rows + 1) * reach), np.float64)
@@ -86,9 +84,7 @@ def _continue_surfaces(values: Any, filled: Any, rows: int, reach: int, support:
 
 
 @jit
-def _plane_along_row(
-    values: Any, y: int, x: int, step: int, rows: int, reach: int, support: int, sample: Any
-) -> tuple[float, float]:
+def _plane_along_row(values, y, x, step, rows, reach, support, sample):
     # Slope along the row and value at (y, x) of the surface of (y, x), which lies towards ``step``.
     height, width = values.shape
     start = values[y, x]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +67,7 @@ class WeightedMedian(Refinement):
 
 
 @jit
-def _equal(low: Any, high: Any) -> Any:
+def _equal(low, high):
     # Whether every window of some pixels has at most one value.
     varied = False
     for i in range(low.size):
@@ -78,7 +76,7 @@ def _equal(low: Any, high: Any) -> Any:
 
 
 @jit
-def _weigh(planes: Any, trust: Any, by_color: Any, by_distance: Any, y: int, x0: int, weights: Any) -> None:
+def _weigh(planes, trust, by_color, by_distance, y, x0, weights):
     # The weights of the windows of a block of pixels that begins at (y, x0), in a form that compiles to vector code.
     size = by_distance.shape[0]
     middle = x0 + size // 2
@@ -104,9 +102,7 @@ def _weigh(planes: Any, trust: Any, by_color: Any, by_distance: Any, y: int, x0:
 
 
 @parallel_jit
-def _filter(
-    planes: Any, bins: Any, trust: Any, by_color: Any, by_distance: Any, lowest: Any, highest: Any, filtered: Any
-) -> None:
+def _filter(planes, bins, trust, by_color, by_distance, lowest, highest, filtered):
     # All inputs but the last three have a margin without trust. Weights are computed for a block of pixels at
     # a time, then each pixel fills and reads its histogram.
     height, width = filtered.shape

@@ -74,9 +74,14 @@ class Assignment:
 
 
 def assign(
-    segments: SegmentedImage, volume: CostVolume, candidates: PlaneCandidates, energy: Energy, rounds: int, sweeps: int,
+    segments: SegmentedImage,
+    volume: CostVolume,
+    candidates: PlaneCandidates,
+    energy: Energy,
+    rounds: int,
+    sweeps: int,
     clock: Clock,
-) -> Assignment | None:  # fmt: skip
+) -> Assignment | None:
     """Return the planes of all segments that minimize the energy (thesis, eq. 2.8); None where no pixel is trusted.
 
     Parameters

@@ -69,9 +69,15 @@ def discrepancy(
     """
     unary = np.zeros((len(trusted.starts) - 1, len(planes)))
     _discrepancy(
-        values.ravel(), values.shape[1], trusted.order, trusted.starts,
-        planes.coefficients, weight, min(truncation, 1e6), unary,
-    )  # fmt: skip
+        values.ravel(),
+        values.shape[1],
+        trusted.order,
+        trusted.starts,
+        planes.coefficients,
+        weight,
+        min(truncation, 1e6),
+        unary,
+    )
     return unary
 
 

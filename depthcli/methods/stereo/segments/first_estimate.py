@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +73,7 @@ def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -
 
 
 @parallel_jit
-def _segment_window(costs: Any, labels: Any, radius: Any, refinement: Any, kind: Any, out: Any) -> None:
+def _segment_window(costs, labels, radius, refinement, kind, out):
     height, width, n_disparities = costs.shape
     half = np.float32(0.5)
     for y in prange(height):
@@ -103,7 +102,7 @@ def has_information(volume: CostVolume) -> bool:
 
 
 @jit
-def _has_information(costs: Any) -> Any:
+def _has_information(costs):
     height, width, n_disparities = costs.shape
     for y in range(height):
         for x in range(width):
@@ -114,7 +113,7 @@ def _has_information(costs: Any) -> Any:
 
 
 @parallel_jit
-def _distrust_constant_costs(costs: Any, trusted: Any) -> None:
+def _distrust_constant_costs(costs, trusted):
     height, width, n_disparities = costs.shape
     for y in prange(height):
         for x in range(width):

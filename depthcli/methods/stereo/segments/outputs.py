@@ -62,9 +62,12 @@ def tables(
             )
         ]
         columns: dict[str, NDArray[Any]] = {
-            "plane": assignment.labels, "pixels": segments.graph.sizes, "trusted": segments.trusted.sizes,
-            "lowest": ranges[:, 0], "highest": ranges[:, 1],
-        }  # fmt: skip
+            "plane": assignment.labels,
+            "pixels": segments.graph.sizes,
+            "trusted": segments.trusted.sizes,
+            "lowest": ranges[:, 0],
+            "highest": ranges[:, 1],
+        }
         result["segment_labels"] = [
             {"segment": t, **{name: int(column[t]) for name, column in columns.items()}}
             for t in range(len(segments.graph.sizes))

@@ -77,7 +77,7 @@ class Ranges(Step):
 
 
 @parallel_jit
-def _penalize(costs: Any, zones: Any, ranges: Any, penalty: Any, limit: Any, out: Any) -> None:
+def _penalize(costs, zones, ranges, penalty, limit, out):
     height, width, n_disparities = costs.shape
     for y in prange(height):
         for x in range(width):
@@ -104,9 +104,13 @@ def search_zones(labels: NDArray[np.int32], cell: int) -> NDArray[np.int32]:
 
 
 def search_ranges(
-    labels: NDArray[np.int32], matches: Matches | None, max_disparity: int, margin: float, neighbors: int = 0,
+    labels: NDArray[np.int32],
+    matches: Matches | None,
+    max_disparity: int,
+    margin: float,
+    neighbors: int = 0,
     reach: float = np.inf,
-) -> NDArray[np.int32]:  # fmt: skip
+) -> NDArray[np.int32]:
     """Return the lowest and the highest disparity to search in every segment (thesis, eq. 2.2-2.5).
 
     The range of the disparities of the segment's key points, widened on both sides by ``margin`` times

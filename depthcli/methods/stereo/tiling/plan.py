@@ -181,9 +181,11 @@ class Candidates:
         before = max(margins.halo, longest + margins.lead)
         behind = max(margins.halo, longest) if margins.whole else margins.halo
         around = (
-            max(0, rows[0] - margins.halo), min(height, rows[1] + margins.halo),
-            max(spans[0].low if margins.whole else 0, columns[0] - before), min(width, columns[1] + behind),
-        )  # fmt: skip
+            max(0, rows[0] - margins.halo),
+            min(height, rows[1] + margins.halo),
+            max(spans[0].low if margins.whole else 0, columns[0] - before),
+            min(width, columns[1] + behind),
+        )
         return Tile(rows, columns, around, spans)
 
     def _spans(self, there: NDArray[np.bool_], columns: tuple[int, int]) -> tuple[Span, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,7 +170,7 @@ def _largest_cost(volume: CostVolume) -> float:
 
 
 @parallel_jit
-def _copy_span(costs: Any, joined: Any, start: int, n_outside: int, barrier: Any) -> None:
+def _copy_span(costs, joined, start, n_outside, barrier):
     # What the right image does not have costs what the measure says: the cell of pixel 0 at any disparity but 0.
     height, width, count = costs.shape
     outside = costs[0, 0, count - 1]
@@ -188,7 +187,7 @@ def _copy_span(costs: Any, joined: Any, start: int, n_outside: int, barrier: Any
 
 
 @parallel_jit
-def _add_penalty(costs: Any, spans: Any, low: Any, high: Any, corner: Any, penalty: int, largest: Any) -> None:
+def _add_penalty(costs, spans, low, high, corner, penalty, largest):
     # To disparities beyond the likely ones of the pixel at half the size.
     height, width, _ = costs.shape
     kind = costs.dtype.type

@@ -66,7 +66,7 @@ class TiledWinners:
 
 
 @parallel_jit
-def _add_integers(costs: Any, spans: Any, corner: Any, bounds: Any, left: Any, right: Any) -> None:
+def _add_integers(costs, spans, corner, bounds, left, right):
     width = left.shape[1]
     for v in prange(bounds[0], bounds[1]):
         y = corner[0] + v
@@ -91,7 +91,7 @@ def _add_integers(costs: Any, spans: Any, corner: Any, bounds: Any, left: Any, r
 
 
 @parallel_jit
-def _add_floats(costs: Any, spans: Any, corner: Any, bounds: Any, left: Any, min_costs: Any, right: Any) -> None:
+def _add_floats(costs, spans, corner, bounds, left, min_costs, right):
     width = left.shape[1]
     for v in prange(bounds[0], bounds[1]):
         y = corner[0] + v
@@ -112,7 +112,7 @@ def _add_floats(costs: Any, spans: Any, corner: Any, bounds: Any, left: Any, min
 
 
 @parallel_jit
-def _add_minima(costs: Any, spans: Any, corner: Any, bounds: Any, left: Any, minima: Any) -> None:
+def _add_minima(costs, spans, corner, bounds, left, minima):
     for v in prange(bounds[0], bounds[1]):
         y = corner[0] + v
         for u in range(bounds[2], bounds[3]):
@@ -131,7 +131,7 @@ def _add_minima(costs: Any, spans: Any, corner: Any, bounds: Any, left: Any, min
 
 
 @parallel_jit
-def _unmirror(keys: Any, out: Any) -> None:
+def _unmirror(keys, out):
     height, width = out.shape
     for y in prange(height):
         for x in range(width):
