@@ -101,8 +101,9 @@ def a_perfect_map_stays(step: Refinement) -> None:
     interior = np.s_[4:-4, shift + 6 : -4]
     values = np.full(left.shape, shift, np.float32)
     assert np.mean(left[interior] == shift) > 0.9
-    result = step(DisparityMap(values, np.zeros(left.shape, np.uint8)), RefinementContext(pair, volume, np.where(
-        np.arange(60) < 60 - shift, np.uint16(shift), right).astype(np.uint16)))  # fmt: skip
+    right = np.where(np.arange(60) < 60 - shift, np.uint16(shift), right).astype(np.uint16)
+    context = RefinementContext(pair, volume, right)
+    result = step(DisparityMap(values, np.zeros(left.shape, np.uint8)), context)
     assert np.all(np.abs(result.values[interior] - shift) <= 0.5), "a value moved by more than half a pixel"
     assert not np.any(result.status[interior] & ~np.uint8(Status.SMOOTHED)), "a status changed"
 

@@ -12,10 +12,8 @@ from depthcli.core.method import Family
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.config import StereoConfig
 
-FAMILIES = (
-    "methods.stereo.cost", "methods.stereo.aggregation", "methods.stereo.optimization", "methods.stereo.refinement",
-    "methods.stereo.pipeline", "algorithms.keypoints", "algorithms.segmentation",
-)  # fmt: skip
+STEREO = [f"methods.stereo.{stage}" for stage in ("cost", "aggregation", "optimization", "refinement", "pipeline")]
+FAMILIES = (*STEREO, "algorithms.keypoints", "algorithms.segmentation")
 METHODS = [f.load(n) for f in (Family.of(f"depthcli.{each}") for each in FAMILIES) for n in f.names()]
 MODELS: list[type[BaseModel]] = [*METHODS, FuseConfig, StereoConfig]
 

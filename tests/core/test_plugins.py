@@ -100,17 +100,25 @@ def greet() -> int:
 class _Hidden(Census):
     """Not registered."""
 '''
-SUBCLASSES = {
-    "MyKeypoints": "Surf", "MySegments": "Slic", "MyChoice": "LeastEnergyChoice", "MyFill": "NearestFill",
-    "MyFeature": "Intensity", "MyWindow": "ConstantWindow", "MyWinner": "WinnerTakesAll", "MyPipeline": "Local",
-    "MyMedian": "Median", "MyNearest": "NearestSample", "MySearch": "RegistrationSearch",
-}  # fmt: skip
+SUBCLASSES = (
+    ("MyKeypoints", "Surf"),
+    ("MySegments", "Slic"),
+    ("MyChoice", "LeastEnergyChoice"),
+    ("MyFill", "NearestFill"),
+    ("MyFeature", "Intensity"),
+    ("MyWindow", "ConstantWindow"),
+    ("MyWinner", "WinnerTakesAll"),
+    ("MyPipeline", "Local"),
+    ("MyMedian", "Median"),
+    ("MyNearest", "NearestSample"),
+    ("MySearch", "RegistrationSearch"),
+)
 
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     path = tmp_path / "mine.py"
-    classes = (f"\n\nclass {name}({base}):\n    '''Another {base}.'''\n" for name, base in SUBCLASSES.items())
+    classes = (f"\n\nclass {name}({base}):\n    '''Another {base}.'''\n" for name, base in SUBCLASSES)
     path.write_text(FILE + "".join(classes))
     return path
 
@@ -153,14 +161,12 @@ def test_classes_of_a_file_are_found_by_their_names(file: Path):
     assert load_config(StereoConfig, parse_config(dump_config(config), "x")) == config
     (used,) = used_plugins(config)
     assert used.package == "mine.py" and len(used.version) == 12
-    assert (COSTS.find("wc 5"), COSTS.find("ad"), COSTS.find("mine.py:wc-5")) == (
-        "wide_census", "absolute_difference", None,
-    )  # fmt: skip
+    found = [COSTS.find(name) for name in ("wc 5", "ad", "mine.py:wc-5")]
+    assert found == ["wide_census", "absolute_difference", None]
     lacking = [package for package, each in registry._registries.items() if not each.plugins()]
     assert [package for package in lacking if package.startswith("depthcli.")] == ["depthcli.methods.kinect.model"]
-    assert registry.versions_here([used, replace(used, package="elsewhere")]) == {
-        "elsewhere": "missing", "mine.py": used.version,
-    }  # fmt: skip
+    versions = registry.versions_here([used, replace(used, package="elsewhere")])
+    assert versions == {"elsewhere": "missing", "mine.py": used.version}
 
 
 def test_a_mistake_names_the_plugin_s_keys_and_methods(file: Path):

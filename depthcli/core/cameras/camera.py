@@ -120,8 +120,8 @@ class Camera:
             return np.zeros((0, 2))
         undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
         points = np.asarray(pixels, np.float64)[:, None]
-        return np.asarray(undistort(points, self.matrix, self.coefficients, R=rotation, P=projection[:, :3]),
-                          np.float64)[:, 0]  # fmt: skip
+        found = undistort(points, self.matrix, self.coefficients, R=rotation, P=projection[:, :3])
+        return np.asarray(found, np.float64)[:, 0]
 
     def undistortion_maps(
         self, rotation: NDArray[np.float64], projection: NDArray[np.float64], size: tuple[int, int]

@@ -149,8 +149,10 @@ def registered(
         )
     result = cameras.register(depth, shape)
     if np.isfinite(depth).any() and not np.isfinite(result).any():
-        raise InputError("no point of the depth map lies in the color image; check depth_intrinsics, depth_to_color "
-                         "(meters) and the intrinsics of the color camera")  # fmt: skip
+        raise InputError(
+            "no point of the depth map lies in the color image; check depth_intrinsics, depth_to_color "
+            "(meters) and the intrinsics of the color camera"
+        )
     note = (
         f"{small_width} x {small_height}, taken as registered to the color image of {width} x {height} and scaled; "
         "if it is not, give depth_intrinsics"

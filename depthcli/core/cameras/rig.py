@@ -53,9 +53,15 @@ class Rig:
         return float(np.linalg.norm(self.translation))
 
     def rectified(
-        self, size: tuple[int, int], right_size: tuple[int, int], alpha: float = 0.0, *,
-        mirrored: bool = False, max_tilt: float = 0.5, min_overlap: float = 0.0,
-    ) -> RectifiedRig:  # fmt: skip
+        self,
+        size: tuple[int, int],
+        right_size: tuple[int, int],
+        alpha: float = 0.0,
+        *,
+        mirrored: bool = False,
+        max_tilt: float = 0.5,
+        min_overlap: float = 0.0,
+    ) -> RectifiedRig:
         """Return the rectification after which matching points lie in the same row (Bouguet's method, by OpenCV).
 
         Parameters
@@ -74,11 +80,15 @@ class Rig:
         """
         for name, camera, given in (("left", self.left, size), ("right", self.right, right_size)):
             if camera.size is not None and camera.size != given:
-                raise InputError(f"calibrated for a {name} image of {camera.size[0]} x {camera.size[1]}, it has "
-                                 f"{given[0]} x {given[1]}")  # fmt: skip
+                raise InputError(
+                    f"calibrated for a {name} image of {camera.size[0]} x {camera.size[1]}, it has "
+                    f"{given[0]} x {given[1]}"
+                )
         if max(size[0] / right_size[0], right_size[0] / size[0]) > _MAX_SIZE_RATIO:
-            raise InputError(f"images of {size[0]} x {size[1]} and {right_size[0]} x {right_size[1]} px; bring both "
-                             "to one size, and calibrate them so")  # fmt: skip
+            raise InputError(
+                f"images of {size[0]} x {size[1]} and {right_size[0]} x {right_size[1]} px; bring both "
+                "to one size, and calibrate them so"
+            )
         cameras = (self.left.matrix, self.left.coefficients, self.right.matrix, self.right.coefficients, size)
         places = (self.rotation, self.translation[:, None])
         if self.left.fisheye:
@@ -145,9 +155,12 @@ class RectifiedRig:
         return float(np.mean(common))
 
     def images(
-        self, left: NDArray[Any], right: NDArray[Any], interpolation: int = cv2.INTER_CUBIC,
+        self,
+        left: NDArray[Any],
+        right: NDArray[Any],
+        interpolation: int = cv2.INTER_CUBIC,
         border: int = cv2.BORDER_CONSTANT,
-    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:  # fmt: skip
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
         """Return both rectified images, and (H, W) bool: both cameras' images contain the pixel's point at infinity.
 
         Parameters
