@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import re
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -20,7 +21,7 @@ from depthcli.core.registry import Plugin, plugin_of, versions_here
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
 from depthcli.evaluation.map_files import MapOptions, find_runs, names_in_run, recognized
-from depthcli.evaluation.plots import cache_below, curve_plot
+from depthcli.evaluation.plots import curve_plot
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.tables import report_markdown
@@ -126,7 +127,7 @@ def evaluate_runs(
     if len(found) > 1 and any(place.is_file() for place in places.values()):
         raise InputError(f"a single map wants a single scene, {truth} has {len(found)}: give a file, or --scenes")
     writing = staging_folder(Path(output), "evaluate", RESULTS, reporter.info) if output is not None else None
-    with writing or contextlib.nullcontext() as folder, cache_below(folder):
+    with writing or contextlib.nullcontext() as folder:
         own = viewers if folder is not None else ()
         scoring = _Scoring(places, truth, folder, scored_by, settings, own, dict(map_options or {}), rows)
         with reporter:
@@ -177,7 +178,7 @@ def _find_truth(
     reporter: Reporter,
 ) -> list[Scene]:
     """Return all scenes with ground truth, and those that cannot be used; of a file, the scene whose truth it is."""
-    if truth.is_file():
+    if os.path.isfile(truth):
         holding = scene_with_file(truth)
         if holding is None and scored_by is None:
             reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import io
 import math
-import os
-import shutil
-import sys
-import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.curves import PERCENTAGES, Reliability, Sparsification
 from depthcli.evaluation.statistics import mean_of_known
@@ -28,7 +22,6 @@ _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8
 _MARKERS = "osD^vPX*"
 _BOUND = "#777777"
 _SHARE_AXIS = "most confident pixels, %"
-_CACHE_VARIABLE, _CACHE_PREFIX = "MPLCONFIGDIR", ".matplotlib-"
 _SETTINGS = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 10, "axes.spines.top": False,
              "axes.spines.right": False}  # fmt: skip
 
@@ -201,14 +194,7 @@ def curve_plot(curves: Mapping[str, Sparsification], title: str, of: str) -> str
 @contextmanager
 def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, list[str]]]:
     """Axes to draw in, and a list that holds the SVG's text afterwards; ``fixed``: the margins are."""
-    try:  # without a folder that can be written it is not even imported
-        import matplotlib
-
-        matplotlib.get_cachedir()
-    except OSError as error:
-        raise ConfigError(
-            f"plots: matplotlib finds no folder for its cache; set {_CACHE_VARIABLE} to one that can be written"
-        ) from error
+    import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
@@ -227,25 +213,6 @@ def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, li
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     out.append(text.getvalue())
-
-
-@contextmanager
-def cache_below(folder: Path | None) -> Iterator[None]:
-    """Let matplotlib cache fonts below ``folder``, while the block runs, where there is no temporary folder."""
-    place = ""
-    try:
-        tempfile.gettempdir()
-    except OSError:
-        if folder is not None and "matplotlib" not in sys.modules:
-            with suppress(OSError):  # where nothing can be written there, writing the results says so
-                folder.mkdir(parents=True, exist_ok=True)
-                place = os.environ[_CACHE_VARIABLE] = tempfile.mkdtemp(prefix=_CACHE_PREFIX, dir=folder.absolute())
-    try:
-        yield
-    finally:
-        if place:
-            del os.environ[_CACHE_VARIABLE]
-            shutil.rmtree(place, ignore_errors=True)
 
 
 def _line(axes: Axes, i: int, name: str, points: Sequence[tuple[float, float]], marker: str | None = None) -> None:

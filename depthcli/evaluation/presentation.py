@@ -24,7 +24,7 @@ UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
 """Kinds of pixel; ``HIDDEN``: occluded in the other view, ``EMPTY``: without a value."""
 
 
-class Axis(NamedTuple):
+class SliceAxis(NamedTuple):
     """An axis of a volume that is shown.
 
     Attributes
@@ -57,7 +57,7 @@ class ShownMap:
     values: NDArray[np.floating[Any]]
     confidence: dict[str, NDArray[Any]] = field(default_factory=dict)
     expected_error: NDArray[np.floating[Any]] | None = None
-    axes: tuple[Axis, ...] = ()
+    axes: tuple[SliceAxis, ...] = ()
     figures: dict[str, float] = field(default_factory=dict)
     note: str = ""
 
@@ -132,7 +132,7 @@ class Presentation:
     show: Callable[[Path, Scene, MapFiles], ShownMap] = _plane
     image: Callable[[Scene], NDArray[np.uint8] | None] = first_image
     on_grid: Callable[[NDArray[Any], Any], NDArray[Any] | None] = lambda points, _: points if points.ndim > 1 else None
-    axes: Callable[[Any], tuple[Axis, ...]] = lambda _: ()
+    axes: Callable[[Any], tuple[SliceAxis, ...]] = lambda _: ()
     at_points: Callable[[Any], bool] = lambda _: False
     tables: Callable[[str, Sequence[Any]], list[Table]] = lambda _, __: []
 

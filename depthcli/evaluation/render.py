@@ -81,12 +81,12 @@ class Table:
         """
         table = self
         for heading in spare:
-            if table._width() <= width:
+            if _width(table) <= width:
                 break
             table = table.only(set(table.header) - {heading})
         places = [table.header.index(name) for name in names]
         longest = max((len(row[j]) for row in table.rows for j in places), default=0)
-        while table._width() > width and longest > _MIN_NAME:
+        while _width(table) > width and longest > _MIN_NAME:
             longest -= 1
             rows = [
                 tuple(_shortened(cell, longest) if j in places else cell for j, cell in enumerate(row))
@@ -94,9 +94,6 @@ class Table:
             ]
             table = replace(table, rows=tuple(rows))
         return table
-
-    def _width(self) -> int:
-        return max(map(len, replace(self, title="", note="").text().splitlines()))
 
     def column(self, j: int) -> list[str]:
         """Return the cells of a column."""
@@ -125,7 +122,7 @@ class Table:
         """Return aligned columns for a terminal, those of numbers set to the right; title and note wrapped at width."""
         lines = [tuple(map(one_line, line)) for line in (self.header, *self.rows)]
         widths = [max(len(line[j]) for line in lines) for j in range(len(self.header))]
-        right = self._numeric()
+        right = _numeric(self)
         out = textwrap.wrap(one_line(self.title), width)
         for line in lines:
             cells = [c.rjust(w) if r else c.ljust(w) for c, w, r in zip(line, widths, right, strict=True)]
@@ -134,8 +131,8 @@ class Table:
 
     def markdown(self) -> str:
         """Return a Markdown section: of ranked columns the best bold, the second best underlined."""
-        marks = ["---:" if right else "---" for right in self._numeric()]
-        rows = self._formatted("**{}**", "<u>{}</u>", markdown_text)
+        marks = ["---:" if right else "---" for right in _numeric(self)]
+        rows = _formatted(self, "**{}**", "<u>{}</u>", markdown_text)
         out = [f"## {markdown_text(self.title)}", ""] if self.title else []
         out += ["| " + " | ".join(row) + " |" for row in (rows[0], marks, *rows[1:])]
         return "\n".join([*out, *(["", markdown_text(self.note)] if self.note else [])]) + "\n"
@@ -146,7 +143,7 @@ class Table:
         Its label is ``tab:`` and the table's name.
         """
         header, *rows = [
-            " & ".join(row) + " \\\\" for row in self._formatted(r"\textbf{{{}}}", r"\underline{{{}}}", _latex)
+            " & ".join(row) + " \\\\" for row in _formatted(self, r"\textbf{{{}}}", r"\underline{{{}}}", _latex)
         ]
         lines = [
             "% needs \\usepackage{booktabs}",
@@ -154,7 +151,7 @@ class Table:
             "\\centering",
             f"\\caption{{{_latex(self.title)}}}",
             *([f"\\label{{tab:{_NO_LABEL.sub('-', self.name)}}}"] if self.name else []),
-            f"\\begin{{tabular}}{{{''.join('r' if right else 'l' for right in self._numeric())}}}",
+            f"\\begin{{tabular}}{{{''.join('r' if right else 'l' for right in _numeric(self))}}}",
             "\\toprule",
             header,
             "\\midrule",
@@ -190,17 +187,24 @@ class Table:
             f"<tbody>{body}</tbody>\n</table></div>\n{note}"
         )
 
-    def _numeric(self) -> list[bool]:
-        return [j > 0 and all(map(_is_number, self.column(j))) for j in range(len(self.header))]
 
-    def _formatted(self, best: str, second: str, escape: Callable[[str], str]) -> list[list[str]]:
-        """Header and rows, escaped; ranked numbers in the formats of their place."""
-        forms = {0: "{}", BEST: best, SECOND: second}
-        places = [self.places(j) for j in range(len(self.header))]
-        rows = [
-            [forms[places[j][i]].format(escape(cell)) for j, cell in enumerate(row)] for i, row in enumerate(self.rows)
-        ]
-        return [[escape(cell) for cell in self.header], *rows]
+def _width(table: Table) -> int:
+    return max(map(len, replace(table, title="", note="").text().splitlines()))
+
+
+def _numeric(table: Table) -> list[bool]:
+    """Return whether each column holds numbers alone; the first never does."""
+    return [j > 0 and all(map(_is_number, table.column(j))) for j in range(len(table.header))]
+
+
+def _formatted(table: Table, best: str, second: str, escape: Callable[[str], str]) -> list[list[str]]:
+    """Return header and rows, escaped; ranked numbers in the formats of their place."""
+    forms = {0: "{}", BEST: best, SECOND: second}
+    places = [table.places(j) for j in range(len(table.header))]
+    rows = [
+        [forms[places[j][i]].format(escape(cell)) for j, cell in enumerate(row)] for i, row in enumerate(table.rows)
+    ]
+    return [[escape(cell) for cell in table.header], *rows]
 
 
 FORMATS: dict[str, Callable[[Table], str]] = {

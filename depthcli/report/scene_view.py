@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import side_and_distance
-from depthcli.evaluation.presentation import UNKNOWN, Axis, ShownMap, pixel_kinds
+from depthcli.evaluation.presentation import UNKNOWN, ShownMap, SliceAxis, pixel_kinds
 from depthcli.evaluation.protocols import AnyProtocol, shown_pixels
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import Palette, confidence_picture, read_status, status_color, status_words
@@ -85,7 +85,7 @@ class SceneView:
         """Name of the scene."""
         return self.scene.name
 
-    def fill(self, true: NDArray[Any] | None, axes: tuple[Axis, ...], scale: tuple[float, float]) -> None:
+    def fill(self, true: NDArray[Any] | None, axes: tuple[SliceAxis, ...], scale: tuple[float, float]) -> None:
         """Pack image, truth and regions of every cut; make the small pictures of the scene."""
         shown, known, (low, high) = self.protocol.presentation, self.known, scale
         self._cuts = slices(known.shape)
@@ -308,7 +308,7 @@ def _with_margin(low: float, high: float) -> tuple[float, float]:
     return low - _MARGIN * (high - low), high + _MARGIN * (high - low)
 
 
-def _name(cut: Slice, axes: tuple[Axis, ...]) -> str:
+def _name(cut: Slice, axes: tuple[SliceAxis, ...]) -> str:
     """Return the plane of a cut, where it lies, and its number; empty for an image."""
     number = f"{cut.place + 1} of {cut.count}"
     if cut.axis < 0 or not axes:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import itertools
 import json
 import math
-import os
 import shutil
 from pathlib import Path
 
@@ -24,7 +22,7 @@ from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.tables import chosen_text, report_tables
-from depthcli.io.formats.disparity import read_disparity, write_disparity_png, write_pfm
+from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.walk import discover_scenes
 from depthcli.run.records import Record, write_record
@@ -60,24 +58,6 @@ def run_of(folder: Path, maps: dict[str, np.ndarray]) -> Path:
     for name, values in maps.items():
         write_pfm(folder / name / "disp_left.pfm", values)
     return folder
-
-
-def test_negative_constants_of_other_programs_are_no_values(truth: Path, tmp_path: Path):
-    values = {name: exact(truth, name) for name in "ab"}
-    for estimate in values.values():
-        estimate[:, -8:] = -1  # as OpenCV's matchers mark a quarter
-    run = run_of(tmp_path / "sgbm", values)
-
-    def scored(invalid: float | None = None) -> MapResult:
-        report = evaluate_runs([run], truth, None, ["a"], protocol="eth3d", settings=Settings(invalid=invalid))
-        return report.results[0]
-
-    assert (bad(scored()), scored().value("coverage", "all")) == (0, 75)
-    assert "25 % of the pixels are -1, which the truth never is: taken as no value" in scored().warning
-    assert (bad(scored(-1)), scored(-1).warning) == (0, "")
-    assert (bad(scored(math.nan)), scored(math.nan).warning) == (25, "")
-    (run / "a" / "record.json").write_text("{}")  # what depthcli makes is taken as it is
-    assert (bad(scored()), scored().warning) == (25, "")
 
 
 def text_of(report: EvaluationReport) -> str:
@@ -194,36 +174,6 @@ def test_long_names_of_scenes_stop_nothing(tmp_path: Path, truth: Path, length: 
             assert path in (tmp_path / "out" / "report.md").read_text()
 
 
-def test_names_that_no_file_can_have_are_not_there(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
-    run = run_of(tmp_path / "run", {"a": exact(truth)})
-    long = tmp_path / ("n" * 300)
-    for command in (
-        ["evaluate", str(run), str(long), "--truth", str(truth)],
-        ["evaluate", str(run), "--truth", str(long)],
-        ["export", str(long), "--for", "eth3d", "--method", "m", "-o", str(tmp_path / "x.zip")],
-        ["export", str(run), "--for", "eth3d", "--method", "m", "-o", str(long)],
-    ):
-        assert main(command) == 2
-        err = capsys.readouterr().err
-        assert err.startswith("depthcli: ") or command[0] == "export"
-        assert "bug" not in err
-
-
-def test_names_in_reports_are_texts(tmp_path: Path, truth: Path):
-    name = "=1+1\n## <b>x [l](u) \x1b[31m"
-    run = run_of(tmp_path / name, {name: exact(truth)})
-    shutil.move(truth / "a", truth / name)
-    report = evaluate_runs([run], truth, tmp_path / "out")
-    text = (tmp_path / "out" / "report.md").read_text()
-    lines = [line for line in text.splitlines() if "<b>x" in line]
-    assert lines
-    assert not any("\x1b" in line or line.startswith("## <") for line in text.splitlines())
-    assert all("\\<b>" in line for line in lines if "`" not in line)
-    assert "\x1b" not in text_of(report)
-    for row in rows(tmp_path / "out"):
-        assert row["scene"][0] in "'*b" and row["run"].startswith("'=1+1\\n##")
-
-
 def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     (truth / "a" / "disp_left.png").write_bytes(b"nothing")
@@ -245,15 +195,6 @@ def test_wrong_scale_is_said(tmp_path: Path, truth: Path):
     assert len(report.warnings) == 1
     assert report.warnings[0].startswith("run: a: ") and "about 16 times the truth" in report.warnings[0]
     assert "16 times the truth" in (tmp_path / "out" / "report.md").read_text()
-
-
-def test_scale_of_the_maps_can_be_said(tmp_path: Path, truth: Path):
-    np.save(tmp_path / "fixed.npy", np.rint(exact(truth) * 16).astype(np.int16))
-    (tmp_path / "run").mkdir()
-    for name in ("a", "b"):
-        shutil.copy(tmp_path / "fixed.npy", tmp_path / "run" / f"{name}.npy")
-    report = evaluate_runs([tmp_path / "run"], truth, tmp_path / "out", settings=Settings(scale=16))
-    assert [bad(r) for r in report.results] == [0, 0]
 
 
 @pytest.mark.slow
@@ -354,31 +295,6 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
         evaluate_runs([run], truth, run)
 
 
-def test_an_interrupted_evaluation_is_known_as_ours(tmp_path: Path, truth: Path, monkeypatch: pytest.MonkeyPatch):
-    """At every step in which earlier results make room for new ones, a kill leaves files that a record claims."""
-    run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
-    evaluate_runs([run], truth, tmp_path / "whole")
-    whole = {p.relative_to(tmp_path / "whole"): p.read_bytes() for p in (tmp_path / "whole").rglob("*.*")}
-    original = os.replace
-    for step in range(20):
-        left = [step]
-
-        def killed(*arguments, left: list[int] = left) -> None:
-            left[0] -= 1
-            if left[0] < 0:
-                raise KeyboardInterrupt
-            original(*arguments)
-
-        monkeypatch.setattr("os.replace", killed)
-        with contextlib.suppress(KeyboardInterrupt):
-            evaluate_runs([run], truth, tmp_path / "out")
-        monkeypatch.setattr("os.replace", original)
-        for name, data in whole.items():
-            assert not (place := tmp_path / "out" / name).exists() or place.read_bytes() == data
-        evaluate_runs([run], truth, tmp_path / "out")
-        assert {p.relative_to(tmp_path / "out"): p.read_bytes() for p in (tmp_path / "out").rglob("*.*")} == whole
-
-
 def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
     with pytest.raises(InputError, match="no run"):
         evaluate_runs([], truth, tmp_path / "out")
@@ -411,21 +327,6 @@ def test_real_scenes_truth_is_zero_and_two_pixels_off_is_hundred(tmp_path: Path)
 
 
 @pytest.mark.slow
-@needs_data
-def test_kitti_pairs_end_to_end(tmp_path: Path):
-    """The D1 of DATA.md for maps as another program wrote them: one 16-bit PNG a scene."""
-    run = tmp_path / "network"
-    run.mkdir()
-    for pair in ("pair_01", "pair_04", "pair_07"):
-        shutil.copy(DATA / "kitti_eval_pairs" / pair / "disp_est.png", run / f"{pair}.png")
-    report = evaluate_runs([run], DATA / "kitti_eval_pairs", tmp_path / "out", protocol="kitti-2015")
-    found = [round(r.value("D1", "occ", 3.0, "estimated pixels only"), 2) for r in report.results]
-    assert found == [4.19, 3.54, 8.30]
-    assert "4.19" in text_of(report)
-    assert read_disparity(run / "pair_01.png").shape == (375, 1242)
-
-
-@pytest.mark.slow
 def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, truth: Path):
     rng = np.random.default_rng(0)
     run = tmp_path / "run"
@@ -446,20 +347,6 @@ def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, trut
                 broken[rng.integers(len(broken))] ^= 1 << rng.integers(8)
             (run / "a" / "disp_left.pfm").write_bytes(broken)
         (run / "a" / "disp_left.pfm").write_bytes(data)
-
-
-def test_truth_without_a_known_pixel_is_a_reason_and_not_an_empty_column(tmp_path):
-    scene = tmp_path / "truth" / "a"
-    scene.mkdir(parents=True)
-    image = np.zeros((4, 5), np.uint8)
-    for side in ("left", "right"):
-        write_png(scene / f"{side}.png", image)
-    write_pfm(scene / "disp_left.pfm", np.full((4, 5), np.nan, np.float32))
-    (tmp_path / "run").mkdir()
-    write_pfm(tmp_path / "run" / "a.pfm", np.ones((4, 5), np.float32))
-    report = evaluate_runs([tmp_path / "run"], tmp_path / "truth", tmp_path / "out")
-    assert [result.scene for result in report.failed] == ["a"]
-    assert "no known pixel" in report.failed[0].error
 
 
 def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Path):
@@ -497,14 +384,6 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     assert [row[column] for row in summary.rows] == ["", "1.5", "", "1.5"]
     (comparison,) = report.sections[0].ranking.tests.values()
     assert (comparison.scenes, comparison.wins, comparison.losses, comparison.ties) == (1, 0, 0, 1)
-
-
-def test_a_complete_set_has_one_mean(tmp_path: Path, truth: Path):
-    run = run_of(tmp_path / "run", {"a": exact(truth) + 3, "b": exact(truth)})
-    text = text_of(evaluate_runs([run], truth, None))
-    assert "*" not in text
-    assert "common" not in text
-    assert not (tmp_path / "out").exists()
 
 
 def test_the_protocol_is_given_or_named_by_the_scene(tmp_path: Path, truth: Path):
@@ -558,49 +437,6 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
     assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
 
 
-def test_result_files_of_the_kit_are_not_taken_for_its_truth(tmp_path: Path, truth: Path):
-    good = exact(truth)
-    run = tmp_path / "kit"
-    for name in ("disp0GT", "disp0GT_s", "disp0GTy", "disp0ours_s"):
-        write_pfm(run / "a" / f"{name}.pfm", good + ("GT" in name) * 5)
-    write_pfm(run / "b" / "disp0GT.pfm", good)
-    report = evaluate_runs([run], truth, None)
-    assert report.results[0].source == "a/disp0ours_s.pfm"
-    assert bad(report.results[0]) == 0
-    assert [r.scene for r in report.failed] == ["b"]
-    write_pfm(run / "a" / "disp0theirs_s.pfm", good)
-    assert "keep one method" in evaluate_runs([run], truth, None).failed[0].error
-
-
-def test_a_short_name_of_two_scenes_is_named_as_such(tmp_path: Path, truth: Path):
-    shutil.copytree(truth, tmp_path / "all" / "one")
-    shutil.copytree(truth, tmp_path / "all" / "two")
-    run = run_of(tmp_path / "run", {"a": exact(truth), "two/a": exact(truth)})
-    report = evaluate_runs([run], tmp_path / "all", None, ["a"])
-    assert [(r.scene, bool(r.error)) for r in report.results] == [("one/a", True), ("two/a", False)]
-    assert "several scenes are called a" in report.failed[0].error
-
-
-def test_a_warning_of_many_scenes_is_one_line(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
-    maps = {}
-    for name in ("a", "b"):
-        maps[name] = exact(truth)
-        maps[name][: 10 + 3 * len(maps)] = -1
-    run_of(tmp_path / "run", maps)
-    assert main(["evaluate", str(tmp_path / "run"), "--truth", str(truth)]) == 0
-    said = [line for line in capsys.readouterr().err.splitlines() if "of the pixels are -1" in line]
-    assert len(said) == 1
-    assert said[0].startswith("warning: run: a and 1 more: ")
-
-
-def test_seconds_of_the_report_are_shown(tmp_path: Path, truth: Path):
-    run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
-    scenes = [{"scene": name, "status": "done", "seconds": {"cost": 1.5, "refinement": 0.5}} for name in ("a", "b")]
-    (run / "report.json").write_text(json.dumps({"scenes": scenes}))
-    (summary, *_) = report_tables(evaluate_runs([run], truth, None))
-    assert (summary.header[-1], summary.rows[0][-1]) == ("seconds", "2.00")
-
-
 def test_formats_settings_and_comparison(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
     good = exact(truth)
     one = run_of(tmp_path / "one", {"a": good, "b": good + 2})
@@ -619,18 +455,6 @@ def test_formats_settings_and_comparison(tmp_path: Path, truth: Path, capsys: py
     assert (comparison["run"], comparison["against"], comparison["losses"]) == ("two", "one", 1)
     report = evaluate_runs([one, two], truth, None)
     assert [r.size for r in report.results] == [SHAPE[0] * SHAPE[1]] * 4
-
-
-def test_maps_of_floating_point_in_tiff_files(tmp_path: Path, truth: Path):
-    good = exact(truth)
-    good[3, 3], good[3, 4] = np.nan, np.inf
-    assert cv2.imwrite(str(tmp_path / "good.tif"), good)
-    np.save(tmp_path / "good.npy", good)
-    report = evaluate_runs([tmp_path / "good.tif", tmp_path / "good.npy"], truth / "a" / "disp_left.png", None)
-    assert report.failed == []
-    values = [[s.value for s in r.scores] for r in report.results]
-    assert values[0] == values[1]
-    assert math.isclose(bad(report.results[0]), 100 * 2 / good.size)
 
 
 def others(folder: Path, truth: Path, place: str) -> Path:
@@ -730,12 +554,6 @@ def test_wrong_options_of_maps(
     assert message in capsys.readouterr().err
 
 
-def test_two_runs_of_one_name(tmp_path: Path, truth: Path):
-    folder = others(tmp_path / "x", truth, "{scene}.pfm")
-    with pytest.raises(InputError, match="two runs are called x: give one of them another name"):
-        evaluate_runs([folder, f"x={folder}"], truth, None)
-
-
 def kitti_like(folder: Path, name: str, rng: np.random.Generator) -> np.ndarray:
     """Write a frame of KITTI's size with truth at a fifth of the pixels, and return the truth without gaps."""
     disparity = np.broadcast_to(np.linspace(5, 60, 1242, dtype=np.float32), (375, 1242)).copy()
@@ -775,23 +593,6 @@ def test_no_mean_is_over_several_data_sets(tmp_path: Path, truth: Path):
     ]  # fmt: skip
     assert "all scenes" not in (tmp_path / "out" / "report.md").read_text()
     assert {h["scenes"] for h in report.to_dict()["headlines"] if h["data_set"] == "one"} == {2}
-
-
-def test_a_mean_says_how_many_scenes_have_that_truth(tmp_path: Path, truth: Path):
-    (truth / "b" / "mask_disc.png").unlink()
-    run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
-    report = evaluate_runs([run], truth, tmp_path / "out")
-    (section,) = report.sections
-    (summary, *_) = report_tables(report)
-    # The figure is over the regions that all scenes have; the region of one scene says so.
-    assert summary.header[:6] == ("run", "scenes", "nonocc", "all", "disc (1 of 2)", "mean of 4")
-    assert summary.rows[0][4:6] == ("100.00", "50.00")
-    assert section.overall("run").value == 50
-    details = {t.name: t for t in report_tables(report)}
-    assert details["metrics-disc"].rows[-1][1] == "mean of 1"
-    assert details["metrics-all"].rows[-1][1] == "mean of 2"
-    notes = {r["mask"]: r["note"] for r in rows(tmp_path / "out") if r["scene"] == "*mean" and r["metric"] == "rms"}
-    assert (notes["disc"], notes["all"]) == ("over 1 scenes", "over 2 scenes")
 
 
 def test_the_terminal_shows_the_headline_within_100_columns(

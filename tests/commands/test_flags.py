@@ -152,43 +152,6 @@ def test_a_mask_that_cannot_be_used_is_left_out_and_said(pairs, capsys):
         assert "region_95_good" in document["scenes"][0] and {each["error"] for each in document["scenes"]} == {""}
 
 
-@pytest.mark.slow
-def test_small_regions_of_averaged_volumes_and_names_that_occur_twice(pairs, capsys):
-    volume = read_volume(pairs / "pair_0" / "fixed.nii.gz")
-    shape = volume.values.shape
-    lesion, organs = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
-    lesion[10, 11, 12] = 1
-    organs[:5], organs[5:9], organs[9:12] = 1, 2, 3
-    write_array(pairs / "pair_0" / "mask_lesion.nii.gz", volume.grid, lesion)
-    write_array(pairs / "pair_0" / "mask_organs.nii.gz", volume.grid, organs)
-    labels = {"organs": {"liver": 1, "lesion": 2, "spleen": 3}}
-    (pairs / "pair_0" / "meta.json").write_text(json.dumps({"labels": labels}))
-    words = ["--set", f"max_voxels={volume.values.size // 30}", "--json"]
-    assert measure(pairs, *words) == 3
-    out, err = capsys.readouterr()
-    assert "two regions are called lesion" in err and err.count("\n") == 1
-    row = json.loads(out)["scenes"][0]
-    assert (row["width"], row["height"], row["slices"]) == volume.grid.size
-    voxel = np.prod(volume.grid.spacing) / 1000
-    assert row["region_volume_lesion"] == pytest.approx(voxel, abs=1e-4) and row["region_95_lesion"] >= 0
-    for name, label in (("liver", 1), ("spleen", 3)):
-        assert row[f"region_volume_{name}"] == pytest.approx((organs == label).sum() * voxel, abs=1e-4)
-
-
-@pytest.mark.slow
-def test_masks_whose_names_look_like_labels_give_no_warning(pairs, capsys):
-    volume = read_volume(pairs / "pair_0" / "fixed.nii.gz")
-    ones = np.ones(volume.values.shape, np.uint8)
-    for name in ("lobe", "lobe_2"):
-        write_array(pairs / "pair_0" / f"mask_{name}.nii.gz", volume.grid, ones)
-    assert measure_aloud(pairs) == 0
-    assert "holds one label" not in capsys.readouterr().err
-    two = np.where(np.arange(ones.shape[0])[:, None, None] > 3, 2 * ones, ones)
-    write_array(pairs / "pair_1" / "mask_lobe.nii.gz", volume.grid, two)
-    assert measure_aloud(pairs) == 0
-    assert "mask_lobe holds one label in pair_0" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -34,16 +34,6 @@ def test_calibrated_probabilities_have_no_error_and_sure_mistakes_all():
     assert wrong.ece == 1
 
 
-def test_what_is_no_probability_has_no_reliability():
-    right = np.array([True, False])
-    assert reliability(np.array([0.5, 1.01]), right) is None
-    assert reliability(np.array([0.5, np.nan]), right) is None
-    assert reliability(np.array([-3.0, 0.5]), right) is None
-    assert reliability(np.empty(0), np.empty(0, bool)) is None
-    with pytest.raises(ValueError, match="one length"):
-        reliability(np.ones(3), right)
-
-
 def test_pooled_is_that_of_all_pixels_together():
     rng = np.random.default_rng(1)
     p, right = rng.random(1000), rng.random(1000) < 0.6

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from depthcli.evaluation.curves import PERCENTAGES, sparsification
-from depthcli.evaluation.presentation import Presentation, error_picture, pixel_kinds
 from depthcli.evaluation.statistics import average_ranks, compare, holm, smallest_p
 from tests.naive import metrics as naive
 
@@ -78,19 +77,11 @@ def test_infinite_and_unknown_confidences():
         sparsification(np.zeros(0), np.zeros(0, bool))
 
 
-def test_no_error_has_no_ratio():
-    assert math.isnan(sparsification(np.arange(5), np.zeros(5, bool)).ratio)
-
-
 @given(st.integers(1, 5), st.integers(1, 6), st.integers(0, 10**6))
 @settings(max_examples=40, deadline=None)
 def test_average_rank_agrees_with_the_naive_one(rows, columns, seed):
     values = np.random.default_rng(seed).integers(0, 4, (rows, columns)).astype(float)
     np.testing.assert_allclose(average_ranks(values), naive.mean_rank(values.tolist()))
-
-
-def test_missing_result_ranks_last():
-    np.testing.assert_allclose(average_ranks(np.array([[np.nan, 1.0], [9.0, 2.0]])), [1.5, 1.5])
 
 
 def test_paired_comparison():
@@ -114,30 +105,7 @@ def test_wilcoxon_counts_the_signs_that_are_at_least_so_uneven(differences: tupl
     assert test.rank_difference == pytest.approx(np.dot(np.sign(differences), ranked) / ranked.sum())
 
 
-def test_many_scenes_and_none():
-    rng = np.random.default_rng(0)
-    for n in (14, 40, 200):
-        assert compare([0.0] * n, list(1 + rng.uniform(0, 1, n))).p_value < 1e-3
-    assert compare([0.0] * 20, [1.0] * 20).p_value < 1e-3  # all of one size
-    assert compare([1, 2], [1, 2]).p_value == 1
-    assert math.isnan(compare([math.nan], [1]).p_value)
-
-
 def test_holm():
     assert holm([0.01, 0.04, 0.03, math.nan]) == pytest.approx([0.03, 0.06, 0.06, math.nan], nan_ok=True)
     assert holm([0.9, 0.8]) == [1.0, 1.0]
     assert (smallest_p(4, 1), smallest_p(4, 2), smallest_p(6, 1), smallest_p(1, 3)) == (0.125, 0.25, 0.03125, 1.0)
-
-
-def test_error_picture_colors():
-    missing = np.array([[0, 0, 1, 0, 0, 0]], bool)
-    wrong = np.array([[0, 1, 0, 0, 1, 1]], bool)
-    evaluated = np.array([[1, 1, 1, 1, 1, 0]], bool)
-    hidden = np.array([[0, 0, 0, 1, 1, 0]], bool)
-    picture = error_picture(pixel_kinds(evaluated, hidden, wrong, missing))
-    colors = [(170, 170, 170), (0, 0, 0), (140, 30, 20), (176, 196, 222), (40, 70, 130), (255, 255, 255)]
-    assert [tuple(int(v) for v in p) for p in picture[0]] == colors
-    assert Presentation().legend == (
-        "grey: right; black: wrong; light blue: right, occluded; dark blue: wrong, occluded; dark red: no value; "
-        "white: truth unknown or not evaluated"
-    )

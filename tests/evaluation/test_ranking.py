@@ -49,8 +49,3 @@ def test_few_scenes_are_said_to_be_too_few(scenes: int, runs: int, enough: int):
     full = Ranking.of(["a", *others], {r: [v + 9 * k + k * v / 99 for v in NINE[:enough]] for k, r in
                                        enumerate(["a", *others])})  # fmt: skip
     assert full.is_significant("r0")
-
-
-def test_one_run_has_no_verdict():
-    ranking = Ranking.of(["a"], {"a": NINE})
-    assert (ranking.verdict(), ranking.word("a")) == ("", "best")

@@ -35,13 +35,6 @@ def test_places(values: tuple[float, ...], larger: bool | None, places: list[int
     assert column(values, larger).places(0) == places
 
 
-def test_shades():
-    assert column((2.0, 3.0, 4.0, 9.0, NAN)).shades(0) == [0.0, 0.5, 1.0, 1.0, 0.0]
-    assert column((50.0, 100.0), True).shades(0) == [0.5, 0.0]
-    assert column((0.0, 0.0, 1.0)).shades(0) == [0.0, 0.0, 1.0]
-    assert column((1.0, 2.0), None).shades(0) == [0.0, 0.0]
-
-
 def test_a_number_keeps_its_value():
     assert (Number(1.234), Number(1.234, 1), Number(2, mark="*"), Number(NAN, mark="*")) == (
         "1.23",
@@ -59,13 +52,6 @@ WIDE = Table(
     "a note",
     (None, False, True),
 )
-
-
-def test_text_and_a_table_without_ranks():
-    table = Table("T", ("run", "bad"), (("a", "1.00"), ("long|name", "12.50")), "note")
-    assert table.text() == "T\nrun          bad\na           1.00\nlong|name  12.50\nnote\n"
-    assert "| long\\|name | 12.50 |" in table.markdown()
-    assert WIDE.text().splitlines()[1:3] == ["run    s & t   up", "x|y_1   1.23  0.5"]
 
 
 def test_markdown():
@@ -88,16 +74,6 @@ def test_latex():
     assert r"two & \underline{2.00*} & - \\" in text
     assert r"\begin{tabular}{lrr}" in text
     assert text.count("{") == text.count("}")
-
-
-def test_html_is_escaped():
-    text = WIDE.html()
-    assert "<td>x|y_1</td><td>1.23</td>" in text
-    assert "<th>s &amp; t</th>" in text
-    headings = Table("", ("run", "s/GD", "Teddy"), ()).html()
-    assert 'title="computing time for 10^9 pixels x disparities searched, s">s/GD</th>' in headings
-    assert "<th>Teddy</th>" in headings
-    assert "<script>" not in Table("<script>", ("<script>",), (("<script>",),), "<script>").html()
 
 
 def test_csv_has_all_digits_and_no_marks():

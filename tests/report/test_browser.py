@@ -185,15 +185,6 @@ def test_it_fits_a_phone_and_loads_nothing_from_a_network(browser: Any, made: Pa
     visit.close()
 
 
-def test_without_script_tables_and_pictures_show(browser: Any, made: Path):
-    visit = Visit(browser, made / "report.html", script=False)
-    assert visit.page.locator(".matrix").first.is_visible()
-    assert visit.page.locator(".matrix").last.is_visible()
-    assert visit.page.locator(".thumbs img").first.is_visible()
-    assert not visit.page.locator("#viewer").is_visible()
-    visit.close()
-
-
 def test_full_size_comes_from_the_assets(browser: Any, tmp_path: Path, scenes: Path, runs: list[Path]):
     evaluate_runs(runs, scenes, tmp_path, viewers=[Page(budget=2000)])
     visit = Visit(browser, tmp_path / "report.html")

@@ -20,7 +20,7 @@ from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
 from depthcli.report.packing import unpack
 from depthcli.report.scene_view import view_with_truth
-from tests.report.conftest import ODD, truth_of
+from tests.report.conftest import ODD
 from tests.report.test_page import Reader, read
 
 SIZE = (48, 64)
@@ -137,27 +137,6 @@ def test_a_page_that_cannot_be_written_fails_no_run(pairs: Path, tmp_path: Path,
     assert (tmp_path / "run" / "easy" / "disp_left.pfm").is_file()
 
 
-def test_a_map_that_was_not_kept_is_said(pairs: Path, tmp_path: Path):
-    assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "easy", "--keep", "preview.png") == 0
-    reader = read(tmp_path / "run" / "evaluation")
-    assert "no map there" in reader.tables[0][1][1]
-    assert data_of(reader) == []
-
-
-def test_depth_has_a_page(runs: list[Path], tmp_path: Path):
-    run, output = runs[0], tmp_path / "depth"
-    arguments = ["--focal", "500", "--baseline", "0.1", "--scenes", "plain", "--html", "-q"]
-    assert main(["depth", str(run), "-o", str(output), *arguments]) == 0
-    reader = read(output / "evaluation")
-    assert reader.tables[0][1][0] == "plain"
-    (scene,) = data_of(reader)
-    assert (scene["quantity"], scene["unit"]) == ("depth", "mm")
-    near = unpack(scene["views"][0]["runs"]["depth"]["values"])
-    want = 1000 * read_pfm(output / "plain" / "depth.pfm")
-    assert np.allclose(near, want, rtol=1e-3, equal_nan=True)
-    assert len(truth_of(0)) == len(near)
-
-
 def test_frames_of_a_sensor_show_their_expected_error(tmp_path: Path):
     rng = np.random.default_rng(0)
     for number in range(2):
@@ -202,17 +181,6 @@ def test_a_registration_without_landmarks(volumes: Path, tmp_path: Path, capsys:
     assert np.array_equal(shown.values[inside], volume.grid.turned(volume.values)[inside])
     figure = row[header.index("expected error in the body, mm")]
     assert float(figure) == pytest.approx(shown.values[inside].mean(), abs=0.01)
-
-
-def test_a_mask_says_what_is_shown(volumes: Path):
-    given, made = volumes.parent / "set" / "pair_0", volumes.parent / "run" / "pair_0" / "expected_error.nii.gz"
-    mask = given / "mask.nii.gz"
-    scene = VolumePairScene(name="pair_0", folder=given, fixed=given / "fixed.nii.gz", mask=mask)
-    stored = read_volume(mask)
-    want = stored.grid.turned(stored.values) > 0
-    assert np.array_equal(
-        ~np.isnan(RegistrationProtocol.presentation.show(made, scene, RegistrationProtocol.files).values), want
-    )
 
 
 def test_landmarks_leave_the_whole_volume_in_sight(volumes: Path):

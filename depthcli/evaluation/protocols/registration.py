@@ -17,7 +17,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import ENDS, PLANES, Grid
 from depthcli.evaluation.curves import ConfidenceCurve, sparsification
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Axis, Presentation, ShownMap
+from depthcli.evaluation.presentation import Presentation, ShownMap, SliceAxis
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.results import MapResult
@@ -307,9 +307,9 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         return [_with_missing(score, 1 - n_answered / n_points, n_points) for score in made]
 
 
-def _axes(grid: Grid) -> tuple[Axis, ...]:
+def _axes(grid: Grid) -> tuple[SliceAxis, ...]:
     """Return the axes of a turned volume."""
-    return tuple(Axis(PLANES[k], ENDS[k], *grid.slice_positions(k)) for k in range(3))
+    return tuple(SliceAxis(PLANES[k], ENDS[k], *grid.slice_positions(k)) for k in range(3))
 
 
 def _drawn(points: tuple[Errors, Errors], share: float) -> tuple[Errors, Errors]:
