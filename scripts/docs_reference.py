@@ -41,9 +41,8 @@ from depthcli.methods.given_maps import map_measures
 from depthcli.methods.registration.search import MEASURES
 from depthcli.run import columns as report
 from depthcli.run.batch import EXIT_CODES
+from depthcli.run.folder import REPORT_FILES, RUN_FILE
 from depthcli.run.presets import find_config, list_presets
-from depthcli.run.records import RUN_FILE
-from depthcli.run.reports import REPORT_FILES
 
 Rows = dict[str, list[tuple[str, str]]]
 """Heading -> names with their explanations."""

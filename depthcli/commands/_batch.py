@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import BaseModel
 
 from depthcli.commands._evaluation import print_place, print_tables, viewers, write_page
 from depthcli.commands._flags import conditions_of, exit_code, flags_of
 from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.core.config_file import load_config
-from depthcli.core.errors import ConfigError
+from depthcli.core.config_file import dump_config, load_config, to_yaml
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.flags import Condition, Flags
 from depthcli.core.method import used_files
-from depthcli.core.text import one_line
+from depthcli.core.text import one_line, show_bytes
 from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
 from depthcli.evaluation.map_files import run_names
 from depthcli.evaluation.protocols import load
@@ -26,26 +26,22 @@ from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd_sequence import SequenceScene
 from depthcli.report.page import Page
 from depthcli.report.run_without_truth import RunWithoutTruth
-from depthcli.run.batch import Batch, Outcome, SceneT
-from depthcli.run.console import run_table
+from depthcli.run.batch import Batch, Execution, SceneT, shard_of
+from depthcli.run.console import aligned, run_table
+from depthcli.run.folder import LEGEND_FILE, refusal
 from depthcli.run.json_csv import Row, to_json
-from depthcli.run.plan import plan_document, plan_text, scenes_of_shard
 from depthcli.run.presets import find_config, find_preset
-from depthcli.run.reports import report_document
+from depthcli.run.report import report_document
 from depthcli.run.resources import parse_bytes
-from depthcli.run.run_folder import LEGEND_FILE
-from depthcli.run.runner import run_scenes
-from depthcli.run.sharing import parse_shard
-from depthcli.run.task import BUG
-from depthcli.run.task import RunOptions as _Options
+from depthcli.run.runner import Planner, run_scenes
+from depthcli.run.workers import BUG
 
 if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
-DEPTH_RESULTS = ("depth.*", "sigma.pfm", "status.png", "preview.png", "confidence_*", "points.ply")
-"""Shell patterns of the files that commands write for a map of depth."""
+DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
 
 def config_of(
@@ -78,28 +74,26 @@ def run_batch(
     scenes: Sequence[SceneT],
     options: RunOptions,
     source: SceneOptions | None = None,
-    config: str = "",
 ) -> int:
     """Compute scenes into the run folder, evaluate where requested, print table or JSON, and return the exit code.
 
     Parameters
     ----------
     source : the options that the scenes were found by, whose folder may hold ground truth
-    config : the CONFIG argument, by which a preset is known
     """
     reporter = options.reporter
     conditions = conditions_of(options.flag, options.fail_flagged)
-    how, command = _options_of(options), _AsCommand(batch)
+    how = execution_of(options)
     if options.dry_run or options.list_scenes:
         if options.dry_run:
-            document = plan_document(command, batch.config, scenes, options.output, command.memory_of, how)
-            reporter.data(to_json(document) if options.json else plan_text(document, batch.config))
+            plan = plan_of(batch, scenes, options.output, how)
+            reporter.data(to_json(plan) if options.json else _plan_text(plan, batch.config))
         else:
-            names = [scene.name for scene in scenes_of_shard(command, batch.config, scenes, how)]
+            names = [scene.name for scene in how.own(scenes)]
             lines = "".join(f"{one_line(name)}\n" for name in names)
             reporter.data(to_json({"command": batch.command, "scenes": names}) if options.json else lines)
         return 0
-    rows = run_scenes(command, batch.config, scenes, options.output, how, reporter)
+    rows = run_scenes(batch, scenes, options.output, how, reporter)
     for line in batch.notes(rows) if batch.notes is not None else ():
         reporter.info(f"warning: {line}")
     problems = batch.problems(rows) if batch.problems is not None else []
@@ -183,40 +177,53 @@ def _without_truth(
     return RunWithoutTruth(name, folder, load(batch.shown_as)(), batch.palette, shown, row_of, columns)
 
 
-def _options_of(options: RunOptions) -> _Options:
+def execution_of(options: RunOptions) -> Execution:
     """Return how a run is carried out; ConfigError for a wrong size or shard, or options that exclude each other."""
     memory = parse_bytes(options.max_memory) if options.max_memory else None
-    shard = parse_shard(options.shard, os.environ)
+    shard = shard_of(options.shard, os.environ)
     if shard is not None and (options.evaluate or options.html):
         raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
     if options.scheduler is not None and options.jobs != 1:
         raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
     keep = tuple(name.strip() for name in (options.keep or "").split(",") if name.strip())
-    return _Options(
+    return Execution(
         jobs=options.jobs, threads=options.threads, max_memory=memory, overwrite=options.overwrite, shard=shard,
         fail_fast=options.fail_fast, keep=keep, scheduler=options.scheduler,
     )  # fmt: skip
 
 
-class _AsCommand:
-    """A batch with the interface that ``run`` knows today."""
+def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> Row:
+    """Return what a run would do: its config, why the folder would be refused, and a row for every scene.
 
-    def __init__(self, batch: Batch[Any]) -> None:
-        self.batch, self.name, self.results = batch, batch.command, batch.results
+    A row has ``scene``, ``status`` (``DONE``, ``TO_DO`` or ``BROKEN``), ``memory`` (bytes or None) and ``problem``.
+    """
+    planner, rows = Planner(batch, scenes, output, how), []
+    for scene in how.own(scenes):
+        row: Row = {"scene": scene.name, "status": BROKEN, "memory": None, "problem": scene.problem}
+        if not scene.problem:
+            row["status"] = TO_DO if planner.finished(planner.task(scene, 0))[0] is None else DONE
+            try:
+                row["memory"] = None if batch.memory is None else batch.memory(scene)
+            except InputError as error:
+                row |= {"status": BROKEN, "problem": str(error)}
+        rows.append(row)
+    refused = ""
+    if refusal(output, planner.work.text):
+        refused = f"{output}: holds a run made with another config; needs --overwrite"
+    config = batch.config
+    values = config.model_dump(mode="json", by_alias=True) if isinstance(config, BaseModel) else dict(config)
+    return {"command": batch.command, "config": values, "output": str(output), "refused": refused, "scenes": rows}
 
-    def compute(self, config: Any, scene: Any, folder: Path, memory: int) -> Outcome:
-        return self.batch.compute(scene, folder, memory)
 
-    def files(self, config: Any, scene: Any) -> dict[str, Path]:
-        if self.batch.files is not None:
-            return self.batch.files(scene)
-        return scene.input_files | (used_files(config) if isinstance(config, BaseModel) else {})
-
-    def settings(self, config: Any, scene: Any) -> dict[str, str]:
-        return self.batch.settings(scene)
-
-    def effort(self, config: Any, scene: Any) -> int | None:
-        return None
-
-    def memory_of(self, config: Any, scene: Any) -> int | None:
-        return None if self.batch.memory is None else self.batch.memory(scene)
+def _plan_text(plan: Row, config: BaseModel | Mapping[str, object]) -> str:
+    """Return a plan as the text that ``--dry-run`` prints: config, table of scenes, counts."""
+    rows = plan["scenes"]
+    lines = [("scene", "status", "memory", "")]
+    for row in rows:
+        memory = show_bytes(row["memory"]) if row["memory"] is not None else "-"
+        lines.append((row["scene"], row["status"], memory, row["problem"]))
+    counts = {status: sum(row["status"] == status for row in rows) for status in (DONE, TO_DO, BROKEN)}
+    summary = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
+    notes = [f"{len(rows)} scenes: {summary}", *filter(None, [plan["refused"]]), "nothing was computed"]
+    text = dump_config(config) if isinstance(config, BaseModel) else to_yaml(dict(config))
+    return "\n".join([text, aligned(lines), "", *notes]) + "\n"

@@ -15,9 +15,8 @@ from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.page import Page
 from depthcli.report.run_without_truth import RunWithoutTruth
 from depthcli.run.console import Reporter
-from depthcli.run.install import staging_folder
+from depthcli.run.folder import saved_config, staging_folder
 from depthcli.run.resources import parse_bytes
-from depthcli.run.run_folder import saved_config
 
 PAGE_BUDGET = "50MB"
 """Default size of a page's pictures beyond which they are scaled down."""

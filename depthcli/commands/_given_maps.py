@@ -163,7 +163,7 @@ def _recognized(
     from depthcli.evaluation.map_files import recognized
     from depthcli.io.formats.files import collected_warnings
     from depthcli.io.formats.images import image_size
-    from depthcli.run.reports import read_report
+    from depthcli.run.report import read_report
 
     if not os.path.isdir(place) or read_report(place):
         return options

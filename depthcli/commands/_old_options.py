@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.run.command import Values
 
 if TYPE_CHECKING:
-    from depthcli.run.task import RunOptions
+    pass
 
 CONFIG = Option("config", str, "YAML file, or the name of a preset.", "CONFIG", required=True)
 INPUT = Option("input", Path, "Folder, archive or URL of scenes, or CSV of pairs.", "DIR", short="-i", group="Input")
@@ -37,30 +34,3 @@ RUN = (
     Option("fail_fast", bool, "Stop at the first scene that fails.", default=False, group="Run"),
     Option("list_scenes", bool, "Print the names of the scenes; compute nothing.", default=False, group="Run"),
 )  # fmt: skip
-
-
-def run_options(values: Values) -> RunOptions:
-    """Return how a run is carried out; ConfigError for a wrong size or shard, or options that exclude each other."""
-    from depthcli.run.resources import parse_bytes
-    from depthcli.run.sharing import parse_shard
-    from depthcli.run.task import RunOptions
-
-    memory = parse_bytes(values["max_memory"]) if values["max_memory"] else None
-    shard = parse_shard(values["shard"], os.environ)
-    if shard is not None and (values.get("evaluate") or values.get("html")):
-        raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
-    if values["scheduler"] is not None and values["jobs"] != 1:
-        raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
-    return RunOptions(
-        jobs=values["jobs"],
-        threads=values["threads"],
-        max_memory=memory,
-        overwrite=values["overwrite"],
-        shard=shard,
-        fail_fast=values["fail_fast"],
-        keep=tuple(name.strip() for name in (values["keep"] or "").split(",") if name.strip()),
-        scheduler=values["scheduler"],
-    )
-
-
-UNIT = Option("unit", str, "Unit of the translation in an OpenCV calibration: m, cm or mm.", "UNIT", group="Input")

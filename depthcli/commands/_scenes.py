@@ -20,7 +20,7 @@ from depthcli.io.walk import NoScenesError, chosen_scenes, discover_scenes, matc
 from depthcli.run.command import SceneT, Values
 from depthcli.run.console import Reporter
 from depthcli.run.records import is_inside
-from depthcli.run.reports import read_report
+from depthcli.run.report import read_report
 
 _MAP = "disp_left.pfm"
 _MIN_SCENES_TO_FREEZE = 1000  # scenes, whose objects take long to look through

@@ -10,7 +10,7 @@ import numpy as np
 
 from depthcli.api.depth import check_completion_memory, completed_frame, sparse_by_stereo
 from depthcli.api.results import share
-from depthcli.commands._batch import DEPTH_RESULTS, config_of, run_batch
+from depthcli.commands._batch import config_of, run_batch
 from depthcli.commands._options import FrameOptions, RunOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import InputError
@@ -50,7 +50,6 @@ def complete_frames(
         config=found,
         compute=complete,
         columns=(SIZE, *(Column(name, percent(name)) for name in _COLUMNS)),
-        results=DEPTH_RESULTS,
         files=complete.files,
         settings=complete.settings,
         memory=complete.memory,

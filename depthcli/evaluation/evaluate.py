@@ -36,10 +36,9 @@ from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import discover_scenes, scene_with_file
 from depthcli.run.console import Reporter
-from depthcli.run.install import staging_folder
+from depthcli.run.folder import saved_config, staging_folder
 from depthcli.run.json_csv import Row, to_csv, to_json
-from depthcli.run.reports import read_report
-from depthcli.run.run_folder import saved_config
+from depthcli.run.report import read_report
 
 PAGE_FILE = "report.html"
 """The page, in the folder of an evaluation."""

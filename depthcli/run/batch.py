@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from depthcli.core.errors import ConfigError
 from depthcli.io.scenes import Scene
+from depthcli.run.resources import available_memory, cores
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -52,6 +55,65 @@ class Outcome:
     warnings: list[str] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class Execution:
+    """How a run is carried out; none of it but ``keep`` changes the results.
+
+    Attributes
+    ----------
+    jobs : worker processes; 1 computes in this process
+    threads : threads of each; None divides the cores among them
+    max_memory : bytes that all of them together may use; None: what is available
+    overwrite : replace what an earlier run with another config or from other inputs left
+    shard : (I, N): compute every N-th scene, from the I-th, while other processes compute the others; None: all
+    fail_fast : stop at the first scene that fails
+    keep : shell patterns of the files that are kept of a scene; none: all
+    scheduler : address of the dask.distributed cluster that computes; None: this machine
+    """
+
+    jobs: int = 1
+    threads: int | None = None
+    max_memory: int | None = None
+    overwrite: bool = False
+    shard: tuple[int, int] | None = None
+    fail_fast: bool = False
+    keep: tuple[str, ...] = ()
+    scheduler: str | None = None
+
+    def threads_each(self) -> int:
+        """Return the number of threads of one worker."""
+        return self.threads or max(1, cores() // self.jobs)
+
+    def memory_each(self) -> int:
+        """Return the bytes that one worker may use."""
+        return (self.max_memory or available_memory()) // self.jobs
+
+    def own(self, scenes: Sequence[SceneT]) -> list[SceneT]:
+        """Return the scenes that this process computes."""
+        first, step = self.shard or (1, 1)
+        return list(scenes[first - 1 :: step])
+
+
+def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[int, int] | None:
+    """Return the shard that ``3/8`` or a job array of Slurm describes; None for neither.
+
+    Raises
+    ------
+    ConfigError
+        The part does not exist.
+    """
+    if text is None and "SLURM_ARRAY_TASK_COUNT" in environment:
+        names = ("ID", "MIN", "STEP", "COUNT")
+        task, first, step, parts = (int(environment.get(f"SLURM_ARRAY_TASK_{name}", "1")) for name in names)
+        text = f"{(task - first) // max(step, 1) + 1}/{parts}"
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise ConfigError(f"--shard: must be part/parts such as 3/8, from 1/8 to 8/8 (got {text!r})")
+    return int(found[1]), int(found[2])
+
+
 def _nothing(*args: object) -> Any:
     return {}
 
@@ -66,7 +128,6 @@ class Batch(Generic[SceneT]):
     config : the config, or the options of a command without one; it decides with all versions which run this is
     compute : computes a scene with at most so many bytes of memory, and writes its files into an empty folder
     columns : of the printed table, beside scene, status, seconds and memory
-    results : shell patterns of the files that ``compute`` writes: files of these names that no run wrote stay
     files : returns role -> file, for all files whose content the result depends on
     settings : returns what the result depends on beside config and files: facts that the layout found
     memory : estimates the peak memory in bytes from the headers of the files; None where that is not known
@@ -82,7 +143,6 @@ class Batch(Generic[SceneT]):
     config: BaseModel | Mapping[str, object]
     compute: Callable[[SceneT, Path, int], Outcome]
     columns: tuple[Column, ...]
-    results: tuple[str, ...]
     files: Callable[[SceneT], dict[str, Path]] | None = None
     settings: Callable[[SceneT], dict[str, str]] = _nothing
     memory: Callable[[SceneT], int | None] | None = None

@@ -10,16 +10,13 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, ClassVar, TextIO
+from typing import ClassVar, TextIO
 
 from depthcli.core.errors import IncompleteError
 from depthcli.core.registry import PluginWarning
 from depthcli.core.text import one_line, printable
 from depthcli.run.json_csv import Row
-from depthcli.run.progress_bar import Progress
-
-if TYPE_CHECKING:
-    from depthcli.run.activities import Running
+from depthcli.run.progress import Progress
 
 _MAX_ROWS = 50  # of a table; of longer ones only the failed scenes and a summary are shown
 
@@ -92,29 +89,21 @@ class Reporter:
             if isinstance(error, OSError) and number not in (errno.EPIPE, errno.EBADF):
                 raise IncompleteError(f"stdout: cannot be written ({error.strerror or error})") from error
 
-    def start(
-        self,
-        total: int,
-        done: int,
-        what: str,
-        unit: str = "scene",
-        running: Callable[[], Sequence[Running]] | None = None,
-    ) -> None:
+    def start(self, total: int, done: int, what: str) -> None:
         """Begin to show progress, unless quiet: a bar on a terminal, otherwise a line every 30 seconds.
 
         Parameters
         ----------
-        total, done : number of scenes (or what ``unit`` says), and how many of them were done before
+        total, done : number of scenes, and how many of them were done before
         what : name of the command
-        running : returns the scenes that are being computed; None where that is not known
         """
         if self.level >= 0:
-            self._progress = Progress(what, total, done, unit, running, self.info, _is_terminal())
+            self._progress = Progress(what, total, done, self.info, _is_terminal())
 
-    def step(self, failed: bool = False, computed: bool = True) -> None:
-        """Count one more scene; one that was not ``computed`` by this run says nothing about the time of others."""
+    def step(self, failed: bool = False) -> None:
+        """Count one more scene."""
         if self._progress is not None:
-            self._progress.step(failed, computed)
+            self._progress.step(failed)
 
     def __enter__(self) -> Reporter:
         return self

@@ -59,7 +59,7 @@ def to_csv(rows: Sequence[Mapping[str, object]]) -> str:
 
 
 def write_csv(file: TextIO, rows: Sequence[Mapping[str, object]]) -> None:
-    """Write rows to an open file as :func:`to_csv` does; mappings in them become ``outer_inner`` columns.
+    """Write rows to an open file as :func:`to_csv` does; mappings become ``outer_inner`` columns, lists one text.
 
     No text becomes a formula of a spreadsheet, see :func:`~depthcli.core.text.csv_cell`.
     """
@@ -72,5 +72,8 @@ def write_csv(file: TextIO, rows: Sequence[Mapping[str, object]]) -> None:
 def _flat(row: Mapping[str, object]) -> dict[str, object]:
     out: dict[str, object] = {}
     for key, value in row.items():
-        out.update({f"{key}_{k}": v for k, v in value.items()} if isinstance(value, Mapping) else {key: value})
+        if isinstance(value, Mapping):
+            out.update({f"{key}_{k}": v for k, v in value.items()})
+        else:
+            out[key] = "; ".join(map(str, value)) if isinstance(value, list) else value
     return out

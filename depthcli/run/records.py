@@ -1,42 +1,43 @@
-"""Records of results: their inputs and their files, by which a later run resumes and replaces no other file.
+"""Records of results: what they were made from and consist of, by which a later run resumes and replaces no other file.
 
-Every scene of a run has a record, and so has an evaluation. A record is not trusted when it is read: it may name only
-files in its own folder, holds a digest of itself and of each of them, and is ignored where a digest does not match.
+The folder of a scene holds its results and ``record.json``, which is written last; so does an evaluation. Results are
+made in a hidden folder and then moved. A record is not trusted when it is read: it may name only files in its own
+folder, holds a digest of itself and of each of them, and is ignored where a digest does not match.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+import platform
+import re
+import shutil
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-from depthcli.core.errors import InputError
-from depthcli.io.formats.files import MAX_BYTES, open_regular, read_bytes, write_text
-from depthcli.io.formats.images import IMAGE_SUFFIXES
+from depthcli.core.errors import InputError, OutputError
+from depthcli.io.formats.files import open_regular, remove_temporaries, write_text
 from depthcli.run.json_csv import Row, to_json
-
-RUN_FILE = "run.yaml"
-"""In a run folder: the config of the run."""
 
 RECORD_FILE = "record.json"
 CLAIM_FILE = ".claim.json"
 """The record of results that are being written or removed: they are not done, but their files may be replaced."""
 
-# The digest at the end of a record stands between these two.
-_BEFORE_DIGEST, _AFTER_DIGEST = ',\n "check": ', "\n}\n"
-# A report of 100,000 scenes has about 60 MB; larger files are not ours.
-MAX_TEXT_BYTES = 1 << 28
-# Volumes may be large; without a bound a sparse file of no size on disk would be read for hours.
-_MAX_HASHED_BYTES = 1 << 36
+OTHER_RUN = "holds a scene of another run; choose another --output, or --overwrite it"
+PARTIAL_PREFIX = ".partial-"
+"""Start of the names of hidden folders in which results are made; one without a process is left by a killed run."""
+
+_MAX_TEXT_BYTES = 1 << 28  # a report of 100,000 scenes has about 60 MB; larger files are not ours
+_MAX_NAMED = 3  # files that a message names
 
 
 @dataclass(frozen=True)
 class Record:
-    """What finished results were made from and consist of; the last file that is written into their folder.
+    """What results were made from and consist of.
 
     Attributes
     ----------
@@ -44,18 +45,18 @@ class Record:
     run : identity of the run, the digest of its ``run.yaml``; or the name of the command that has no such file
     inputs : role -> digest of an input file, and whatever else the result depends on
     files : path below the scene's folder -> digest of the file
-    facts : columns of the report that do not change when the scene is computed again
+    row : the scene's row of the report; of a scene that failed, too, which has no files then
     """
 
     scene: str
     run: str
     inputs: dict[str, str]
     files: dict[str, str]
-    facts: Row
+    row: Row
 
     def is_done(self, folder: Path, run: str, inputs: Mapping[str, str]) -> bool:
         """Return True where this run made the files from these inputs, and all of them are unchanged in ``folder``."""
-        made = self.run == run and self.inputs == dict(inputs)
+        made = self.row.get("status") == "done" and self.run == run and self.inputs == dict(inputs)
         return made and all(file_digest(folder / name) == content for name, content in self.files.items())
 
 
@@ -66,21 +67,11 @@ def digest(data: bytes) -> str:
 
 def file_digest(path: Path) -> str:
     """Return the SHA-256 digest of a file, or the reason why it cannot be read, which never equals a digest."""
-    limit = MAX_BYTES if path.suffix.lower() in IMAGE_SUFFIXES else _MAX_HASHED_BYTES
-    sha = hashlib.sha256()
     try:
         with open_regular(path) as file:
-            left = os.fstat(file.fileno()).st_size
-            if left > limit:
-                return f"unreadable: larger than {limit >> 30} GiB"
-            while block := file.read(1 << 20):
-                sha.update(block)
-                left -= len(block)
-                if left < 0:  # a file of the kernel, which may have no end, or one that is being written
-                    return "unreadable: longer than its size says"
-    except InputError as error:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except (InputError, ValueError) as error:
         return f"unreadable: {error}"
-    return sha.hexdigest()
 
 
 def digests_below(folder: Path) -> dict[str, str]:
@@ -90,43 +81,36 @@ def digests_below(folder: Path) -> dict[str, str]:
 
 
 def write_record(folder: Path, record: Record) -> None:
-    """Write a record, with a digest of itself at its end, into a folder of results."""
-    content = to_json(asdict(record))
-    check = f'{_BEFORE_DIGEST}"{digest(content.encode("utf-8"))}"{_AFTER_DIGEST}'
-    write_text(folder / RECORD_FILE, content.removesuffix(_AFTER_DIGEST) + check)
+    """Write a record, with a digest of itself, into a folder of results; OutputError where that is impossible."""
+    content = json.loads(to_json(asdict(record)))
+    write_text(folder / RECORD_FILE, to_json(content | {"check": _check(content)}))
 
 
-def read_record(folder: Path, name: str = "") -> Record | None:
-    """Return the record of a folder of results; None where it is missing, damaged, or names files elsewhere.
-
-    Parameters
-    ----------
-    name : scene in the run folder ``folder``, as a report has it; one that leads out of the folder has no record
-    """
-    if name and not is_inside(name):
-        return None
-    return _record_of(folder / name / RECORD_FILE)
-
-
-def _record_of(file: Path) -> Record | None:
-    # The digest is that of the text without it, so that nothing has to be encoded again.
-    content, found, check = read_text(file).rpartition(_BEFORE_DIGEST)
-    content += _AFTER_DIGEST
-    if not found or check != f'"{digest(content.encode("utf-8", "surrogatepass"))}"{_AFTER_DIGEST}':
+def read_record(folder: Path, name: str = RECORD_FILE) -> Record | None:
+    """Return the record in a folder of results; None where it is missing or damaged."""
+    content = read_json(folder / name)
+    if not isinstance(content, dict) or content.pop("check", None) != _check(content):
         return None
     try:
-        record = Record(**json.loads(content))
-    except (ValueError, TypeError, RecursionError):
-        return None
-    if not all(isinstance(each, dict) for each in (record.inputs, record.files, record.facts)):
+        record = Record(**content)
+    except TypeError:
         return None
     return record if all(is_inside(name) for name in record.files) else None
 
 
-def claims(folder: Path, names: Sequence[str] = (CLAIM_FILE, RECORD_FILE)) -> set[str]:
-    """Return the files in a folder that the records of these names say a run wrote."""
-    known = [record for name in names if (record := _record_of(folder / name)) is not None]
-    return {name for record in known for name in record.files}
+def _check(content: object) -> str:
+    return digest(json.dumps(content, sort_keys=True).encode())
+
+
+def records_below(folder: Path, run: str) -> Iterator[Record]:
+    """Yield the records of all scenes of a run, by name; folders of scenes and hidden ones are not searched."""
+    for place, folders, files in os.walk(folder):
+        folders[:] = sorted(each for each in folders if not each.startswith("."))
+        if RECORD_FILE in files:
+            folders.clear()
+            record = read_record(Path(place))
+            if record is not None and record.scene and record.run == run:
+                yield record
 
 
 def is_inside(name: str) -> bool:
@@ -136,15 +120,134 @@ def is_inside(name: str) -> bool:
 
 def read_text(path: Path) -> str:
     """Return the text of a regular file of reasonable size, empty for any other."""
-    try:  # no more than its size: some files of /proc have none, and no end
-        return read_bytes(path, MAX_TEXT_BYTES).decode("utf-8", "replace").replace("\r\n", "\n")
+    try:
+        with open_regular(path) as file:
+            return file.read(_MAX_TEXT_BYTES).decode("utf-8", "replace").replace("\r\n", "\n")
     except InputError:
         return ""
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path) -> object:
     """Return the content of a JSON file; None where it is missing or damaged."""
     try:
-        return json.loads(read_text(path))
+        content: object = json.loads(read_text(path))
     except (ValueError, RecursionError):
         return None
+    return content
+
+
+def hidden_folder(folder: Path) -> Path:
+    """Return a new hidden folder below ``folder`` in which this process makes results.
+
+    The time is part of its name: processes of restarted containers have the same machine and number again.
+    """
+    machine = re.sub("[^A-Za-z0-9-]", "_", platform.node())
+    return folder / f"{PARTIAL_PREFIX}{machine}-{os.getpid()}-{time.time_ns():x}"
+
+
+def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -> None:
+    """Move results from the hidden folder ``made`` to ``folder``, in the place of files that a record claims.
+
+    Raises
+    ------
+    OutputError
+        The folder holds results of another run and ``overwrite`` is not set, or files that no record claims have the
+        names of results; nothing was moved then.
+    """
+    write_record(made, record)
+    earlier = read_record(folder)
+    if earlier is not None and earlier.run != record.run and not overwrite:
+        raise OutputError(f"{folder}: {OTHER_RUN}")
+    if foreign := _foreign_files(folder, record.files):
+        raise OutputError(f"{folder}: {not_ours(foreign)}")
+    remove_results(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        made.rename(folder)
+    except OSError:  # the folder exists and holds files of others
+        folder.mkdir(exist_ok=True)
+        # Where this is interrupted, the next run knows by the claim that the files are its own.
+        os.replace(made / RECORD_FILE, folder / CLAIM_FILE)
+        for name in record.files:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(made / name, folder / name)
+        os.replace(folder / CLAIM_FILE, folder / RECORD_FILE)
+
+
+def record_failure(folder: Path, record: Record, overwrite: bool) -> None:
+    """Write the record of a scene that failed, in the place of what the run made of other inputs before, if possible.
+
+    Results of another run stay, and so do files that no record claims.
+    """
+    earlier = read_record(folder)
+    is_ours = earlier is None or earlier.run == record.run or overwrite
+    if is_ours and not _foreign_files(folder, {}):
+        with contextlib.suppress(OSError, OutputError):
+            remove_results(folder)
+            write_record(folder, record)
+
+
+def remove_results(folder: Path) -> None:
+    """Delete the files that the records of a folder claim, and folders that are empty then; other files stay.
+
+    The record becomes a claim first: where this is interrupted the results are not done, but still known.
+    """
+    for _ in range(2):  # what a claim that was left behind lists, then what the record lists
+        folders = {folder}
+        for name in _claims(folder, (CLAIM_FILE,)):
+            (folder / name).unlink(missing_ok=True)
+            folders.update(folder / parent for parent in Path(name).parents)
+        (folder / CLAIM_FILE).unlink(missing_ok=True)
+        for each in sorted(folders, key=lambda path: -len(path.parts)):
+            with contextlib.suppress(OSError):  # it is not empty
+                each.rmdir()
+        if read_record(folder) is not None:
+            with contextlib.suppress(FileNotFoundError):
+                (folder / RECORD_FILE).replace(folder / CLAIM_FILE)
+
+
+def discard(folder: Path) -> None:
+    """Delete a hidden folder; it is renamed first, so that a process still writing into it loses all of it at once."""
+    away = folder.with_name(f"{folder.name}-{time.time_ns()}")
+    try:
+        folder.rename(away)
+    except OSError:
+        away = folder
+    shutil.rmtree(away, ignore_errors=True)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what killed processes left in a folder where no other process writes."""
+    for made in folder.glob(f"{PARTIAL_PREFIX}*"):
+        if not made.is_symlink():
+            discard(made)
+    remove_temporaries(folder)
+
+
+def not_ours(names: Sequence[str]) -> str:
+    """Return why files that no run wrote are not replaced, and what to do."""
+    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+    return (
+        f"{', '.join(names[:_MAX_NAMED])}{more} would be replaced, but no record says that depthcli wrote "
+        f"{'it' if len(names) == 1 else 'them'}; move {'it' if len(names) == 1 else 'them'} away, or choose another "
+        "folder of results (only results are ever replaced)"
+    )
+
+
+def _claims(folder: Path, names: Sequence[str] = (CLAIM_FILE, RECORD_FILE)) -> set[str]:
+    """Return the files in a folder that the records of these names say a run wrote."""
+    return {file for name in names if (record := read_record(folder, name)) is not None for file in record.files}
+
+
+def _foreign_files(folder: Path, files: Mapping[str, str]) -> list[str]:
+    """Return those of ``files``, name -> digest, that would replace a file that no record claims.
+
+    A file with the same content counts as ours: nothing is lost. So do the results of a scene whose record was lost.
+    """
+    claimed = _claims(folder)
+    there = {name: file_digest(folder / name) for name in files if os.path.lexists(folder / name)}
+    names = [name for name, content in there.items() if name not in claimed and content != files[name]]
+    known = claimed or any(read_record(folder, name) is not None for name in (RECORD_FILE, CLAIM_FILE))
+    if not known and not any(content == files[name] for name, content in there.items()):
+        names += [name for name in (RECORD_FILE, CLAIM_FILE) if os.path.lexists(folder / name)]  # not a damaged record
+    return names

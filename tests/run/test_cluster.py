@@ -15,15 +15,16 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
+from depthcli.run.cluster import _Cluster
+from depthcli.run.cluster_worker import chunk_function, source_digest_function
+from depthcli.run.task import Run, Task
 
 from depthcli.cli import main
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.run import records, run_folder
-from depthcli.run.cluster import _Cluster
-from depthcli.run.cluster_worker import chunk_function, source_digest_function
+from depthcli.run.batch import RunOptions
 from depthcli.run.console import Reporter
-from depthcli.run.reports import REPORT_FILES
-from depthcli.run.task import Run, RunOptions, Task
+from depthcli.run.folder import REPORT_FILES
 
 PRESET = "opencv-sgbm"
 SCENES = 48

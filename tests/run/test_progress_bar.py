@@ -15,18 +15,17 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from depthcli.run.activities import Announcer, Board, Running
+from depthcli.run.progress_bar import Progress
 from pydantic import BaseModel
 
 from depthcli.cli import main
 from depthcli.core.progress import Activity, announce_stage, counted
 from depthcli.core.result import Clock
 from depthcli.io.scenes import Scene
-from depthcli.run.activities import Announcer, Board, Running
-from depthcli.run.batch import Outcome
+from depthcli.run.batch import Outcome, RunOptions
 from depthcli.run.console import Reporter
-from depthcli.run.progress_bar import Progress
 from depthcli.run.runner import run_scenes
-from depthcli.run.task import RunOptions
 
 TILE = Activity("first_estimate", "tile", 3, 12)
 

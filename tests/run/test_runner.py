@@ -13,6 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from depthcli.run.install import discard, hidden_folder
+from depthcli.run.plan import plan_document
+from depthcli.run.sharing import Shard
+from depthcli.run.task import Run, Task, run_task
 from pydantic import BaseModel
 
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
@@ -20,15 +24,11 @@ from depthcli.core.result import Clock
 from depthcli.io.formats.files import atomic_path
 from depthcli.io.scenes import Scene
 from depthcli.run import records, resources
-from depthcli.run.batch import Outcome
+from depthcli.run.batch import Outcome, RunOptions
 from depthcli.run.console import Reporter, run_table
-from depthcli.run.install import discard, hidden_folder
-from depthcli.run.plan import plan_document
 from depthcli.run.records import RECORD_FILE
-from depthcli.run.reports import read_report
+from depthcli.run.report import read_report
 from depthcli.run.runner import run_scenes
-from depthcli.run.sharing import Shard
-from depthcli.run.task import Run, RunOptions, Task, run_task
 
 
 class Config(BaseModel):

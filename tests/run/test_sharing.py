@@ -14,6 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from depthcli.run.report_parts import joined_rows
+from depthcli.run.reports import write_rows
+from depthcli.run.sharing import LOCKS_FILE, Shard, parse_shard
 
 from depthcli.cli import main
 from depthcli.commands.stereo import COMMAND as STEREO
@@ -22,9 +25,8 @@ from depthcli.io.formats.images import write_png
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.run import run_folder
-from depthcli.run.report_parts import joined_rows
-from depthcli.run.reports import REPORT_FILES, read_report, write_rows
-from depthcli.run.sharing import LOCKS_FILE, FolderLock, Shard, parse_shard
+from depthcli.run.folder import REPORT_FILES, FolderLock
+from depthcli.run.report import read_report
 
 FAST = "opencv-bm"
 
@@ -227,7 +229,7 @@ def test_a_scene_is_claimed_by_one(tmp_path: Path):
     """Two processes, since these locks are a process's."""
     code = f"""
 from pathlib import Path
-from depthcli.run.sharing import FolderLock
+from depthcli.run.folder import FolderLock
 with FolderLock(Path({str(tmp_path / "run")!r}), True, print) as lock:
     lock.settle()
     print(*(lock.claim(name) for name in ("a", "b", "c")), flush=True)

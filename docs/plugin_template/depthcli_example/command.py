@@ -56,7 +56,6 @@ def constant(config: ConfigArgument, pairs: PairOptions, run: ScoredRunOptions, 
         config=found,
         compute=Constant(found),
         columns=(SIZE,),
-        results=("disp_left.pfm",),
         shown_as="middlebury-v2",
     )
     return run_batch(batch, find_scenes((StereoScene,), pairs, run), run, pairs)

@@ -1,0 +1,300 @@
+"""The folder of a run: ``run.yaml``, which says what the run is, and the processes that write into it.
+
+Processes with the same config may share a folder. Each holds a shared lock of it; the first one is alone and sets the
+folder up while the others wait. A scene is computed by the process that holds its byte of the file of locks. The
+operating system frees all locks of a process that ends, however it ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import platform
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from types import TracebackType
+
+from pydantic import BaseModel
+
+from depthcli import __version__
+from depthcli.core.config_file import dump_config, to_yaml
+from depthcli.core.errors import ConfigError, InputError, OutputError
+from depthcli.core.registry import Plugin, versions_here
+from depthcli.io.formats.files import write_text
+from depthcli.run.records import (
+    CLAIM_FILE,
+    RECORD_FILE,
+    Record,
+    digest,
+    digests_below,
+    discard,
+    hidden_folder,
+    install,
+    not_ours,
+    read_record,
+    read_text,
+    records_below,
+    remove_leftovers,
+    remove_results,
+)
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+RUN_FILE = "run.yaml"
+REPORT_FILES = ("report.json", "report.csv")
+LEGEND_FILE = "legend.png"
+LOCKS_FILE = ".locks"
+
+# Packages whose versions decide what a run computes; part of the run's identity.
+_LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
+# The first line of a run.yaml begins with this; a file of that name without it is not ours.
+_TITLE = "# Written by depthcli: the resolved config of this run."
+_SETUP_TIMEOUT = 60.0  # seconds that a process waits for another one to set up the folder
+_POLL_SECONDS = 0.05
+_REPORT_BYTE = 0  # of the file of locks; locked while the report is written
+
+
+def run_text(command: str, config: BaseModel | Mapping[str, object], plugins: Iterable[Plugin] = ()) -> str:
+    """Return the text of ``run.yaml``: the resolved config, which can be used as CONFIG again, and all versions."""
+    versions = {"depthcli": __version__, "python": platform.python_version()}
+    for name in _LIBRARIES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    run = to_yaml({"run": {"command": command, "versions": versions | versions_here(plugins)}})
+    if isinstance(config, BaseModel):
+        return f"{_TITLE} Repeat it with: depthcli {command} run.yaml ...\n{dump_config(config)}{run}"
+    return f"{_TITLE}\n{to_yaml(dict(config))}{run}"
+
+
+def saved_config(folder: Path) -> str:
+    """Return the text of a run folder's ``run.yaml``; empty where it is missing or cannot be read."""
+    return read_text(folder / RUN_FILE)
+
+
+def opened_run(folder: Path) -> tuple[str, str]:
+    """Return identity and command of the run that a folder holds; InputError where it holds none."""
+    text = saved_config(folder)
+    command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
+    if command is None:
+        raise InputError(f"{folder}: no run there ({RUN_FILE})")
+    return digest(text.encode()), command[1]
+
+
+def refusal(folder: Path, text: str) -> str:
+    """Return why a folder holds another run than ``text``, which only ``--overwrite`` replaces; or empty."""
+    known = saved_config(folder)
+    if not os.path.lexists(folder / RUN_FILE) or known == text or not _holds_results(folder):
+        return ""
+    if not known:
+        return f"holds a run made with another config (its {RUN_FILE} cannot be read)"
+    old, new = known.splitlines(), text.splitlines()
+    removed = [line.strip() for line in old if line not in new and not line.startswith("#")]
+    added = [line.strip() for line in new if line not in old and not line.startswith("#")]
+    changes = f"it says {'; '.join(removed[:3])!r}, this run {'; '.join(added[:3])!r}"
+    return f"holds a run made with another config ({changes})"
+
+
+def _holds_results(folder: Path) -> bool:
+    """Return whether a scene of the run is done, or its record is damaged; evaluations and runs below do not count."""
+    deeper = (path for path in folder.glob(f"*/*/{RECORD_FILE}") if not (path.parents[1] / RUN_FILE).exists())
+    records = (read_record(path.parent) for paths in (folder.glob(f"*/{RECORD_FILE}"), deeper) for path in paths)
+    return any(record is None or (record.scene and record.row.get("status") == "done") for record in records)
+
+
+class FolderLock:
+    """The right to write into a run folder.
+
+    Parameters
+    ----------
+    output : the folder, made where it is missing
+    warn : takes a message where the file system has no locks
+
+    Attributes
+    ----------
+    alone : True while no other process can write into the folder: until ``share``, or once ``last`` returned True
+    locks : False on a file system without locks, where nobody knows of other processes
+    """
+
+    def __init__(self, output: Path, warn: Callable[[str], None]) -> None:
+        self.output, self._warn = output, warn
+        self.alone, self.locks = False, fcntl is not None
+        self._folder = self._scenes = -1
+
+    def __enter__(self) -> FolderLock:
+        try:
+            self.output.mkdir(parents=True, exist_ok=True)
+            self._folder = os.open(self.output, os.O_RDONLY)
+        except OSError as error:
+            raise OutputError(f"{self.output}: cannot be used as a run folder ({error.strerror or error})") from error
+        try:
+            self._wait()
+        except BaseException:
+            os.close(self._folder)
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        for each in (self._scenes, self._folder):
+            if each >= 0:
+                os.close(each)
+
+    def _wait(self) -> None:
+        end = time.monotonic() + _SETUP_TIMEOUT
+        while self.locks and not self.alone:
+            try:
+                if not self._try_lock(fcntl.LOCK_EX):
+                    if self._try_lock(fcntl.LOCK_SH):
+                        return
+                    if time.monotonic() > end:
+                        raise ConfigError(f"{self.output}: another depthcli is setting this folder up; try again")
+                    time.sleep(_POLL_SECONDS)
+                    continue
+                self.alone = True
+            except OSError:
+                self.locks = False
+        if not self.locks:
+            self._warn(f"{self.output}: no locks on this file system; make sure that no other run writes there")
+
+    def _try_lock(self, kind: int) -> bool:
+        try:
+            fcntl.flock(self._folder, kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
+
+    def set_up(self, text: str, overwrite: bool) -> None:
+        """Make the folder that of the run whose ``run.yaml`` has this text, and admit other processes of the run.
+
+        Raises
+        ------
+        ConfigError
+            It holds results of another config, and ``overwrite`` is not set; files that no run wrote have the names of
+            a run's; or other processes write a run of another config there.
+        """
+        output, known = self.output, saved_config(self.output)
+        if (self.alone or not self.locks) and known != text:
+            if (reason := refusal(output, text)) and not overwrite:
+                raise ConfigError(f"{output}: {reason}; choose another --output, or --overwrite it")
+            if not known.startswith(_TITLE) and not _holds_results(output):
+                foreign = [name for name in (RUN_FILE, *REPORT_FILES, LEGEND_FILE) if os.path.lexists(output / name)]
+                if foreign:
+                    raise ConfigError(f"{output}: {not_ours(foreign)}")
+            for record in records_below(output, digest(known.encode())):  # of the run that is replaced
+                remove_results(output / record.scene)
+            write_text(output / RUN_FILE, text)
+        if saved_config(output) != text:
+            raise ConfigError(f"{output}: another depthcli writes a run of another config there now; choose another")
+        self.share()
+
+    def share(self) -> None:
+        """Remove what killed processes left, and admit other processes."""
+        if self.alone:
+            remove_leftovers(self.output)
+        if self.locks:
+            with contextlib.suppress(OSError):
+                self._scenes = os.open(self.output / LOCKS_FILE, os.O_RDWR | os.O_CREAT, 0o666)
+                if self.alone:
+                    fcntl.flock(self._folder, fcntl.LOCK_SH)
+        self.alone = False
+
+    def claim(self, name: str) -> bool:
+        """Claim a scene; return False where another process has it."""
+        return self._scenes < 0 or self._lock_byte(_byte(name), fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def release(self, name: str) -> None:
+        """Release a scene."""
+        if self._scenes >= 0:
+            self._lock_byte(_byte(name), fcntl.LOCK_UN)
+
+    @contextlib.contextmanager
+    def reporting(self) -> Iterator[None]:
+        """Hold the lock of the report."""
+        if self._scenes >= 0:
+            self._lock_byte(_REPORT_BYTE, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            if self._scenes >= 0:
+                self._lock_byte(_REPORT_BYTE, fcntl.LOCK_UN)
+
+    def _lock_byte(self, byte: int, how: int) -> bool:
+        try:
+            fcntl.lockf(self._scenes, how, 1, byte)
+        except (BlockingIOError, PermissionError):
+            return False
+        except OSError:  # no such locks here
+            return True
+        return True
+
+    def last(self) -> bool:
+        """Return True where all other processes have left; from then on the folder is locked against new ones."""
+        with contextlib.suppress(OSError):
+            if self.locks and self._try_lock(fcntl.LOCK_EX):
+                self.alone = True
+                (self.output / LOCKS_FILE).unlink(missing_ok=True)
+        return self.alone
+
+
+def _byte(name: str) -> int:
+    """Return the byte of the file of locks that stands for a scene."""
+    return 1 + int.from_bytes(hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest()[:7], "big")
+
+
+@contextlib.contextmanager
+def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Callable[[str], None]) -> Iterator[Path]:
+    """Give a hidden folder to write into; what it holds at the end of the block replaces earlier results.
+
+    For commands that make one set of files rather than scenes. Where the block raises, ``folder`` stays as it was.
+
+    Parameters
+    ----------
+    command : its name, as identity in the record
+    patterns : shell patterns of the paths of results below ``folder``
+    warn : takes a message where the file system has no locks
+
+    Raises
+    ------
+    ConfigError
+        Before the block: the folder holds results of another command, or files that no record claims under the names
+        of results.
+    OutputError
+        The results cannot be written.
+    """
+    made = hidden_folder(folder)
+    with FolderLock(folder, warn) as lock:
+        try:
+            known = read_record(folder)
+            if known is not None and known.run != command:
+                raise ConfigError(f"{folder}: holds results of another command; choose another --output")
+            fresh = not any(os.path.lexists(folder / name) for name in (RECORD_FILE, CLAIM_FILE))
+            if fresh and (foreign := _matching(folder, patterns)):
+                raise ConfigError(f"{folder}: {not_ours(foreign)}")
+            with _naming(folder):
+                lock.share()
+                made.mkdir()
+            yield made
+            with lock.reporting(), _naming(folder):
+                install(made, folder, Record("", command, {}, digests_below(made), {}))
+        finally:
+            discard(made)
+            lock.last()
+
+
+def _matching(folder: Path, patterns: Sequence[str]) -> list[str]:
+    found = {path for pattern in patterns for path in folder.glob(pattern) if not path.is_dir()}
+    return sorted(path.relative_to(folder).as_posix() for path in found)
+
+
+@contextlib.contextmanager
+def _naming(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error

@@ -1,0 +1,507 @@
+"""Scenes computed: in this process, in worker processes of this machine, or by the workers of a dask cluster.
+
+All three call :func:`compute_scene`, which computes a scene in a hidden folder and moves the files into its own folder,
+the record last. Whatever fails becomes a row with its reason; a worker process that is killed costs one scene at most.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fnmatch
+import logging
+import multiprocessing
+import operator
+import os
+import pickle
+import shutil
+import signal
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from multiprocessing import connection, resource_tracker
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from depthcli.core import memory
+from depthcli.core.errors import ConfigError, DepthcliError, IncompleteError, OutputError
+from depthcli.core.registry import Plugin, versions_here
+from depthcli.core.result import Clock
+from depthcli.core.scene import computing
+from depthcli.core.text import show_bytes
+from depthcli.io.formats.files import collected_warnings
+from depthcli.io.scenes import Scene
+from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, set_threads
+from depthcli.run import resources
+from depthcli.run.batch import Batch, Execution, Outcome
+from depthcli.run.console import Reporter, silence_warnings
+from depthcli.run.folder import run_text, saved_config
+from depthcli.run.json_csv import Row
+from depthcli.run.records import Record, digest, digests_below, install, record_failure
+
+BUG = "a bug in depthcli: "
+"""Prefix of the error of a scene that failed by a fault of the program."""
+
+_MAX_TRACE_NAME = 200  # bytes of a scene's name in that of its traceback; a file's name has 255
+_HEAD_START = 1.0  # seconds in which the first worker can show that kernels have to be compiled
+_MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up the memory
+_CONNECT_TIMEOUT = "20s"
+_RUNNING_FILE = "goes-on"  # in the hidden folder of a run; workers of a cluster stop when it is gone
+_cluster_lock = threading.Lock()  # threads of one worker of a cluster share kernels and buffers
+
+
+@dataclass(frozen=True)
+class Work:
+    """A batch and how it is carried out, as it is sent to workers."""
+
+    command: str
+    config: Any
+    compute: Callable[[Any, Path, int], Outcome]
+    how: Execution
+    plugins: frozenset[Plugin]
+
+    @classmethod
+    def of(cls, batch: Batch[Any], how: Execution, plugins: Iterable[Plugin]) -> Work:
+        """Return the work of a batch, without what only the process of the run needs."""
+        return cls(batch.command, batch.config, batch.compute, how, frozenset(plugins))
+
+    @property
+    def text(self) -> str:
+        """The text of ``run.yaml``: config and versions of this process."""
+        return run_text(self.command, self.config, self.plugins)
+
+    @property
+    def identity(self) -> str:
+        """The identity of the run: the digest of its ``run.yaml``."""
+        return digest(self.text.encode())
+
+
+@dataclass(frozen=True)
+class Task:
+    """One scene to compute.
+
+    Attributes
+    ----------
+    scene : the scene
+    output, hidden : the run folder, and the folder in which the scene is computed
+    run : identity of the run
+    inputs : role -> digest of what the result depends on
+    source : path of the input, for the report
+    """
+
+    scene: Scene
+    output: Path
+    hidden: Path
+    run: str
+    inputs: dict[str, str]
+    source: str
+
+    @property
+    def target(self) -> Path:
+        """The scene's folder in the run folder."""
+        return self.output / self.scene.name
+
+    def failed(self, error: str) -> Row:
+        """Return the row of the report for a scene that failed."""
+        return {"scene": self.scene.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None,
+                "source": self.source, "warnings": []}  # fmt: skip
+
+    def record(self, row: Row, files: dict[str, str]) -> Record:
+        """Return the record of the scene with this row."""
+        return Record(self.scene.name, self.run, self.inputs, files, row)
+
+
+def compute_scene(task: Task, work: Work, limit: int) -> Row:
+    """Compute a scene with at most ``limit`` bytes, write its record and return its row.
+
+    Where a disk was full, the row has the key ``disk_full`` with the place, the reason and the bytes that are free, and
+    nothing is recorded.
+    """
+    resources.reset_peak()
+    opened = None
+    with collected_warnings() as lines:
+        try:
+            task.scene.check()
+            task.hidden.mkdir(parents=True)
+            opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
+            with computing(task.scene.name, limit) as programs:
+                outcome = work.compute(task.scene, task.hidden, limit)
+            _delete_unwanted(task.hidden, work.how.keep)
+            row: Row = {"scene": task.scene.name, "status": "done", "error": "", **outcome.facts}
+            row["seconds"] = {name: round(value, 6) for name, value in outcome.seconds.items()}
+            row |= {"peak_memory": resources.peak_memory(), **programs.used, "source": task.source}
+            row["warnings"] = list(dict.fromkeys([*outcome.warnings, *lines]))
+            _install(task, row, opened, work.how.overwrite)
+        except Exception as error:
+            row = _failed_row(task, error) | {"warnings": lines}
+            # Another process may have taken the scene over where this run was ended while it was computed.
+            if "disk_full" not in row and (opened is None or _is_open(task.hidden, opened)):
+                record_failure(task.target, task.record(row, {}), work.how.overwrite)
+        finally:
+            memory.release()
+            if opened is not None:
+                os.close(opened)
+            shutil.rmtree(task.hidden, ignore_errors=True)
+    if place := row.get("disk_full"):
+        row["disk_full"] = row["error"]
+        with contextlib.suppress(OSError):  # the files of this scene have been deleted by now
+            row["disk_full"] += f" ({show_bytes(shutil.disk_usage(place).free)} free on that disk)"
+    return row
+
+
+def _failed_row(task: Task, error: Exception) -> Row:
+    """Return the row of a scene whose computation raised ``error``, which is being handled."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):
+            place = task.output
+            if cause.filename and not Path(cause.filename).absolute().is_relative_to(place.absolute()):
+                place = Path(cause.filename).parent
+            return task.failed(f"{place}: {cause.strerror or 'the disk is full'}") | {"disk_full": str(place)}
+        cause = cause.__cause__ or cause.__context__
+    if isinstance(error, MemoryError):
+        return task.failed("out of memory; see --max-memory")
+    if isinstance(error, DepthcliError):
+        return task.failed(str(error))
+    if isinstance(error, OSError):
+        return task.failed(f"{error.filename or task.target}: {error.strerror or error}")
+    what = f"{type(error).__name__}: {error}".splitlines()[0][:300]
+    trace = _trace_file(task)
+    with contextlib.suppress(OSError):
+        trace.write_text(traceback.format_exc(), "utf-8", "backslashreplace")
+    return task.failed(f"{BUG}{what}; the traceback is in {trace.name}, please report it")
+
+
+def _trace_file(task: Task) -> Path:
+    name = task.scene.name.replace("/", "_")
+    if len(os.fsencode(name)) > _MAX_TRACE_NAME:
+        name = f"{name[:40]}-{digest(os.fsencode(name))[:16]}"
+    return task.output / f"traceback-{name}.txt"
+
+
+def _delete_unwanted(folder: Path, keep: tuple[str, ...]) -> None:
+    for path in [path for path in folder.rglob("*") if path.is_file()] if keep else []:
+        name = path.relative_to(folder).as_posix()
+        if not any(fnmatch.fnmatchcase(name, each) or fnmatch.fnmatchcase(path.name, each) for each in keep):
+            path.unlink()
+
+
+def _is_open(folder: Path, opened: int) -> bool:
+    try:
+        return os.path.samestat(os.stat(folder), os.fstat(opened))
+    except OSError:
+        return False
+
+
+def _install(task: Task, row: Row, opened: int, overwrite: bool) -> None:
+    """Move a computed scene into the run folder; ``opened`` is the open folder that it was computed in."""
+    try:
+        files = digests_below(task.hidden)
+        if not _is_open(task.hidden, opened):
+            raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
+        install(task.hidden, task.target, task.record(row, files), overwrite)
+    except OSError as error:
+        raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
+    _trace_file(task).unlink(missing_ok=True)
+
+
+def use_threads(count: int) -> None:
+    """Set the number of threads of the kernels and of OpenCV in this process."""
+    set_threads(count)
+    cv2.setNumThreads(count)
+
+
+@contextlib.contextmanager
+def _compile_watch(changed: Callable[[CompileWatch], None]) -> Iterator[CompileWatch]:
+    """Count compiled kernels and keep their compilation out of all measured times; each calls ``changed`` twice."""
+    Clock.untimed = staticmethod(compile_seconds)
+    with CompileWatch(changed) as watch:
+        yield watch
+
+
+def _announce_compilation(reporter: Reporter) -> None:
+    reporter.once("first use of these settings here: compiling kernels for this machine (once; they are kept) ...")
+
+
+def _report_compilation(reporter: Reporter, kernels: int, seconds: float) -> None:
+    if kernels:
+        kept = f", kept in {cache_folder()}" if cache_folder() else ""
+        reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s{kept}")
+
+
+def compute_here(tasks: Iterable[Task], work: Work, reporter: Reporter) -> Iterator[Row]:
+    """Yield the rows of the tasks, computed one by one in this process."""
+    use_threads(work.how.threads_each())
+    with _compile_watch(lambda _: _announce_compilation(reporter)) as watch:
+        for task in tasks:
+            kernels, seconds = watch.calls, watch.seconds
+            yield compute_scene(task, work, work.how.memory_each())
+            _report_compilation(reporter, watch.calls - kernels, watch.seconds - seconds)
+
+
+@dataclass(eq=False)
+class _Worker:
+    """A worker process as its parent sees it: the task that it computes, and how often that was tried."""
+
+    process: multiprocessing.process.BaseProcess
+    pipe: connection.Connection
+    task: Task | None = None
+    tries: int = 0
+
+
+def compute_in_processes(tasks: Iterable[Task], work: Work, reporter: Reporter, jobs: int) -> Iterator[Row]:
+    """Yield the rows of the tasks, computed by ``jobs`` processes, in the order in which they are finished.
+
+    The first scene is computed alone for a moment. If kernels have to be compiled for it, the other processes wait
+    for them instead of compiling the same ones.
+    """
+    context = multiprocessing.get_context("spawn")  # threads of OpenMP do not survive a fork
+    waiting, retried = iter(tasks), list[tuple[Task, int]]()
+    workers: list[_Worker] = []
+    alone_until = time.monotonic() + 60.0  # until the first worker has begun
+    with _environment("NUMBA_NUM_THREADS", str(work.how.threads_each())):
+        try:
+            while True:
+                alone = time.monotonic() < alone_until
+                while sum(worker.task is not None for worker in workers) < (1 if alone else jobs):
+                    task, tries = retried.pop() if retried else (next(waiting, None), 0)
+                    if task is None:
+                        break
+                    idle = next((worker for worker in workers if worker.task is None), None)
+                    worker = idle or _start(context, work)
+                    workers += [] if idle else [worker]
+                    worker.task, worker.tries = task, tries + 1
+                    with contextlib.suppress(OSError):  # it has died meanwhile, which is seen below
+                        worker.pipe.send(task)
+                busy = {worker.pipe: worker for worker in workers if worker.task is not None}
+                if not busy:
+                    return
+                for pipe in connection.wait(list(busy), 0.05 if alone else None):
+                    worker = busy[pipe]  # type: ignore[index]
+                    task = worker.task
+                    assert task is not None
+                    try:
+                        message = worker.pipe.recv()
+                    except (EOFError, OSError):  # the process is no more
+                        worker.process.join()
+                        workers.remove(worker)
+                        if worker.tries < _MAX_TRIES:
+                            retried.append((task, worker.tries))
+                            continue
+                        row = _worker_died(task, worker.process.exitcode or 0)
+                        record_failure(task.target, task.record(row, {}), work.how.overwrite)
+                        message = row, 0, 0.0
+                    if message == "begun":
+                        alone_until = min(alone_until, time.monotonic() + _HEAD_START)
+                    elif message == "compiling":
+                        _announce_compilation(reporter)
+                        alone_until = float("inf") if alone else alone_until
+                    else:
+                        row, kernels, seconds = message
+                        worker.task, alone_until = None, 0.0
+                        _report_compilation(reporter, kernels, seconds)
+                        yield row
+        finally:
+            for worker in workers:
+                worker.process.kill()
+            for worker in workers:
+                worker.process.join()
+                worker.pipe.close()
+
+
+def _start(context: Any, work: Work) -> _Worker:
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+    resource_tracker.ensure_running()  # started with the first process, it would lift the block for that one
+    blocked = hasattr(signal, "pthread_sigmask")
+    # Ctrl-C reaches all processes, and one that is starting would answer with a traceback.
+    earlier = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if blocked else set()
+    try:
+        process.start()
+    finally:
+        if blocked:
+            signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
+    theirs.close()
+    return _Worker(process, ours)
+
+
+def _worker_died(task: Task, code: int) -> Row:
+    killed = code == -signal.SIGKILL
+    why = "killed, probably out of memory; see --max-memory" if killed else f"exit code {code}"
+    return task.failed(f"the worker process died {_MAX_TRIES} times ({why})")
+
+
+@contextlib.contextmanager
+def _environment(name: str, value: str) -> Iterator[None]:
+    """Set an environment variable, which the worker processes inherit."""
+    earlier = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if earlier is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = earlier
+
+
+def _serve(pipe: connection.Connection, work: Work) -> None:
+    """Compute the tasks that come through the pipe, until the parent closes it."""
+    silence_warnings()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C does
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_exit_after, args=(multiprocessing.parent_process(),), daemon=True).start()
+    use_threads(work.how.threads_each())
+    limit = work.how.memory_each()
+    with contextlib.suppress(EOFError), _compile_watch(lambda _: pipe.send("compiling")) as watch:
+        while True:
+            task = pipe.recv()
+            pipe.send("begun")
+            kernels, seconds = watch.calls, watch.seconds
+            shutil.rmtree(task.hidden, ignore_errors=True)  # left by a worker that died
+            row = compute_scene(task, work, limit)
+            pipe.send((row, watch.calls - kernels, watch.seconds - seconds))
+
+
+def _exit_after(parent: Any) -> None:
+    """End this process with its parent, which may be killed: nobody must go on writing."""
+    parent.join()
+    os._exit(1)
+
+
+def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, workspace: Path) -> Iterator[Row]:
+    """Yield the rows of the tasks, computed by the workers of a dask.distributed cluster, as they are finished.
+
+    The workers must have the same file system at the same paths. A scene whose worker dies is computed by another one.
+
+    Raises
+    ------
+    ConfigError
+        No dask.distributed, no scheduler at that address, or workers with another depthcli or another file system.
+    IncompleteError
+        The connection to the scheduler was lost.
+    """
+    address, output = work.how.scheduler or "", workspace.parent
+    if files := sorted({plugin.package for plugin in work.plugins if plugin.is_file}):
+        raise ConfigError(f"--scheduler: {', '.join(files)}: workers have no plug-in files; install it as a package")
+    workspace.mkdir(parents=True, exist_ok=True)
+    (workspace / _RUNNING_FILE).touch()
+    client, wait = _connected(address)
+    waiting, running = iter(tasks), dict[Any, Task]()
+    try:
+        n_workers = _check_workers(client, work, output)
+        reporter.info(f"{n_workers} workers at {address}" + ("" if n_workers else "; waiting for some"))
+        while True:
+            with contextlib.suppress(OSError, TimeoutError):  # the scheduler was just lost
+                n_workers = len(client.scheduler_info(n_workers=-1)["workers"])
+            while client.status == "running" and len(running) < 2 * max(n_workers, 1):
+                if (task := next(waiting, None)) is None:
+                    break
+                data = pickle.dumps((task, work, os.getcwd()))
+                running[client.submit(_compute_there, data, pure=False)] = task
+            if not running:
+                return
+            with contextlib.suppress(Exception):  # nothing has ended yet, or the scheduler is lost
+                wait(list(running), timeout=1, return_when="FIRST_COMPLETED")
+            for future in [future for future in running if future.status in ("finished", "error")]:
+                task = running.pop(future)
+                if future.status == "finished":
+                    row, kernels, seconds = future.result()
+                    _report_compilation(reporter, kernels, seconds)
+                else:
+                    row = _lost(task, future.exception())
+                    record_failure(task.target, task.record(row, {}), work.how.overwrite)
+                yield row
+            if client.status != "running":
+                raise IncompleteError(f"{address}: the scheduler was lost; the same command goes on where it stopped")
+    finally:
+        (workspace / _RUNNING_FILE).unlink(missing_ok=True)
+        with contextlib.suppress(Exception):  # the scheduler may be gone
+            if client.status == "running":
+                client.cancel(list(running))
+            client.close(timeout=2)
+
+
+def _lost(task: Task, error: BaseException) -> Row:
+    if type(error).__name__ == "KilledWorker":
+        return task.failed("its worker died several times, probably out of memory; see --max-memory")
+    if isinstance(error, ConfigError):
+        return task.failed(str(error))
+    return task.failed(f"{BUG}{type(error).__name__}: {error}".splitlines()[0][:300])
+
+
+def _check_workers(client: Any, work: Work, output: Path) -> int:
+    """Return the number of workers; ConfigError unless all have this depthcli, its plug-ins and see the run folder."""
+    address = work.how.scheduler
+    try:
+        identities = client.run(operator.attrgetter("identity"), work)
+        versions = client.run(versions_here, work.plugins)
+        folders = client.run(saved_config, output.absolute())
+    except Exception as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ConfigError(f"{address}: its workers have no such depthcli ({reason})") from error
+    for worker, found in sorted(versions.items()):
+        for package, version in versions_here(work.plugins).items():
+            if found[package] != version:
+                has = f"has the plug-in {package} {found[package]}, this machine {version}"
+                raise ConfigError(f"{address}: worker {worker} {has}; install the same there")
+    for worker, identity in sorted(identities.items()):
+        if identity != work.identity:
+            raise ConfigError(f"{address}: {_other_code(worker)}")
+    for worker, folder in sorted(folders.items()):
+        if folder != saved_config(output):
+            raise ConfigError(f"{address}: worker {worker} does not see the run folder {output.absolute()}; all "
+                              "processes need a common file system")  # fmt: skip
+    return len(identities)
+
+
+def _connected(address: str) -> tuple[Any, Any]:
+    """Return a client of the scheduler, and the function that waits for its futures."""
+    try:
+        import dask
+        import distributed
+        from distributed.comm.addressing import resolve_address
+    except ImportError as error:
+        raise ConfigError(f"--scheduler needs dask.distributed: pip install 'depthcli[cluster]' ({error})") from error
+    for name in [*logging.root.manager.loggerDict, "asyncio"]:  # problems are reported in one line
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    dask.config.set({"distributed.comm.timeouts.connect": "10s"})
+    client = distributed.Client.__new__(distributed.Client)
+    try:
+        resolve_address(address)  # an address without port or host would be tried for long
+        distributed.Client.__init__(client, address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        client.status = "closed"  # its destructor would wait for what never began
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ConfigError(f"--scheduler {address}: no scheduler answers there ({reason})") from error
+    return client, distributed.wait
+
+
+def _compute_there(data: bytes) -> tuple[Row, int, float]:
+    """Compute a scene on a worker of a cluster; return its row, the number of compiled kernels and their seconds."""
+    from distributed import get_worker
+
+    task, work, folder = pickle.loads(data)
+    if task.run != work.identity:  # a worker that joined later
+        raise ConfigError(_other_code(get_worker().address))
+    with _cluster_lock, _compile_watch(lambda _: None) as watch:
+        os.chdir(folder)  # paths may be relative to where the run was started
+        if not (task.hidden.parent / _RUNNING_FILE).exists():
+            return task.failed(f"{task.hidden.parent}: the run has ended, or the file system is not shared"), 0, 0.0
+        use_threads(work.how.threads or get_worker().state.nthreads)
+        # A worker that was believed to be dead may still compute the scene in its own folder.
+        own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
+        row = compute_scene(own, work, work.how.max_memory or resources.available_memory())
+    return row, watch.calls, watch.seconds
+
+
+def _other_code(worker: str) -> str:
+    return (
+        f"worker {worker} has another depthcli, or other versions of Python and its libraries, than this machine; "
+        "end it or install the same there; the same command goes on where it stopped"
+    )
