@@ -141,9 +141,12 @@ class FolderLock:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        for each in (self._scenes, self._folder):
-            if each >= 0:
-                os.close(each)
+        try:
+            self.last()
+        finally:
+            for each in (self._scenes, self._folder):
+                if each >= 0:
+                    os.close(each)
 
     def _wait(self) -> None:
         end = time.monotonic() + _SETUP_TIMEOUT
@@ -284,7 +287,6 @@ def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Ca
                 install(made, folder, Record("", command, {}, digests_below(made), {}))
         finally:
             discard(made)
-            lock.last()
 
 
 def _matching(folder: Path, patterns: Sequence[str]) -> list[str]:

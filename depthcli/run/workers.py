@@ -11,7 +11,6 @@ import errno
 import fnmatch
 import logging
 import multiprocessing
-import operator
 import os
 import pickle
 import shutil
@@ -21,6 +20,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from multiprocessing import connection, resource_tracker
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ from depthcli.run.batch import Batch, Execution, Outcome
 from depthcli.run.console import Reporter, silence_warnings
 from depthcli.run.folder import run_text, saved_config
 from depthcli.run.json_csv import Row
-from depthcli.run.records import Record, digest, digests_below, install, record_failure
+from depthcli.run.records import Record, digest, digests_below, file_digest, install, record_failure
 
 BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
@@ -401,7 +401,7 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
             while client.status == "running" and len(running) < 2 * max(n_workers, 1):
                 if (task := next(waiting, None)) is None:
                     break
-                data = pickle.dumps((task, work, os.getcwd()))
+                data = pickle.dumps((task, work, _identity_here(work), os.getcwd()))
                 running[client.submit(_compute_there, data, pure=False)] = task
             if not running:
                 return
@@ -413,7 +413,10 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
                     row, kernels, seconds = future.result()
                     _report_compilation(reporter, kernels, seconds)
                 else:
-                    row = _lost(task, future.exception())
+                    error = future.exception()
+                    if isinstance(error, ConfigError):
+                        raise ConfigError(f"{address}: {error}") from error
+                    row = _lost(task, error)
                     record_failure(task.target, task.record(row, {}), work.how.overwrite)
                 yield row
             if client.status != "running":
@@ -429,8 +432,6 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
 def _lost(task: Task, error: BaseException) -> Row:
     if type(error).__name__ == "KilledWorker":
         return task.failed("its worker died several times, probably out of memory; see --max-memory")
-    if isinstance(error, ConfigError):
-        return task.failed(str(error))
     return task.failed(f"{BUG}{type(error).__name__}: {error}".splitlines()[0][:300])
 
 
@@ -438,19 +439,20 @@ def _check_workers(client: Any, work: Work, output: Path) -> int:
     """Return the number of workers; ConfigError unless all have this depthcli, its plug-ins and see the run folder."""
     address = work.how.scheduler
     try:
-        identities = client.run(operator.attrgetter("identity"), work)
-        versions = client.run(versions_here, work.plugins)
+        for worker, found in sorted(client.run(versions_here, work.plugins).items()):
+            for package, version in versions_here(work.plugins).items():
+                if found[package] != version:
+                    has = f"has the plug-in {package} {found[package]}, this machine {version}"
+                    raise ConfigError(f"{address}: worker {worker} {has}; install the same there")
+        identities = client.run(_identity_here, work)
         folders = client.run(saved_config, output.absolute())
+    except ConfigError:
+        raise
     except Exception as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ConfigError(f"{address}: its workers have no such depthcli ({reason})") from error
-    for worker, found in sorted(versions.items()):
-        for package, version in versions_here(work.plugins).items():
-            if found[package] != version:
-                has = f"has the plug-in {package} {found[package]}, this machine {version}"
-                raise ConfigError(f"{address}: worker {worker} {has}; install the same there")
     for worker, identity in sorted(identities.items()):
-        if identity != work.identity:
+        if identity != _identity_here(work):
             raise ConfigError(f"{address}: {_other_code(worker)}")
     for worker, folder in sorted(folders.items()):
         if folder != saved_config(output):
@@ -486,8 +488,8 @@ def _compute_there(data: bytes) -> tuple[Row, int, float]:
     """Compute a scene on a worker of a cluster; return its row, the number of compiled kernels and their seconds."""
     from distributed import get_worker
 
-    task, work, folder = pickle.loads(data)
-    if task.run != work.identity:  # a worker that joined later
+    task, work, identity, folder = pickle.loads(data)
+    if identity != _identity_here(work):  # a worker that joined later
         raise ConfigError(_other_code(get_worker().address))
     with _cluster_lock, _compile_watch(lambda _: None) as watch:
         os.chdir(folder)  # paths may be relative to where the run was started
@@ -498,6 +500,18 @@ def _compute_there(data: bytes) -> tuple[Row, int, float]:
         own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
         row = compute_scene(own, work, work.how.max_memory or resources.available_memory())
     return row, watch.calls, watch.seconds
+
+
+def _identity_here(work: Work) -> str:
+    """Return a digest of the run with the versions, and of the sources of depthcli, of this process."""
+    return work.identity + _sources()
+
+
+@cache
+def _sources() -> str:  # once a process: code that was loaded stays when its file changes
+    folder = Path(__file__).parent.parent
+    files = sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".cl", ".json"))
+    return digest("".join(f"{path.relative_to(folder)} {file_digest(path)}" for path in files).encode())
 
 
 def _other_code(worker: str) -> str:

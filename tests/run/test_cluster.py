@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import shutil
 import signal
 import subprocess
@@ -12,18 +11,12 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
-from depthcli.run.cluster import _Cluster
-from depthcli.run.cluster_worker import chunk_function, source_digest_function
-from depthcli.run.task import Run, Task
 
 from depthcli.cli import main
-from depthcli.io.scenes.stereo import StereoScene
-from depthcli.run import records, run_folder
-from depthcli.run.batch import RunOptions
-from depthcli.run.console import Reporter
+from depthcli.run import records
 from depthcli.run.folder import REPORT_FILES
 
 PRESET = "opencv-sgbm"
@@ -57,7 +50,7 @@ class Cluster:
 def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cluster]:
     pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
     # The workers run elsewhere than this process and must find the package that is tested.
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(run_folder.__file__).parents[2]), *sys.path]))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(records.__file__).parents[2]), *sys.path]))
     (tmp_path / "dask").mkdir()
     made = Cluster(tmp_path / "dask")
     yield made
@@ -71,7 +64,9 @@ def start(*arguments: str | Path) -> subprocess.Popen[str]:
 
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file but the reports, hidden ones included."""
-    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in REPORT_FILES)
+    paths = (
+        path for path in folder.rglob("*") if path.is_file() and path.name not in (*REPORT_FILES, records.RECORD_FILE)
+    )
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
@@ -128,7 +123,7 @@ def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, tmp_path: Path, 
 
 def edited_copy(folder: Path) -> dict[str, str]:
     """An environment whose depthcli has the same version and one other line."""
-    package = Path(run_folder.__file__).parents[1]
+    package = Path(records.__file__).parents[1]
     shutil.copytree(package, folder / "depthcli", ignore=shutil.ignore_patterns("__pycache__"))
     with (folder / "depthcli/core/result.py").open("a") as file:
         file.write("\n# edited\n")
@@ -163,27 +158,6 @@ def test_a_worker_of_other_code_that_joins_late_is_refused(cluster: Cluster, tmp
     assert "has another depthcli" in said
 
 
-@pytest.mark.slow
-def test_other_code_is_found_by_a_worker_whatever_its_version(tmp_path: Path):
-    cloudpickle = pytest.importorskip("cloudpickle", reason="no dask.distributed (the extra 'cluster')")
-    (tmp_path / "function").write_bytes(cloudpickle.dumps(chunk_function()))
-    sources = source_digest_function()()[1]
-    data = cloudpickle.dumps(([], None, "."))
-    code = f"""
-import cloudpickle, pickle
-function = cloudpickle.load(open({str(tmp_path / "function")!r}, "rb"))
-try:
-    print(function({sources!r}, {data!r}))
-except IndexError:
-    print("computes")
-"""
-    here = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(run_folder.__file__).parents[2]), *sys.path])}
-    for environment, expected in ((here, "computes"), (edited_copy(tmp_path / "copy"), "process")):
-        command = [sys.executable, "-c", code]
-        done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert expected in done.stdout, done.stderr
-
-
 def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], made_scenes: Path):
     pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
     command = ["stereo", PRESET, "-i", str(made_scenes), "-o", str(tmp_path / "run"), "-q"]
@@ -196,57 +170,6 @@ def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, capsys: pytest.Cap
         assert capsys.readouterr().err.count("\n") == 1
     assert main([*command, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"]) == 2
     assert "exclude each other" in capsys.readouterr().err
-
-
-class KilledWorker(Exception):  # noqa: N818
-    """Called as distributed's own, which comes back where several workers died with the same chunk."""
-
-
-class Lost:
-    """A future whose workers died whenever it held one of ``deadly``."""
-
-    def __init__(self, chunk: list[Task], deadly: set[str]) -> None:
-        self.chunk, self.bad = chunk, any(task.scene.name in deadly for task in chunk)
-        self.status = "error" if self.bad else "finished"
-
-    def done(self) -> bool:
-        return True
-
-    def exception(self) -> Exception:
-        return KilledWorker()
-
-    def result(self) -> tuple[list[dict[str, Any]], int, float]:
-        return [{"scene": task.scene.name, "status": "done", "seconds": {"a": 0.01}} for task in self.chunk], 0, 0.0
-
-
-def test_a_scene_that_kills_its_workers_fails_alone(tmp_path: Path):
-    class Client:
-        sent: ClassVar[list[int]] = []
-
-        def submit(self, function: Any, sources: str, data: bytes, **more: Any) -> Lost:
-            chunk = pickle.loads(data)[0]
-            self.sent.append(len(chunk))
-            return Lost(chunk, {"b"})
-
-    scenes = [StereoScene(name=name, folder=tmp_path, left=tmp_path / f"{name}.png") for name in "abc"]
-    tasks = [Task(scene, tmp_path, tmp_path, 0, "run", {}, "") for scene in scenes]
-    cluster = _Cluster(Client(), Run(None, None, RunOptions()))
-    cluster.submit(tasks)
-    rows: dict[str, dict[str, Any]] = {}
-    for _ in range(2):
-        for chunk in cluster.finished(Reporter(-1)):
-            rows |= {row["scene"]: row for row in chunk.rows}
-            assert not chunk.left
-    assert Client.sent == [3, 1, 1, 1]
-    assert {name: row["status"] for name, row in rows.items()} == {"a": "done", "b": "failed", "c": "done"}
-    assert "its worker died several times" in rows["b"]["error"]
-    cluster.workers = 2
-    assert cluster.chunk(10_000) == 500  # of 10 ms each
-    assert cluster.chunk(40) == 10
-    cluster.each = 2.0
-    assert cluster.chunk(10_000) == 2
-    cluster.each = 60.0
-    assert cluster.chunk(10_000) == 1
 
 
 @pytest.mark.system

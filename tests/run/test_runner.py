@@ -1,3 +1,5 @@
+"""A run of a small command: resumed, interrupted, damaged, in processes; no scene harms another."""
+
 from __future__ import annotations
 
 import contextlib
@@ -6,29 +8,24 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
-from depthcli.run.install import discard, hidden_folder
-from depthcli.run.plan import plan_document
-from depthcli.run.sharing import Shard
-from depthcli.run.task import Run, Task, run_task
 from pydantic import BaseModel
 
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
 from depthcli.core.result import Clock
 from depthcli.io.formats.files import atomic_path
 from depthcli.io.scenes import Scene
-from depthcli.run import records, resources
-from depthcli.run.batch import Outcome, RunOptions
+from depthcli.run import records, workers
+from depthcli.run.batch import Batch, Execution, Outcome
 from depthcli.run.console import Reporter, run_table
-from depthcli.run.records import RECORD_FILE
+from depthcli.run.records import RECORD_FILE, discard, hidden_folder
 from depthcli.run.report import read_report
 from depthcli.run.runner import run_scenes
+from depthcli.run.workers import Task, Work, compute_scene
 
 
 class Config(BaseModel):
@@ -49,13 +46,12 @@ class Text(Scene):
 
 @dataclass(frozen=True)
 class Repeat:
-    """Writes the item's text ``factor`` times; words in the text make it go wrong."""
+    """Writes the scene's text ``factor`` times; words in the text make it go wrong."""
 
+    config: Config
     log: Path | None = None
-    name: str = "repeat"
-    results: tuple[str, ...] = ()
 
-    def compute(self, config: Config, scene: Text, folder: Path, memory: int) -> Outcome:
+    def __call__(self, scene: Text, folder: Path, memory: int) -> Outcome:
         text = scene.load()
         if self.log is not None:
             with self.log.open("a") as log:
@@ -85,17 +81,13 @@ class Repeat:
             text = "spared"
         if text.startswith("delete "):
             shutil.rmtree(text.removeprefix("delete "))
-        (folder / "out.txt").write_text(text * config.factor)
+        (folder / "out.txt").write_text(text * self.config.factor)
         return Outcome({"length": len(text)}, {"work": 0.5}, ["short"] if len(text) == 1 else [])
 
-    def files(self, config: Config, scene: Text) -> dict[str, Path]:
-        return scene.input_files
 
-    def settings(self, config: Config, scene: Text) -> dict[str, str]:
-        return {}
-
-    def effort(self, config: Config, scene: Text) -> None:
-        return None
+def batch_of(factor: int = 2, log: Path | None = None) -> Batch[Text]:
+    config = Config(factor=factor)
+    return Batch(command="repeat", config=config, compute=Repeat(config, log), columns=())
 
 
 class Folder:
@@ -103,7 +95,6 @@ class Folder:
         self.root = root
         self.output = root / "run"
         self.reporter = Reporter(-1)
-        self.results: tuple[str, ...] = ()
         self.log = root / "log"
         (root / "in").mkdir()
         self.texts: dict[str, str] = {name: name * 3 for name in "abcd"}
@@ -115,17 +106,21 @@ class Folder:
             file.write_text(self.texts[name])
             scenes.append(Text(name=name, folder=file.parent, file=file))
         self.log.write_text("")
-        config = Config(factor=factor)
-        work = Repeat(self.log, results=self.results)
-        rows = run_scenes(work, config, scenes, self.output, RunOptions(**options), self.reporter)
+        batch = batch_of(factor, self.log)
+        rows = run_scenes(batch, scenes, self.output, Execution(**options), self.reporter)
         return {row["scene"]: row for row in rows}
 
     def computed(self) -> list[str]:
         return sorted(self.log.read_text().split())
 
     def bytes(self) -> dict[str, bytes]:
+        """Return all files but reports; of records what they say of inputs and files, without measured times."""
         files = [p for p in self.output.rglob("*") if p.is_file() and p.parent / p.name not in self.reports()]
-        return {str(p.relative_to(self.output)): p.read_bytes() for p in sorted(files)}
+        found = {str(p.relative_to(self.output)): p.read_bytes() for p in sorted(files)}
+        for name in [name for name in found if name.endswith(RECORD_FILE)]:
+            content = json.loads(found[name])
+            found[name] = repr([content[key] for key in ("scene", "run", "inputs", "files")]).encode()
+        return found
 
     def reports(self) -> list[Path]:
         return [self.output / "report.json", self.output / "report.csv"]
@@ -192,7 +187,7 @@ def test_failures_are_rows(folder: Folder, jobs: int):
     assert rows["b"]["error"].startswith("a bug in depthcli: KeyError: 'no such thing'; the traceback is in trace")
     assert "no such thing" in (folder.output / "traceback-b.txt").read_text()
     assert rows["c"]["error"].startswith("out of memory")
-    left = ["d", "report.csv", "report.json", "run.yaml", "traceback-b.txt"]
+    left = ["a", "b", "c", "d", "report.csv", "report.json", "run.yaml", "traceback-b.txt"]
     assert sorted(p.name for p in folder.output.iterdir()) == left
     assert folder.report()["failed"] == 3
     folder.texts |= {"a": "well", "b": "mended"}
@@ -202,9 +197,7 @@ def test_failures_are_rows(folder: Folder, jobs: int):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "options", [{"jobs": 1}, {"jobs": 2}, {"shard": Shard(1, 1)}, {"shard": Shard(1, 1), "jobs": 2}]
-)
+@pytest.mark.parametrize("options", [{"jobs": 1}, {"jobs": 2}, {"shard": (1, 1)}, {"shard": (1, 1), "jobs": 2}])
 def test_a_full_disk_ends_the_run_once(folder: Folder, capsys: pytest.CaptureFixture[str], options: dict[str, Any]):
     folder.texts |= {name: f"disk full {name}" for name in "bcd"}
     folder.reporter = Reporter(0)
@@ -245,7 +238,8 @@ def test_a_result_does_not_outlive_its_input(folder: Folder):
     folder.run()
     folder.texts["a"] = "damaged"
     assert folder.run()["a"]["status"] == "failed"
-    assert not (folder.output / "a").exists()
+    assert [path.name for path in (folder.output / "a").iterdir()] == [RECORD_FILE]
+    assert folder.report()["scenes"][0]["status"] == "failed"
 
 
 @pytest.mark.slow
@@ -268,11 +262,11 @@ def test_interruption_leaves_a_folder_to_go_on_with(folder: Folder):
 
 
 def test_what_is_finished_when_the_signal_comes_is_reported(folder: Folder, monkeypatch: pytest.MonkeyPatch):
-    def interrupt() -> int:  # asked for when an item's files are in place, before its row is made
+    def interrupt() -> int:  # called when a scene's files are in place
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(resources, "peak_memory", interrupt)
+        patched.setattr(workers.memory, "release", interrupt)
         with pytest.raises(KeyboardInterrupt):
             folder.run()
     assert [(row["scene"], row["status"]) for row in folder.report()["scenes"]] == [("a", "done")]
@@ -311,14 +305,14 @@ def test_inputs_are_never_written_over(folder: Folder):
     scene = Text(name="in", folder=folder.root / "in", file=folder.root / "in" / "x")
     scene.file.write_text("x")
     with pytest.raises(ConfigError, match="over its own input"):
-        run_scenes(Repeat(), Config(), [scene], folder.root, RunOptions(), Reporter(-1))
+        run_scenes(batch_of(), [scene], folder.root, Execution(), Reporter(-1))
 
 
 @pytest.mark.parametrize("name", ["", ".hidden", "..", "a/../b", "a//b"])
 def test_names_that_lead_astray_are_refused(folder: Folder, name: str):
     scene = Text(name=name, folder=folder.root, file=folder.root / "in" / "x")
     with pytest.raises(ConfigError, match="choose another name"):
-        run_scenes(Repeat(), Config(), [scene], folder.output, RunOptions(), Reporter(-1))
+        run_scenes(batch_of(), [scene], folder.output, Execution(), Reporter(-1))
 
 
 def test_another_input_of_the_same_name_is_refused(folder: Folder):
@@ -329,7 +323,7 @@ def test_another_input_of_the_same_name_is_refused(folder: Folder):
     scene = Text(name="a", folder=folder.root, file=other)
 
     def again(**options: Any) -> list[dict[str, Any]]:
-        return run_scenes(Repeat(), Config(), [scene], folder.output, RunOptions(**options), Reporter(-1))
+        return run_scenes(batch_of(), [scene], folder.output, Execution(**options), Reporter(-1))
 
     with pytest.raises(ConfigError, match=r"another 'a', made from .*in/a; this one is .*elsewhere"):
         again()
@@ -372,7 +366,7 @@ def test_edited_records_are_not_believed(folder: Folder):
     record = folder.output / "a" / RECORD_FILE
     whole = json.loads(record.read_text())
     for change in (
-        {"facts": {"length": 99}},
+        {"row": whole["row"] | {"length": 99}},
         {"files": {"../../precious": ""}},
         {"files": {"..": 1}},
         {"files": []},
@@ -417,18 +411,11 @@ def test_a_worker_that_dies_once_is_replaced(folder: Folder):
     assert (folder.output / "b" / "out.txt").read_text() == "spared" * 2
 
 
-def test_results_deleted_during_the_run_are_missed(folder: Folder):
-    folder.texts["b"] = f"delete {folder.output / 'a'}"
-    rows = folder.run()
-    assert [rows[s]["status"] for s in "abcd"] == ["failed", "done", "done", "done"]
-    assert "its files have gone since" in rows["a"]["error"]
-
-
 def test_a_report_that_cannot_be_written_is_told_after_the_work(folder: Folder, monkeypatch: pytest.MonkeyPatch):
     def full(*_: object) -> None:
         raise OutputError("report.json: cannot be written (No space left on device)")
 
-    monkeypatch.setattr("depthcli.run.report_parts.write_report", full)
+    monkeypatch.setattr("depthcli.run.runner.write_report", full)
     with pytest.raises(IncompleteError, match="No space left"):
         folder.run()
     assert (folder.output / "d" / "out.txt").exists()
@@ -447,19 +434,6 @@ def test_compilation_is_not_the_method_s_time(monkeypatch: pytest.MonkeyPatch):
     clock = Clock()
     clock.start("stage")
     assert 0 <= clock.seconds["stage"] < 1
-
-
-def test_two_runs_do_not_share_a_folder(folder: Folder):
-    fcntl = pytest.importorskip("fcntl")
-    folder.run()
-    handle = os.open(folder.output, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        with pytest.raises(ConfigError, match="another depthcli"):
-            folder.run()
-    finally:
-        os.close(handle)
-    folder.run()
 
 
 def test_of_many_items_the_table_shows_failures_and_totals():
@@ -485,24 +459,22 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
     made = dict.fromkeys(("a.txt", "b.txt"), "whole")
     gone = []
 
-    class Slow(Repeat):
-        def compute(self, config, scene, folder, memory):
-            for number, (name, text) in enumerate(made.items()):
-                if number == 1 and not gone:
-                    gone.append(folder)
-                    discard(folder.parent)  # the run ends, and the next one makes the scene
-                    assert (
-                        run_task(task(tmp_path / "next"), Run(self, config, RunOptions()), memory)["status"] == "done"
-                    )
-                folder.mkdir(parents=True, exist_ok=True)  # as the writers of files do
-                (folder / name).write_text(text)
-            return Outcome()
+    def slow(scene: Text, folder: Path, memory: int) -> Outcome:
+        for number, (name, text) in enumerate(made.items()):
+            if number == 1 and not gone:
+                gone.append(folder)
+                discard(folder.parent)  # the run ends, and the next one makes the scene
+                assert compute_scene(task(tmp_path / "next"), work, memory)["status"] == "done"
+            folder.mkdir(parents=True, exist_ok=True)  # as the writers of files do
+            (folder / name).write_text(text)
+        return Outcome()
 
     def task(place: Path) -> Task:
         scene = Text(name="item", folder=tmp_path, file=tmp_path / "item.txt")
-        return Task(scene, tmp_path / "run", place, 0, "run", {}, "")
+        return Task(scene, tmp_path / "run", place / "0", "run", {}, "")
 
-    row = run_task(task(tmp_path / "making"), Run(Slow(), None, RunOptions()), 1 << 30)
+    work = Work("slow", None, slow, Execution(), frozenset())
+    row = compute_scene(task(tmp_path / "making"), work, 1 << 30)
     assert row["status"] == "failed"
     assert "the run has ended" in row["error"]
     known = records.read_record(tmp_path / "run/item")
@@ -528,35 +500,7 @@ def test_files_that_no_record_claims_are_never_replaced(folder: Folder, overwrit
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_own_files_in_the_place_of_results_are_found_before_anything_is_computed(folder: Folder, overwrite: bool):
-    """They are named in one line, and nothing is written; results whose record is lost or damaged are ours."""
-    folder.results = ("out.*", "*/out.*")
-    for name in ("a/out.txt", "b/frame/out.png", "c/notes.txt", "d/out.txt", "d/out.png"):
-        (folder.output / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder.output / name).write_text("mine")
-    before = folder.bytes()
-    with pytest.raises(ConfigError, match=r"a/out\.txt, b/frame/out\.png, d/out\.png and 1 more would be replaced"):
-        folder.run(overwrite=overwrite)
-    assert folder.bytes() == before
-    assert not folder.computed()
-    assert not any(path.exists() for path in folder.reports())
-    scenes = [Text(name="a", folder=folder.root / "in", file=folder.root / "in/a")]
-    work = Repeat(results=folder.results)
-    plan = plan_document(work, Config(), scenes, folder.output, lambda *_: None, RunOptions())
-    assert "a/out.txt would be replaced" in plan["refused"]
-    for name in ("a/out.txt", "b/frame/out.png", "d/out.txt", "d/out.png"):
-        (folder.output / name).unlink()
-    folder.run(overwrite=overwrite)
-    (folder.output / "a/record.json").unlink()
-    (folder.output / "b/record.json").write_text("damaged")
-    for path in folder.reports():
-        path.unlink()
-    assert {row["status"] for row in folder.run(overwrite=overwrite).values()} == {"done"}
-    assert folder.computed() == ["a", "b"]
-
-
-@pytest.mark.parametrize("overwrite", [False, True])
-@pytest.mark.parametrize("name", ["run.yaml", "report.csv", "report.json", "legend.png", "traceback-a.txt"])
+@pytest.mark.parametrize("name", ["run.yaml", "report.csv", "report.json", "legend.png"])
 def test_a_folder_with_own_files_is_no_run_folder(folder: Folder, name: str, overwrite: bool):
     folder.output.mkdir()
     (folder.output / name).write_text("pipeline: mine")
@@ -626,24 +570,31 @@ def test_an_interrupted_replacement_is_known_as_ours(folder: Folder, monkeypatch
         ]  # fmt: skip
 
 
-@pytest.mark.skipif(not Path("/proc/self/pagemap").exists(), reason="needs a file without an end")
-def test_a_file_without_an_end_is_not_read_for_hours():
-    assert records.file_digest(Path("/proc/self/pagemap")).startswith("unreadable")
+def test_warnings_are_kept_and_said_again(folder: Folder, capsys: pytest.CaptureFixture[str]):
+    folder.texts["a"] = "x"
+    folder.run(only="a")
+    folder.reporter = Reporter(0)
+    assert folder.run(only="a")["a"]["warnings"] == ["short"]
+    assert folder.computed() == []
+    assert "a: warning: short" in capsys.readouterr().err
+    assert folder.report()["scenes"][0]["warnings"] == ["short"]
+    assert (folder.output / "report.csv").read_text().splitlines()[1].endswith(",short")
 
 
-@pytest.mark.skipif(not Path("/proc/self/pagemap").exists(), reason="no file without size and end")
-def test_run_folders_with_files_that_never_end_are_read_at_once(tmp_path: Path):
-    """A link to a file of /proc counts as a damaged one: it is a regular file of no size that goes on for ever."""
-    for name in ("report.json", "run.yaml", "record.json"):
-        (tmp_path / name).symlink_to("/proc/self/pagemap")
-    code = f"""
-import resource
-resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
-from pathlib import Path
-from depthcli.run import records, reports, run_folder
-folder = Path({str(tmp_path)!r})
-print(reports.read_report(folder), reports.read_report(folder, facts=False), records.read_record(folder))
-print([run_folder.saved_config(folder)])
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
-    assert done.stdout == "{} {} None\n['']\n", done.stderr
+def test_the_report_is_that_of_the_records(folder: Folder):
+    folder.texts["b"] = "damaged"
+    folder.run()
+    before = [path.read_text() for path in folder.reports()]
+    for path in folder.reports():
+        path.unlink()
+    folder.run(only="a")
+    assert [path.read_text() for path in folder.reports()] == before
+
+
+def test_shards_are_apart_and_together_everything(folder: Folder):
+    for first in (1, 2, 3):
+        folder.run(shard=(first, 3))
+        assert folder.computed() == list("abcd"[first - 1 :: 3])
+    assert [row["scene"] for row in folder.report()["scenes"]] == list("abcd")
+    assert folder.run().keys() == set("abcd")
+    assert folder.computed() == []
