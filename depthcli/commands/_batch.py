@@ -45,7 +45,7 @@ DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
 
 def config_of(
-    command: str, model: type[ModelT], config: str, settings: Sequence[str] | None, **options: object
+    command: str, model: type[ModelT], config: str, settings: Sequence[str | tuple[str, str]] | None, **options: object
 ) -> ModelT:
     """Return the config of a command with all overrides.
 

@@ -49,6 +49,12 @@ NameOption: TypeAlias = Annotated[
 SetOption: TypeAlias = Annotated[
     list[str] | None, Option("--set", metavar="KEY=VALUE", help="Override one key of the config; repeatable.")
 ]
+MaxDisparityOption: TypeAlias = Annotated[
+    str | None, Option("--max-disparity", metavar="N", help="Largest disparity searched, or auto: by key points.")
+]
+WithinOption: TypeAlias = Annotated[
+    float, Option("--within", metavar="PX", help="Error up to which a value of a given map is right, pixels.")
+]
 DepthScaleOption: TypeAlias = Annotated[
     float | None, Option("--depth-scale", metavar="CODES", help="Codes a meter of the depth files.")
 ]
@@ -141,6 +147,66 @@ class PairOptions(SceneOptions):
         Path | None, Option("--left", metavar="FILE", help="Left image, pattern, folder or video; replaces --input.")
     ] = None
     right: Annotated[Path | None, Option("--right", metavar="FILE", help="Right image, likewise.")] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangeOptions(PairOptions):
+    """Image pairs with what else is known of them: calibration and search range, which override keys of the config."""
+
+    calibration: Annotated[
+        Path | None, Option("--calibration", metavar="FILE", help="Calibration, for pairs that are not rectified.")
+    ] = None
+    unit: Annotated[
+        str | None, Option("--unit", metavar="UNIT", help="Unit of an OpenCV calibration's translation: m, cm or mm.")
+    ] = None
+    max_disparity: MaxDisparityOption = None
+    min_disparity: Annotated[
+        str | None, Option("--min-disparity", metavar="N", help="Smallest disparity searched, or auto. Default: 0.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CodingOptions:
+    """How the maps of other runs are named and coded."""
+
+    pattern: Annotated[
+        list[str] | None,
+        Option("--pattern", metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=..."),
+    ] = None
+    scale: Annotated[
+        list[str] | None,
+        Option("--scale", metavar="CODES", help="Codes per pixel of integer maps. Of one run: NAME=..."),
+    ] = None
+    invalid: Annotated[
+        list[str] | None,
+        Option("--invalid", metavar="VALUE", help="Value of maps that means none, or nan. Of one run: NAME=..."),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class VolumeOptions(SceneOptions):
+    """Pairs of volumes: a folder of them, or the files of one."""
+
+    single_files: ClassVar[str] = "--fixed FILE and --warped FILE"
+
+    fixed: Annotated[Path | None, Option("--fixed", metavar="FILE", help="Fixed volume, instead of --input.")] = None
+    warped: Annotated[
+        Path | None, Option("--warped", metavar="FILE", help="Moving volume after registration, on the fixed grid.")
+    ] = None
+    moving: Annotated[
+        Path | None, Option("--moving", metavar="FILE", help="Moving volume, with --displacement or --transform.")
+    ] = None
+    displacement: Annotated[
+        Path | None, Option("--displacement", metavar="FILE", help="Displacement field of the registration.")
+    ] = None
+    transform: Annotated[Path | None, Option("--transform", metavar="FILE", help="Transform of the registration.")] = (
+        None
+    )
+    apply: Annotated[
+        str | None,
+        Option("--apply", metavar="WHICH", help="With both files: displacement, transform, or both (ANTs)."),
+    ] = None
+    mask: Annotated[Path | None, Option("--mask", metavar="FILE", help="Mask of the fixed volume.")] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,158 +1,161 @@
-"""What the commands that match image pairs have in common."""
+"""What ``stereo`` computes of a pair: load or rectify it, find its search range, match it, write map and status."""
 
 from __future__ import annotations
 
 import contextlib
-from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import Any, TypeVar
 
-from depthcli.commands._old_batch import ConfigCommand
-from depthcli.commands._old_options import UNIT
-from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.option import Option
-from depthcli.io.scenes import Scene
+import numpy as np
+
+from depthcli.api.matching import device_of, limits_of, match_pair, partly_used, read_rig, with_address
+from depthcli.commands._batch import config_of, run_batch
+from depthcli.commands._options import Printing, RunOptions, SceneOptions
+from depthcli.commands._rectified import check_unit, rectified_pair, sequence_range
+from depthcli.commands._scenes import find_scenes
+from depthcli.core.errors import ConfigError
+from depthcli.core.maps import Status
+from depthcli.core.method import device_implementation_of, used_files
+from depthcli.core.result import Clock
+from depthcli.core.scene import current_scene
+from depthcli.device import Device, DeviceError, devices, open_device, why_no_device
+from depthcli.io.formats.images import image_size
+from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.run.batch import Outcome
-from depthcli.run.command import Values
-from depthcli.run.console import SIZE, Column, Reporter, percent
-from depthcli.run.json_csv import Row
+from depthcli.methods.stereo.config import PairConfig, StereoConfig
+from depthcli.methods.stereo.matching import Limits, host_bytes
+from depthcli.methods.stereo.stages import PairMatcher
+from depthcli.run.batch import Batch, Outcome
+from depthcli.run.console import SIZE, Column, aligned, percent
+from depthcli.run.json_csv import Row, to_json
 
-if TYPE_CHECKING:
-    from depthcli.device import Device
-    from depthcli.io.formats.pictures import Palette
-    from depthcli.methods.stereo.config import PairConfig
-    from depthcli.methods.stereo.matching import Limits
-    from depthcli.methods.stereo.stages import PairMatcher
+__all__ = ["MatchPairs", "batch_of", "config_with_calibration", "list_devices", "prepare", "run_batch"]
 
-PairConfigT = TypeVar("PairConfigT", bound="PairConfig")
+PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
+
+_REASONS = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
+# Each reason, alone and filled.
+_LEGEND = (0, int(Status.SMOOTHED), *_REASONS, *(bit | int(Status.FILLED) for bit in _REASONS))
 
 
-class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
-    """Reads a pair, matches it, writes the left view's map."""
+def prepare(
+    config: str, pairs: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None, **options: Any
+) -> tuple[Batch[StereoScene], list[StereoScene]]:
+    """Return the batch of ``stereo`` with this config, and the pairs that the command line names."""
+    found = with_address(config_with_calibration("stereo", StereoConfig, config, pairs, settings, **options))
+    scenes = find_scenes((StereoScene,), pairs, run)
+    return batch_of("stereo", MatchPairs(found), scenes), scenes
 
-    kinds: ClassVar[tuple[type[Scene], ...]] = (StereoScene,)
-    results: ClassVar[tuple[str, ...]] = ("disp_left.*", "status.png", "preview.png", "confidence_*")
-    shown_as: ClassVar[str] = "middlebury-v2"
 
-    @property
-    def options(self) -> tuple[Option, ...]:
-        return (*super().options, UNIT)
-
-    def config(self, values: Values) -> PairConfigT:
-        """Return the config, with the unit of its calibration where that is given."""
-        config, unit = super().config(values), values.get("unit")
-        if unit is None:
-            return config
-        from depthcli.commands._rectified import check_unit
-
+def config_with_calibration(
+    command: str,
+    model: type[PairConfigT],
+    config: str,
+    pairs: SceneOptions,
+    settings: Sequence[str | tuple[str, str]] | None,
+    **options: object,
+) -> PairConfigT:
+    """Return the config with all overrides; ConfigError where it is wrong, or its calibration cannot be read."""
+    for key in ("calibration", "max_disparity", "min_disparity"):
+        options[key] = getattr(pairs, key, None)
+    found, unit = config_of(command, model, config, settings, **options), getattr(pairs, "unit", None)
+    if unit is not None:
         check_unit(unit)
-        if config.calibration is None:
+        if found.calibration is None:
             raise ConfigError("--unit: there is no calibration; give --calibration FILE, too")
-        return config.model_copy(update={"calibration": config.calibration.model_copy(update={"unit": unit})})
+        found = found.model_copy(update={"calibration": found.calibration.model_copy(update={"unit": unit})})
+    if found.calibration is not None:
+        read_rig(found.calibration)  # one that cannot be read is an error before any scene is opened
+    return found
 
-    @abstractmethod
-    def matcher(self, config: PairConfigT, scene: StereoScene) -> PairMatcher:
+
+def batch_of(command: str, match: MatchPairs, scenes: Sequence[StereoScene]) -> Batch[StereoScene]:
+    """Return the batch of a command that matches pairs."""
+    return Batch(
+        command=command,
+        config=match.config,
+        compute=match,
+        columns=(SIZE, Column("density", percent("density")), Column("measured", percent("measured"))),
+        files=match.files,
+        settings=match.settings,
+        memory=match.memory,
+        notes=lambda rows: _unknown_ranges(match.config, scenes, rows),
+        palette=STATUS_PALETTE,
+        legend=_LEGEND,
+        shown_as="middlebury-v2",
+    )
+
+
+@dataclass(frozen=True)
+class MatchPairs:
+    """Matches one pair and writes the left view's map."""
+
+    config: PairConfig
+
+    def matcher(self, scene: StereoScene) -> PairMatcher:
         """Return what matches the scene's pair."""
+        assert isinstance(self.config, StereoConfig)
+        return self.config.pipeline
 
-    def device(self, config: PairConfigT) -> Device | None:
+    def device(self) -> Device | None:
         """Return the device to match on, None for the processor."""
-        return None
+        return device_of(self.config) if isinstance(self.config, StereoConfig) else None
 
-    def device_columns(self, config: PairConfigT) -> dict[str, str]:
-        """Return columns of the report that say where scenes were matched, if not on the processor."""
-        return {}
-
-    def limits(self, config: PairConfigT, memory: int) -> Limits:
+    def limits(self, memory: int) -> Limits:
         """Return where a pair may be matched, and in how much memory."""
-        from depthcli.api.matching import limits_of
+        return limits_of(self.config, memory, self.device())
 
-        return limits_of(config, memory, self.device(config))
-
-    def memory_of(self, config: PairConfigT, scene: StereoScene) -> int | None:
+    def memory(self, scene: StereoScene) -> int | None:
         """Estimate by the left image's size; None where key points give the range."""
-        from depthcli.io.formats.images import image_size
-        from depthcli.methods.stereo.matching import host_bytes
-
-        min_disparity, max_disparity = given_range(config, scene)
-        if not (isinstance(min_disparity, int) and isinstance(max_disparity, int)):
+        low, top = self.given_range(scene)
+        if not (isinstance(low, int) and isinstance(top, int)):
             return None
-        shape, limits = image_size(scene.left), self.limits(config, 0)
-        return host_bytes(self.matcher(config, scene), shape, max_disparity - min_disparity, limits)
+        return host_bytes(self.matcher(scene), image_size(scene.left), top - low, self.limits(0))
 
-    def effort(self, config: PairConfigT, scene: StereoScene) -> int | None:
-        """Return pixels times disparities, from the beginning of the left image's file."""
-        from depthcli.io.formats.images import image_size
-
-        try:
-            height, width = image_size(scene.left)
-        except InputError:
-            return None
-        min_disparity, max_disparity = given_range(config, scene)
-        n_disparities = width // 4 + 1  # ranges by key points are in proportion to the width
-        if isinstance(min_disparity, int) and isinstance(max_disparity, int):
-            n_disparities = max_disparity - min_disparity + 1
-        return height * width * max(n_disparities, 1)
-
-    def columns(self) -> tuple[Column, ...]:
-        """Return size of the map, share of pixels with a value, share that was measured rather than filled."""
-
-        return (SIZE, Column("density", percent("density")), Column("measured", percent("measured")))
-
-    def palette(self) -> Palette:
-        from depthcli.io.formats.pictures import STATUS_PALETTE
-
-        return STATUS_PALETTE
-
-    def legend_values(self) -> tuple[int, ...]:
-        """Return each reason, alone and filled."""
-        from depthcli.core.maps import Status
-
-        reasons = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
-        return (0, int(Status.SMOOTHED), *reasons, *(bit | int(Status.FILLED) for bit in reasons))
-
-    def run(self, values: Values, reporter: Reporter) -> int:
-        """Run as every such command; a calibration that cannot be read is an error before any scene is opened."""
-        config = self.config(values)
-        if config.calibration is not None:
-            from depthcli.api.matching import read_rig
-
-            read_rig(config.calibration)
-        return super().run(values, reporter)
-
-    def files(self, config: PairConfigT, scene: StereoScene) -> dict[str, Path]:
+    def files(self, scene: StereoScene) -> dict[str, Path]:
         """Return the files of the pair, the calibration that rectifies it, and the frames that give its range."""
-        names = () if config.calibration is None else config.calibration.files
+        names = () if self.config.calibration is None else self.config.calibration.files
         frames = {
             f"range_{k}_{role}": file
-            for k, frame in enumerate(_range_frames(config, scene))
+            for k, frame in enumerate(self.range_frames(scene))
             for role, file in frame.input_files.items()
         }
-        return super().files(config, scene) | {f"calibration_{k}": Path(name) for k, name in enumerate(names)} | frames
+        calibrations = {f"calibration_{k}": Path(name) for k, name in enumerate(names)}
+        return scene.input_files | used_files(self.config) | calibrations | frames
 
-    def settings(self, config: PairConfigT, scene: StereoScene) -> dict[str, str]:
+    def settings(self, scene: StereoScene) -> dict[str, str]:
         """Return the search range, which may come from a file beside the images."""
-        min_disparity, max_disparity = given_range(config, scene)
-        lower = {} if min_disparity == 0 else {"min_disparity": str(min_disparity)}
-        return {"max_disparity": str(max_disparity), **lower}
+        low, top = self.given_range(scene)
+        return {"max_disparity": str(top), **({} if low == 0 else {"min_disparity": str(low)})}
 
-    def notes(self, config: PairConfigT, scenes: Sequence[StereoScene], rows: Sequence[Row]) -> list[str]:
-        """Return a line with the search range of scenes for which neither the config nor their files give one."""
-        if config.max_disparity is not None or config.calibration is not None:
-            return []
-        unknown = {scene.name for scene in scenes if not scene.problem and scene.max_disparity is None}
-        ends = [row["max_disparity"] for row in rows if row["scene"] in unknown and "max_disparity" in row]
-        if not ends:
-            return []
-        which = "the search range is" if len(ends) == 1 else f"the search ranges of {len(ends)} scenes are"
-        span = f"{ends[0]}" if len(set(ends)) == 1 else f"{min(ends)} to {max(ends)}"
-        return [
-            f"{which} not known: --max-disparity auto was taken, which gives {span} px (max_disparity in report.csv)"
-        ]
+    def given_range(self, scene: StereoScene) -> tuple[int | str, int | str | None]:
+        """Return the ends of the range that the config, or else the scene, gives.
 
-    def compute(self, config: PairConfigT, scene: StereoScene, folder: Path, memory: int) -> Outcome:
+        Where neither gives the upper one it is "auto", and None for a pair that a calibration rectifies: then both ends
+        are as key points suggest.
+        """
+        low, top = self.config.min_disparity, self.config.max_disparity
+        low = scene.min_disparity if low is None else low
+        top = scene.max_disparity if top is None else top
+        return low, "auto" if top is None and self.config.calibration is None else top
+
+    def range_frames(self, scene: StereoScene) -> tuple[StereoScene, ...]:
+        """Return the frames of the scene's sequence whose key points give its range; none where they do not.
+
+        They give that of pairs that a calibration rectifies, and of videos, but an end that the user calls "auto" is
+        that of each pair by itself.
+        """
+        config = self.config
+        if "auto" in (config.min_disparity, config.max_disparity):
+            return ()
+        if config.max_disparity is not None or scene.max_disparity is not None:
+            return ()
+        return scene.sequence if config.calibration is not None or scene.frame_number is not None else ()
+
+    def __call__(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Match one pair: load or rectify, search range, match, save.
 
         Raises
@@ -160,21 +163,10 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         InputError
             The images cannot be used, too few key points match where they give the range, or ``memory`` is too little.
         """
-        import numpy as np
-
-        from depthcli.api.matching import match_pair, partly_used
-        from depthcli.commands._rectified import rectified_pair, sequence_range
-        from depthcli.core.result import Clock
-        from depthcli.core.scene import current_scene
-
-        clock = Clock()
-        min_disparity, max_disparity = given_range(config, scene)
-        matcher, limits = self.matcher(config, scene), self.limits(config, memory)
-        device_columns = self.device_columns(config)
-        facts: Row = {}
-        warnings: list[str] = []
+        config, clock, facts, warnings = self.config, Clock(), dict[str, Any](), list[str]()
+        matcher, limits = self.matcher(scene), self.limits(memory)
         known = save = None
-        if frames := _range_frames(config, scene):
+        if frames := self.range_frames(scene):
             clock.start("range")
             known = sequence_range(config.calibration, frames)
         if config.calibration is None:
@@ -186,7 +178,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
             clock.start("rectify")
             pair, save, facts, warnings = rectified_pair(config.calibration, scene, folder)
         with _meanwhile(save):
-            found = match_pair(matcher, pair, (min_disparity, max_disparity), limits, clock, known)
+            found = match_pair(matcher, pair, self.given_range(scene), limits, clock, known)
         clock.start("save")
         found.save(folder)
         search, key_points = found.search, found.key_points
@@ -201,9 +193,34 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
             "measured": round(float(np.mean(found.measured)), 6),
             **({"bits": pair.bits} if partly_used(pair) else {}),
             **{name: float(value) for name, value in found.details.figures.items()},
-            **device_columns,
+            **self._device_columns(),
         }
         return Outcome(columns, clock.seconds, [*warnings, *found.warnings])
+
+    def _device_columns(self) -> dict[str, str]:
+        """Return the device, where the config names one."""
+        config, device = self.config, self.device()
+        if not isinstance(config, StereoConfig) or config.device == "cpu":
+            return {}
+        if device is None:
+            return {"device": config.device}
+        where = f"{device.info.address}, {device.info.name}"
+        if device_implementation_of(config.pipeline) is None:
+            where = f"cpu: {config.pipeline.method_name()} has no kernels for {where}"
+        return {"device": where}
+
+
+def _unknown_ranges(config: PairConfig, scenes: Sequence[StereoScene], rows: Sequence[Row]) -> list[str]:
+    """Return a line with the search range of scenes for which neither the config nor their files give one."""
+    if config.max_disparity is not None or config.calibration is not None:
+        return []
+    unknown = {scene.name for scene in scenes if not scene.problem and scene.max_disparity is None}
+    ends = [row["max_disparity"] for row in rows if row["scene"] in unknown and "max_disparity" in row]
+    if not ends:
+        return []
+    which = "the search range is" if len(ends) == 1 else f"the search ranges of {len(ends)} scenes are"
+    span = f"{ends[0]}" if len(set(ends)) == 1 else f"{min(ends)} to {max(ends)}"
+    return [f"{which} not known: --max-disparity auto was taken, which gives {span} px (max_disparity in report.csv)"]
 
 
 @contextlib.contextmanager
@@ -218,26 +235,26 @@ def _meanwhile(task: Callable[[], None] | None) -> Iterator[None]:
         done.result()
 
 
-def _range_frames(config: PairConfig, scene: StereoScene) -> tuple[StereoScene, ...]:
-    """Return the frames of the scene's sequence whose key points give its search range; none where they do not.
-
-    They give that of pairs that a calibration rectifies, and of videos, but an end that the user calls "auto" is that
-    of each pair by itself.
-    """
-    ends = config.min_disparity, config.max_disparity
-    if "auto" in ends or config.max_disparity is not None or scene.max_disparity is not None:
-        return ()
-    return scene.sequence if config.calibration is not None or scene.frame_number is not None else ()
-
-
-def given_range(config: PairConfig, scene: StereoScene) -> tuple[int | str, int | str | None]:
-    """Return the ends of the range that the config, or else the scene, gives.
-
-    Where neither gives the upper one it is "auto", and None for a pair that a calibration rectifies: then both ends
-    are as key points suggest.
-    """
-    min_disparity = scene.min_disparity if config.min_disparity is None else config.min_disparity
-    max_disparity = scene.max_disparity if config.max_disparity is None else config.max_disparity
-    if max_disparity is None and config.calibration is None:
-        max_disparity = "auto"
-    return min_disparity, max_disparity
+def list_devices(printing: Printing) -> int:
+    """Print the devices that ``--device`` takes, and on stderr why there is none of a kind; return the exit code."""
+    rows: list[Row] = []
+    for info in devices():
+        row: Row = {"device": info.address, "name": info.name, "gpu": info.is_gpu, "memory": info.memory,
+                    "bandwidth": None, "driver": info.driver, "problem": ""}  # fmt: skip
+        try:
+            device = open_device(info.address)
+            row["bandwidth"] = None if device is None else round(device.measure_bandwidth())
+        except DeviceError as error:
+            row["problem"] = str(error)
+        rows.append(row)
+    if printing.json:
+        printing.reporter.data(to_json(rows))
+    elif rows:
+        lines = [("device", "name", "memory", "bandwidth", "driver")]
+        for row in rows:
+            speed = f"{row['bandwidth'] / 1e9:.1f} GB/s" if row["bandwidth"] else row["problem"]
+            lines.append((row["device"], row["name"], f"{row['memory'] / 2**30:.1f} GiB", speed, row["driver"]))
+        printing.reporter.data(aligned(lines))
+    if why_no_device():
+        printing.reporter.info(why_no_device())
+    return 0

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from depthcli.api.depth import check_completion_memory, completed_frame, sparse_by_stereo
 from depthcli.api.results import share
 from depthcli.commands._batch import config_of, run_batch
-from depthcli.commands._options import FrameOptions, RunOptions
+from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import InputError
 from depthcli.core.frames import SparseFrame
@@ -26,6 +27,8 @@ from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, Column, percent
 
+__all__ = ["prepare", "run_batch"]
+
 _COLUMNS = ("known", "sparse", "kept", "filled", "replaced", "from_stereo")
 # Kept, filled and replaced, the latter two also where the sparse depth has a value, and empty.
 _LEGEND = (
@@ -38,12 +41,15 @@ _LEGEND = (
 )
 
 
-def complete_frames(
-    config: str, frames: FrameOptions, run: RunOptions, settings: Sequence[str] | None, depth_scale: float | None
-) -> int:
-    """Complete every frame that the options name; return the exit code."""
-    found = config_of("transparent", TransparentConfig, config, settings, depth_scale=depth_scale)
-    scenes = find_scenes((RgbdScene,), frames, run)
+def prepare(
+    config: str,
+    frames: SceneOptions,
+    run: RunOptions,
+    settings: Sequence[str | tuple[str, str]] | None,
+    **options: Any,
+) -> tuple[Batch[RgbdScene], list[RgbdScene]]:
+    """Return the batch of ``transparent`` with this config, and the frames that the command line names."""
+    found = config_of("transparent", TransparentConfig, config, settings, **options)
     complete = _Complete(found)
     batch = Batch(
         command="transparent",
@@ -57,7 +63,7 @@ def complete_frames(
         legend=_LEGEND,
         shown_as="depth",
     )
-    return run_batch(batch, scenes, run, frames)
+    return batch, find_scenes((RgbdScene,), frames, run)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ def transparent(
     set: SetOption = None,
 ) -> int:
     """Complete every frame from its sparse depth, given or matched between color and infrared."""
-    from depthcli.commands._transparent import complete_frames
+    from depthcli.commands import _transparent
 
-    return complete_frames(config, frames, run, set, depth_scale)
+    batch, scenes = _transparent.prepare(config, frames, run, set, depth_scale=depth_scale)
+    return _transparent.run_batch(batch, scenes, run, frames)

@@ -1,0 +1,64 @@
+"""What ``fuse`` computes of a pair: measures computed here and volumes made elsewhere, fused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from depthcli.api.matching import with_network
+from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.commands._pairs import MatchPairs, batch_of, config_with_calibration, run_batch
+from depthcli.commands._scenes import find_scenes
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.io.formats.disparity import map_npy
+from depthcli.io.formats.networks import network_path
+from depthcli.io.scenes.stereo import StereoScene
+from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
+from depthcli.methods.stereo.stages import PairMatcher
+from depthcli.run.batch import Batch
+
+__all__ = ["prepare", "run_batch"]
+
+
+def prepare(
+    config: str,
+    pairs: SceneOptions,
+    run: RunOptions,
+    settings: Sequence[str | tuple[str, str]] | None,
+    maps: Sequence[str] | None = None,
+    **options: Any,
+) -> tuple[Batch[StereoScene], list[StereoScene]]:
+    """Return the batch of ``fuse`` with this config, and the pairs that the command line names."""
+    if maps:
+        raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
+    found = with_network(config_with_calibration("fuse", FuseConfig, config, pairs, settings, **options))
+    scenes = find_scenes((StereoScene,), pairs, run)
+    return batch_of("fuse", FusePairs(found), scenes), scenes
+
+
+@dataclass(frozen=True)
+class FusePairs(MatchPairs):
+    """Matches one pair by fusion; volumes made elsewhere are read when the pair is matched."""
+
+    config: FuseConfig
+
+    def matcher(self, scene: StereoScene) -> PairMatcher:
+        files = self._volumes(scene)
+        if files and self.given_range(scene)[0] != 0:
+            raise InputError(f"{scene.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
+        if not files:
+            return self.config
+        return FusionWithVolumes(self.config, lambda: {name: map_npy(file, 3) for name, file in files.items()})
+
+    def files(self, scene: StereoScene) -> dict[str, Path]:
+        """Return the files of the pair, the volumes made elsewhere, and the network that chooses among maps."""
+        name = self.config.network_name
+        network = {} if name is None else {"network": network_path(name)}
+        return super().files(scene) | self._volumes(scene) | network
+
+    def _volumes(self, scene: StereoScene) -> dict[str, Path]:
+        names = {measure.volume for measure in self.config.measures if measure.volume is not None}
+        last = scene.name.rpartition("/")[2]
+        return {name: scene.left.parent / name.replace("{scene}", last) for name in sorted(names)}

@@ -1,0 +1,225 @@
+"""What ``refine-kinect`` computes of a frame, or of a sequence of frames."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from depthcli.api.depth import refined_frame
+from depthcli.api.results import parse_mask, share
+from depthcli.commands._batch import config_of, run_batch
+from depthcli.commands._clouds import check_limits, empty_cloud
+from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.commands._scenes import find_scenes
+from depthcli.core.errors import ConfigError, DepthcliError, InputError
+from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import DepthStatus
+from depthcli.core.result import Clock, DepthResult
+from depthcli.io.formats.depth import SENSOR, beyond_png, implausible_depth
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.images import IMAGE_SUFFIXES
+from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
+from depthcli.io.layouts import Folder
+from depthcli.io.layouts.rgbd import cameras
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.scenes.rgbd_sequence import SequenceScene, sequences
+from depthcli.methods.kinect.config import RefineKinectConfig
+from depthcli.methods.kinect.pipeline import SequencePipeline, frame_by_frame
+from depthcli.run.batch import Batch, Outcome
+from depthcli.run.console import SIZE, Column, percent
+from depthcli.run.json_csv import Row
+from depthcli.run.resources import check_memory
+
+__all__ = ["prepare", "run_batch"]
+
+
+def prepare(
+    config: str,
+    frames: SceneOptions,
+    run: RunOptions,
+    settings: Sequence[str | tuple[str, str]] | None,
+    intrinsics: str | None = None,
+    depth_intrinsics: str | None = None,
+    **options: Any,
+) -> tuple[Batch[Scene], list[Scene]]:
+    """Return the batch of ``refine-kinect`` with this config, and the frames or sequences that the options name."""
+    if intrinsics is not None:
+        _camera("--intrinsics", intrinsics)
+        options["intrinsics"] = f"[{intrinsics}]"
+    found = config_of("refine-kinect", RefineKinectConfig, config, settings, **options)
+    check_limits(found.near, found.far)
+    parse_mask(found.mask)  # a wrong share is an error before any frame is opened
+    scenes: list[Scene] = list(_frames(found, find_scenes((RgbdScene,), frames, run), frames, depth_intrinsics))
+    own = [scene for scene in scenes if isinstance(scene, RgbdScene) and not (scene.problem or scene.raw)]
+    n_without = sum(frame.intrinsics is None for frame in own)
+    if found.ply and found.intrinsics is None and n_without:
+        run.reporter.info(
+            f"warning: {n_without} of {len(own)} frames have no intrinsics; point clouds take those of a "
+            "typical Kinect (fx, fy 525 at a width of 640); see --intrinsics, or meta.json"
+        )
+    if isinstance(found.pipeline, SequencePipeline):
+        scenes = list(sequences(scenes))
+    refine = _Refine(found)
+    batch = Batch(
+        command="refine-kinect",
+        config=found,
+        compute=refine,
+        columns=(SIZE, *(Column(name, percent(name)) for name in ("known", "kept", "filled", "corrected"))),
+        settings=refine.settings,
+        memory=refine.memory,
+        palette=DEPTH_STATUS_PALETTE,
+        shown_as="depth",
+    )
+    return batch, scenes
+
+
+def _frames(
+    config: RefineKinectConfig, scenes: Sequence[RgbdScene], source: SceneOptions, depth_intrinsics: str | None
+) -> list[RgbdScene]:
+    """Return the frames with what the options say of their cameras."""
+    if getattr(source, "color", None) is not None:  # the cameras may lie in a meta.json beside the files
+        scenes = [replace(s, **cameras(Folder(s.folder, s.name, "", "").meta)) for s in scenes]
+    if depth_intrinsics is not None:
+        camera = _camera("--depth-intrinsics", depth_intrinsics)
+        scenes = [s if s.raw else replace(s, depth_intrinsics=camera) for s in scenes]
+    return list(scenes)
+
+
+def _camera(option: str, text: str) -> tuple[float, float, float, float]:
+    """Return fx, fy, cx, cy of an option; ConfigError where they cannot be those of a camera."""
+    try:
+        fx, fy, cx, cy = (float(number) for number in text.split(","))
+    except ValueError:
+        fx = fy = cx = cy = math.nan
+    if not (all(map(math.isfinite, (fx, fy, cx, cy))) and min(fx, fy) > 0):
+        raise ConfigError(f"{option}: expected fx,fy,cx,cy in pixels, focal lengths above 0 (got {text[:64]!r})")
+    return fx, fy, cx, cy
+
+
+@dataclass(frozen=True)
+class _Refine:
+    """Refines a frame, or the frames of a sequence in order."""
+
+    config: RefineKinectConfig
+
+    def settings(self, scene: Scene) -> dict[str, str]:
+        first = _first_frame(scene)
+        if first is None:
+            return {}
+        scale = self.config.depth_scale or first.depth_scale
+        found = {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
+        if first.depth_intrinsics is not None:
+            found["depth_camera"] = f"{first.depth_intrinsics} {first.depth_to_color}"
+        frames = scene.frames if isinstance(scene, SequenceScene) else ()
+        if any(frame.pose is not None for frame in frames):
+            found["poses"] = hashlib.sha256(repr([frame.pose for frame in frames]).encode()).hexdigest()[:16]
+        return found
+
+    def memory(self, scene: Scene) -> int | None:
+        first = _first_frame(scene)
+        return None if first is None else self.config.pipeline.peak_bytes(first.frame_size())
+
+    def __call__(self, scene: Scene, folder: Path, memory: int) -> Outcome:
+        if isinstance(scene, SequenceScene):
+            return _refine_sequence(self.config, scene, folder, memory)
+        assert isinstance(scene, RgbdScene)
+        return _refine_frame(self.config, scene, folder, memory, lambda frame: self.config.pipeline(frame))
+
+
+def _first_frame(scene: Scene) -> RgbdScene | None:
+    first = scene.frames[0] if isinstance(scene, SequenceScene) else scene
+    return first if isinstance(first, RgbdScene) else None
+
+
+def _refine_sequence(config: RefineKinectConfig, scene: SequenceScene, folder: Path, memory: int) -> Outcome:
+    """Refine the frames in order, each into a folder of its own; return means of their facts and sums of seconds."""
+    step = frame_by_frame(config.pipeline)
+    outcomes: list[Outcome] = []
+    problems = []
+    for frame in scene.frames:
+        target = folder / frame.name.rpartition("/")[2]
+        try:
+            target.mkdir()
+            outcomes.append(_refine_frame(config, frame, target, memory, step))
+        except DepthcliError as error:  # the other frames are written; the state is kept across the gap
+            target.rmdir()
+            problems.append(f"{frame.name}: {error}")
+    if not outcomes:
+        raise InputError(problems[0])
+    facts = {"frames": len(outcomes), "frames_failed": len(problems), **outcomes[0].facts}
+    for key, value in outcomes[0].facts.items():
+        if isinstance(value, float):
+            facts[key] = round(sum(each.facts[key] for each in outcomes) / len(outcomes), 6)
+    if "motion" in facts:
+        runs = itertools.groupby(each.facts["motion"] for each in outcomes)
+        facts["motion"] = ", ".join(f"{len(list(run))} {motion}" for motion, run in runs)
+    seconds = {key: sum(each.seconds.get(key, 0.0) for each in outcomes) for key in outcomes[0].seconds}
+    warnings = [line for each in outcomes for line in each.warnings]
+    return Outcome(facts, seconds, [*problems, *dict.fromkeys(warnings)])
+
+
+def _refine_frame(
+    config: RefineKinectConfig,
+    scene: RgbdScene,
+    folder: Path,
+    memory: int,
+    refine: Callable[[RgbdFrame], DepthResult],
+) -> Outcome:
+    clock = Clock()
+    clock.start("load")
+    if config.depth_scale is not None and not scene.raw:
+        scene = replace(scene, depth_scale=config.depth_scale)
+    if config.intrinsics is not None and not scene.raw:
+        scene = replace(scene, intrinsics=config.intrinsics)
+    frame = scene.load()
+    height, width = frame.shape
+    check_memory(config.pipeline.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
+    found = refined_frame(config, frame, refine, clock, scene.depth_scale, 3 if scene.rotated else 0)
+    clock.start("save")
+    found.save(folder)
+    facts: Row = {
+        "width": width,
+        "height": height,
+        "known": share(np.isfinite(frame.depth)),
+        "kept": share(found.kept),
+        "filled": share(found.filled),
+        "corrected": share(found.corrected),
+        **{
+            bit.name.lower(): share((found.status & bit) != 0)
+            for bit in DepthStatus
+            if bit and bit.name and bit != DepthStatus.SAMPLED
+        },
+        "density": round(found.density, 6),
+        **{name: float(value) for name, value in found.details.figures.items()},
+        **found.details.words,
+    }
+    if frame.interpolated or scene.depth_intrinsics is not None:
+        facts["registered"] = "by both cameras" if scene.depth_intrinsics else "assumed"
+    warnings = [] if scene.raw else _scale_warnings(scene, frame)
+    _, beyond = beyond_png(found.values, scene.depth_scale)
+    warnings += [f"{beyond}; see --depth-scale"] if beyond else []
+    if found.cloud is not None:
+        facts["intrinsics"] = "of the camera" if frame.intrinsics else "typical"
+        warnings += empty_cloud(found.values, found.cloud)
+    return Outcome(facts, clock.seconds, warnings)
+
+
+def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
+    """Return a warning where no such sensor sees the depths, with the scale that would make them plausible."""
+    if not scene.rotated and scene.depth.suffix.lower() in IMAGE_SUFFIXES:
+        codes = read_plane(scene.depth)
+        # The three low bits are free where codes are rotated by 3.
+        if codes.dtype.kind in "iu" and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
+            return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
+    if implausible_depth(scene.depth, frame.depth, scene.depth_scale):  # said when it was read
+        return []
+    text = implausible_depth(scene.depth, frame.depth, scene.depth_scale, SENSOR)
+    return [f"{text}; see --depth-scale"] if text else []
