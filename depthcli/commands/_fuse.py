@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from depthcli.api.matching import with_network
+from depthcli.api.stereo import with_network
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._pairs import MatchPairs, batch_of, config_with_calibration, run_batch
 from depthcli.commands._scenes import find_scenes

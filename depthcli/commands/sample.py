@@ -1,74 +1,80 @@
-"""Generate scenes with exact ground truth."""
+"""Generate scenes with exact ground truth.
+
+Without the name of a kind these are stereo pairs; options that a kind does not take are refused.
+
+Examples:
+  depthcli sample --output scenes --count 4 --noise 2
+  depthcli sample --kinect --output frames
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated
 
-from depthcli.commands._old_batch import BatchCommand
-from depthcli.commands._old_options import DRY_RUN, OUTPUT, RUN
-from depthcli.core.errors import ConfigError
-from depthcli.core.option import Option
-from depthcli.core.registry import with_package
-from depthcli.run.batch import Outcome
-from depthcli.run.command import Values
-from depthcli.run.console import SIZE, Column, Reporter, percent
-from depthcli.simulate.samples import SampleScene, samples
+from typer import Option
+
+from depthcli.commands._options import RunOptions
 
 
-class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
-    """``depthcli sample``: generates scenes with exact truth into a run folder."""
+def sample(
+    run: RunOptions,
+    count: Annotated[int, Option("--count", "-n", metavar="N", min=1, max=10_000, help="Number of scenes.")] = 6,
+    kind: Annotated[
+        list[str] | None,
+        Option(
+            "--kind",
+            metavar="KIND",
+            help="planes, foreground, repetitive, curved, street; repeatable. Default: the first four.",
+        ),
+    ] = None,
+    seed: Annotated[int, Option("--seed", metavar="N", min=0, max=2**31 - 1, help="Seed of the first scenes.")] = 0,
+    width: Annotated[int, Option("--width", metavar="N", min=16, max=8192, help="Width, pixels.")] = 400,
+    height: Annotated[int, Option("--height", metavar="N", min=16, max=8192, help="Height, pixels.")] = 300,
+    max_disparity: Annotated[
+        int, Option("--max-disparity", metavar="N", min=4, max=4096, help="At most width / 2.")
+    ] = 48,
+    noise: Annotated[
+        float, Option("--noise", metavar="LEVELS", min=0, max=100, help="Standard deviation of noise, in levels.")
+    ] = 0.0,
+    radiometric: Annotated[
+        float, Option("--radiometric", metavar="SHARE", min=0, max=1, help="Change of light in the right image.")
+    ] = 0.0,
+    brightness: Annotated[
+        float, Option("--brightness", metavar="SHARE", min=0, max=1, help="Factor on all levels; 0.08: a night scene.")
+    ] = 1.0,
+    wall_contrast: Annotated[
+        float, Option("--wall-contrast", metavar="SHARE", min=0, max=1, help="Texture of the walls, 0 (bare) to 1.")
+    ] = 1.0,
+    cross_modal: Annotated[bool, Option("--cross-modal", help="Right image as an infrared camera's.")] = False,
+    kinect: Annotated[bool, Option("--kinect", help="Color, and depth as a Kinect measures it.")] = False,
+    registration: Annotated[
+        bool, Option("--registration", help="Volumes with a known smooth registration error.")
+    ] = False,
+    transparent: Annotated[bool, Option("--transparent", help="Transparent objects, with sparse depth.")] = False,
+    speckles: Annotated[
+        float, Option("--speckles", metavar="SHARE", min=0, max=1, help="Share of the right pixels with a dot.")
+    ] = 0.0,
+    frames: Annotated[
+        int, Option("--frames", metavar="N", min=0, max=100_000, help="Frames of a sequence; 0: none.")
+    ] = 10,
+    fattening: Annotated[
+        int, Option("--fattening", metavar="PIXELS", min=0, max=64, help="How far foreground is widened.")
+    ] = 4,
+    share: Annotated[
+        float, Option("--share", metavar="SHARE", min=0, max=1, help="Share of the pixels with sparse depth.")
+    ] = 0.02,
+    outliers: Annotated[
+        float, Option("--outliers", metavar="SHARE", min=0, max=1, help="Share of it that is wrong.")
+    ] = 0.1,
+    at_edges: Annotated[bool, Option("--at-edges", help="Sparse depth along edges of color only.")] = False,
+    from_: Annotated[
+        Path | None, Option("--from", metavar="DIR", help="Make them from the scenes of this folder instead.")
+    ] = None,
+) -> int:
+    """Generate the scenes of one kind into a run folder."""
+    values = dict(locals())
+    from depthcli.commands import _sample
 
-    results: ClassVar[tuple[str, ...]] = ("*.png", "*.pfm", "*.nii.gz", "meta.json", "calib.json")
-
-    page = "tutorial"
-    examples = (
-        "depthcli sample --output scenes --count 4 --noise 2",
-        "depthcli sample --kinect --output frames",
-    )
-
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """The options of stereo scenes, then for each other kind of sample its flag and the options that it adds."""
-        own: dict[str, Option] = {}
-        for name, sample in sorted(samples().items(), key=lambda item: item[0] != "stereo"):
-            if name != "stereo":
-                own[name] = Option(name, bool, with_package(type(sample), sample.about), default=False)
-            for option in sample.options:
-                own.setdefault(option.name, option)
-        return (OUTPUT, *(replace(each, group="Scenes") for each in own.values()), *RUN, DRY_RUN)
-
-    def run(self, values: Values, reporter: Reporter) -> int:
-        """Generate the scenes of one kind; return the exit code."""
-        chosen = [name for name in samples() if values.get(name)]
-        if len(chosen) > 1:
-            raise ConfigError(f"--{chosen[0]} and --{chosen[1]} exclude each other".replace("_", "-"))
-        sample = samples()[chosen[0] if chosen else "stereo"]
-        for option in (option for each in samples().values() for option in each.options):
-            if option not in sample.options and values[option.name] not in (option.default, None, []):
-                raise ConfigError(f"{option.flag} has no effect on {sample.name.replace('_', '-')} scenes")
-        sample.check(values)
-        own = {option.name: values[option.name] for option in sample.options}
-        config = {"sample": sample.name, **{key: value for key, value in own.items() if key not in sample.by_scene}}
-        return self.run_on(config, list(sample.scenes(own)), values, reporter)
-
-    def settings(self, config: Mapping[str, object], scene: SampleScene) -> dict[str, str]:
-        return {key: str(value) for key, value in scene.settings.items()}
-
-    def compute(self, config: Mapping[str, object], scene: SampleScene, folder: Path, memory: int) -> Outcome:
-        """Generate one scene with its ground truth."""
-        from depthcli.core.result import Clock
-
-        clock = Clock()
-        clock.start("make")
-        facts = samples()[str(config["sample"])].make(config, scene, folder)
-        return Outcome(facts, clock.seconds)
-
-    def columns(self) -> tuple[Column, ...]:
-
-        return (SIZE, Column("visible", percent("nonocc")))
-
-
-COMMAND = SampleCommand()
+    batch, scenes = _sample.prepare(values, sample)
+    return _sample.run_batch(batch, scenes, run)

@@ -1,4 +1,4 @@
-"""Generated scenes with exact truth, one file a kind of scene; the folder is the registry.
+"""Generated scenes with exact truth, one file a kind of scene.
 
 ``depthcli sample --NAME`` makes the scenes of the module ``NAME``, without a name those of ``stereo``.
 """
@@ -11,8 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-from depthcli.core.option import Option
-from depthcli.core.registry import Registry, registered_name
 from depthcli.io.scenes import Scene
 
 
@@ -45,17 +43,12 @@ class SampleScene(Scene):
 class Sample(ABC):
     """A kind of generated scenes."""
 
-    about: ClassVar[str]
-    """What ``--NAME`` gives, for the help."""
-    options: ClassVar[tuple[Option, ...]]
-    """Its own options; the ones that other kinds have too are the same."""
+    name: ClassVar[str]
+    """Name of its module; with dashes that of its option."""
+    options: ClassVar[tuple[str, ...]]
+    """The options of ``sample`` that it takes."""
     by_scene: ClassVar[frozenset[str]] = frozenset({"count", "kind", "seed", "from_"})
     """Options that choose scenes and say nothing about one of them beyond its settings."""
-
-    @property
-    def name(self) -> str:
-        """Name on the command line: its module's or its plug-in's."""
-        return registered_name(type(self))
 
     def check(self, values: Mapping[str, Any]) -> None:
         """Raise ConfigError where options do not fit together."""
@@ -68,12 +61,3 @@ class Sample(ABC):
     @abstractmethod
     def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
         """Write one scene into the empty ``folder``, in a layout of ours, and return facts for the report."""
-
-
-_REGISTRY = Registry[Sample](__name__)
-
-
-def samples() -> dict[str, Sample]:
-    """Return name -> kind of sample, ``stereo`` first, those of plug-ins last."""
-    names = sorted(_REGISTRY.names(), key=lambda name: (name != "stereo", name not in _REGISTRY.own_names))
-    return {name: _REGISTRY.load(name)() for name in names}

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from depthcli.core.frames import Image
-from depthcli.core.option import Option
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.simulate.samples import SampleScene
 from depthcli.simulate.samples._files import scenes_from
-from depthcli.simulate.samples.stereo import StereoSample, share_option, write_scene
+from depthcli.simulate.samples.stereo import StereoSample, write_scene
 from depthcli.simulate.transparent_scenes import cross_modal_pair
-
-SPECKLES = share_option("speckles", "Share of the right pixels with a dot.", 0.0)
-FROM = Option("from_", Path, "Make them from the scenes of this folder instead.", "DIR")
 
 
 class CrossModalSample(StereoSample):
     """The stereo scenes, or those of another folder, seen by different sensors."""
 
-    about = "Right image as an infrared camera's."
-    options: ClassVar[tuple[Option, ...]] = (*StereoSample.options, SPECKLES, FROM)
+    name = "cross_modal"
+    options = (*StereoSample.options, "speckles", "from_")
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
         """Return a scene for every one of ``--from``, or those of ``stereo``."""

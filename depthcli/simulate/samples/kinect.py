@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import color8
-from depthcli.core.option import Option
 from depthcli.io.formats.images import read_image
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.simulate.depth_sensor import simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene, make_kinect_sequence
 from depthcli.simulate.samples import Sample, SampleScene
 from depthcli.simulate.samples._files import scenes_from, write_files, write_meta
-from depthcli.simulate.samples.cross_modal import FROM
-from depthcli.simulate.samples.stereo import HEIGHT, SEED, WIDTH
 
 _KINDS = ("camouflage", "planes", "foreground", "curved")
 _SEQUENCES = ("static", "moving")
@@ -26,15 +23,8 @@ _MIN_WIDTH = 96  # pixels; twice the largest disparity of make_kinect_scene
 class KinectSampleKind(Sample):
     """Widened foreground, shadows, specular spots and noise, of scenes from nothing or with known disparity."""
 
-    about = "Color, and depth as a Kinect measures it."
-    options: ClassVar[tuple[Option, ...]] = (
-        SEED,
-        WIDTH,
-        HEIGHT,
-        Option("frames", int, "Frames of a sequence; 0: none.", "N", default=10, min_value=0, max_value=100_000),
-        Option("fattening", int, "How far foreground is widened.", "PIXELS", default=4, min_value=0, max_value=64),
-        FROM,
-    )
+    name = "kinect"
+    options = ("seed", "width", "height", "frames", "fattening", "from_")
 
     def check(self, values: Mapping[str, Any]) -> None:
         """What is not made from other scenes must be wide enough for its disparities."""

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.option import Option
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.volumes import write_array
 from depthcli.simulate.samples import Sample, SampleScene
 from depthcli.simulate.samples._files import write_meta
-from depthcli.simulate.samples.stereo import COUNT, NOISE, SEED
 
 _SPACING = (1.5, 1.5, 2.0)  # x, y, z, mm
 _SHAPE = (40, 56, 56)  # z, y, x, voxels
@@ -26,8 +24,8 @@ _LARGEST = (3.0, 6.0, 1.0)  # largest error, voxels, in turn
 class RegistrationSample(Sample):
     """Textured ellipsoids, registered up to a known smooth error."""
 
-    about = "Volumes with a known smooth registration error."
-    options: ClassVar[tuple[Option, ...]] = (COUNT, SEED, NOISE)
+    name = "registration"
+    options = ("count", "seed", "noise")
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
         """Return pairs with small, large and tiny errors in turn."""

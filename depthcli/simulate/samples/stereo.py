@@ -4,48 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import Image
-from depthcli.core.option import Option
 from depthcli.simulate.samples import Sample, SampleScene
 from depthcli.simulate.samples._files import write_files, write_meta
 from depthcli.simulate.stereo_scenes import KINDS, Radiometry, make_scene
 
+_SIZES = ("seed", "width", "height")
 _DEFAULT_KINDS = KINDS[:4]  # in turn, where no kind is named
-
-COUNT = Option("count", int, "Number of scenes.", "N", default=6, short="-n", min_value=1, max_value=10_000)
-SEED = Option("seed", int, "Seed of the first scenes.", "N", default=0, min_value=0, max_value=2**31 - 1)
-WIDTH = Option("width", int, "Width, pixels.", "N", default=400, min_value=16, max_value=8192)
-HEIGHT = Option("height", int, "Height, pixels.", "N", default=300, min_value=16, max_value=8192)
-NOISE = Option("noise", float, "Deviation of noise, in levels.", "LEVELS", default=0.0, min_value=0, max_value=100)
-
-
-def share_option(name: str, about: str, default: float) -> Option:
-    """Return an option between 0 and 1."""
-    return Option(name, float, about, "SHARE", default=default, min_value=0, max_value=1)
 
 
 class StereoSample(Sample):
     """Planes, objects in front of them, repetitive patterns, curved surfaces; streets."""
 
-    about = "Stereo pairs (the default)."
-    options: ClassVar[tuple[Option, ...]] = (
-        COUNT,
-        Option("kind", str, f"{', '.join(KINDS)}; repeatable. Default: the first four.", "KIND", repeatable=True),
-        SEED,
-        WIDTH,
-        HEIGHT,
-        Option("max_disparity", int, "At most width / 2.", "N", default=48, min_value=4, max_value=4096),
-        NOISE,
-        share_option("radiometric", "Change of light in the right image.", 0.0),
-        share_option("brightness", "Factor on all levels; 0.08: a night scene.", 1.0),
-        share_option("wall_contrast", "Texture of the walls, 0 (bare) to 1.", 1.0),
-    )
+    name = "stereo"
+    options = (*_SIZES, "count", "kind", "max_disparity", "noise", "radiometric", "brightness", "wall_contrast")
 
     def check(self, values: Mapping[str, Any]) -> None:
         """The range must leave room for a match, the kinds must be known."""

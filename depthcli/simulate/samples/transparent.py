@@ -5,21 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import depth_of_disparity
-from depthcli.core.option import Option
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import write_png
 from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.simulate.samples import Sample, SampleScene
 from depthcli.simulate.samples._files import scenes_from, write_files, write_meta
-from depthcli.simulate.samples.cross_modal import FROM, SPECKLES
-from depthcli.simulate.samples.stereo import HEIGHT, SEED, WIDTH, share_option
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene, sparse_samples
 
 _FB = 24.0  # pixel meters: a room of one to a few meters
@@ -32,17 +29,8 @@ class TransparentSample(Sample):
     Sparse depth is emulated from the truth. The right view of a pair becomes infrared, a surface of it glass.
     """
 
-    about = "Transparent objects, with sparse depth."
-    options: ClassVar[tuple[Option, ...]] = (
-        SEED,
-        WIDTH,
-        HEIGHT,
-        share_option("share", "Share of the pixels with sparse depth.", 0.02),
-        share_option("outliers", "Share of it that is wrong.", 0.1),
-        SPECKLES,
-        Option("at_edges", bool, "Sparse depth along edges of color only.", default=False),
-        FROM,
-    )
+    name = "transparent"
+    options = ("seed", "width", "height", "share", "outliers", "speckles", "at_edges", "from_")
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
         """Two generated scenes, or one for every frame and pair of the folder."""
