@@ -54,10 +54,6 @@ class _Commands(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
         return commands.names()
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        two = args[:2] == ["fuse", "maps"]
-        return super().resolve_command(ctx, ["fuse-maps", *args[2:]] if two else args)
-
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         return command_of(cmd_name)
 

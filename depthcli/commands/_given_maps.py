@@ -14,13 +14,20 @@ from numpy.typing import NDArray
 from depthcli.api.maps import fused, fusion_of, judge, judge_by_one_view, judge_of
 from depthcli.commands._batch import run_batch
 from depthcli.commands._options import CodingOptions, PairOptions, RangeOptions, RunOptions
-from depthcli.commands._runs import by_run, find_runs, names_in_run, number_of, pattern_of, positive, recognized
+from depthcli.commands._runs import by_run, number_of, pattern_of, positive
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
 from depthcli.evaluation import protocols
-from depthcli.evaluation.map_files import DisparityFiles, MapFiles, MapOptions
+from depthcli.evaluation.map_files import (
+    DisparityFiles,
+    MapFiles,
+    MapOptions,
+    find_runs,
+    names_in_run,
+    recognized,
+)
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size, read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE
@@ -323,7 +330,7 @@ def _recognized(
             except DepthcliError:
                 return False
 
-    found = recognized(run, place, options, {name: (protocol, names[name]) for name in usable}, fits)
+    found = recognized(run, place, options, {name: (protocol.files, names[name]) for name in usable}, fits)
     if found != options:
         reporter.info(f"{run}: taken as its maps: {found.pattern} (--pattern says otherwise)")
     return found
