@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import inspect
 import os
 import shlex
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -70,7 +69,7 @@ def command_of(name: str) -> Any:
         return None
     app = typer.Typer(add_completion=False, **_SETTINGS)
     text = commands.text_of(found).replace("\nExamples:\n", "\n\b\nExamples:\n")  # \b: these lines are not wrapped
-    app.command(name.replace("_", "-"), help=text)(with_groups(found) if inspect.isfunction(found) else _old(found))
+    app.command(name.replace("_", "-"), help=text)(with_groups(found))
     return get_command(app)
 
 
@@ -186,33 +185,3 @@ def _terminate(number: int, frame: Any) -> None:
 
 def _print_error(text: str) -> None:
     Reporter(-1).error(text)
-
-
-def _old(command: Any) -> Callable[..., int]:
-    """Return the function that typer calls for a command that still declares its options as data."""
-
-    def callback(**values: Any) -> int:
-        run: int = command.run(values, Reporter(-1 if values["quiet"] else int(values["verbose"])))
-        return run
-
-    def parameter(option: Any, positional: bool) -> inspect.Parameter:
-        default = ... if option.required else option.default
-        texts: dict[str, Any] = {"metavar": option.metavar or None, "help": option.help}
-        if positional:
-            declared = typer.Argument(default, **texts)
-        else:
-            names = (option.flag, option.short) if option.short else (option.flag,)
-            declared = typer.Option(default, *names, min=option.min_value, max=option.max_value, **texts)
-        kind: Any = list[option.type] if option.repeatable else option.type  # type: ignore[name-defined]
-        annotation = kind if option.required or option.type is bool else kind | None
-        return inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=declared, annotation=annotation)
-
-    parameters = [parameter(argument, True) for argument in command.arguments]
-    parameters += [parameter(option, False) for option in command.options]
-    for name, short in (("json", ""), ("verbose", "-v"), ("quiet", "-q")):
-        names = (f"--{name}", short) if short else (f"--{name}",)
-        declared = typer.Option(False, *names)
-        parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=declared, annotation=bool))
-    callback.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    callback.__annotations__ = {each.name: each.annotation for each in parameters}
-    return callback

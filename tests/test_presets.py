@@ -98,7 +98,7 @@ def test_same_bytes_at_any_number_of_threads(made, tmp_path: Path, monkeypatch, 
             set_threads(kernels)
             cv2.setNumThreads(opencv)
 
-        monkeypatch.setattr("depthcli.run.processes.use_threads", use)
+        monkeypatch.setattr("depthcli.run.workers.use_threads", use)
         output = tmp_path / str(opencv)
         arguments = [command, name, "-i", str(made(command)), "-o", str(output), "-q", *QUICK.get(command, [])]
         assert main(arguments) == 0

@@ -14,10 +14,11 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.registry import plugins_in
@@ -99,17 +100,15 @@ def find(name: str) -> Callable[..., int] | None:
     """Return the function of a command, ours or a plug-in's; None where there is none of that name."""
     plain = name.replace("-", "_")
     if plain.replace("_", "-") in own_names():
-        module = importlib.import_module(f"{__name__}.{plain}")
-        found: Any = getattr(module, "COMMAND", None) or getattr(module, plain)
+        found: Callable[..., int] = getattr(importlib.import_module(f"{__name__}.{plain}"), plain)
         return found
     return next((plugin.load() for plugin in plugins_in(GROUP) if plugin.name == plain), None)
 
 
 def text_of(function: Callable[..., int]) -> str:
     """Return the help of a command: the docstring of its module, or of a plug-in's function itself."""
-    module = inspect.getmodule(function if inspect.isfunction(function) else type(function))
-    own = module is not None and module.__name__.startswith(f"{__name__}.")
-    return inspect.cleandoc((module.__doc__ if own and module is not None else function.__doc__) or "")
+    own = function.__module__.startswith(f"{__name__}.")
+    return inspect.cleandoc((sys.modules[function.__module__] if own else function).__doc__ or "")
 
 
 def help_of(name: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.api.results import PointCloud, chosen_pixels, parse_mask, write_depth
-from depthcli.commands._batch import DEPTH_RESULTS, run_batch
+from depthcli.commands._batch import run_batch
 from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
 from depthcli.commands._scenes import find_maps
@@ -66,13 +66,12 @@ def depth_of_maps(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> in
         compute=compute,
         columns=(SIZE, Column("density", percent("density")), _number("median_depth", "m"), _number("focal", "px"),
                  _number("baseline", "m")),
-        results=DEPTH_RESULTS,
         settings=_settings,
         memory=compute.memory,
         palette=STATUS_PALETTE,
         shown_as="depth",
     )  # fmt: skip
-    return run_batch(batch, find_maps(vars(maps), run.reporter), run)
+    return run_batch(batch, find_maps(maps, run.reporter), run)
 
 
 def _number(key: str, unit: str) -> Column:

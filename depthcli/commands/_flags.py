@@ -6,15 +6,9 @@ from collections.abc import Sequence
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.flags import Condition, Flags, flag_rows
-from depthcli.core.option import Option as OldOption
 from depthcli.run.batch import FLAGGED, SOME_FAILED
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row
-
-FLAGS = (
-    OldOption("flag", str, "Rows to look at, such as 'measured<0.6'.", "CONDITION", repeatable=True, group="Report"),
-    OldOption("fail_flagged", bool, "Exit code 4 if a row is flagged.", default=False, group="Report"),
-)
 
 
 def conditions_of(flag: Sequence[str] | None, fail_flagged: bool) -> list[Condition]:

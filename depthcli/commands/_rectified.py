@@ -78,7 +78,6 @@ def rectify_pairs(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> i
         ),
         compute=compute,
         columns=(SIZE, _pixels("row_error_before"), _pixels("row_error"), Column("overlap", percent("overlap"))),
-        results=("left.png", "right.png", "calib.txt", "meta.json"),
         files=compute.files,
         memory=compute.memory,
     )

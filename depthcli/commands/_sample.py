@@ -20,9 +20,9 @@ from depthcli.simulate.samples.registration import RegistrationSample
 from depthcli.simulate.samples.stereo import StereoSample
 from depthcli.simulate.samples.transparent import TransparentSample
 
-__all__ = ["prepare", "run_batch"]
+__all__ = ["KINDS", "prepare", "run_batch"]
 
-_KINDS: dict[str, Sample] = {
+KINDS: dict[str, Sample] = {
     kind.name: kind()
     for kind in (StereoSample, CrossModalSample, KinectSampleKind, RegistrationSample, TransparentSample)
 }
@@ -40,12 +40,12 @@ def prepare(values: Mapping[str, Any], command: Callable[..., int]) -> tuple[Bat
     ConfigError
         Several kinds, or options that the kind does not take or that do not fit together.
     """
-    chosen = [name for name in _KINDS if values.get(name)]
+    chosen = [name for name in KINDS if values.get(name)]
     if len(chosen) > 1:
         raise ConfigError(f"--{chosen[0]} and --{chosen[1]} exclude each other".replace("_", "-"))
-    kind = _KINDS[chosen[0] if chosen else "stereo"]
+    kind = KINDS[chosen[0] if chosen else "stereo"]
     defaults = {name: each.default for name, each in inspect.signature(command).parameters.items()}
-    for name in {option for each in _KINDS.values() for option in each.options}.difference(kind.options):
+    for name in {option for each in KINDS.values() for option in each.options}.difference(kind.options):
         if values[name] not in (defaults[name], []):
             option = name.rstrip("_").replace("_", "-")
             raise ConfigError(f"--{option} has no effect on {kind.name.replace('_', '-')} scenes")
@@ -71,5 +71,5 @@ class _Make:
     def __call__(self, scene: SampleScene, folder: Path, memory: int) -> Outcome:
         clock = Clock()
         clock.start("make")
-        facts = _KINDS[self.config["sample"]].make(self.config, scene, folder)
+        facts = KINDS[self.config["sample"]].make(self.config, scene, folder)
         return Outcome(facts, clock.seconds)

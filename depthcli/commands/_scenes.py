@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.commands._options import MapOptions, RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.inputs import local
 from depthcli.io.pairs import TABLE_SUFFIXES
@@ -17,7 +17,7 @@ from depthcli.io.scenes import Scene
 from depthcli.io.scenes.disparity_map import DisparityScene
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import NoScenesError, chosen_scenes, discover_scenes, matches_any, scenes_with_files
-from depthcli.run.command import SceneT, Values
+from depthcli.run.batch import SceneT
 from depthcli.run.console import Reporter
 from depthcli.run.records import is_inside
 from depthcli.run.report import read_report
@@ -26,9 +26,7 @@ _MAP = "disp_left.pfm"
 _MIN_SCENES_TO_FREEZE = 1000  # scenes, whose objects take long to look through
 
 
-def find_scenes(
-    kinds: tuple[type[SceneT], ...], source: SceneOptions | Values, run: RunOptions | Reporter
-) -> list[SceneT]:
+def find_scenes(kinds: tuple[type[SceneT], ...], source: SceneOptions, run: RunOptions) -> list[SceneT]:
     """Return the scenes that ``--input``, or the options for the files of a single scene, name.
 
     Raises
@@ -38,29 +36,14 @@ def find_scenes(
     InputError
         As :func:`depthcli.io.walk.discover_scenes`.
     """
-    if isinstance(run, Reporter):  # of a command that still declares its options as data
-        assert isinstance(source, Mapping)
-        values: Values = source
-        evaluates, reporter = values.get("evaluate"), run
-        flags = (
-            " and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path and o.name in values)
-            for kind in kinds
-        )
-        single = ", or ".join(filter(None, flags))
-    else:
-        assert isinstance(source, SceneOptions)
-        values, evaluates, reporter, single = vars(source), run.evaluate, run.reporter, source.single_files
-    values = {
-        key: local(v) if isinstance(v, Path) and key not in ("output", "html") else v for key, v in values.items()
-    }
-    place, name, patterns = values["input"], values["name"], values["scenes"] or ["*"]
-    if named := next((scenes for kind in kinds if (scenes := kind.named(values))), []):
+    place, name, single = source.input, source.name, source.single_files
+    if named := next((scenes for kind in kinds if (scenes := kind.named(vars(source)))), []):
         if place is not None:
             raise ConfigError(f"--input and {single} exclude each other")
-        if evaluates:
+        if run.evaluate:
             raise ConfigError("--evaluate needs --input: a single scene has no ground truth")
         if name is None:
-            return _chosen(named, patterns, "the command line")
+            return _chosen(named, source.patterns, "the command line")
         if len(named) > 1:
             raise ConfigError(f"--name is for a single scene, these are {len(named)}")
         return [replace(named[0], name=name)]
@@ -68,13 +51,12 @@ def find_scenes(
         raise ConfigError(f"give --input DIR, or {single}")
     if name is not None:
         raise ConfigError(f"--name is for a single scene, given by {single}")
-    if evaluates and os.path.isfile(place):
+    if run.evaluate and os.path.isfile(local(place)):
         raise ConfigError(f"{place}: --evaluate needs a folder of scenes, with their ground truth")
     try:
-        return scenes_at(place, kinds, values["layout"], patterns, reporter)
+        return scenes_at(place, kinds, source.layout, source.patterns, run.reporter)
     except NoScenesError as error:
-        remedy = f"; give files of other names by {kinds[0].named_by}" if kinds[0].named_by else ""
-        raise NoScenesError(f"{error}{remedy}") from error
+        raise NoScenesError(f"{error}; give files of other names by {single}") from error
 
 
 def scenes_at(
@@ -94,7 +76,7 @@ def _chosen(scenes: Sequence[SceneT], patterns: Sequence[str], place: Path | str
     return cast("list[SceneT]", chosen_scenes(cast("Sequence[Scene]", scenes), patterns, place))
 
 
-def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
+def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:
     """Return the disparity maps of a run, each with its left image and calibration, or a single map.
 
     A scene that the run's report lists as done, but whose map is gone, is among them with a ``problem``.
@@ -104,27 +86,25 @@ def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
     InputError
         There is no such run, or no map of a scene that matches ``--scenes``.
     """
-    run = local(values["run"])
+    run = local(maps.run)
     if os.path.isfile(run):
         return [
             DisparityScene(
-                name=run.stem, folder=run.parent, disparity=run, left=values["left"], calibration=values["calibration"]
+                name=run.stem, folder=run.parent, disparity=run, left=maps.left, calibration=maps.calibration
             )
         ]
     rows = read_report(run)
-    names = _names_of_maps(run, [name for name in rows if is_inside(name)], values["scenes"] or ["*"])
+    names = _names_of_maps(run, [name for name in rows if is_inside(name)], maps.scenes or ["*"])
     done = {name for name, row in rows.items() if row.get("status") == "done" and is_inside(name)}
-    missing = sorted(name for name in done - set(names) if matches_any(name, values["scenes"] or ["*"]))
+    missing = sorted(name for name in done - set(names) if matches_any(name, maps.scenes or ["*"]))
     sources = {name: local(source) for name in names if (source := rows.get(name, {}).get("source"))}
     inputs: dict[str, Scene]
-    if values["input"] is not None:
-        inputs = {
-            scene.name: scene for scene in scenes_at(values["input"], (StereoScene,), values["layout"], ["*"], reporter)
-        }
+    if maps.input is not None:
+        inputs = {scene.name: scene for scene in scenes_at(maps.input, (StereoScene,), maps.layout, ["*"], reporter)}
     else:
         known = scenes_with_files(sources.values())
         inputs = {name: known[source] for name, source in sources.items() if source in known}
-    found = [_map_of(run / name, name, inputs.get(name), sources.get(name), values) for name in names]
+    found = [_map_of(run / name, name, inputs.get(name), sources.get(name), maps) for name in names]
     return sorted([*found, *(_missing_map(run / name, name) for name in missing)], key=lambda scene: scene.name)
 
 
@@ -149,7 +129,7 @@ def _maps_in(run: Path) -> Iterator[Path]:
     return (file for depth in ("*", "*/*") for file in run.glob(f"{depth}/{_MAP}"))
 
 
-def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, values: Values) -> DisparityScene:
+def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, maps: MapOptions) -> DisparityScene:
     """Return the map in ``folder``; ``pair`` is the scene it was made from, and ``source`` its left image, if known."""
     left = source if source is not None and os.path.isfile(source) else None
     calibration, cameras, geometry = None, (2, 3), None
@@ -167,7 +147,7 @@ def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, va
         status=status if os.path.isfile(status) else None,
         confidence={path.stem.partition("_")[2]: path for path in sorted(folder.glob("confidence_*.pfm"))},
         left=left,
-        calibration=values["calibration"] or (calibration if values["focal"] is None else None),
+        calibration=maps.calibration or (calibration if maps.focal is None else None),
         cameras=cameras,
-        geometry=geometry if values["calibration"] is None else None,
+        geometry=geometry if maps.calibration is None else None,
     )

@@ -9,10 +9,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.option import Option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,16 +27,11 @@ class Scene(ABC):
     problem : why the scene cannot be used (``load`` and ``truth`` raise it), or empty
     """
 
-    options: ClassVar[tuple[Option, ...]] = ()
-    """What this kind adds to the command line: files of a single scene, and config keys it sets."""
-
     name: str
     folder: Path
     layout: str = ""
     protocol: str = ""
     problem: str = ""
-
-    named_by: ClassVar[str] = ""  # options that name its files, for a message where a folder holds none of its scenes
 
     @property
     @abstractmethod

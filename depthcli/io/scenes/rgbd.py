@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from depthcli.core.errors import InputError
-from depthcli.core.option import Option
 from depthcli.io.scenes import Scene, check_same_size, name_of, together
 
 if TYPE_CHECKING:
@@ -62,12 +61,6 @@ class RgbdScene(Scene):
     sequence, number : the sequence that the frame belongs to, or empty, and its place there
     pose : (4, 4), row by row, from the color camera's coordinates to the world's, meters; or None
     """
-
-    options: ClassVar[tuple[Option, ...]] = (
-        Option("color", Path, "Color image, instead of --input.", "FILE", group="Input"),
-        Option("depth", Path, "Depth map, registered to --color if given.", "FILE", group="Input"),
-        Option("depth_scale", float, "Codes a meter of the depth files.", "CODES", sets="depth_scale", group="Input"),
-    )
 
     color: Path | None
     depth: Path

@@ -7,10 +7,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.option import Option
 from depthcli.io.scenes import Scene, check_same_size, name_of, together
 
 if TYPE_CHECKING:
@@ -75,16 +74,6 @@ class StereoScene(Scene):
     sequence : the first, the middle and the last frame of the sequence that this one belongs to, in order; empty for a
         single pair; see :func:`with_sequences`
     """
-
-    options: ClassVar[tuple[Option, ...]] = (
-        Option("left", Path, "Left image, pattern, folder or video; replaces --input.", "FILE", group="Input"),
-        Option("right", Path, "Right image, likewise.", "FILE", group="Input"),
-        Option("calibration", Path, "Calibration, for pairs that are not rectified.", "FILE", sets="calibration",
-               group="Input"),
-        Option("max_disparity", str, "Largest disparity searched, or auto: by key points.", "N",
-               sets="max_disparity"),
-        Option("min_disparity", str, "Smallest disparity searched, or auto. Default: 0.", "N", sets="min_disparity"),
-    )  # fmt: skip
 
     left: Path
     right: Path | None = None

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.option import Option
 from depthcli.io.registered_volumes import blocks_of, joined, label_masks, spacing_of, usable
 from depthcli.io.scenes import Scene, name_of
 
@@ -56,20 +55,6 @@ class VolumePairScene(Scene):
     landmarks_fixed, landmarks_moving : corresponding points, or None
     error_true : dense true error, mm, or None
     """
-
-    options: ClassVar[tuple[Option, ...]] = (
-        Option("fixed", Path, "Fixed volume, instead of --input.", "FILE", group="Input"),
-        Option("warped", Path, "Moving volume after registration, on the fixed grid.", "FILE", group="Input"),
-        Option("moving", Path, "Moving volume, with --displacement or --transform.", "FILE", group="Input"),
-        Option("displacement", Path, "Displacement field of the registration.", "FILE", group="Input"),
-        Option("transform", Path, "Transform of the registration.", "FILE", group="Input"),
-        Option("apply", str, "With both files: displacement, transform, or both (ANTs).", "WHICH", group="Input"),
-        Option("mask", Path, "Mask of the fixed volume.", "FILE", group="Input"),
-        Option("field", str, "Convention of the field: auto, itk, ants, niftyreg, voxels.", "NAME", sets="field",
-               group="Input"),
-    )  # fmt: skip
-
-    named_by: ClassVar[str] = "--fixed FILE --warped FILE, a pair at a time"
 
     fixed: Path
     moving_warped: Path | None = None
