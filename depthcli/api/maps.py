@@ -129,7 +129,7 @@ def map_confidence(
     witnesses : maps of the same view by other methods, which make the judgment better
     right_disparity : (H, W) pixels, the map of the right view by the same program, for the measure ``left_right``
     within : error up to which a value counts as right, pixels, 0.25 to 8
-    measures : names of single measures that are wanted, too; ``depthcli help measures`` lists them
+    measures : names of single measures that are wanted, too, or ``all``; the error for another name lists them
 
     Raises
     ------

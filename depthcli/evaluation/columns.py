@@ -63,7 +63,7 @@ TABLES = (
     Column("scene", "name of a scene, or the mean over several; *: no map, counted as wholly wrong"),
     Column("scenes", "number of scenes that the row is over, and how many of them have no map"),
     Column("data set", "folder of the scenes"),
-    Column("protocol", "rules by which a scene is scored; see depthcli help protocols"),
+    Column("protocol", "rules by which a scene is scored"),
     Column("metric", "name of a metric: the first columns of this list"),
     Column("mask", "region of pixels that the number is over: nonocc, all, disc and the like", also=("region",)),
     Column("figure", "mean of the headline over the scenes, in the regions of the column 'mean of'"),

@@ -84,7 +84,7 @@ def discover_scenes(
         names = ", ".join(each.name for each in wanted)
         looked_for = f"{names}: {wanted[0].wants.replace('`', '').partition(';')[0]}"
         if len(wanted) > 1:
-            looked_for = f"files of the layouts {names}; depthcli help layouts names them"
+            looked_for = f"files of the layouts {names}, which the reference of the documentation names"
         if archives := archives_in(folder):
             return discover_scenes(gathered(archives), kinds, layout, patterns, warn)
         raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {looked_for})")

@@ -63,7 +63,7 @@ DEPTH = (
            pattern="shadow_width_(left|right)"),
     Column("shadows_left, shadows_right", "confidence that gaps on that side of near surfaces are shadows", "0 to 1",
            pattern="shadows_(left|right)"),
-    Column("gap_filled, fallback, carried, empty, smoothed", "share of pixels with that bit; see depthcli help status",
+    Column("gap_filled, fallback, carried, empty, smoothed", "share of pixels with that bit of status.png",
            "0 to 1", pattern="gap_filled|fallback|carried|empty|smoothed"),
     Column("frames, frames_failed", "frames of a sequence that were refined, and that failed",
            pattern="frames(_failed)?"),
