@@ -12,10 +12,9 @@ order of first use:
 
 | module | what it does |
 |---|---|
-| ``measures`` | costs (H, W, D) of every measure |
+| ``pipeline`` | costs (H, W, D) of every measure, and the order of the steps |
 | ``blend`` | brings them to one scale; later the measures' weights (M, H, W), and the weighted mean of the costs |
-| ``votes`` | the ballot: shares of disparities, and costs of disparities with a small share |
-| ``support`` | the supports, and sums of votes over them |
+| ``votes`` | the supports; the ballot: shares of disparities, and costs of disparities with a small share |
 | ``maps`` | optional: mixes the finished map with maps of other methods |
 | ``choice`` | which map is taken at a pixel: by graph cuts (``energy``) or by a trained ``network`` |
 | ``map_costs`` | costs of a map at a pixel: matching, the other maps, the right view, the neighbors |

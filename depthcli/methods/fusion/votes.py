@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import cv2
@@ -79,14 +80,20 @@ class ColorSupport(Support):
         _recurse_columns(block, self._down)
 
 
-def wide_support(image: NDArray[np.uint8]) -> ColorSupport:
-    """Return the wide support of an (H, W, 3) image, by which maps are judged; networks are trained with it."""
-    return ColorSupport(image, 8.0, _SOFTNESS)
+class PairSupports:
+    """The supports by which maps of ``pair`` are judged: a wide one, and a narrow one where outlines matter."""
 
+    pair: StereoPair
 
-def narrow_support(image: NDArray[np.uint8]) -> ColorSupport:
-    """Return the narrow support, which is used where outlines matter."""
-    return ColorSupport(image, 2.0, _SOFTNESS)
+    @cached_property
+    def wide(self) -> ColorSupport:
+        """The wide support that costs are averaged over; networks are trained with it."""
+        return ColorSupport(self.pair.color8[0], 8.0, _SOFTNESS)
+
+    @cached_property
+    def narrow(self) -> ColorSupport:
+        """The narrow support that is used where outlines matter."""
+        return ColorSupport(self.pair.color8[0], 2.0, _SOFTNESS)
 
 
 class WindowSupport(Support):

@@ -12,7 +12,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import winners
-from depthcli.methods.fusion.votes import ColorSupport, narrow_support, wide_support
+from depthcli.methods.fusion.votes import PairSupports
 from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.optimization.scanline import Scanline
@@ -43,7 +43,7 @@ BYTES_PER_PIXEL = 400
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Evidence(PairSupports):
     """Costs of a pair, by which its maps are judged.
 
     Attributes
@@ -75,16 +75,6 @@ class Evidence:
         raw = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
         reference = refined(raw, _REFINEMENT, RefinementContext(pair, optimized, right))
         return cls(pair, volume, optimized, left, right, reference)
-
-    @cached_property
-    def wide(self) -> ColorSupport:
-        """The wide support that planes are averaged over."""
-        return wide_support(self.pair.color8[0])
-
-    @cached_property
-    def narrow(self) -> ColorSupport:
-        """The narrow support that is used where outlines matter."""
-        return narrow_support(self.pair.color8[0])
 
     @cached_property
     def grey(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

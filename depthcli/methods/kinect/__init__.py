@@ -8,13 +8,17 @@ the measured disparity, its noise, the way back to depth.
 A sensor shows near surfaces too wide and throws *shadows*, gaps on the far side of a step. Where they lie and how wide
 they are is measured in each frame (``shadows``); without a color image nothing is said of outlines.
 
+In all modules ``disparity`` is (H, W) float32, in pixels, NaN = unknown, ``color`` (H, W, 3) uint8 RGB, ``lab`` the
+same in CIE Lab as OpenCV scales it, ``labels`` (H, W) int32; ``noise`` is the standard deviation of the measured disparity
+and ``jump`` the smallest step that counts as a depth edge, both in pixels; ``shadows`` are those that were measured.
+
 | pipeline | steps, in order (module: decision) |
 |---|---|
-| ``plane_votes``, the most accurate | 1. ``correct_probability`` and ``hidden_openings``: which measurements are \
-correct. 2. Planes through windows of these (``algorithms.plane_fitting.window_planes``). 3. ``shadow_limits`` and \
+| ``plane_votes``, the most accurate | 1. ``depth_edges`` and ``candidates.hidden_openings``: which measurements are \
+correct. 2. Planes through windows of these (``algorithms.plane_fitting.window_planes``). 3. ``shadows`` and \
 ``gap_filling``: which surfaces a gap allows, and the likeliest one. 4. ``candidates`` for the other pixels, by \
-votes of the planes. 5. ``candidate_choice``: which candidate |
-| ``dsrm``, of the thesis (depth-guided segments, robust model) | 1. ``correct_probability``: which measurements are \
+votes of the planes. 5. ``candidates.choose_candidates``: which candidate |
+| ``dsrm``, of the thesis (depth-guided segments, robust model) | 1. ``depth_edges``: which measurements are \
 unreliable. 2. Segments, from fine to coarse (``algorithms.segmentation``). 3. ``model``: a surface for each segment. \
 4. ``segment_surfaces``: which neighbor a segment without one joins, and the detail that surfaces leave out. \
 5. ``layers``: median of the segmentations, and which measurements it replaces. 6. ``gap_filling`` along paths |

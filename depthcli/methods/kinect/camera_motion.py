@@ -67,7 +67,6 @@ def view_after(
     Parameters
     ----------
     motion : (4, 4), from the frame's coordinates to those of the next view, meters
-    color : (H, W, 3) uint8
     disparity : (H, W) float32, ``fb / depth``, NaN = none
     max_step : gaps of one pixel are closed between pixels that differ by at most this, pixels of disparity
     """

@@ -1,4 +1,4 @@
-"""Candidates for the disparity of every unreliable pixel: the modes of the votes of the planes around it."""
+"""Candidates for the disparity of every unreliable pixel, the modes of the votes around it, and the choice of one."""
 
 from __future__ import annotations
 
@@ -20,13 +20,11 @@ _BIN = 5 / 3  # width of a bin of the histogram, multiples of the noise
 _SPACE_SCALES = 2.0 * 1.1 ** np.arange(32)  # scales of distance that weights are tabulated for, pixels
 _MIN_SHARE = 0.01  # smaller modes are no candidates
 _MIN_SIMILARITY = 0.002  # of colors, however different
-# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 _MIN_LIKELIHOOD_RATIO = 0.3  # of a pixel's color on its own surface to that on surfaces behind it
 _MIN_OPENING_DISTANCE = 9  # pixels: nearer ones may lie in the same opening
 _OPENING_REACH = 36  # pixels
 _OPENING_GRID, _OPENING_SQUARE = 3, 5  # one pixel of a square of 3 x 3 is tested, for all of 5 x 5 around it
 _OPENING_SCALE = 20.0  # distance over which weights fall by 1/e, pixels
-# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 AGREEMENT = 4.0
 """A candidate agrees with the measurement if it differs by less than this, multiples of the noise."""
 _SHARE_FLOOR = 0.08  # added to every share of votes, so that small shares cost about the same
@@ -107,7 +105,6 @@ def cast_votes(
     Parameters
     ----------
     pixels : (N, 2) int32, row and column
-    lab : (H, W, 3) uint8
     voters : for each of ``LEVELS``
     prior : influence of shadows
     noise : of the disparity, pixels
@@ -266,8 +263,6 @@ def hidden_openings(
 
     Parameters
     ----------
-    lab : (H, W, 3) uint8
-    planes : of the measured disparity
     voters : with a stride of 4
     trusted : (H, W) bool, pixels to test
     jump : surfaces that are farther by more lie behind, pixels
@@ -351,12 +346,9 @@ def choose_candidates(
     ----------
     pixels : (N, 2) int32, the unreliable pixels in raster order
     values, shares : (N, K) of :func:`depthcli.methods.kinect.candidates.cast_votes`
-    lab : (H, W, 3) uint8
-    disparity : (H, W) float32 measured, pixels, NaN = unknown
     p_correct : (H, W) float32, probability that a measured value is correct
     unreliable : (H, W) bool
     planes : known surfaces; at reliable pixels they are the fixed neighbors
-    noise : pixels
     smoothness : weight of a difference, in units of the noise, between neighbors of one color
     truncation : largest difference that counts, multiples of the noise
     iterations : of the message passing

@@ -1,4 +1,4 @@
-"""Probability that a measurement beside a depth edge is correct, by the offset of true outlines in the frame.
+"""What depth edges say of the measurements beside them: distances, and the probability that they are correct.
 
 A sensor that matches windows shows near surfaces too wide, by an amount that depends on the sensor, and registration
 to the color camera shifts them. Averaged over all depth edges of a frame, the contrast of the color image peaks at
@@ -39,10 +39,7 @@ def correct_probability(
 
     Parameters
     ----------
-    lab : (H, W, 3) uint8, CIE Lab as OpenCV scales it
-    disparity : (H, W) float32, pixels, NaN = unknown
     jump : a larger step between consecutive known pixels of a row or column is a depth edge, pixels
-    shadows : of :func:`depthcli.methods.kinect.shadows.measure_shadows`
 
     Returns
     -------
@@ -77,10 +74,6 @@ def outline_offsets(lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump
 
     The first row is for edges whose near side lies on their right, the second for the others; both sum to 1. Element
     i is the probability that the true near surface starts ``MIN_OFFSET + i`` pixels inside the measured one.
-
-    Parameters
-    ----------
-    lab, disparity, jump : as in :func:`correct_probability`
     """
     sums = np.zeros((len(disparity), 2, 2 * _PROFILE_REACH))
     counts = np.zeros((len(disparity), 2), np.int64)
@@ -227,7 +220,6 @@ def edge_distance(disparity: NDArray[np.float32], jump: float = 1.5, gap_toleran
     Parameters
     ----------
     disparity : (H, W) float32, pixels, NaN = unknown; the near side is the larger
-    jump : pixels
     gap_tolerance : a gap is too wide from this many pixels above the step over it; ``np.inf``: never
     """
     distances = []

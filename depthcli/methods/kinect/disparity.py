@@ -34,7 +34,6 @@ def noise_level(disparity: NDArray[np.float32], floor: float = 0.1) -> float:
 
     Parameters
     ----------
-    disparity : (H, W) float32, pixels, NaN = unknown
     floor : smallest result. Triangulating sensors interpolate and smooth to about 1/8 pixel, and noise that
         neighbors share hardly shows in differences
     """
@@ -84,13 +83,11 @@ def refined_depth(
 
     Parameters
     ----------
-    frame : the measurement
     disparity : (H, W) float32 refined, pixels, NaN = none. Values that are not positive, or farther than 1000 times
         the farthest measurement, count as none
     sigma : (H, W) float32, pixels, NaN = none
     noise : of the measurement, pixels: a measured value that moved by more than three times the noise is
         ``CORRECTED``, by less ``SMOOTHED``
-    clock : seconds so far
     fallback : (H, W) bool, gaps filled from around instead of by the model
     """
     clock.start("result")

@@ -61,7 +61,6 @@ def fill_gaps(
     Parameters
     ----------
     values : (H, W) float32, pixels, NaN = unknown
-    lab : (H, W, 3) uint8, CIE Lab as OpenCV scales it
     segments : (n, H, W) int32, layers of segments, or None
     limit : (H, W) float32, largest possible disparity, pixels; inf where there is none, None: nowhere
     cost : (H, W) float32 >= 0, of paths that start at a known pixel; less reliable ones cost more

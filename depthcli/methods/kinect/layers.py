@@ -65,7 +65,6 @@ class Measurement:
 
         Parameters
         ----------
-        lab : (H, W, 3) uint8, CIE Lab as OpenCV scales it
         jump : larger steps are depth edges, multiples of the noise
         min_probability : measurements that are correct with less probability are unreliable; 0: none
         where : shadows lie, see :func:`depthcli.methods.kinect.shadows.shadows_of`
@@ -133,7 +132,6 @@ def fit_layer(
 
     Parameters
     ----------
-    color : (H, W, 3) uint8 CIELAB
     min_known, min_share : reliable pixels that a segment needs, and their share of it. With fewer, a segment whose
         measured pixels mostly are ``core`` pixels is fitted to those
     join : False: a segment without a model stays without a surface

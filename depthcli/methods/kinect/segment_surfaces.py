@@ -36,7 +36,6 @@ def join_segments(
     labels : (H, W) int32, 0 .. n - 1
     modelled : (n,) bool
     surfaces : of all segments
-    color : (H, W, 3) uint8 CIELAB
     limit : (H, W) float32, largest possible disparity, inf where there is none
 
     Returns
@@ -126,7 +125,6 @@ def add_detail(
     Parameters
     ----------
     surface, known : (H, W) float32, NaN = unknown
-    labels : (H, W) int32
     scale : (n,) float32 of the residuals; those above three count as three
     reach : pixels
     """

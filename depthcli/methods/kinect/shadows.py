@@ -123,7 +123,6 @@ def measure_shadows(disparity: NDArray[np.float32], jump: float) -> Shadows:
 
     Parameters
     ----------
-    disparity : (H, W) float32, pixels, NaN = unknown
     jump : smallest step, pixels
     """
     counts = np.zeros(len(disparity) + 1, np.int64)
@@ -241,14 +240,6 @@ def shadow_limits(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Compute the largest disparity that a shadow allows at each pixel, and the likelihood of surfaces above it.
 
-    Parameters
-    ----------
-    lab : (H, W, 3) uint8, CIE Lab as OpenCV scales it
-    disparity : (H, W) float32, pixels, NaN = unknown
-    planes : of the measured disparity
-    jump, tolerance : pixels
-    shadows : of :func:`measure_shadows`
-
     Returns
     -------
     limit : (H, W) float32, pixels; inf outside gaps
@@ -274,10 +265,6 @@ def shadow_background(
 
     It is the surface on the far side, continued along its slope. A shadow is as wide as the step to the surface that it
     falls on: the nearer its width is to the step to the surface on the far side, the larger the share.
-
-    Parameters
-    ----------
-    disparity, planes, jump, shadows : as in :func:`shadow_limits`
 
     Returns
     -------
@@ -371,10 +358,7 @@ def max_disparity_in_gaps(
 
     Parameters
     ----------
-    disparity : (H, W) float32, pixels, NaN = unknown
     jump : gaps between known pixels that differ by less are taken for reflections, not for shadows, pixels
-    shadows : of :func:`measure_shadows`
-    tolerance : pixels of disparity
     """
     limit = np.full(disparity.shape, np.inf, np.float32)
     for shadow, right, _ in shadows.sides():

@@ -6,9 +6,8 @@ Start at ``pipeline.search``: where a search finds a better match than the regis
 
 | module | step |
 |---|---|
-| ``pipeline`` | the data flow; one file per pipeline. ``search``: both volumes on a working grid of cubic voxels |
+| ``pipeline`` | the data flow; one file per pipeline. ``search``: both volumes on a working grid of cubic voxels, and \
+the expected error, mm, from one of the measures |
 | ``feature`` | channels, uint8, that are compared; one file per feature |
 | ``search`` (kernels in ``_search_kernels``) | costs of all displacements around a voxel, and measures of their curve |
-| ``millimeters`` | expected error, mm, from one of the measures |
-| ``smoothing`` | Gaussian of a volume, for features and errors |
 """

@@ -7,16 +7,15 @@ in which they are used:
 
 | module | decision |
 |---|---|
-| ``modality`` | how color and infrared images become comparable: weights of the color channels, faded costs |
-| ``cross_modal`` | which matches of stereo between these images become sparse depth |
+| ``cross_modal`` | how color and infrared images become comparable, and which of their matches become \
+sparse depth |
 | ``fitted_frame`` | which sparse samples are outliers; planes through the others at every pixel |
 | ``unreliable`` | in which regions the sensor contradicts the planes |
-| ``smoothing`` | where planes are smoothed, and by which neighbors |
 
 | pipeline | what replaces the sensor where it is unreliable or unknown |
 |---|---|
 | ``robust`` | 1. ``fitted_frame`` and ``unreliable``: planes, and where they replace the sensor. \
-2. ``smoothing`` of the planes far from samples |
+2. Smoothing of the planes far from samples |
 | ``crf``, of the thesis | 1. As ``robust``; may be left out. 2. A dense CRF, labels are steps of inverse depth |
 | ``nearest``, for comparison | the depth of the nearest sample |
 | ``joint_bilateral``, for comparison | means of reliable values around, weighted by distance and color |

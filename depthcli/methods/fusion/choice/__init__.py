@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated, ClassVar, Self
 
 import numpy as np
@@ -17,12 +16,12 @@ from numpy.typing import NDArray
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
 from depthcli.core.networks import TrainedNetwork
-from depthcli.methods.fusion.votes import ColorSupport, narrow_support, wide_support
+from depthcli.methods.fusion.votes import PairSupports
 from depthcli.methods.stereo.volume import CostVolume
 
 
 @dataclass(frozen=True)
-class Proposals:
+class Proposals(PairSupports):
     """N maps to choose from, with the data that they are judged by.
 
     Attributes
@@ -43,16 +42,6 @@ class Proposals:
     pair: StereoPair
     volume: CostVolume
     right: NDArray[np.uint16]
-
-    @cached_property
-    def wide(self) -> ColorSupport:
-        """The wide support that costs are averaged over."""
-        return wide_support(self.pair.color8[0])
-
-    @cached_property
-    def narrow(self) -> ColorSupport:
-        """The narrow support that is used where outlines matter."""
-        return narrow_support(self.pair.color8[0])
 
 
 @dataclass(frozen=True)

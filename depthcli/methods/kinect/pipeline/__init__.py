@@ -50,7 +50,6 @@ class FilterPipeline(KinectPipeline):
 
         Parameters
         ----------
-        frame : the measurement
         measured : (H, W) float32, its disparity, pixels, NaN = unknown
         noise : standard deviation of ``measured``, pixels
         clock : stopped after every stage

@@ -54,7 +54,6 @@ def weighted_smoothing(
     Parameters
     ----------
     color : (H, W, 3) uint8, the guide
-    disparity : (H, W) float32, pixels, NaN = unknown
     confidence : (H, W) float32 >= 0, 0 where the disparity is unknown
     smoothness, sigma_color : of ``cv2.ximgproc.createFastGlobalSmootherFilter``
     """

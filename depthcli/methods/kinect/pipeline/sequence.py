@@ -215,7 +215,6 @@ def carried_labels(
     Parameters
     ----------
     still : (H, W) bool
-    color : (H, W, 3) uint8
     measurement : of the next frame
     jump : step of a depth edge, pixels
     """
