@@ -57,11 +57,11 @@ class KinectSample:
         return self.occluded | self.specular
 
     def frame(self, fb: float = RgbdFrame.fb) -> RgbdFrame:
-        """The measurement as a frame in meters; ``fb`` in pixel meters."""
+        """Return the measurement as a frame in meters; ``fb`` in pixel meters."""
         return RgbdFrame(self.color, depth_of_disparity(self.disparity, fb), fb, self.intrinsics, pose=self.pose)
 
     def depth_true(self, fb: float = RgbdFrame.fb) -> NDArray[np.float32]:
-        """(H, W) float32, meters, NaN = unknown."""
+        """Return the true depth, (H, W) float32, meters, NaN = unknown."""
         return depth_of_disparity(self.truth, fb)
 
 
@@ -176,7 +176,7 @@ def simulate_kinect(
 
 
 def _correlated(grain: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    """White noise smoothed by a Gaussian, with the same standard deviation."""
+    """Return white noise smoothed by a Gaussian, with the same standard deviation."""
     if not sigma:
         return grain
     smooth = cv2.GaussianBlur(grain, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
@@ -184,7 +184,7 @@ def _correlated(grain: NDArray[np.float32], sigma: float) -> NDArray[np.float32]
 
 
 def _mixed(surface: Disparity, width: int, jump: float, rng: np.random.Generator) -> Disparity:
-    """Pixels within ``width`` of a step take values between the nearest and the farthest surface so near."""
+    """Give pixels within ``width`` of a step values between the nearest and the farthest surface so near."""
     if not width:
         return surface
     kernel = np.ones((2 * width + 1, 2 * width + 1), np.uint8)
@@ -194,14 +194,14 @@ def _mixed(surface: Disparity, width: int, jump: float, rng: np.random.Generator
 
 
 def _moved_image(color: NDArray[np.uint8], right: int, down: int) -> NDArray[np.uint8]:
-    """The image moved by whole pixels, its borders continued."""
+    """Return the image moved by whole pixels, its borders continued."""
     rows = np.clip(np.arange(color.shape[0]) - down, 0, color.shape[0] - 1)
     columns = np.clip(np.arange(color.shape[1]) - right, 0, color.shape[1] - 1)
     return np.ascontiguousarray(color[rows[:, None], columns])
 
 
 def _behind(truth: Disparity) -> Disparity:
-    """Unknown runs of each row take the smaller of the values at their ends; rows without any, the row above's."""
+    """Fill unknown runs of each row with the smaller value at their ends, empty rows with the nearest row."""
     left, right = truth.copy(), truth.copy()
     for x in range(1, truth.shape[1]):
         left[:, x] = np.where(np.isnan(left[:, x]), left[:, x - 1], left[:, x])
@@ -215,7 +215,7 @@ def _behind(truth: Disparity) -> Disparity:
 
 
 def _fattened(surface: Disparity, width: int, sides: str, jump: float) -> Disparity:
-    """Surfaces in front, spread over ``width`` pixels on their sides along the rows."""
+    """Return the disparity with surfaces in front spread over ``width`` pixels on their sides along the rows."""
     step = np.diff(surface, axis=1)
     faces_left, faces_right = np.full_like(surface, -np.inf), np.full_like(surface, -np.inf)
     faces_left[:, 1:] = np.where(step > jump, surface[:, 1:], -np.inf)
@@ -230,7 +230,7 @@ def _fattened(surface: Disparity, width: int, sides: str, jump: float) -> Dispar
 
 
 def _shadow(fattened: Disparity, jump: float, baseline: float) -> Mask:
-    """Pixels whose projected position ``x - d`` is hidden behind a surface to their right, nearer by over ``jump``."""
+    """Select pixels whose projected position ``x - d`` is hidden behind a surface to their right, nearer by over ``jump``."""
     position = np.arange(fattened.shape[1], dtype=np.float32) - np.float32(baseline) * fattened
     shadow = np.zeros(fattened.shape, bool)
     front = position[:, -1].copy()

@@ -126,7 +126,7 @@ def _shots(
     max_disparity: int,
     speed: int,
 ) -> list[Shot]:
-    """Color, true disparity and pose of every frame, without noise."""
+    """Return color, true disparity and pose of every frame, without noise."""
     if kind == "camera":
         return along_boards(rng, frames, width, height, max_disparity, speed)
     color, truth = make_kinect_scene("foreground", seed, width, height, max_disparity)
@@ -203,7 +203,7 @@ class Canvas:
         return painted
 
     def _plane(self, center: tuple[float, float], disparity: float, max_tilt: float) -> Disparity:
-        """Plane, tilted by at most ``max_tilt`` pixels of disparity over a quarter of the picture."""
+        """Return a plane, tilted by at most ``max_tilt`` pixels of disparity over a quarter of the picture."""
         height, width = self._rows.shape
         tilt_x, tilt_y = self._rng.uniform(-max_tilt, max_tilt, 2) * (4 / width, 4 / height)
         plane = disparity + tilt_x * (self._columns - center[0]) + tilt_y * (self._rows - center[1])

@@ -27,7 +27,7 @@ Shape = Literal["plane", "sphere", "cylinder", "cone"]
 
 
 def rotation(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> NDArray[np.float64]:
-    """(3, 3) float64 rows = local axes in the world; angles in radians about Y, X and Z, in this order."""
+    """Return the local axes in the world, the rows of (3, 3) float64, turned by radians about Y, X and Z, in this order."""
     cy, sy, cp, sp, cr, sr = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
@@ -67,7 +67,7 @@ class Surface:
     gloss: float = 0.0
 
     def local(self, vector: Vector, point: bool = True) -> Vector:
-        """World points (or, with ``point=False``, directions) in the scaled local frame."""
+        """Return world points (or, with ``point=False``, directions) in the scaled local frame."""
         shift = self.axes @ self.center if point else np.zeros(3)
         rows = self.axes / self.half_size[:, None]
         shift = shift / self.half_size
@@ -78,7 +78,7 @@ class Surface:
         return a, b, c
 
     def hit(self, origin: Vector, direction: Vector) -> Array:
-        """Smallest t > 0 with ``origin + t * direction`` on the surface; inf where the ray misses it."""
+        """Return the smallest t > 0 with ``origin + t * direction`` on the surface; inf where the ray misses it."""
         o, d = self.local(origin), self.local(direction, point=False)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if self.shape == "plane":
@@ -109,7 +109,7 @@ class Surface:
         return np.where(near_ok, near, np.where(far_ok, far, np.inf))
 
     def picture_position(self, point: Vector) -> tuple[Array, Array]:
-        """World points on the surface -> (column, row) of the texture, float32."""
+        """Return (column, row) of the texture, float32, at world points on the surface."""
         x, y, z = self.local(point)
         if self.shape != "plane":
             x = np.arctan2(x, -z) / np.pi
@@ -120,7 +120,7 @@ class Surface:
         return column.astype(np.float32), row.astype(np.float32)
 
     def normal(self, point: Vector) -> Vector:
-        """Unit normals at world points of the surface, turned to either side."""
+        """Return unit normals at world points of the surface, turned to either side."""
         if self.shape == "plane":
             x, y, z = (self.axes[2, i] * np.ones_like(point[2]) for i in range(3))
             return x, y, z
@@ -135,7 +135,7 @@ class Surface:
         return x / length, y / length, z / length
 
     def corners(self) -> NDArray[np.float64]:
-        """(8, 3) world corners of a box around the surface."""
+        """Return the (8, 3) world corners of a box around the surface."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
         if self.shape == "plane":
             signs[:, 2] = 0
@@ -307,7 +307,7 @@ def lay_floor(room: Room) -> None:
 
 
 def _rays(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Vector, Vector]:
-    """(origin, direction) of the rays through pixel positions; t along them is the depth Z."""
+    """Return origin and direction of the rays through pixel positions; t along them is the depth Z."""
     kind = np.result_type(columns, rows)
     one = np.ones((1, 1), kind)
     direction = ((columns - room.center[0]) / room.focal, (rows - room.center[1]) / room.focal, one)
@@ -339,7 +339,7 @@ def trace(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Array, 
 
 
 def _bounds(room: Room, surface: Surface, right: bool) -> tuple[float, float, float, float]:
-    """Pixels that a surface can cover: first and last column, first and last row."""
+    """Return the pixels that a surface can cover: first and last column, first and last row."""
     if surface.unbounded:
         return -np.inf, np.inf, -np.inf, np.inf
     corners = surface.corners()
@@ -354,7 +354,7 @@ def light_maps(room: Room) -> list[NDArray[np.float32] | None]:
 
 
 def _lightmap(room: Room, index: int) -> NDArray[np.float32]:
-    """Light on a plane, with the soft shadows of the other surfaces, over its square: (n, n) float32."""
+    """Return the light on a plane, with the soft shadows of the other surfaces, over its square: (n, n) float32."""
     surface = room.surfaces[index]
     side = np.linspace(-1, 1, _LIGHTMAP_SIDE)
     a, b = np.meshgrid(side * surface.half_size[0], side * surface.half_size[1])
@@ -400,7 +400,7 @@ def render(room: Room, lightmaps: list[NDArray[np.float32] | None], right: bool,
 
 
 def _shade(room: Room, surface: Surface, lightmap: NDArray[np.float32] | None, point: Vector) -> NDArray[np.float32]:
-    """Colors of points that lie on a surface (others in the rectangle get some color)."""
+    """Return the colors of points that lie on a surface (others in the rectangle get some color)."""
     column, row = surface.picture_position(point)
     # Rays of the rectangle that hit something else can lie far off, beyond what remap can index.
     column, row = np.clip(column, -20000, 20000), np.clip(row, -20000, 20000)

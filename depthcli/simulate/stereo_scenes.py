@@ -241,7 +241,7 @@ def _curved(room: Room) -> None:
 
 
 def _repetitive(room: Room) -> None:
-    """The pattern's wall leans about the X axis only: one period and one disparity a row."""
+    """Add a wall with a pattern that leans about the X axis only: one period and one disparity a row."""
     rng, w, h = room.rng, room.width, room.height
     room.far = room.max_disparity * rng.uniform(0.4, 0.5)
     texels = room.far
@@ -312,7 +312,7 @@ def _road(room: Room) -> None:
 
 
 def _house_fronts(room: Room, sign: int, away: float) -> None:
-    """House by house along the road, beside the camera by ``away`` baselines."""
+    """Add house by house along the road, beside the camera by ``away`` baselines."""
     rng, max_disparity = room.rng, room.max_disparity
     turn = rotation(sign * np.pi / 2)
     z, end = room.focal / (0.97 * max_disparity), room.focal / (0.05 * max_disparity)

@@ -9,8 +9,8 @@ A sensor shows near surfaces too wide and throws *shadows*, gaps on the far side
 they are is measured in each frame (``shadows``); without a color image nothing is said of outlines.
 
 In all modules ``disparity`` is (H, W) float32, in pixels, NaN = unknown, ``color`` (H, W, 3) uint8 RGB, ``lab`` the
-same in CIE Lab as OpenCV scales it, ``labels`` (H, W) int32; ``noise`` is the standard deviation of the measured disparity
-and ``jump`` the smallest step that counts as a depth edge, both in pixels; ``shadows`` are those that were measured.
+same in CIE Lab as OpenCV scales it, ``labels`` (H, W) int32; ``noise`` is the standard deviation of the measured
+disparity and ``jump`` the smallest step that counts as a depth edge, both in pixels; ``shadows`` are those measured.
 
 | pipeline | steps, in order (module: decision) |
 |---|---|

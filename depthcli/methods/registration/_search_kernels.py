@@ -63,7 +63,7 @@ def _window_rows(differences, last, total):
 def _tile_costs(
     fixed, warped, offsets, half, reach, stride, size, shift, small_values, costs, row, sums, running, layers, volumes
 ):
-    """Window sums of |fixed - warped| for every displacement, ``shift`` bits coarser, (tz, ty, K, width) uint16.
+    """Write window sums of |fixed - warped| for every displacement, ``shift`` bits coarser, (tz, ty, K, width) uint16.
 
     ``fixed`` and ``warped``: (Z, sx, C, Y * pitch) of this tile: rows of one pitch one after another, so that a slice
     is one long loop. Between the rows' ends and the next ones' beginnings the sums are of no use.
@@ -219,7 +219,7 @@ def _likelihoods(costs, offsets, lengths, power, costly, rows, out):
 
 @jit
 def _measure_row(costs, offsets, lengths, edge, neighbors, power, scale, costly, rows, out):
-    """Measures of one row of curves, (K, n) uint16 costs with displacement zero first, into (planes, n) ``out``.
+    """Write the measures of one row of curves, (K, n) uint16 costs with displacement zero first, into (planes, n) ``out``.
 
     Leaves the mean cost in ``rows[1]`` and the index of the smallest one in ``rows[8]``.
 
@@ -257,7 +257,7 @@ def _measure_row(costs, offsets, lengths, edge, neighbors, power, scale, costly,
 
 @jit
 def _peak_row(costs, before, after, best, mean, rows, out):
-    """Peak ratio of one row of curves: second smallest local minimum over smallest cost.
+    """Write the peak ratio of one row of curves: second smallest local minimum over smallest cost.
 
     As in stereo a local minimum is below the neighbors that come earlier and not above the later ones, and without a
     second one the largest cost stands for it. Neighbors are the 26 around a displacement, as far as they are searched.

@@ -27,7 +27,7 @@ class KinectSampleKind(Sample):
     options = ("seed", "width", "height", "frames", "fattening", "from_")
 
     def check(self, values: Mapping[str, Any]) -> None:
-        """What is not made from other scenes must be wide enough for its disparities."""
+        """Raise ConfigError where scenes from nothing are too narrow for their disparities."""
         if values["from_"] is None and values["width"] < _MIN_WIDTH:
             raise ConfigError(f"--width: at least {_MIN_WIDTH} for Kinect scenes (got {values['width']})")
 

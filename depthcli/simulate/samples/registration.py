@@ -121,7 +121,7 @@ def blurred(volume: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
 
 
 def _sampled(volume: NDArray[np.float32], field: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Trilinear values at x + field(x), borders repeated."""
+    """Return trilinear values at x + field(x), borders repeated."""
     top = np.array(volume.shape).reshape(3, 1, 1, 1) - 1
     grid = np.stack(np.meshgrid(*(np.arange(n, dtype=np.float32) for n in volume.shape), indexing="ij"))
     place = np.clip(grid + field, 0, top)

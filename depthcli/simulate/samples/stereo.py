@@ -26,7 +26,7 @@ class StereoSample(Sample):
     options = (*_SIZES, "count", "kind", "max_disparity", "noise", "radiometric", "brightness", "wall_contrast")
 
     def check(self, values: Mapping[str, Any]) -> None:
-        """The range must leave room for a match, the kinds must be known."""
+        """Raise ConfigError where the range leaves no room for a match, or a kind is unknown."""
         if values["max_disparity"] > values["width"] // 2:
             raise ConfigError(
                 f"--max-disparity: at most width / 2 = {values['width'] // 2} (got {values['max_disparity']})"
@@ -36,7 +36,7 @@ class StereoSample(Sample):
                 raise ConfigError(f"--kind: no kind called {kind!r}; one of: {', '.join(KINDS)}")
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
-        """Kinds in turn, the next seed after each round."""
+        """Return scenes of the kinds in turn, the next seed after each round."""
         kinds = tuple(dict.fromkeys(values["kind"] or _DEFAULT_KINDS))
         chosen = [(kinds[i % len(kinds)], values["seed"] + i // len(kinds)) for i in range(values["count"])]
         return [

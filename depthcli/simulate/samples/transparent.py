@@ -33,7 +33,7 @@ class TransparentSample(Sample):
     options = ("seed", "width", "height", "share", "outliers", "speckles", "at_edges", "from_")
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
-        """Two generated scenes, or one for every frame and pair of the folder."""
+        """Return two generated scenes, or one for every frame and pair of the folder."""
         if values["from_"] is None:
             seeds = range(values["seed"], values["seed"] + _N_SCENES)
             return [SampleScene(name=f"glass_{seed}", folder=Path(), settings={"seed": seed}) for seed in seeds]
