@@ -230,7 +230,7 @@ def _fattened(surface: Disparity, width: int, sides: str, jump: float) -> Dispar
 
 
 def _shadow(fattened: Disparity, jump: float, baseline: float) -> Mask:
-    """Select pixels whose projected position ``x - d`` is hidden behind a surface to their right, nearer by over ``jump``."""
+    """Select pixels whose projected position ``x - d`` a surface on their right hides, nearer by over ``jump``."""
     position = np.arange(fattened.shape[1], dtype=np.float32) - np.float32(baseline) * fattened
     shadow = np.zeros(fattened.shape, bool)
     front = position[:, -1].copy()

@@ -27,7 +27,7 @@ Shape = Literal["plane", "sphere", "cylinder", "cone"]
 
 
 def rotation(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> NDArray[np.float64]:
-    """Return the local axes in the world, the rows of (3, 3) float64, turned by radians about Y, X and Z, in this order."""
+    """Return the local axes in the world, rows of (3, 3) float64; radians about Y, X and Z, in this order."""
     cy, sy, cp, sp, cr, sr = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])

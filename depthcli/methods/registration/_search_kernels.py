@@ -219,7 +219,7 @@ def _likelihoods(costs, offsets, lengths, power, costly, rows, out):
 
 @jit
 def _measure_row(costs, offsets, lengths, edge, neighbors, power, scale, costly, rows, out):
-    """Write the measures of one row of curves, (K, n) uint16 costs with displacement zero first, into (planes, n) ``out``.
+    """Write the measures of a row of curves, (K, n) uint16 costs with displacement zero first, to (planes, n) ``out``.
 
     Leaves the mean cost in ``rows[1]`` and the index of the smallest one in ``rows[8]``.
 
