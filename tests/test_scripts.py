@@ -69,7 +69,7 @@ def test_a_python_that_is_too_old_is_told_in_a_line(checkout: Path, tmp_path: Pa
     old = tmp_path / "python3"
     old.write_text('#!/bin/sh\n[ "$1" = --version ] && echo "Python 3.8.1" || exit 1\n')
     old.chmod(0o755)
-    command = [*BARE, str(checkout / "scripts" / "fuzz"), "--help"]
+    command = [*BARE, str(checkout / "scripts" / "bench"), "--help"]
     done = subprocess.run(command, env=os.environ | {"PYTHON": str(old)}, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr == "depthcli needs Python 3.11 or newer; Python 3.8.1 is too old (set PYTHON)\n"

@@ -1,4 +1,4 @@
-"""Damaged files: pixels or an InputError in one line, and silence on stderr. ``scripts/fuzz`` runs many more."""
+"""Damaged files: pixels or an InputError in one line, and silence on stderr."""
 
 from __future__ import annotations
 
@@ -13,10 +13,24 @@ from depthcli.io.formats.calibrations import read_rig
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import image_size, read_image
 from tests import damage
-from tests.fuzzing.inputs import ODD_VALUES, others
 
 FILES = {name: data for name, data in damage.originals().items() if not name.endswith((".pfm", ".npy"))}
 ROUNDS = 60
+ODD_VALUES = (
+    "[" * 3000 + "]" * 3000, "9" * 400, "-" + "9" * 5000, "1e400", "-99999999999", "NaN", "null", '"x"', "[]", "{}",
+    "[1, [2]]", "0", "-1", "[" + "1, " * 70_000 + "1]", '{"a": {"b": {}}}', "1e-320", "2147483648",
+)  # fmt: skip
+_RIG = (
+    "%YAML:1.0\n---\n"
+    + "".join(
+        f"{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [{data}]\n"
+        for name, rows, columns, data in (
+            ("K1", 3, 3, "60, 0, 31.5, 0, 60, 23.5, 0, 0, 1"), ("D1", 1, 5, "-0.05, 0.01, 0, 0, 0"),
+            ("K2", 3, 3, "61, 0, 31, 0, 61, 24, 0, 0, 1"), ("D2", 1, 5, "-0.04, 0.01, 0, 0, 0"),
+            ("R", 3, 3, "1, 0, 0, 0, 1, 0, 0, 0, 1"), ("T", 3, 1, "-0.12, 0.001, 0"),
+        )
+    )
+).encode()  # fmt: skip
 
 
 @pytest.mark.parametrize("name", [name for name in FILES if name != "plain.pgm"])  # whose last number may lose a digit
@@ -61,7 +75,7 @@ def test_damage_is_told_by_us_alone(tmp_path: Path, capfd, name):
 def test_sizes_in_a_calibration_of_opencv_are_never_sizes_of_memory(tmp_path: Path, key, word):
     """OpenCV's own reader writes outside of its memory for negative sizes, which ends the process much later."""
     path = tmp_path / "rig.yaml"
-    path.write_bytes(re.sub(rb"\b%s: .*" % key, lambda _: key + b": " + word, others()["rig.yaml"], count=3))
+    path.write_bytes(re.sub(rb"\b%s: .*" % key, lambda _: key + b": " + word, _RIG, count=3))
     try:
         assert read_rig([path]).baseline == pytest.approx(0.12, abs=1e-3)
     except InputError as error:
@@ -72,7 +86,7 @@ def test_sizes_in_a_calibration_of_opencv_are_never_sizes_of_memory(tmp_path: Pa
 @pytest.mark.parametrize("value", ODD_VALUES, ids=lambda value: value[:9])
 def test_odd_values_in_calibrations_are_refused_in_a_line(tmp_path: Path, value):
     """Numbers of thousands of digits, lists that multiply, deep ones: in every place, and soon."""
-    text = others()["rig.yaml"].decode()
+    text = _RIG.decode()
     for place in ("K1: !!opencv-matrix", "[60, 0, 31.5, 0, 60, 23.5, 0, 0, 1]", "rows: 3", "%YAML:1.0"):
         path = tmp_path / "rig.yaml"
         path.write_text(text.replace(place, f"K1: {value}" if place.startswith("K1") else value, 1), "utf-8")
