@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import itertools
 import textwrap
@@ -17,6 +16,7 @@ from pydantic import BaseModel
 from depthcli.core.config_file import to_yaml
 from depthcli.core.errors import ConfigError
 from depthcli.core.registry import Plugin, PluginWarning, plugins_in
+from depthcli.core.text import did_you_mean
 
 
 def preset_folder() -> Path:
@@ -128,9 +128,8 @@ def find_config(command: str, config: str) -> Path:
     except (OSError, ValueError) as error:
         raise ConfigError(f"{config[:200]}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     names = [name for _, name, _ in list_presets(command)]
-    near = difflib.get_close_matches(config.lower(), names, 1)
     elsewhere = [of for of, name, _ in list_presets() if name == config.lower() and of != command]
-    hint = f"; did you mean {near[0]!r}?" if near else ""
+    hint = did_you_mean(config.lower(), names)
     if elsewhere:
         hint += f"; {' and '.join(elsewhere)} {'has' if len(elsewhere) == 1 else 'have'} one of that name"
     raise ConfigError(f"{config}: neither a file nor a preset of {command}{hint} (presets: {', '.join(names)})")
