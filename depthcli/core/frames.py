@@ -38,14 +38,14 @@ class StereoPair:
         if self.left.shape != self.right.shape:
             raise ValueError(f"left {self.left.shape} and right {self.right.shape} differ in size")
         if self.left.dtype != self.right.dtype or self.left.dtype not in (np.uint8, np.uint16):
-            raise TypeError(f"want two uint8 or two uint16 images, got {self.left.dtype}, {self.right.dtype}")
+            raise TypeError(f"expected two uint8 or two uint16 images, got {self.left.dtype}, {self.right.dtype}")
         if self.left.ndim not in (2, 3) or (self.left.ndim == 3 and self.left.shape[2] != 3):
-            raise ValueError(f"want (H, W) or (H, W, 3), got {self.left.shape}")
+            raise ValueError(f"expected (H, W) or (H, W, 3), got {self.left.shape}")
         if self.bits is not None and not 1 <= self.bits <= 8 * self.left.dtype.itemsize:
             raise ValueError(f"{self.left.dtype} samples cannot hold {self.bits} bits")
         trust = self.light_trust
         if trust is not None and (trust.shape != self.shape or trust.dtype != np.uint8):
-            raise ValueError(f"want uint8 light_trust {self.shape}, got {trust.shape} {trust.dtype}")
+            raise ValueError(f"expected uint8 light_trust {self.shape}, got {trust.shape} {trust.dtype}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -160,9 +160,9 @@ class RgbdFrame:
 
     def __post_init__(self) -> None:
         if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
-            raise ValueError(f"want (H, W, 3) uint8 color, got {self.color.shape} {self.color.dtype}")
+            raise ValueError(f"expected (H, W, 3) uint8 color, got {self.color.shape} {self.color.dtype}")
         if self.depth.shape != self.color.shape[:2] or self.depth.dtype != np.float32:
-            raise ValueError(f"want float32 depth {self.shape}, got {self.depth.shape} {self.depth.dtype}")
+            raise ValueError(f"expected float32 depth {self.shape}, got {self.depth.shape} {self.depth.dtype}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -202,7 +202,7 @@ class RgbIrFrame:
     def __post_init__(self) -> None:
         RgbdFrame(self.color, self.depth)
         if self.infrared.ndim != 2 or self.infrared.dtype != np.uint8:
-            raise ValueError(f"want (h, w) uint8 infrared, got {self.infrared.shape} {self.infrared.dtype}")
+            raise ValueError(f"expected (h, w) uint8 infrared, got {self.infrared.shape} {self.infrared.dtype}")
         if self.rig is None and self.infrared.shape != self.depth.shape:
             raise ValueError(f"a rectified pair has one size, got {self.depth.shape} and {self.infrared.shape}")
 
@@ -226,4 +226,4 @@ class SparseFrame(RgbdFrame):
         super().__post_init__()
         for values in (self.sparse, self.sparse_confidence, self.dense):
             if values is not None and (values.shape != self.shape or values.dtype != np.float32):
-                raise ValueError(f"want float32 sparse maps {self.shape}, got {values.shape} {values.dtype}")
+                raise ValueError(f"expected float32 sparse maps {self.shape}, got {values.shape} {values.dtype}")

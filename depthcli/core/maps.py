@@ -84,7 +84,7 @@ class _Map:
         if self.values.ndim != 2 or self.values.shape != self.status.shape:
             raise ValueError(f"values {self.values.shape} and status {self.status.shape} must be the same (H, W)")
         if self.values.dtype != np.float32 or self.status.dtype != np.uint8:
-            raise TypeError(f"want float32 values and uint8 status, got {self.values.dtype}, {self.status.dtype}")
+            raise TypeError(f"expected float32 values and uint8 status, got {self.values.dtype}, {self.status.dtype}")
 
     @property
     def valid(self) -> NDArray[np.bool_]:

@@ -52,8 +52,8 @@ class DepthResult(Result):
 
     def __post_init__(self) -> None:
         if self.sigma.shape != self.depth.values.shape or self.sigma.dtype != np.float32:
-            want, got = self.depth.values.shape, self.sigma.shape
-            raise ValueError(f"want float32 sigma {want}, got {got} {self.sigma.dtype}")
+            expected, got = self.depth.values.shape, self.sigma.shape
+            raise ValueError(f"expected float32 sigma {expected}, got {got} {self.sigma.dtype}")
 
 
 class Clock:

@@ -112,7 +112,7 @@ class Grid:
         return bool(np.allclose(self.to_point(corners), other.to_point(corners), atol=tolerance, rtol=0))
 
     def describe_difference(self, other: Grid) -> str:
-        """Describe the first property that differs, as ``size 3 x 4 x 1, want 5 x 6 x 1``, for error messages.
+        """Describe the first property that differs, as ``size 3 x 4 x 1, expected 5 x 6 x 1``, for error messages.
 
         The first of size, spacing, origin and direction that differs by more than 1e-3, of this grid and then of
         ``other``. If none of the first three does, the direction.
@@ -122,8 +122,8 @@ class Grid:
             if name == "direction" or not np.allclose(own, others, rtol=1e-3, atol=1e-3):
                 break
         between = " x " if name == "size" else " "
-        have, want = (between.join(f"{number:.6g}" for number in numbers) for numbers in (own, others))
-        return f"{name} {have}, want {want}"
+        have, expected = (between.join(f"{number:.6g}" for number in numbers) for numbers in (own, others))
+        return f"{name} {have}, expected {expected}"
 
 
 @dataclass(frozen=True)
@@ -154,13 +154,13 @@ class RegisteredPair:
 
     def __post_init__(self) -> None:
         if self.fixed.ndim != 3 or self.fixed.shape != self.warped.shape:
-            raise ValueError(f"want two (Z, Y, X) volumes of one shape, got {self.fixed.shape}, {self.warped.shape}")
+            raise ValueError(f"expected two (Z, Y, X) of one shape, got {self.fixed.shape}, {self.warped.shape}")
         if self.fixed.dtype != np.float32 or self.warped.dtype != np.float32:
-            raise TypeError(f"want float32 volumes, got {self.fixed.dtype}, {self.warped.dtype}")
+            raise TypeError(f"expected float32 volumes, got {self.fixed.dtype}, {self.warped.dtype}")
         if self.mask is not None and (self.mask.shape != self.fixed.shape or self.mask.dtype != np.bool_):
-            raise ValueError(f"want a bool mask of shape {self.fixed.shape}, got {self.mask.shape} {self.mask.dtype}")
+            raise ValueError(f"expected a bool mask {self.fixed.shape}, got {self.mask.shape} {self.mask.dtype}")
         if len(self.spacing) != 3 or not all(np.isfinite(s) and s > 0 for s in self.spacing):
-            raise ValueError(f"want three positive spacings, got {self.spacing}")
+            raise ValueError(f"expected three positive spacings, got {self.spacing}")
         if not (np.isfinite(self.fixed).all() and np.isfinite(self.warped).all()):
             raise ValueError("the volumes must be finite")
 

@@ -44,8 +44,8 @@ def maps_are_finite_float32(measure: ConfidenceMeasure) -> None:
     """Volumes of any size give finite float32 values of the size of the image."""
     for shape in ((1, 1, 1), (2, 3, 1), (3, 2, 17), (5, 31, 33)):
         values = _values(measure, np.random.default_rng(1).integers(0, 200, shape).astype(np.uint8))
-        assert values.shape == shape[:2], f"want {shape[:2]}, got {values.shape}"
-        assert values.dtype == np.float32, f"want float32, got {values.dtype}"
+        assert values.shape == shape[:2], f"expected {shape[:2]}, got {values.shape}"
+        assert values.dtype == np.float32, f"expected float32, got {values.dtype}"
         assert np.isfinite(values).all(), f"some values are NaN or infinite, of costs of shape {shape}"
 
 

@@ -18,9 +18,9 @@ def check_cost_measure(cost: CostMeasure) -> None:
 
 
 def _checked(volume: CostVolume, shape: tuple[int, int, int]) -> CostVolume:
-    assert volume.costs.shape == shape, f"want costs of shape {shape}, got {volume.costs.shape}"
-    assert volume.costs.flags.c_contiguous, "want costs in C order"
-    assert volume.scale > 0, f"want a positive scale, got {volume.scale}"
+    assert volume.costs.shape == shape, f"expected costs of shape {shape}, got {volume.costs.shape}"
+    assert volume.costs.flags.c_contiguous, "expected costs in C order"
+    assert volume.scale > 0, f"expected a positive scale, got {volume.scale}"
     assert np.isfinite(volume.costs).all(), "some costs are NaN or infinite"
     outside = volume.costs[~inside(shape)]
     if outside.size:
@@ -36,9 +36,9 @@ def true_shift_is_cheapest(cost: CostMeasure) -> None:
         np.testing.assert_array_equal(costs[..., shift], costs.min(axis=2))
         # Ties are rare on random texture (a single rank or grey level can be met by chance).
         share = np.mean(costs.argmin(axis=2) == shift)
-        assert share > 0.6, f"{share:.0%} of the pixels have the true disparity, want more than 60 %"
+        assert share > 0.6, f"{share:.0%} of the pixels have the true disparity, expected more than 60 %"
         ratio = costs[..., shift].mean() / np.delete(costs, shift, axis=2).mean()
-        assert ratio < 0.1, f"the true disparity costs {ratio:.2f} of the others, want less than 0.1"
+        assert ratio < 0.1, f"the true disparity costs {ratio:.2f} of the others, expected less than 0.1"
 
 
 def same_at_any_number_of_threads(cost: CostMeasure) -> None:
@@ -78,7 +78,7 @@ def compares_levels_is_true(cost: CostMeasure) -> None:
     inner = np.s_[_MARGIN:-_MARGIN, 5 + _MARGIN : -_MARGIN]
     true, other = (cost(one, 12).costs[inner][..., 5].mean() for one in (pair, changed_light))
     wrong = cost(pair, 12).costs[inner][..., 4].mean()
-    assert (other - true > 0.2 * wrong) == cost.compares_levels, f"want compares_levels = {not cost.compares_levels}"
+    assert (other - true > 0.2 * wrong) == cost.compares_levels, f"expected {not cost.compares_levels}"
 
 
 def textureless_images_cost_nothing(cost: CostMeasure) -> None:

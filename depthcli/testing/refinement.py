@@ -39,7 +39,7 @@ def tiny_maps_and_wide_ranges(step: Refinement) -> None:
         for color in (False, True):
             disparity, evidence = noisy_case(height, width, disparities, width, color)
             result = step(disparity, evidence)
-            assert result.values.shape == (height, width), f"want {(height, width)}, got {result.values.shape}"
+            assert result.values.shape == (height, width), f"expected {(height, width)}, got {result.values.shape}"
             assert not np.isinf(result.values).any(), "a value is infinite"
             known = result.values[result.valid]
             assert np.all((known >= 0) & (known <= disparities - 1)), f"a value is outside 0 .. {disparities - 1}"

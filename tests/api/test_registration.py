@@ -65,7 +65,7 @@ FIXED = np.random.default_rng(0).random(SHAPE, np.float32)
     ("arguments", "message"),
     [
         ({"spacing": None}, "fixed: an array needs its spacing"),
-        ({"warped": FIXED[:5]}, "warped: another grid .*size 9 x 8 x 5, want 9 x 8 x 6"),
+        ({"warped": FIXED[:5]}, "warped: another grid .*size 9 x 8 x 5, expected 9 x 8 x 6"),
         ({"warped": np.where(FIXED > 0.9, np.nan, FIXED)}, r"warped: \d+ voxels are no numbers"),
         ({"fixed": np.zeros(SHAPE)}, "fixed: all voxels are 0"),
         ({"mask": np.zeros(SHAPE)}, "mask: no voxel is set"),

@@ -142,7 +142,7 @@ def spoil(folder, what):
         return "another grid"
     if what == "size":
         write_array(folder / "moving_warped.nii.gz", Grid((56, 56, 39), grid.spacing), values[:39])
-        return "56 x 56 x 39, want 56 x 56 x 40"
+        return "56 x 56 x 39, expected 56 x 56 x 40"
     if what == "mask":
         write_array(folder / "mask.nii.gz", Grid((56, 56, 39), grid.spacing), values[:39])
         return "another grid"

@@ -71,9 +71,9 @@ def test_points_and_places():
 @pytest.mark.parametrize(
     ("other", "said"),
     [
-        (Grid((6, 6, 5), (1.0, 1.0, 1.0)), "size 6 x 6 x 6, want 6 x 6 x 5"),
-        (Grid((6, 6, 6), (1.0, 1.0, 1.5)), "spacing 1 1 1, want 1 1 1.5"),
-        (Grid((6, 6, 6), (1.0, 1.0, 1.0), (0.0, 9.0, 0.0)), "origin 0 0 0, want 0 9 0"),
+        (Grid((6, 6, 5), (1.0, 1.0, 1.0)), "size 6 x 6 x 6, expected 6 x 6 x 5"),
+        (Grid((6, 6, 6), (1.0, 1.0, 1.5)), "spacing 1 1 1, expected 1 1 1.5"),
+        (Grid((6, 6, 6), (1.0, 1.0, 1.0), (0.0, 9.0, 0.0)), "origin 0 0 0, expected 0 9 0"),
         # The corners on the diagonal stay where they are.
         (Grid((6, 6, 6), (1.0, 1.0, 1.0), direction=(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)), "direction 1 0 0"),
     ],
