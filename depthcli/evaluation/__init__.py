@@ -1,21 +1,18 @@
 """Comparison of runs with ground truth: maps of the runs and scenes with truth in, scores, tables and plots out.
 
-The data flow, which ``depthcli/commands/_scoring.py`` runs for every scene and run; arrays hold NaN where they have
-no value:
+``evaluate.evaluate_runs`` does it all, from folders to files; arrays hold NaN where they have no value:
 
-1. ``map_files`` names the places where a run folder may hold the map of a scene.
+1. ``map_files`` names the runs, and the places where a run folder may hold the map of a scene.
 2. A protocol (``protocols``, one file per benchmark or kind of truth) reads the scene's truth, once, and the run's map:
    (H, W) float32 disparities in pixels, (H, W) float32 depths in meters, or (N,) float32 errors in millimeters at
    points of a volume.
 3. It scores the map by region (``nonocc``, ``all`` ...): a ``Score`` (``scores``) for every metric, and the
    sparsification ``curves`` of the confidence maps. All that is known of one map is a ``MapResult`` (``results``).
-4. ``pooling``: several scenes' scores become one, by the protocol's rule.
-5. ``comparison``: a ``Section`` holds the results of one data set under one protocol, with means and ranks; an
-   ``EvaluationReport`` all sections. ``ranking``: every run tested against the best, by the
-   tests of ``statistics``.
-6. ``tables`` and ``wide_tables`` arrange the numbers, ``render`` writes any table as text, Markdown, LaTeX, CSV or
-   HTML, ``printing`` chooses what a terminal shows, ``plots`` draws. A protocol's words, units and colors are its
-   ``presentation``. The commands write the files.
+4. ``comparison``: a ``Section`` holds the results of one data set under one protocol, with means and ranks by the
+   protocol's rule and the tests of ``statistics``; an ``EvaluationReport`` all sections.
+5. ``tables`` arranges the numbers, ``render`` writes any table as text, Markdown, LaTeX, CSV or HTML, ``plots`` draws.
+   A protocol's words, units and colors are its ``presentation``. The page and the contact sheet (room ``report``) are
+   viewers, which get the maps while they are scored.
 
 ``benchmarks`` stands apart: which files a submission to a benchmark holds. Begin with
 ``protocols/middlebury_v2.py``, the shortest protocol.

@@ -43,10 +43,8 @@ from depthcli.run.report import read_report
 PAGE_FILE = "report.html"
 """The page, in the folder of an evaluation."""
 
-RESULTS = (
-    "scores.*", "report.md", PAGE_FILE, "contact_sheet.png", "errors/**/*", "curves/**/*", "points/**/*",
-    "assets/*",
-)  # fmt: skip
+_FILES = ("scores.*", "report.md", PAGE_FILE, "contact_sheet.png")
+RESULTS = (*_FILES, "errors/**/*", "curves/**/*", "points/**/*", "assets/*")
 """Shell patterns of the files of an evaluation."""
 
 _DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's folder, without --protocol
@@ -135,10 +133,8 @@ def evaluate_runs(
             taken = any(name in each.takes for each in scoring.protocols.values())
             if value not in (None, False) and scoring.protocols and not taken:
                 reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
-        report = EvaluationReport(
-            tuple(places), tuple(results), scoring.protocols, origin(truth),
-            (*scoring.hints, *scoring.misfits()), versions_here(_plugins(scoring, found)),
-        )  # fmt: skip
+        hints, plugins = (*scoring.hints, *scoring.misfits()), versions_here(_plugins(scoring, found))
+        report = EvaluationReport(tuple(places), tuple(results), scoring.protocols, origin(truth), hints, plugins)
         if conditions:
             names = {scene.name for scene in found}
             known = {run: {k: row for k, row in of.items() if k in names} for run, of in scoring.reports.items()}
@@ -194,13 +190,12 @@ def _find_truth(
 def _scene_of_file(truth: Path, protocol: AnyProtocol) -> Scene:
     """Return a scene of one map without masks; integer codes have the scale of the settings."""
     scale = protocol.settings.scale
+    common: dict[str, Any] = {"name": truth.stem, "folder": truth.parent, "protocol": protocol.name}
     if issubclass(protocol.kind, StereoScene):
-        return StereoScene(name=truth.stem, folder=truth.parent, protocol=protocol.name, left=truth,
-                           disparity_left=truth,
-                           disparity_scale=None if truth.suffix.lower() == ".pfm" else scale)  # fmt: skip
+        codes = None if truth.suffix.lower() == ".pfm" else scale
+        return StereoScene(**common, left=truth, disparity_left=truth, disparity_scale=codes)
     if issubclass(protocol.kind, RgbdScene):
-        return RgbdScene(name=truth.stem, folder=truth.parent, protocol=protocol.name, color=truth, depth=truth,
-                         depth_true=truth, depth_scale=scale or _MILLIMETERS)  # fmt: skip
+        return RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=scale or _MILLIMETERS)
     raise InputError(f"{truth}: {protocol.name} wants a folder of scenes as the ground truth")
 
 

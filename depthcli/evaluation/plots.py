@@ -22,8 +22,8 @@ _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8
 _MARKERS = "osD^vPX*"
 _BOUND = "#777777"
 _SHARE_AXIS = "most confident pixels, %"
-_SETTINGS = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 10, "axes.spines.top": False,
-             "axes.spines.right": False}  # fmt: skip
+_SETTINGS: dict[str, Any] = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 10}
+_SETTINGS |= {"axes.spines.top": False, "axes.spines.right": False}
 
 
 def plots(section: Section) -> dict[str, str]:
@@ -39,11 +39,11 @@ def plots(section: Section) -> dict[str, str]:
         of_all = f"{metric}, {' + '.join(section.figure_regions)}"
         made[f"Time against {of_all}: means of a scene"] = _times(section, of_all)
     for (region, of), svg in _sparsifications(section):
-        made[f"Sparsification, {region}: {'share of wrong pixels' if of == 'bad' else 'mean error'} of the most "
-             "confident pixels; dotted: the best ranking"] = svg  # fmt: skip
+        what = "share of wrong pixels" if of == "bad" else "mean error"
+        made[f"Sparsification, {region}: {what} of the most confident pixels; dotted: the best ranking"] = svg
     for region, svg in _reliabilities(section):
-        made[f"Reliability, {region}: how often pixels of a confidence are right, with the expected calibration error; "
-             "dotted: as often as they say"] = svg  # fmt: skip
+        what = "how often pixels of a confidence are right, with the expected calibration error"
+        made[f"Reliability, {region}: {what}; dotted: as often as they say"] = svg
     return made
 
 
@@ -54,8 +54,8 @@ def _boxes(section: Section, what: str) -> str:
     kept = [(run, row) for run, row in kept if row]
     with _figure(height=1.2 + 0.32 * len(kept)) as (axes, out):
         place = list(range(len(kept), 0, -1))
-        axes.boxplot([row for _, row in kept], positions=place, orientation="horizontal", widths=0.55,
-                     showfliers=False, medianprops={"color": "black"})  # fmt: skip
+        style: dict[str, Any] = {"widths": 0.55, "showfliers": False, "medianprops": {"color": "black"}}
+        axes.boxplot([row for _, row in kept], positions=place, orientation="horizontal", **style)
         for i, (_, row) in enumerate(kept):
             axes.plot(row, [place[i]] * len(row), linestyle="", marker="o", ms=4, alpha=0.7, color=_color(i))
         axes.set_yticks(place, [_plain(run) for run, _ in kept])
@@ -74,14 +74,11 @@ def _by_threshold(section: Section) -> str | None:
         for i, run in enumerate(section.runs):
             points = [(s.metric.threshold, s.value) for s in lines.get(run, ()) if s.metric.threshold is not None]
             _line(axes, i, run, points, marker="")
-            dots = [  # of the tables
-                (m.threshold, section.mean(run, (m, region)).value)
-                for m, region in section.keys
-                if m.threshold is not None and region == some.region
-                and m == replace(some.metric, threshold=m.threshold) and points and m.threshold <= points[-1][0]
-            ]  # fmt: skip
-            axes.plot([x for x, _ in dots], [y for _, y in dots], linestyle="", marker=_marker(i), ms=4,
-                      color=_color(i))  # fmt: skip
+            keys = [(m, region) for m, region in section.keys if m.threshold is not None and region == some.region]
+            keys = [key for key in keys if key[0] == replace(some.metric, threshold=key[0].threshold)]
+            shown = [(key[0].threshold or 0.0, section.mean(run, key).value) for key in keys]
+            dots = [(x, y) for x, y in shown if points and x <= points[-1][0]]  # of the tables
+            axes.plot([x for x, _ in dots], [y for _, y in dots], **_dot(i, 4))
         axes.set_xlabel(_plain(section.protocol.presentation.threshold_axis))
         axes.set_ylabel(_plain(f"{some.metric.name}, {some.metric.unit}, {some.region}"))
         if not some.metric.larger_is_better:
@@ -97,8 +94,7 @@ def _times(section: Section, what: str) -> str:
         for i, run in enumerate(section.runs):
             score, seconds = section.overall(run), mean_of_known(r.seconds for r in section.results_of(run))
             if not math.isnan(score.value + seconds):
-                axes.plot([seconds], [score.value], linestyle="", marker=_marker(i), ms=8, color=_color(i),
-                          label=_plain(run))  # fmt: skip
+                axes.plot([seconds], [score.value], label=_plain(run), **_dot(i, 8))
         axes.set_xscale("log")
         low, high = axes.dataLim.intervalx
         if low > 0:  # room for two round numbers at least
@@ -229,6 +225,10 @@ def _legend(axes: Axes, lines: int) -> None:
 
 def _color(i: int) -> str:
     return _COLORS[i % len(_COLORS)]
+
+
+def _dot(i: int, size: float) -> dict[str, Any]:
+    return {"linestyle": "", "marker": _marker(i), "ms": size, "color": _color(i)}
 
 
 def _marker(i: int) -> str:

@@ -70,8 +70,8 @@ class Table:
         def part(cells: tuple[Any, ...]) -> tuple[Any, ...]:
             return tuple(cells[j] for j in chosen) if cells else ()
 
-        return replace(self, header=part(self.header), rows=tuple(map(part, self.rows)), better=part(self.better),
-                       scenes=part(self.scenes))  # fmt: skip
+        rows, better, scenes = tuple(map(part, self.rows)), part(self.better), part(self.scenes)
+        return replace(self, header=part(self.header), rows=rows, better=better, scenes=scenes)
 
     def fitted(self, width: int, spare: Sequence[str] = (), names: Sequence[str] = ()) -> Table:
         """Return the table with lines of at most ``width`` characters, where that is possible.
@@ -207,16 +207,13 @@ def _formatted(table: Table, best: str, second: str, escape: Callable[[str], str
     return [[escape(cell) for cell in table.header], *rows]
 
 
-FORMATS: dict[str, Callable[[Table], str]] = {
-    "latex": Table.latex, "markdown": Table.markdown, "csv": Table.csv,
-}  # fmt: skip
+FORMATS: dict[str, Callable[[Table], str]] = {"latex": Table.latex, "markdown": Table.markdown, "csv": Table.csv}
 """Name of a file format -> function that writes a table in it."""
 
-_LATEX = {
-    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    **{char: "\\" + char for char in "&%$#_{}"}, "<": r"\textless{}", ">": r"\textgreater{}",
-    "[": "{[}", "]": "{]}",  # behind the end of a row they would be its distance to the next
-}  # fmt: skip
+_LATEX = {char: "\\" + char for char in "&%$#_{}"}
+_LATEX |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+_LATEX |= {"<": r"\textless{}", ">": r"\textgreater{}"}
+_LATEX |= {"[": "{[}", "]": "{]}"}  # behind the end of a row they would be its distance to the next
 
 _NO_LABEL = re.compile(r"[^A-Za-z0-9_.:-]+")
 _MIN_NAME = 12  # characters of a name that is shortened

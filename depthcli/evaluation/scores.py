@@ -127,8 +127,8 @@ class Tally:
     def rate(self, metric: Metric, wrong: NDArray[np.bool_]) -> Score:
         """Return the percentage of True in ``wrong``, an array of all or some of the region's pixels."""
         n_wrong = int(np.count_nonzero(wrong))
-        return Score(metric, self.region, percent(n_wrong, wrong.size), wrong.size, self.density, n_wrong,
-                     self.error.size)  # fmt: skip
+        share = percent(n_wrong, wrong.size)
+        return Score(metric, self.region, share, wrong.size, self.density, n_wrong, self.error.size)
 
     def number(self, metric: Metric, value: float, pixels: int) -> Score:
         """Return the score of a metric that counts no wrong pixels."""

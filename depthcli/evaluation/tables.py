@@ -168,8 +168,8 @@ def headline_by_scene(section: Section) -> Table:
     title = f"{section.data_set} - {headline.heading} by scene"
     if len(section.scenes) <= _MAX_SCENE_COLUMNS:
         by_run = [(run, *(" / ".join(cells[run, s, m] for m in regions) for s in section.scenes)) for run in runs]
-        return Table(f"{title}: {' / '.join(regions)}", ("run", *map(short, section.scenes)), tuple(by_run),
-                     name="scenes")  # fmt: skip
+        scenes = ("run", *map(short, section.scenes))
+        return Table(f"{title}: {' / '.join(regions)}", scenes, tuple(by_run), name="scenes")
     header = [f"{run}: {m}" if len(runs) > 1 else m for run in runs for m in regions]
     rows = [(short(s), *(cells[run, s, m] for run in runs for m in regions)) for s in section.scenes]
     return Table(title, ("scene", *header), tuple(rows), name="scenes")
@@ -219,8 +219,8 @@ def further_tables(report: EvaluationReport) -> list[Table]:
         if len(curves) > 1:
             of_set = f" of {data_set}" if len(report.sections) > 1 else ""
             rows.append((run, f"mean of {len(curves)}{of_set}", *what, *_areas(curves)))
-    header = ("run", "scene", "mask", "confidence", "of", "AUC", "optimal", "random", "AUC/optimal", "AUSE", "AURG",
-              "AUC 5-100", "optimal 5-100", "ECE")  # fmt: skip
+    areas = ("AUC", "optimal", "random", "AUC/optimal", "AUSE", "AURG", "AUC 5-100", "optimal 5-100", "ECE")
+    header = ("run", "scene", "mask", "confidence", "of", *areas)
     note = (
         "sparsification over the estimated pixels, of wrong ones (bad: by the headline's rule) and of the error; AUC: "
         "integral over all shares; random: their mean; AUSE, AURG: distance to optimal and random; 5-100: trapezoid "

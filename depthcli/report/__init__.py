@@ -6,8 +6,8 @@
 unpacks maps, ``viewer.js`` draws them. The room knows no protocol by name: all that it uses is the interface
 ``Protocol`` of ``depthcli.evaluation``.
 
-``run_without_truth`` adds the scenes of a run that have no ground truth, each by ``run_view``, with a table of what the
-run says of its own maps, the worst first.
+``run_without_truth`` adds the scenes of a run that have no ground truth, with a table of what the run says of its own
+maps, the worst first.
 
 ``contact_sheet`` is a picture of its own: image, maps and errors of the first scenes, side by side.
 """

@@ -261,8 +261,9 @@ def _template() -> Any:
         import jinja2
     except ImportError as error:  # pragma: no cover
         raise ConfigError(f"--html wants Jinja2 ({error})") from error
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True,
-                                     undefined=jinja2.StrictUndefined)  # fmt: skip
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
     environment.globals["help"] = heading_help
     environment.filters["short"] = tables.short
     environment.filters["number"] = Number

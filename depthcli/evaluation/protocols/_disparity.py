@@ -135,8 +135,8 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
             raise InputError(f"{scene.disparity_left}: the ground truth has no known pixel")
         masks = self.masks(stored)
         ordered = {name: masks[name] for name in in_order(masks, self.region_order)}
-        return DisparityTruth(stored.disparity, ordered, stored.noc, stored.scale, scene.max_disparity,
-                              scene.round_disparity, looks_like=_other_protocols(stored.disparity))  # fmt: skip
+        top, rounded, other = scene.max_disparity, scene.round_disparity, _other_protocols(stored.disparity)
+        return DisparityTruth(stored.disparity, ordered, stored.noc, stored.scale, top, rounded, looks_like=other)
 
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
         """Return the map in pixels; 8-bit codes have the truth's scale if the settings have none.
