@@ -27,7 +27,7 @@ from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts import Folder
-from depthcli.io.layouts.rgbd import cameras
+from depthcli.io.layouts.depth import cameras
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.scenes.rgbd_sequence import SequenceScene, sequences

@@ -21,6 +21,7 @@ import time
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from glob import glob
 from pathlib import Path
 from typing import IO, Any
@@ -243,23 +244,30 @@ def _zip_members(archive: Path) -> _Members:
         for info in file.infolist():
             is_special = info.create_system == 3 and stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG)
             if not info.is_dir():
-                yield info.filename, None if is_special else lambda info=info: file.open(info)  # type: ignore[misc]
+                yield info.filename, None if is_special else partial(file.open, info)
 
 
 def _tar_members(archive: Path) -> _Members:
     with open(archive, "rb") as file:
         start = file.read(3)
-    opener = next((opener for magic, opener in _PACKED.items() if start.startswith(magic)), open)
-    with opener(archive, "rb") as raw, tarfile.open(fileobj=_Headers(raw), mode="r:", errorlevel=1) as tar:
+    opener: Any = next((opener for magic, opener in _PACKED.items() if start.startswith(magic)), open)
+    with opener(archive, "rb") as raw:
+        headers: Any = _Headers(raw)
+        tar = tarfile.TarFile(fileobj=headers, errorlevel=1)
         while (info := tar.next()) is not None:
-            tar.members.clear()  # they would all be kept
             if not info.isdir():
-                yield info.name, (lambda info=info: tar.extractfile(info)) if info.isreg() else None
+                yield info.name, partial(_file_in, tar, info) if info.isreg() else None
         raw.seek(tar.offset)
         if (block := raw.read(tarfile.BLOCKSIZE)).strip(b"\0") or len(block) < tarfile.BLOCKSIZE:
             raise tarfile.ReadError("cut short or damaged")  # which the module takes for the end
         while raw.read(1 << 20):  # to the checksum at the end
             pass
+
+
+def _file_in(tar: tarfile.TarFile, info: tarfile.TarInfo) -> IO[bytes]:
+    file = tar.extractfile(info)
+    assert file is not None  # of a regular file
+    return file
 
 
 class _Headers:

@@ -15,6 +15,7 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.files import read_bytes
 from depthcli.io.inputs import archives_in, gathered, local
 from depthcli.io.layouts import Folder, Layout, layouts, own_layouts
+from depthcli.io.layouts.rows import rows_in_file
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.stereo import with_sequences
 
@@ -57,7 +58,7 @@ def discover_scenes(
     ----------
     folder : where to look
     kinds : kinds of scene that are wanted; None: all
-    layout : name of a layout; None recognizes it, for every folder by itself
+    layout : name of a layout, or a YAML file of layouts; None recognizes it, for every folder by itself
     patterns : shell patterns, one of which the name, or its last part, must match
     warn : called with a line about folders of runs, and about scenes on deeper levels, which are not used
 
@@ -72,27 +73,30 @@ def discover_scenes(
         is_file = os.path.isfile(folder)
         raise InputError(f"{folder}: {'a file, expected a folder or an archive' if is_file else 'no such folder'}")
     fitting = tuple(kinds) if kinds is not None else (Scene,)
-    wanted = _wanted(own_layouts(), fitting, layout)
-    found = _find(folder, wanted, layout, warn) if wanted else []
+    wanted, found = _wanted(own_layouts(), fitting, layout), []
+    if wanted:
+        found = _find(folder, wanted, layout, warn)
     if not found and layouts() != own_layouts():  # layouts of plug-ins are asked where no other fits
         wanted = _wanted(layouts(), fitting, layout)
-        found = _find(folder, wanted, layout, warn) if wanted else []
+        found = _find(folder, wanted, layout, warn)
     if not wanted:
         names = ", ".join(each.name for each in _wanted(layouts(), fitting, None))
         raise InputError(f"no layout called {layout!r}; one of: {names}")
+    if not found and (archives := archives_in(folder)):
+        return discover_scenes(gathered(archives), kinds, layout, patterns, warn)
     if not found:
         names = ", ".join(each.name for each in wanted)
-        looked_for = f"{names}: {wanted[0].wants.replace('`', '').partition(';')[0]}"
-        if len(wanted) > 1:
-            looked_for = f"files of the layouts {names}, which the reference of the documentation names"
-        if archives := archives_in(folder):
-            return discover_scenes(gathered(archives), kinds, layout, patterns, warn)
+        looked_for = f"files of the layouts {names}, which the reference of the documentation names"
+        if len(wanted) == 1:
+            looked_for = f"{names}: {wanted[0].wants.replace('`', '').partition(';')[0]}"
         raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {looked_for})")
     return chosen_scenes(found, patterns, folder)
 
 
 def _wanted(known: Iterable[Layout], kinds: tuple[type[Scene], ...], layout: str | None) -> tuple[Layout, ...]:
-    """The layouts that give scenes of these kinds; the named one alone, where one is named."""
+    """The layouts that give scenes of these kinds; the named one, or those of a user's file, where they are named."""
+    if layout and layout.endswith((".yaml", ".yml")):
+        return tuple(row for row in rows_in_file(Path(layout)) if issubclass(row.kind, kinds))
     name = layout and layout.lower().replace("_", "-")
     return tuple(each for each in known if issubclass(each.kind, kinds) and name in (None, each.name))
 

@@ -1,6 +1,6 @@
-"""A cost measure, a confidence measure, a layout, a protocol and a command are one file each: no other is edited.
+"""A cost measure, a confidence measure, a protocol and a command are one file each, a layout is a row of a YAML file.
 
-The package is copied; the files of ``new_files``, command and layout of the plug-in template, and the cost measure of
+The package is copied; the files of ``new_files``, the command of the plug-in template, and the cost measure of
 CONTRIBUTING.md are put beside the others, and used as a user would.
 """
 
@@ -33,6 +33,16 @@ refinement: []
 confidence: [spread]
 """
 
+LAYOUT = """\
+two-files:
+  left: first.*
+  right: second.*
+  disparity_left: first_truth.*
+  max_disparity: 12
+  protocol: eighth-pixel
+"""
+IN = ("-i", "in", "--layout", "two.yaml")
+
 pytestmark = pytest.mark.slow
 
 
@@ -46,7 +56,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(NEW, root / "depthcli", dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
     command = (TEMPLATE / "command.py").read_text("utf-8")
     (root / "depthcli" / "commands" / "constant.py").write_text(f"{command}\n\nCOMMAND = ConstantCommand()\n")
-    shutil.copy(TEMPLATE / "layout.py", root / "depthcli" / "io" / "layouts" / "two_files.py")
+    (root / "two.yaml").write_text(LAYOUT)
     shutil.copytree(TEMPLATE / "presets" / "constant", root / "configs" / "constant")
     (cost,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "CONTRIBUTING.md").read_text("utf-8"), re.M | re.S)
     (root / "depthcli" / "methods" / "stereo" / "cost" / "squared_difference.py").write_text(cost)
@@ -71,31 +81,31 @@ def test_the_command_is_shown_and_run_as_any_other(checkout: Path):
     assert re.search(r"^constant five +Five pixels everywhere", run(checkout, "presets").stdout, re.M)
     shown = run(checkout, "presets", "show", "five").stdout
     assert "# disparity of every pixel, pixels\ndisparity: 5.0" in shown
-    done = run(checkout, "constant", "five", "-i", "in", "-o", "five", "--jobs", "2", "--evaluate")
+    done = run(checkout, "constant", "five", *IN, "-o", "five", "--jobs", "2", "--evaluate")
     assert done.returncode == 0, done.stderr
     assert "Eighth of a pixel" in done.stdout
     assert np.all(read_pfm(checkout / "five" / "near" / "disp_left.pfm") == 5)
 
 
 def test_its_runs_are_resumed_and_its_configs_are_checked(checkout: Path):
-    assert run(checkout, "constant", "five", "-i", "in", "-o", "again").returncode == 0
+    assert run(checkout, "constant", "five", *IN, "-o", "again").returncode == 0
     before = (checkout / "again" / "near" / "disp_left.pfm").stat().st_mtime_ns
-    again = run(checkout, "constant", "five", "-i", "in", "-o", "again", "--json")
+    again = run(checkout, "constant", "five", *IN, "-o", "again", "--json")
     assert json.loads(again.stdout)["done"] == 2
     assert "2 of 2 scenes are done already" in again.stderr
     assert (checkout / "again" / "near" / "disp_left.pfm").stat().st_mtime_ns == before
-    other = run(checkout, "constant", "five", "-i", "in", "-o", "again", "--set", "disparity=2")
+    other = run(checkout, "constant", "five", *IN, "-o", "again", "--set", "disparity=2")
     assert (other.returncode, "another config" in other.stderr) == (2, True)
-    typo = run(checkout, "constant", "five", "-i", "in", "-o", "x", "--set", "disprity=2")
+    typo = run(checkout, "constant", "five", *IN, "-o", "x", "--set", "disprity=2")
     assert "did you mean 'disparity'?" in typo.stderr
 
 
 def test_the_measures_serve_pairs_of_the_layout_and_the_protocol_ranks_the_runs(checkout: Path):
-    done = run(checkout, "stereo", "squared.yaml", "-i", "in", "-o", "squared", "--layout", "two-files")
+    done = run(checkout, "stereo", "squared.yaml", *IN, "-o", "squared")
     assert done.returncode == 0, done.stderr
     assert np.isfinite(read_pfm(checkout / "squared" / "near" / "confidence_spread.pfm")).all()
-    assert run(checkout, "constant", "five", "-i", "in", "-o", "constant", "--scenes", "*").returncode == 0
-    compared = run(checkout, "evaluate", "squared", "constant", "--truth", "in", "-o", "report")
+    assert run(checkout, "constant", "five", *IN, "-o", "constant", "--scenes", "*").returncode == 0
+    compared = run(checkout, "evaluate", "squared", "constant", "--truth", *IN[1:], "-o", "report")
     assert compared.returncode == 0, compared.stderr
     document = json.loads((checkout / "report" / "scores.json").read_text())
     assert document["runs"] == ["squared", "constant"]
@@ -105,7 +115,7 @@ def test_the_measures_serve_pairs_of_the_layout_and_the_protocol_ranks_the_runs(
 @pytest.mark.system
 def test_they_pass_the_tests_of_their_families(checkout: Path):
     shutil.copytree(ROOT / "tests", checkout / "tests", ignore=shutil.ignore_patterns("__pycache__", "new_files"))
-    files = ("methods/stereo/test_contract_cost", "methods/confidence/test_measures", "data/test_layouts",
+    files = ("methods/stereo/test_contract_cost", "methods/confidence/test_measures",
              "evaluation/test_protocols", "evaluation/test_plots")  # fmt: skip
     done = run(checkout, "-q", "-p", "no:cacheprovider", *(f"tests/{name}.py" for name in files), module="pytest")
     assert done.returncode == 0, done.stdout[-3000:]

@@ -15,7 +15,7 @@ from depthcli.commands.sample import sample as sample_command
 from depthcli.core.method import Family
 from depthcli.evaluation.protocols import load, missing_scores, picture
 from depthcli.evaluation.results import MapResult
-from depthcli.io.layouts.scenes import Scenes
+from depthcli.io.layouts import own_layouts
 from depthcli.io.walk import discover_scenes
 from tests.contracts.checks import CHECKS
 from tests.contracts.layouts import check_layout
@@ -41,7 +41,7 @@ def test_methods(package: str, name: str, check: Callable[[Any], None]):
 
 
 def test_layout_of_our_own_scenes(made_scenes: Path):
-    check_layout(Scenes(), made_scenes)
+    check_layout(next(each for each in own_layouts() if each.name == "scenes"), made_scenes)
 
 
 @pytest.mark.parametrize("name", ["middlebury-v2", "eth3d", "kitti-2012", "kitti-2015"])

@@ -37,8 +37,8 @@ from depthcli.algorithms.segmentation.slic import Slic
 from depthcli.commands import command
 from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
 from depthcli.io.formats.map_format import MapFormat
-from depthcli.io.layouts import Folder
-from depthcli.io.layouts.scenes import Scenes
+from depthcli.io.layouts import Folder, Layout
+from depthcli.io.scenes.stereo import StereoScene
 from depthcli.methods.confidence import ConfidenceMeasure
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
@@ -67,12 +67,18 @@ class MyText(MapFormat):
         return np.loadtxt(path, ndmin=2)
 
 
-class MyLayout(Scenes):
-    """Our own layout, where it is named."""
+class MyLayout(Layout):
+    """Two images, where it is named."""
+
+    kind = StereoScene
+    wants = "`left.png`, `right.png`"
+    protocol = "my_protocol"
 
     def scenes(self, folder: Folder):
-        named = folder.requested == self.name
-        return [replace(scene, protocol="my_protocol") for scene in super().scenes(folder)] if named else []
+        if folder.requested != self.name or not folder.has("left.png", "right.png"):
+            return []
+        left, right = folder.path / "left.png", folder.path / "right.png"
+        return [self.scene(folder, left=left, right=right, **folder.meta.disparities())]
 
 
 class MyMeasure(ConfidenceMeasure):

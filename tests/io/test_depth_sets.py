@@ -30,42 +30,6 @@ def check(name: str, folder: Path) -> None:
     check_layout(layout, folder)
 
 
-def diode(folder: Path, name: str = "00019_00183_indoors_000_010") -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    depth, mask = DEPTH.copy(), np.ones((HEIGHT, WIDTH), np.float32)
-    depth[0, 0], mask[0, 1] = 0, 0
-    write_png(folder / f"{name}.png", COLOR)
-    np.save(folder / f"{name}_depth.npy", depth[..., None])
-    np.save(folder / f"{name}_depth_mask.npy", mask)
-    return folder
-
-
-def test_diode(tmp_path: Path):
-    folder = diode(tmp_path / "scene_00019" / "scan_00183")
-    (scene,) = find(tmp_path)
-    assert (scene.name, scene.layout) == ("scene_00019/scan_00183/00019_00183_indoors_000_010", "diode")
-    frame, truth = scene.load(), scene.truth()
-    assert np.isnan(frame.depth[0, :2]).all()
-    np.testing.assert_array_equal(frame.depth[1:], DEPTH[1:])
-    np.testing.assert_array_equal(truth.depth, frame.depth)
-    assert frame.intrinsics is not None
-    assert (frame.intrinsics.fx, frame.intrinsics.fy, frame.intrinsics.cx) == (886.81, 927.06, 512)
-    check("diode", folder.parent)
-
-
-def test_broken_frames_of_diode(tmp_path: Path):
-    diode(tmp_path, "a")
-    np.save(tmp_path / "a_depth_mask.npy", np.ones((2, 2), np.float32))
-    with pytest.raises(InputError, match=r"a_depth_mask\.npy: 2 x 2, but a_depth\.npy is 8 x 6"):
-        find(tmp_path)[0].load()
-    np.save(tmp_path / "a_depth.npy", DEPTH)
-    with pytest.raises(InputError, match=r"a_depth\.npy: want an \(H, W, D\) array"):
-        find(tmp_path)[0].load()
-    (tmp_path / "a.png").unlink()
-    with pytest.raises(InputError, match=r"a_depth\.npy: a frame without its color, a\.png"):
-        find(tmp_path)[0].load()
-
-
 _MATRIX = "{0} 0 {1} 0\n0 {0} {2} 0\n0 0 1 0\n0 0 0 1\n"
 
 
@@ -107,5 +71,5 @@ def test_broken_cameras_of_scannet(tmp_path: Path, text: str, said: str):
     with pytest.raises(InputError, match=rf"intrinsic_color\.txt: [^\n]*{said}"):
         find(folder)
     (folder / "intrinsic" / "intrinsic_color.txt").unlink()
-    with pytest.raises(InputError, match=r"no intrinsic/intrinsic_color\.txt"):
+    with pytest.raises(InputError, match=r"intrinsic_color\.txt: no such file"):
         find(folder)

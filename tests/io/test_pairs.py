@@ -148,7 +148,7 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
     assert scenes["0001"].load().shape == (6, 8)
     assert (scenes["0001"].max_disparity, scenes["0001"].min_disparity) == (9, -3)
     assert scenes["0001"].calibration == tmp_path / "views/calib.txt"
-    assert "no right one" in scenes["0002"].problem and "no left one" in scenes["0003"].problem
+    assert "no right/0002.*" in scenes["0002"].problem and "no left/0003.*" in scenes["0003"].problem
     put(tmp_path / "pairs", "0001_L.png", "0001_R.png", "0002_L.png", "notes.png")
     scenes = find(tmp_path / "pairs")
     assert {name: bool(scene.problem) for name, scene in scenes.items()} == {"0001": False, "0002": True}

@@ -119,7 +119,7 @@ def test_tum_pairs_by_time(tmp_path: Path):
     assert [i.problem for i in find(tmp_path)] == [""]
     (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png nonsense\n")
     (broken,) = discover_scenes(tmp_path, (RgbdScene,))
-    assert "associations.txt:1: want time file time file" in broken.problem
+    assert "associations.txt:1: expected time file time file" in broken.problem
 
 
 def poses_of(folder: Path) -> list:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
 from depthcli.evaluation import protocols
 from depthcli.io.formats.calibrations import read_geometry
@@ -92,14 +91,14 @@ def test_a_scene_flow_frame_without_its_right_image_or_truth(tmp_path: Path):
     (root / "frames_cleanpass/TEST/B/0001/right/0006.png").unlink()
     (root / "disparity/TEST/B/0001/left/0006.pfm").unlink()
     (scene,) = find(root)
-    with pytest.raises(InputError, match=r"left/0006\.png: only one image of the pair, no right/0006\.png"):
+    with pytest.raises(InputError, match=r"left/0006\.png: only one image of the pair, no .*right/0006\.png"):
         scene.load()
     assert not scene.has_truth
 
 
 def test_webp_frames_of_the_scene_flow_sets_are_refused(tmp_path: Path):
     images(*(tmp_path / "frames_cleanpass" / "a" / side / "0006.webp" for side in ("left", "right")))
-    with pytest.raises(InputError, match=r"left/0006\.webp: WebP is not read; want the set's PNG images"):
+    with pytest.raises(InputError, match=r"left/0006\.webp: WebP is not read; use the set's PNG images"):
         find(tmp_path)[0].load()
 
 
@@ -146,48 +145,12 @@ def test_sintel(tmp_path: Path):
 def test_what_is_said_of_other_disparities_in_sintel(tmp_path: Path):
     sintel(tmp_path)
     codes(tmp_path / "disparities" / "alley_1" / "frame_0001.png", DISPARITY, 256)
-    with pytest.raises(InputError, match=r"frame_0001\.png: want disparities packed into three channels"):
+    with pytest.raises(InputError, match=r"frame_0001\.png: expected disparities packed into three channels"):
         find(tmp_path)[0].truth()
     sintel(tmp_path)
     write_png(tmp_path / "outofframe" / "alley_1" / "frame_0001.png", np.zeros((3, 3), np.uint8))
     with pytest.raises(InputError, match=r"outofframe.*frame_0001\.png: 3 x 3"):
         find(tmp_path)[0].truth()
-
-
-# Virtual KITTI 2
-
-
-def virtual_kitti(folder: Path, text: str | None = "frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]\n0 0 700 701 600 180\n"):
-    depth = np.full((HEIGHT, WIDTH), 1000, np.uint16)
-    depth[0, 0], depth[0, 1], depth[0, 2] = 65535, 0, 65534
-    for camera in ("Camera_0", "Camera_1"):
-        images(folder / "frames" / "rgb" / camera / "rgb_00007.jpg")
-        write_png(folder / "frames" / "depth" / camera / "depth_00007.png", depth)
-    if text is not None:
-        (folder / "intrinsic.txt").write_text(text)
-    return folder
-
-
-@pytest.mark.parametrize(("text", "focal"), [("", 725.0087), ("given", 700.0)])
-def test_virtual_kitti_2(tmp_path: Path, text: str, focal: float):
-    folder = tmp_path / "Scene01" / "clone"
-    virtual_kitti(folder, None) if text == "" else virtual_kitti(folder)
-    (scene,) = find(tmp_path)
-    assert (scene.name, scene.layout, scene.protocol) == ("Scene01/clone/00007", "virtual-kitti-2", "kitti_2015")
-    truth = scene.truth()
-    assert np.isnan(truth.disparity[0, :2]).all()  # the sky, and no value
-    assert truth.disparity[0, 2] == pytest.approx(focal * 0.532725 / 655.34)
-    assert truth.disparity[1, 1] == pytest.approx(focal * 0.532725 / 10)
-    assert truth.right is not None
-    assert isinstance(scene.geometry, PairGeometry)
-    assert scene.geometry.depth(truth.disparity)[1, 1] == pytest.approx(10)
-    check("virtual-kitti-2", tmp_path / "Scene01")
-
-
-@pytest.mark.parametrize("text", ["frame\n", "frame cameraID\n0 0 725\n", "frame cameraID\n0 0 -725 -725 1 1\n"])
-def test_a_broken_camera_of_virtual_kitti_2(tmp_path: Path, text: str):
-    with pytest.raises(InputError, match=r"intrinsic\.txt: [^\n]*$"):
-        find(virtual_kitti(tmp_path, text))
 
 
 # DrivingStereo
@@ -246,7 +209,7 @@ def test_crestereo(tmp_path: Path):
     np.testing.assert_array_equal(truth.right, DISPARITY)
     check("crestereo", tmp_path)
     (tmp_path / "hole" / "0003c2ad-2128_right.jpg").unlink()
-    with pytest.raises(InputError, match=r"only half of a pair, no 0003c2ad-2128_right\.jpg"):
+    with pytest.raises(InputError, match=r"only one image of the pair, no 0003c2ad-2128_right\.jpg"):
         find(tmp_path)[0].load()
 
 
@@ -263,7 +226,7 @@ def test_instereo2k(tmp_path: Path):
     assert set(protocols.load(scene.protocol)().truth(scene).masks) == {"nonocc", "all", "disc"}
     check("instereo2k", tmp_path / "part1")
     (folder / "right.png").unlink()
-    with pytest.raises(InputError, match=r"only one image of the pair, no right\.png"):
+    with pytest.raises(InputError, match=r"only one image of the pair, no right\.\*"):
         find(tmp_path)[0].load()
 
 
@@ -348,7 +311,7 @@ def test_unbalanced_pairs_of_booster_are_refused(tmp_path: Path):
     booster(tmp_path / "unbalanced" / "Bathroom")
     (tmp_path / "unbalanced" / "Bathroom" / "camera_02").rename(tmp_path / "unbalanced" / "Bathroom" / "camera_01")
     scene = find(tmp_path)[0]
-    with pytest.raises(InputError, match=r"an unbalanced pair, of two sizes; want camera_02"):
+    with pytest.raises(InputError, match=r"an unbalanced pair, of two sizes; use camera_02"):
         scene.load()
 
 

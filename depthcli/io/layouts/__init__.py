@@ -1,203 +1,42 @@
-"""Layouts of data sets in folders, one module per layout; the folder and plug-ins are the registry."""
+"""Layouts of data sets in folders: rows of tables, the few special readers beside them, and plug-ins.
+
+================  ===========================================================================================
+``base``          a folder as a layout sees it, and the class of layouts
+``rows``          a row of a table: file names with placeholders; rows of a user's YAML file
+``stereo``        the table of stereo pairs
+``depth``         the table of frames of color and depth
+``registration``  pairs of volumes
+================  ===========================================================================================
+"""
 
 from __future__ import annotations
 
-import os
-from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from functools import cache, cached_property, lru_cache
-from pathlib import Path
-from typing import Any, ClassVar
+from functools import cache
 
-from depthcli.core.errors import InputError
-from depthcli.core.registry import Plugin, Registry, registered_name
-from depthcli.core.text import short
-from depthcli.io.formats.files import naming, read_bytes
-from depthcli.io.formats.plain_text import json_object, numbers
-from depthcli.io.formats.poses import Pose, pose_of
+from depthcli.core.registry import Plugin
+from depthcli.io.layouts.base import PLUGINS, Folder, Layout
+from depthcli.io.layouts.depth import DEPTH_LAYOUTS
+from depthcli.io.layouts.registration import Registration
+from depthcli.io.layouts.stereo import STEREO_LAYOUTS
 from depthcli.io.scenes import Scene
 
-_MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # numbers of meta.json; no image is as wide
-
-
-class Folder:
-    """One folder as a layout sees it: names only, nothing in it is opened.
-
-    Attributes
-    ----------
-    path : where it is
-    name : name of a scene that is the folder itself
-    prefix : what the names of scenes inside begin with
-    requested : the layout that the user named, or empty
-    """
-
-    def __init__(self, path: Path, name: str, prefix: str, requested: str = "") -> None:
-        self.path, self.name, self.prefix, self.requested = path, name, prefix, requested
-        try:
-            with naming(path):
-                self.names = frozenset([name for name in os.listdir(path) if name[0] != "."])
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-
-    def has(self, *names: str) -> bool:
-        """Return whether all of the names are there."""
-        return set(names) <= self.names
-
-    def one(self, stem: str, suffixes: Iterable[str]) -> Path | None:
-        """Return the file of that stem; InputError where several endings compete."""
-        named = self._by_stem.get(stem)
-        if named is None:  # nearly always: all layouts ask for their own names
-            return None
-        fitting = [name for suffix, name in named if suffix in suffixes]
-        if len(fitting) > 1:
-            raise InputError(f"{self.path}: both {fitting[0]} and {fitting[1]}; keep one")
-        return self.path / fitting[0] if fitting else None
-
-    def starting(self, start: str, suffixes: Iterable[str]) -> dict[str, Path]:
-        """Return what follows ``start`` in the stem -> file."""
-        files = {}
-        for stem in sorted(self._by_stem):
-            file = self.one(stem, suffixes) if stem.startswith(start) else None
-            if file is not None:
-                files[stem.removeprefix(start)] = file
-        return files
-
-    @cached_property
-    def _by_stem(self) -> dict[str, list[tuple[str, str]]]:
-        return _by_stem(self.names)
-
-    @cached_property
-    def meta(self) -> Meta:
-        """The fields of ``meta.json`` that have a value; none where there is no such file."""
-        path = self.path / "meta.json"
-        if path.name not in self.names:
-            return Meta(path, {})
-        data = read_bytes(path)
-        with naming(path):
-            fields = json_object(data)
-        return Meta(path, {key: value for key, value in fields.items() if value is not None})
-
-
-@lru_cache(maxsize=8)  # folders of thousands of scenes have the same names in them
-def _by_stem(names: frozenset[str]) -> dict[str, list[tuple[str, str]]]:
-    """Return stem -> (ending in lower case, name), sorted; stems and endings are as pathlib divides names."""
-    by_stem: dict[str, list[tuple[str, str]]] = {}
-    for name in sorted(names):
-        dot = name.rfind(".")
-        dot = dot if 0 < dot < len(name) - 1 else len(name)
-        by_stem.setdefault(name[:dot], []).append((name[dot:].lower(), name))
-    return by_stem
-
-
-class Meta:
-    """Fields of a ``meta.json``, checked; a method returns None, or its default, where the file lacks the field.
-
-    Attributes
-    ----------
-    path, fields : the file, and what it holds
-    """
-
-    def __init__(self, path: Path, fields: dict[str, Any]) -> None:
-        self.path, self.fields = path, fields
-
-    def positive(self, key: str) -> float | None:
-        """Return a positive number below a million."""
-        value = self._number(key, "a positive number")
-        if value is not None and not 0 < value < _MAX_POSITIVE:
-            raise self.error(key, "a positive number")
-        return None if value is None else float(value)
-
-    def whole(self, key: str, low: int = -_MAX_WHOLE) -> int | None:
-        """Return a whole number, not below ``low``."""
-        value = self._number(key, "a whole number")
-        if value is not None and (value != value // 1 or not low <= value <= _MAX_WHOLE):
-            raise self.error(key, f"a whole number from {low} to {_MAX_WHOLE}")
-        return None if value is None else int(value)
-
-    def text(self, key: str, default: str) -> str:
-        """Return a word."""
-        value = self.fields.get(key, default)
-        if not isinstance(value, str):
-            raise self.error(key, "a word")
-        return value
-
-    def disparities(self) -> dict[str, int | None]:
-        """Return the range of a pair's disparities, as fields of its scene."""
-        low, top = self.whole("min_disparity") or 0, self.whole("max_disparity")
-        if top is not None and top <= low:
-            raise self.error("max_disparity", f"a number above {low}")
-        return {"min_disparity": low, "max_disparity": top}
-
-    def pose(self) -> Pose | None:
-        """Return the matrix from the camera's coordinates to the world's below the key ``pose``."""
-        value = self.fields.get("pose")
-        if value is None:
-            return None
-        with naming(self.path):
-            return pose_of(numbers(value, "pose", (4, 4)))
-
-    def error(self, key: str, wanted: str) -> InputError:
-        """Return the error that says that the field ``key`` must be ``wanted``."""
-        return InputError(f"{self.path}: {key}: want {wanted} (got {short(self.fields.get(key))})")
-
-    def _number(self, key: str, wanted: str) -> float | None:
-        value = self.fields.get(key)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise self.error(key, wanted)
-        return value
-
-
-class Layout(ABC):
-    """One way to lay out a folder; subclasses are found by their file."""
-
-    kind: ClassVar[type[Scene]]
-    wants: ClassVar[str]
-    """The files of a scene, in a line for messages and the manual."""
-    protocol: ClassVar[str] = ""
-    """Name of the evaluation protocol of its scenes, where the folder names no other."""
-
-    @property
-    def name(self) -> str:
-        """Name on the command line: its module's or its plug-in's, with dashes."""
-        return registered_name(type(self)).replace("_", "-")
-
-    @abstractmethod
-    def scenes(self, folder: Folder) -> list[Scene]:
-        """Return the scenes that ``folder`` itself holds; none where it is not of this layout.
-
-        Raises
-        ------
-        InputError
-            It is of this layout, but cannot be used.
-        """
-
-    def scene(self, folder: Folder, **values: Any) -> Scene:
-        """Return a scene of ``folder`` with these fields; where not given, the name is the folder's."""
-        own: dict[str, Any] = {
-            "name": folder.name,
-            "folder": folder.path,
-            "layout": self.name,
-            "protocol": self.protocol,
-        }
-        return self.kind(**(own | values))
-
-
-_REGISTRY = Registry[Layout](__name__)
+__all__ = ["Folder", "Layout", "layout_plugins", "layouts", "own_layouts"]
 
 
 @cache
 def own_layouts() -> tuple[Layout, ...]:
     """Return the layouts of this package, sorted by name."""
-    return tuple(_REGISTRY.load(name)() for name in _REGISTRY.own_names)
+    return tuple(sorted((*STEREO_LAYOUTS, *DEPTH_LAYOUTS, Registration()), key=lambda layout: layout.name))
 
 
 def layouts() -> tuple[Layout, ...]:
     """Return every layout: those of this package, then those of plug-ins."""
-    return (*own_layouts(), *(_REGISTRY.load(name)() for name in _REGISTRY.names()[len(own_layouts()) :]))
+    return (*own_layouts(), *(PLUGINS.load(name)() for name in PLUGINS.names()))
 
 
 def layout_plugins(scenes: Iterable[Scene]) -> set[Plugin]:
     """Return the plug-ins whose layouts found any of these scenes."""
-    plugins = _REGISTRY.plugins()
+    plugins = PLUGINS.plugins()
     names = {scene.layout for scene in scenes} if plugins else set()
     return {plugin for name, plugin in plugins.items() if name.replace("_", "-") in names}

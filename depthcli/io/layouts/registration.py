@@ -7,7 +7,7 @@ from pathlib import Path
 
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import warn
-from depthcli.io.layouts import Folder, Layout
+from depthcli.io.layouts.base import Folder, Layout
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.volume_pair import LEFT_OUT, VolumePairScene
 

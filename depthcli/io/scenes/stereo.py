@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.scenes import Scene, check_same_size, name_of, together
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from depthcli.core.cameras.triangulation import PairGeometry
     from depthcli.core.frames import StereoPair
     from depthcli.io.formats.images import Image
@@ -65,6 +66,8 @@ class StereoScene(Scene):
     occluded, ignored : masks of pixels that the right view does not show, and of those that do not count (both: > 0);
         without a file of their own, ``nonocc`` and ``all`` are the others; or None
     objects : KITTI 2015 object map (> 0: foreground) or None
+    materials : map of classes from 0 to 3, each a mask ``class_<k>`` (Booster), or None
+    decode : reads a truth map with a number of codes per pixel, (H, W) float32, pixels, NaN = unknown
     max_disparity : largest disparity to search, inclusive, or None
     min_disparity : smallest disparity to search
     round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
@@ -87,6 +90,8 @@ class StereoScene(Scene):
     occluded: Path | None = None
     ignored: Path | None = None
     objects: Path | None = None
+    materials: Path | None = None
+    decode: Callable[[Path, float | None], NDArray[np.float32]] = read_disparity
     max_disparity: int | None = None
     min_disparity: int = 0
     round_disparity: bool = False
@@ -196,18 +201,6 @@ class StereoScene(Scene):
             else pair_of(*self.load_views(), (self.left, right))
         )
 
-    def decode(self, file: Path, scale: float | None) -> NDArray[np.float32]:
-        """Return a truth map, (H, W) float32, pixels, NaN = unknown; overridden by sets with a code of their own.
-
-        Raises
-        ------
-        InputError
-            It cannot be read; one line that names the file.
-        """
-        from depthcli.io.formats.disparity import read_disparity
-
-        return read_disparity(file, scale)
-
     def truth(self) -> StereoTruth:
         """Return ground truth and masks of the left view, as stored.
 
@@ -216,8 +209,6 @@ class StereoScene(Scene):
         InputError
             No ground truth, an unreadable file, or files of different sizes.
         """
-        import numpy as np
-
         from depthcli.io.formats.images import read_grey
 
         self.check()
@@ -241,13 +232,16 @@ class StereoScene(Scene):
         return StereoTruth(disparity, right, noc, objects, chosen, scale)
 
     def read_masks(self) -> dict[str, tuple[Path, NDArray[np.bool_]]]:
-        """Return name -> file and (H, W) mask, True = evaluate; overridden by sets with masks of their own."""
+        """Return name -> file and (H, W) mask, True = evaluate."""
         from depthcli.io.formats.images import read_grey
 
         masks = {name: (path, read_grey(path) == 255) for name, path in self.masks.items()}
         for name, file in (("all", self.ignored), ("nonocc", self.occluded)):
             if file is not None:
                 masks[name] = file, read_grey(file) == 0
+        if self.materials is not None:
+            classes = read_grey(self.materials)
+            masks |= {f"class_{k}": (self.materials, classes == k) for k in range(4)}
         return masks
 
 

@@ -1,0 +1,261 @@
+"""Layouts of frames of color and depth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from depthcli.core.cameras.color_and_depth import check_place
+from depthcli.core.errors import InputError
+from depthcli.io.formats.files import naming, read_bytes
+from depthcli.io.formats.plain_text import numbers
+from depthcli.io.formats.poses import Poses, read_poses
+from depthcli.io.layouts.base import Folder, Layout, Meta
+from depthcli.io.layouts.rows import Found, Row
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.rgb_ir import RgbIrScene
+from depthcli.io.scenes.rgbd import RgbdScene
+
+if TYPE_CHECKING:
+    from depthcli.core.cameras.color_and_depth import Place
+
+_TUM_SCALE = 5000.0  # codes a meter, of the benchmark's files
+_TUM_DELAY = 0.02  # seconds, as the benchmark's associate.py
+
+
+def cameras(meta: Meta) -> dict[str, Any]:
+    """Return what meta.json says of both cameras, as fields of the scene.
+
+    ``intrinsics`` are those of the color camera, at the root of the file or below that key.
+    """
+    return {
+        "intrinsics": _intrinsics(meta, "intrinsics", meta.fields),
+        "depth_intrinsics": _intrinsics(meta, "depth_intrinsics", {}),
+        "depth_to_color": _depth_to_color(meta),
+    }
+
+
+def _intrinsics(meta: Meta, name: str, default: dict[str, Any]) -> tuple[float, ...] | None:
+    """fx, fy, cx, cy below the key ``name``, or in ``default``."""
+    inner = meta.fields.get(name, default)
+    if not isinstance(inner, dict):
+        raise meta.error(name, "fx, fy, cx, cy")
+    place = f"{name}: " if name in meta.fields else ""  # messages tell both cameras apart
+    named = Meta(meta.path, {f"{place}{key}": value for key, value in inner.items()})
+    values = [named.positive(f"{place}{key}") for key in ("fx", "fy", "cx", "cy")]
+    known = tuple(value for value in values if value is not None)
+    if len(known) < len(values) and (known or name in meta.fields):
+        raise meta.error(name, "all of fx, fy, cx, cy")
+    return known or None
+
+
+def _depth_to_color(meta: Meta) -> Place | None:
+    value = meta.fields.get("depth_to_color")
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise meta.error("depth_to_color", "rotation and translation")
+    with naming(meta.path):
+        rotation = numbers(value.get("rotation"), "depth_to_color: rotation", (3, 3))
+        translation = numbers(value.get("translation"), "depth_to_color: translation", (3,))
+        check_place(rotation, translation)
+    return tuple(rotation.ravel().tolist()), tuple(translation.tolist())
+
+
+def _meta(folder: Folder) -> dict[str, Any]:
+    """Return the facts of ``meta.json``."""
+    meta = folder.meta
+    scale = meta.positive("depth_scale")
+    facts = {"fb": meta.positive("fb"), "pose": meta.pose(), "protocol": meta.text("protocol", "depth")}
+    return cameras(meta) | facts | ({"depth_scale": scale} if scale else {})
+
+
+def _frame(found: Found) -> dict[str, Any] | None:
+    if "depth" not in found.files and any(name.startswith("disparity") for name in found.folder.names):
+        return None  # of kinect-raw
+    return _meta(found.folder)
+
+
+def _rgb_ir(found: Found) -> dict[str, Any]:
+    return _meta(found.folder) | {"max_disparity": found.folder.meta.whole("max_disparity", 1)}
+
+
+def _numbered(found: Found) -> dict[str, Any]:
+    number = int(found.keys["number"])
+    return _meta(found.folder) | {"sequence": found.folder.name, "number": number, "pose": None}
+
+
+def _kinect(found: Found) -> dict[str, Any]:
+    return {**(_numbered(found) if "number" in found.keys else _meta(found.folder)), "raw": True}
+
+
+def _sun(found: Found) -> dict[str, Any] | None:
+    folder = found.folder
+    if not folder.has("image", "depth", "intrinsics.txt"):
+        return _meta(folder) | {"rotated": True} if folder.requested == "sun-rgbd" else None
+    return _meta(folder) | {"rotated": True, "intrinsics": _matrix(folder.path / "intrinsics.txt")}
+
+
+def _matrix(path: Path) -> tuple[float, ...]:
+    """Return fx, fy, cx, cy of a file with a camera matrix, 3 x 3 or 4 x 4."""
+    text = read_bytes(path).decode("ascii", "replace")
+    with naming(path):
+        values = numbers(text, "the camera matrix")
+        if values.size not in (9, 16) or min(values[0], values[5 if values.size == 16 else 4]) <= 0:
+            raise InputError("expected the numbers of a camera matrix, 3 x 3 or 4 x 4")
+    rows = values.reshape(-1, 4 if values.size == 16 else 3)
+    return float(rows[0, 0]), float(rows[1, 1]), float(rows[0, 2]), float(rows[1, 2])
+
+
+def _cleargrasp(found: Found) -> dict[str, Any] | None:
+    return {} if found.files.keys() & {"depth", "depth_true"} else None
+
+
+class _Sequence(Row):
+    """Frames with numbers, whose poses may lie in one file."""
+
+    def scenes(self, folder: Folder) -> list[Scene]:
+        frames = [scene for scene in super().scenes(folder) if isinstance(scene, RgbdScene)]
+        if not frames or not folder.has("poses.txt"):
+            return [*frames]
+        poses = read_poses(folder.path / "poses.txt").of_frames(sorted(frame.number for frame in frames))
+        return [replace(frame, pose=poses[frame.number]) for frame in frames]
+
+
+class _Scannet(Row):
+    """Frames whose depth is registered by the matrices of both cameras."""
+
+    def scenes(self, folder: Folder) -> list[Scene]:
+        frames = super().scenes(folder)
+        place = "intrinsic/intrinsic_{}.txt" if "intrinsic" in folder.names else "intrinsics_{}.txt"
+        color, depth = (_matrix(folder.path / place.format(kind)) if frames else None for kind in ("color", "depth"))
+        return [replace(frame, intrinsics=color, depth_intrinsics=depth) for frame in frames]  # type: ignore[call-arg]
+
+
+class Tum(Layout):
+    """Sequences of the TUM RGB-D benchmark: images with a time, paired by a table or by the nearest time."""
+
+    kind = RgbdScene
+    wants = (
+        "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter; where known "
+        "`groundtruth.txt` (poses)"
+    )
+
+    @property
+    def name(self) -> str:
+        return "tum"
+
+    def scenes(self, folder: Folder) -> list[Scene]:
+        if not folder.has("rgb", "depth") or not (folder.has("associations.txt") or folder.has("rgb.txt", "depth.txt")):
+            return []
+        if folder.has("associations.txt"):
+            pairs = [(float(a), b, float(c), d) for a, b, c, d in _lines(folder.path / "associations.txt", 4)]
+            if pairs and pairs[0][1].startswith("depth"):  # associate.py depth.txt rgb.txt
+                pairs = [(c, d, a, b) for a, b, c, d in pairs]
+        else:
+            depths, colors = (
+                sorted((float(time), file) for time, file in _lines(folder.path / name, 2))
+                for name in ("depth.txt", "rgb.txt")
+            )
+            pairs = [(t, file, *min(depths, key=lambda d: abs(d[0] - t))) for t, file in colors if depths]
+        if not pairs:
+            raise InputError(f"{folder.path}: no line pairs a color image with a depth image")
+        poses = read_poses(folder.path / "groundtruth.txt") if folder.has("groundtruth.txt") else Poses((), ())
+        scenes = []
+        for number, (time, color, depth_time, depth) in enumerate(pairs):
+            late = abs(time - depth_time) > _TUM_DELAY
+            problem = f"{folder.path / color}: the nearest depth is {abs(time - depth_time):.3f} s off" if late else ""
+            facts = _meta(folder) | {"depth_scale": _TUM_SCALE, "pose": poses.at(time), "number": number}
+            files = {"color": folder.path / color, "depth": folder.path / depth}
+            name = f"{folder.prefix}{time:.6f}"
+            scenes.append(self.scene(folder, name=name, problem=problem, sequence=folder.name, **files, **facts))
+        return scenes
+
+
+def _lines(path: Path, fields: int) -> list[list[str]]:
+    rows = []
+    for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            times = [float(word) for word in words[0:fields:2]]
+        except ValueError:
+            times = []
+        if len(words) < fields or len(times) * 2 != fields or any(".." in Path(w).parts for w in words[1:fields:2]):
+            raise InputError(f"{path}:{number}: expected {'time file ' * (fields // 2)}(got {line[:60]!r})")
+        rows.append(words[:fields])
+    return rows
+
+
+_RGBD_FILES = {
+    "color": "color.*", "depth": "depth.*|depth_raw.*", "depth_true": "depth_true.*", "masks": "mask_{mask}.*",
+    "sparse": "sparse.*", "sparse_confidence": "sparse_confidence.*",
+}  # fmt: skip
+_NUMBERED = {
+    "depth_true": "depth_true_{number}.*|depth_true.*", "masks": "mask_{mask}_{number}.*", "name": "{number}",
+}  # fmt: skip
+
+DEPTH_LAYOUTS: tuple[Layout, ...] = (
+    Row(
+        title="rgbd", kind=RgbdScene,
+        wants="`color.*`, `depth.*`, or the latter alone for `refine-kinect`; where known `depth_true.*`, "
+        "`mask_<name>.*` (255 = evaluate), `sparse.*` (a second depth map, known at some pixels) with "
+        "`sparse_confidence.*`, `meta.json` (`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, "
+        "cx, cy; `fb`: focal length x baseline, pixels x meters; `pose`: 4 x 4, from the camera to the world, meters; "
+        "of depth that is not registered to the color image, `depth_intrinsics`: fx, fy, cx, cy, and "
+        "`depth_to_color`: `rotation` 3 x 3, `translation` in meters)",
+        files=(_RGBD_FILES,), without=("ir.*",), facts=_frame, either=True, single=True,
+    ),
+    Row(
+        title="rgb-ir", kind=RgbIrScene,
+        wants="as `rgbd`, with `ir.*` (8 or 16 bit) and `calib.json` or OpenCV's `calib.yml` (M1 D1 M2 D2 R T); "
+        "calib.json has `color`, `infrared` (K, distortion, size), R and t, or `rectified`: true and `fb` (focal "
+        "length x baseline, pixels x meters); where known `ir_noprojector.*`",
+        files=({**_RGBD_FILES, "infrared": "ir.*", "infrared_plain": "ir_noprojector.*",
+                "calibration": "calib.json|calib.yml|calib.yaml"},),
+        needs=("ir.*",), facts=_rgb_ir, either=True, single=True,
+    ),
+    _Sequence(
+        title="rgbd-sequence", kind=RgbdScene,
+        wants="`color_00000.*` and `depth_00000.*`, or `color/` and `depth/` with numbered files; `meta.json` as "
+        "`rgbd`; where known `poses.txt`",
+        files=({"color": "color/{_}{number}.*", "depth": "depth/{_}{number}.*", **_NUMBERED},
+               {"color": "color_{number}.*", "depth": "depth_{number}.*", **_NUMBERED}),
+        without=("intrinsic", "intrinsics_color.txt"), facts=_numbered, either=True,
+    ),
+    _Scannet(
+        title="scannet", kind=RgbdScene, needs=("intrinsic*",),
+        wants="`color/0.jpg`, `depth/0.png` (millimeters), `intrinsic/intrinsic_color.txt`, "
+        "`intrinsic/intrinsic_depth.txt`",
+        files=({"color": "color/{number}.*", "depth": "depth/{number}.*", **_NUMBERED},), facts=_numbered, either=True,
+    ),
+    _Sequence(
+        title="kinect-raw", kind=RgbdScene,
+        wants="`color.*` and `disparity*.*`, or `color_0000.*` and `disparity_0000.*`; `calib.json` with "
+        "`dc_beta.npy` after Herrera et al., else a typical calibration",
+        files=({"color": "color.*", "depth": "disparity{_}.*", "depth_true": "depth_true.*", "masks": "mask_{mask}.*",
+                "calibration": "calib.json"},
+               {"color": "color_{number}.*", "depth": "disparity_{number}.*", "calibration": "calib.json",
+                **_NUMBERED}),
+        needs=("disparity*",), facts=_kinect,
+    ),
+    Row(
+        title="sun-rgbd", kind=RgbdScene,
+        wants="`image/`, `depth/` and `intrinsics.txt`; with `--layout sun-rgbd` also `color.*`, `depth.*`",
+        files=({"color": "image/{_}.*", "depth": "depth/{_}.*"}, {"color": "color.*", "depth": "depth.*"}),
+        facts=_sun,
+    ),
+    Row(
+        title="cleargrasp", kind=RgbdScene, protocol="depth", needs=("mask_transparent.png",),
+        wants="`rgb_transparent.*`, `depth_sensor_mm.png`, `depth_opaque_gt_mm.png`, or `rgb.*`, `depth_gt_mm.png`; "
+        "`mask_transparent.png`",
+        files=({"color": "rgb_transparent.*", "depth": "depth_sensor_mm.png", "depth_true": "depth_opaque_gt_mm.png",
+                "mask.transparent": "mask_transparent.png"},
+               {"color": "rgb.*", "depth": "depth_gt_mm.png", "depth_true": "depth_gt_mm.png",
+                "mask.transparent": "mask_transparent.png", "hidden": "mask_transparent.png"}),
+        facts=_cleargrasp,
+    ),
+    Tum(),
+)  # fmt: skip

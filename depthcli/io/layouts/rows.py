@@ -1,0 +1,289 @@
+"""Layouts as rows of a table: names of files with placeholders.
+
+``image_2/{frame}_10.png`` names the left images of KITTI, and ``image_3/{frame}_10.png`` the right one of the same
+frame. Placeholders match a part of a name, ``{number}`` digits alone, ``{_}`` anything that the other files do not have
+to repeat, and ``{path}`` any folders between; ``.*`` at the end stands for the endings of the role's kind of file, and
+``|`` separates names that are tried in turn. A row without placeholders describes one scene, the folder itself.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.yaml_source import read_config
+from depthcli.io.formats.images import IMAGE_SUFFIXES
+from depthcli.io.formats.map_format import map_suffixes
+from depthcli.io.layouts.base import Folder, Layout
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.scenes.stereo import StereoScene
+
+DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
+
+_PLACEHOLDER = re.compile(r"\{(\w+)\}")
+_MASK = "mask."  # before the name of a mask in a role
+_MASKS = "masks"  # role of all masks, whose names are ``{mask}``
+_VIEWS = {StereoScene: ("left", "right"), RgbdScene: ("color", "depth")}
+_Keys = dict[str, str]
+
+
+@dataclass(frozen=True)
+class Found:
+    """The files of one scene that a row has found.
+
+    Attributes
+    ----------
+    folder : which the row describes
+    keys : placeholder -> text
+    files, masks : role -> file, and name of a mask -> file
+    """
+
+    folder: Folder
+    keys: Mapping[str, str]
+    files: Mapping[str, Path]
+    masks: Mapping[str, Path]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row(Layout):
+    """A layout as a row.
+
+    Attributes
+    ----------
+    title : name on the command line
+    wants : the files of a scene, in a line for messages and the manual
+    files : role -> file name, of each variant; a scene that an earlier variant found is not found again. ``name`` is
+        that of the scene: ``{folder}`` is the folder's own, which is the default, ``{path_}`` folders joined by ``_``
+    kind, protocol : of the scenes
+    values : other fields of the scenes
+    facts : returns further fields of a scene, or None where it is none of this layout
+    needs, without : names in the folder, all or none of which must be there (shell patterns)
+    either : each of the two images makes a scene, which has a problem without the other
+    single : the left image alone is a scene where its truth is known, and so is depth without color
+    """
+
+    title: str
+    wants: str
+    files: tuple[Mapping[str, str], ...]
+    kind: type[Scene] = StereoScene
+    protocol: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    facts: Callable[[Found], dict[str, Any] | None] = lambda found: {}
+    needs: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    either: bool = False
+    single: bool = False
+
+    @property
+    def name(self) -> str:
+        return self.title
+
+    def scenes(self, folder: Folder) -> list[Scene]:
+        scenes: dict[str, Scene] = {}
+        for variant in self.files:
+            names = "|".join(variant[role] for role in self._views if role in variant)
+            possible = _is_possible(folder.names, names, self.needs, self.without)
+            for keys, views in self._found(folder, variant) if possible else ():
+                scene = self._scene(folder, variant, keys, views)
+                if scene is not None:
+                    scenes.setdefault(scene.name, scene)
+        return list(scenes.values())
+
+    @property
+    def _views(self) -> tuple[str, str]:
+        return next(roles for kind, roles in _VIEWS.items() if issubclass(self.kind, kind))
+
+    def _found(self, folder: Folder, variant: Mapping[str, str]) -> Iterator[tuple[_Keys, dict[str, Path]]]:
+        """Yield placeholders and the two images of every scene."""
+        first, second = self._views
+        one = dict(_files(folder, first, variant.get(first, "")))
+        other = dict(_files(folder, second, variant.get(second, ""))) if one or self.either else {}
+        if self.either and "{" in variant[second] and not one.keys() & other.keys():
+            return
+        for key in {**one, **other} if self.either else one:
+            views = {role: files[key] for role, files in ((first, one), (second, other)) if key in files}
+            digits = re.search(r"(\d+)\D*$", next(iter(views.values())).stem)
+            yield dict(key) | ({"number": digits[1]} if digits and "number" in dict(key) else {}), views
+
+    def _scene(self, folder: Folder, variant: Mapping[str, str], keys: _Keys, views: dict[str, Path]) -> Scene | None:
+        others = {role: name for role, name in variant.items() if role not in (*self._views, _MASKS, "name")}
+        files = {role: file for role, name in others.items() if (file := _file(folder, role, name, keys)) is not None}
+        masks = {role.removeprefix(_MASK): files.pop(role) for role in list(files) if role.startswith(_MASK)}
+        if _MASKS in variant:
+            all_masks = _matches(folder, variant[_MASKS].format_map(_Keep(keys)), IMAGE_SUFFIXES)
+            masks |= {found["mask"]: file for found, file in all_masks}
+        facts = self.facts(Found(folder, keys, files | views, masks))
+        if facts is None:
+            return None
+        named = {
+            **keys,
+            "folder": folder.name,
+            "path_": f"{keys['path']}_".replace("/", "_") if keys.get("path") else "",
+        }
+        scene_name = variant.get("name", "{folder}")
+        name = scene_name.format(**named)
+        values = {
+            "name": name if "{folder}" in scene_name else folder.prefix + name,
+            "masks": masks, **self.values, **files, **views,
+            **self._absent(folder, variant, keys, views, "disparity_left" in files), **facts,
+        }  # fmt: skip
+        return self.scene(folder, **values)
+
+    def _absent(
+        self, folder: Folder, variant: Mapping[str, str], keys: _Keys, views: Mapping[str, Path], has_truth: bool
+    ) -> dict[str, Any]:
+        """Return the problem of a scene without one of its images, and where that would be."""
+        absent = next((role for role in self._views if role not in views), None)
+        if absent is None:
+            return {}
+        if self.single and (absent == "color" or (absent == "right" and has_truth)):
+            return {absent: None}
+        name = variant[absent].partition("|")[0].format_map(_Keep(keys))
+        half = f"a frame without its {absent}" if "color" in self._views else "only one image of the pair"
+        there = next(iter(views.values())) if keys else folder.path
+        expected = None if absent == "right" else folder.path / name.replace(".*", ".png")
+        return {"problem": f"{there}: {half}, no {name}", absent: expected}
+
+
+class _Keep(dict[str, str]):
+    """Placeholders that are filled; others stay."""
+
+    def __missing__(self, key: str) -> str:
+        return "" if key == "_" else f"{{{key}}}"
+
+
+@lru_cache(maxsize=1024)  # folders of thousands of scenes have the same names in them
+def _is_possible(there: frozenset[str], names: str, needs: tuple[str, ...], without: tuple[str, ...]) -> bool:
+    """Return whether a folder with these names may hold a file of one of ``names``, and what else a row asks for."""
+    starts = [_PLACEHOLDER.sub("*", name.partition("/")[0]) for name in names.split("|")]
+    return (
+        any(fnmatch.filter(there, start) for start in starts)
+        and all(fnmatch.filter(there, each) for each in needs)
+        and not any(fnmatch.filter(there, each) for each in without)
+    )
+
+
+def _suffixes(role: str) -> tuple[str, ...]:
+    if role.startswith("disparity"):
+        return map_suffixes()
+    return DEPTH_SUFFIXES if role.startswith(("depth", "sparse")) else IMAGE_SUFFIXES
+
+
+def _file(folder: Folder, role: str, names: str, keys: _Keys) -> Path | None:
+    """Return the file of a role, by the first of the names that is there."""
+    for name in names.split("|"):
+        place, _, last = name.format_map(_Keep(keys)).rpartition("/")
+        below = folder.below(place)
+        if below is not None and last.endswith(".*"):
+            found = below.one(last[:-2], _suffixes(role))
+        else:
+            found = below.path / last if below is not None and os.path.isfile(below.path / last) else None
+        if found is not None:
+            return found
+    return None
+
+
+def _files(folder: Folder, role: str, names: str) -> Iterator[tuple[tuple[tuple[str, str], ...], Path]]:
+    """Yield placeholders and file of every file of a role; numbers without the zeros before them."""
+    for name in names.split("|"):
+        if "{" not in name:
+            found = _file(folder, role, name, {})
+            if found is not None:
+                yield (), found
+                return
+            continue
+        known: dict[tuple[tuple[str, str], ...], Path] = {}
+        for keys, file in _matches(folder, name, _suffixes(role)):
+            key = tuple((k, str(int(v)) if k == "number" else v) for k, v in keys.items())
+            if key in known:
+                raise InputError(f"{file.parent}: both {known[key].name} and {file.name}; keep one")
+            known[key] = file
+        if known:
+            yield from known.items()
+            return
+
+
+def _matches(folder: Folder, name: str, suffixes: tuple[str, ...]) -> list[tuple[_Keys, Path]]:
+    """Return placeholders and path of every file whose name matches, by folders from the first part on."""
+    parts = name.split("/")
+    found: list[tuple[_Keys, Folder]] = [({}, folder)]
+    for part in parts[:-1]:
+        reached: list[tuple[_Keys, Folder]] = []
+        for keys, place in found:
+            if part == "{path}":
+                places = [place.path, *(p for p in place.path.rglob("[!.]*") if p.is_dir())]
+                inside = [("" if p == place.path else p.relative_to(place.path).as_posix(), p) for p in sorted(places)]
+                reached += [(keys | {"path": text}, Folder(p, place.name, place.prefix)) for text, p in inside]
+            elif "{" in part:
+                hits = [(m, n) for n in sorted(place.names) if (m := _pattern(part).fullmatch(n))]
+                reached += [(keys | m.groupdict(), sub) for m, n in hits if (sub := place.below(n)) is not None]
+            elif part in place.names or part == "..":
+                sub = place.below(part)
+                reached += [] if sub is None else [(keys, sub)]
+        found = reached
+    last = parts[-1]
+    any_ending = last.endswith(".*")
+    pattern = _pattern(last[:-2] if any_ending else last)
+    matches = []
+    for keys, place in found:
+        for each in sorted(place.names):
+            stem, ending = os.path.splitext(each)
+            match = pattern.fullmatch(stem if any_ending else each)
+            if match is not None and (not any_ending or ending.lower() in suffixes):
+                matches.append((keys | match.groupdict(), place.path / each))
+    return matches
+
+
+@lru_cache
+def _pattern(name: str) -> re.Pattern[str]:
+    """Return the regular expression of a name with placeholders."""
+    pieces = _PLACEHOLDER.split(name)
+    kinds = {"number": r"(?P<number>\d+)", "_": ".*?"}
+    made = [re.escape(p) if k % 2 == 0 else kinds.get(p, f"(?P<{p}>.+?)") for k, p in enumerate(pieces)]
+    return re.compile("".join(made))
+
+
+def rows_in_file(path: Path) -> tuple[Row, ...]:
+    """Return the layouts of a user's YAML file: name -> role -> file name, and other fields of scenes.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read, or holds an unknown role or field.
+    """
+    rows = []
+    for title, given in read_config(path).data.items():
+        if not isinstance(given, dict) or not {"left", "depth"} & given.keys():
+            raise ConfigError(f"{path}: {title}: expected roles and file names, left or depth among them")
+        kind: type[Scene] = StereoScene if "left" in given else RgbdScene
+        types = {each.name: str(each.type) for each in fields(kind)}
+        roles = {key for key, text in types.items() if "Path" in text and key not in ("folder", _MASKS)}
+        own = {"name", "protocol"}
+        for key, value in given.items():
+            is_role = key in roles or key == _MASKS or str(key).startswith(_MASK)
+            if not is_role and (key not in types.keys() - {"layout", "problem", "folder"}):
+                known = ", ".join(sorted(roles | own | types.keys() - {"layout", "problem", "folder"}))
+                raise ConfigError(f"{path}: {title}: no field is called {key!r}; one of: {known}")
+            if is_role and not isinstance(value, str):
+                raise ConfigError(f"{path}: {title}: {key}: expected the name of a file, got {value!r}")
+        names = {key: given[key] for key in given if key in roles or key == _MASKS or str(key).startswith(_MASK)}
+        first = names.get("left") or names.get("color") or names["depth"]
+        placeholders = [each for each in _PLACEHOLDER.findall(first) if each != "_"]
+        name = given.get("name") or "_".join(f"{{{each}}}" for each in placeholders) or "{folder}"
+        rows.append(
+            Row(
+                title=str(title), wants=f"the files of {path.name}", kind=kind,
+                files=({**names, "name": name.replace("{path}_", "{path_}")},),
+                protocol=given.get("protocol", "middlebury_v2" if kind is StereoScene else "depth"),
+                values={key: v for key, v in given.items() if key not in names.keys() | own},
+            )
+        )  # fmt: skip
+    return tuple(rows)

@@ -1,0 +1,325 @@
+"""Layouts of stereo pairs."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.io.formats.disparity import KITTI_SCALE, read_disparity
+from depthcli.io.formats.files import naming, read_bytes
+from depthcli.io.formats.images import read_image
+from depthcli.io.formats.plain_text import key_values, numbers
+from depthcli.io.layouts.base import Folder, Layout
+from depthcli.io.layouts.rows import Found, Row
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.stereo import MAX_DISPARITY, StereoScene
+
+_KITTI_RANGE = 255  # the largest disparity a file of KITTI can hold: the frames come without a range of their own
+_SCENE_FLOW_RANGE = 192  # of the evaluations in the literature; the files have larger ones, too
+
+# Scale of the ground truth and search range of the data sets of the taxonomy paper, which come without a
+# file that says them (vision.middlebury.edu/stereo/data/scenes2001, scenes2003).
+_MIDDLEBURY_FACTS: dict[str, tuple[float, int]] = {
+    "tsukuba": (16, 15), "venus": (8, 19), "teddy": (4, 59), "cones": (4, 59), "sawtooth": (8, 19), "bull": (8, 20),
+    "poster": (8, 20), "barn1": (8, 19), "barn2": (8, 19),
+}  # fmt: skip
+_SINTEL_PIXELS = (4.0, 2.0**-6, 2.0**-14)  # of a code of the red, green and blue channel
+_MANY_VIEWS = ("rig_calibration", "dslr_calibration")  # how folders begin that lie beside ``images`` of ETH3D
+
+
+def _meta(found: Found) -> dict[str, Any]:
+    """Return the facts of ``meta.json``."""
+    meta = found.folder.meta
+    return {
+        "protocol": meta.text("protocol", "middlebury_v2"),
+        "disparity_scale": meta.positive("disp_scale"),
+        "round_disparity": meta.fields.get("isint") is True,
+        "masks": {name: file for name, file in found.masks.items() if not name.endswith("_right")},
+        **meta.disparities(),
+    }
+
+
+def _middlebury_v2(found: Found) -> dict[str, Any] | None:
+    if not found.files.keys() & {"right", "disparity_left"}:
+        return None
+    later, meta = found.files["left"].stem == "view1", found.folder.meta
+    scale, top = (None, None) if later else _MIDDLEBURY_FACTS.get(found.folder.path.name.lower(), (None, None))
+    return {
+        "disparity_scale": meta.positive("disp_scale") or scale,
+        "scale_by_width": later,
+        "max_disparity": meta.whole("max_disparity", 1) or top,
+    }
+
+
+def _middlebury_v3(found: Found) -> dict[str, Any]:
+    calib: dict[str, float] = {}
+    if (path := found.files.get("calibration")) is not None:
+        with naming(path):
+            fields = key_values(read_bytes(path).decode("utf-8", "replace"))
+            calib = {k: float(numbers(v, k)[0]) for k, v in fields.items() if re.fullmatch(r"[-+0-9.eE]+", v)}
+    top = calib.get("ndisp")
+    if top is not None and top > MAX_DISPARITY:
+        raise InputError(f"{path}: ndisp: expected at most {MAX_DISPARITY}, got {top:g}")
+    # ETH3D writes the image width where Middlebury writes the search range.
+    if top is not None and (top < 1 or top >= calib.get("width", float("inf"))):
+        top = None
+    return {"max_disparity": None if top is None else int(top), "round_disparity": calib.get("isint", 0) == 1}
+
+
+class _Eth3d(Row):
+    """As Middlebury v3; the truth may lie in a folder beside that of the scenes."""
+
+    def scenes(self, folder: Folder) -> list[Scene]:
+        if "images" in folder.names and any(name.startswith(_MANY_VIEWS) for name in folder.names):
+            raise InputError(
+                f"{folder.path}: a many-view scene of ETH3D, without rectified pairs; its two-view scenes can be used"
+            )
+        if not (found := super().scenes(folder)):
+            return []
+        place = folder.path.absolute()
+        truth = place.parent.with_name(f"{place.parent.name}_gt") / place.name
+        if not (truth / "disp0GT.pfm").is_file():
+            return found
+        mask = truth / "mask0nocc.png"
+        masks = {"nonocc": mask} if mask.is_file() else {}
+        return [
+            replace(scene, disparity_left=truth / "disp0GT.pfm", masks=masks)
+            if isinstance(scene, StereoScene) and scene.disparity_left is None
+            else scene
+            for scene in found
+        ]
+
+
+def _decode_scene_flow(file: Path, scale: float | None) -> NDArray[np.float32]:
+    """Return disparities, which are negative in the subset of FlyingThings3D for DispNet."""
+    disparity = read_disparity(file, scale)
+    return -disparity if np.count_nonzero(disparity < 0) > np.count_nonzero(disparity > 0) else disparity
+
+
+def _decode_sintel(file: Path, scale: float | None) -> NDArray[np.float32]:
+    """Return disparities that are packed into three channels of 8 bit."""
+    codes = read_image(file)
+    if codes.ndim != 3 or codes.dtype != np.uint8:
+        raise InputError(f"{file}: expected disparities packed into three channels of 8 bit")
+    disparity: NDArray[np.float32] = (codes @ np.array(_SINTEL_PIXELS)).astype(np.float32)
+    disparity[~codes.any(axis=2)] = np.nan
+    return disparity
+
+
+def _decode_booster(file: Path, scale: float | None) -> NDArray[np.float32]:
+    disparity = read_disparity(file, scale)
+    return np.where(disparity > 0, disparity, np.float32(np.nan))
+
+
+def _booster(found: Found) -> dict[str, Any]:
+    if "camera_02" in found.folder.names:
+        return {}
+    place = found.folder.path
+    return {"problem": f"{place}: an unbalanced pair, of two sizes; use camera_02, as in Booster's balanced split"}
+
+
+def _only_png(found: Found) -> dict[str, Any]:
+    left = found.files["left"]
+    return {"problem": f"{left}: WebP is not read; use the set's PNG images"} if left.suffix == ".webp" else {}
+
+
+def _driving_scale(found: Found) -> dict[str, Any]:
+    scale = 128.0 if found.files["left"].parent.name == "left-image-full-size" else 256.0
+    return {"disparity_scale": scale, "max_disparity": int(65535 / scale)}  # the largest that a file can hold
+
+
+def _with_truth(found: Found) -> dict[str, Any] | None:
+    return {} if "disparity_left" in found.files else None
+
+
+def _view_folders(left: str, right: str) -> dict[str, str]:
+    return {
+        "left": f"{left}/{{name}}.*", "right": f"{right}/{{name}}.*", "disparity_left": "disp_left/{name}.*",
+        "calibration": "calib.txt", "name": "{name}",
+    }  # fmt: skip
+
+
+def _side_by_side(left: str, right: str) -> dict[str, str]:
+    return {"left": f"{left}.*", "right": f"{right}.*", "calibration": "calib.txt", "name": "{name}"}
+
+
+def _pairs(found: Found) -> dict[str, Any] | None:
+    """Return the facts of pairs side by side, but for what scenes and runs hold beside the images."""
+    return None if found.keys["name"].startswith(("disp", "mask", "confidence")) else _meta(found)
+
+
+def _kitti(left: str, right: str, occ: str, noc: str, calibration: str, objects: str = "") -> dict[str, str]:
+    names = {
+        "left": f"{left}/{{frame}}_10.png", "right": f"{right}/{{frame}}_10.png",
+        "disparity_left": f"{occ}/{{frame}}_10.png", "disparity_noc": f"{noc}/{{frame}}_10.png",
+        "calibration": f"{calibration}/{{frame}}.txt", "name": "{frame}_10",
+    }  # fmt: skip
+    return names | ({"objects": f"{objects}/{{frame}}_10.png"} if objects else {})
+
+
+def _scene_flow(images: str) -> dict[str, str]:
+    truth = "disparity/{{path}}/{0}/{{frame}}.pfm|frames_disparity/{{path}}/{0}/{{frame}}.pfm"
+    return {
+        "left": f"{images}/{{path}}/left/{{frame}}.png|{images}/{{path}}/left/{{frame}}.webp",
+        "right": f"{images}/{{path}}/right/{{frame}}.png|{images}/{{path}}/right/{{frame}}.webp",
+        "disparity_left": truth.format("left"), "disparity_right": truth.format("right"),
+        "occluded": "disparity_occlusions/{path}/left/{frame}.png", "name": f"{images}/{{path_}}{{frame}}",
+    }  # fmt: skip
+
+
+def _sintel(kind: str) -> dict[str, str]:
+    return {
+        "left": f"{kind}_left/{{path}}/{{frame}}.png", "right": f"{kind}_right/{{path}}/{{frame}}.png",
+        "disparity_left": "disparities/{path}/{frame}.png", "occluded": "occlusions/{path}/{frame}.png",
+        "ignored": "outofframe/{path}/{frame}.png", "name": f"{kind}/{{path_}}{{frame}}",
+    }  # fmt: skip
+
+
+def _driving(size: str) -> dict[str, str]:
+    calib = f"{size}-image-calib/{{sequence}}.txt"
+    frame = "{sequence}_{frame}.*"
+    return {
+        "left": f"left-image-{size}-size/{frame}", "right": f"right-image-{size}-size/{frame}",
+        "disparity_left": f"disparity-map-{size}-size/{frame}",
+        "name": f"left-image-{size}-size/{{sequence}}_{{frame}}",
+        "calibration": f"../calib_train/{calib}|../calib_test/{calib}|calib/{calib}|{calib}",
+    }  # fmt: skip
+
+
+_V3_FILES = {
+    "left": "im0.*", "right": "im1.*", "disparity_left": "disp0GT.pfm|disp0.pfm",
+    "disparity_right": "disp1GT.pfm|disp1.pfm", "mask.nonocc": "mask0nocc.*", "calibration": "calib.txt",
+}  # fmt: skip
+_V2_MASKS = {f"mask.{name}": f"{name}.*|mask_{name}.*" for name in ("nonocc", "all", "disc")}
+_KITTI_VALUES = {"disparity_scale": KITTI_SCALE, "max_disparity": _KITTI_RANGE}
+_VIEWS = (
+    ("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"), ("image_left", "image_right"),
+    ("left_images", "right_images"), ("cam0", "cam1"), ("cam0/data", "cam1/data"),
+)  # fmt: skip
+_SIDES = (
+    ("{name}_L", "{name}_R"), ("{name}_l", "{name}_r"), ("{name}_left", "{name}_right"),
+    ("{name}-left", "{name}-right"), ("{name}_Left", "{name}_Right"), ("left_{name}", "right_{name}"),
+    ("left-{name}", "right-{name}"), ("L_{name}", "R_{name}"), ("l_{name}", "r_{name}"),
+    ("Left_{name}", "Right_{name}"),
+)  # fmt: skip
+
+STEREO_LAYOUTS: tuple[Layout, ...] = (
+    Row(
+        title="scenes",
+        wants="`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), "
+        "`calib.txt` (as `middlebury-v3`), `meta.json` (`max_disparity`, `min_disparity`, `disp_scale`, `protocol`)",
+        files=({"left": "left.*", "right": "right.*", "disparity_left": "disp_left.*", "masks": "mask_{mask}.*",
+                "disparity_right": "disp_right.*", "disparity_noc": "disp_left_noc.*", "objects": "objects.*",
+                "calibration": "calib.txt"},),
+        without=("left_disp.png",), facts=_meta, either=True, single=True,
+    ),
+    Row(
+        title="views",
+        wants="`left/NAME.*`, `right/NAME.*` (also `image_left`, `cam0`, `cam0/data`); where known `disp_left/NAME.*`, "
+        "and `calib.txt`, `meta.json` of all pairs",
+        files=tuple(_view_folders(*pair) for pair in _VIEWS), facts=_meta, either=True,
+    ),
+    Row(
+        title="pairs",
+        wants="`NAME_L.*`/`NAME_R.*`, `NAME_left.*`/`NAME_right.*` or `left_NAME.*`/`right_NAME.*`; where known "
+        "`calib.txt` and `meta.json` of all pairs",
+        files=tuple(_side_by_side(*pair) for pair in _SIDES), facts=_pairs, either=True,
+        without=("left.*", "right.*", "*_left.disp.*"),
+    ),
+    Row(
+        title="middlebury-v2", protocol="middlebury_v2",
+        wants="`im2`/`im6`, `imL`/`imR` or `view1`/`view5` with `disp2`/`disp6`, `groundtruth` or `disp1`/`disp5`, and "
+        "`nonocc`, `all`, `disc` where there are masks; the 2001, 2003, 2005 and 2006 sets",
+        files=tuple({"left": f"{left}.*", "right": f"{right}.*", "disparity_left": truth, "disparity_right": other,
+                     **_V2_MASKS}
+                    for left, right, truth, other in (("im2", "im6", "disp2.*|groundtruth.*", "disp6.*"),
+                                                      ("imL", "imR", "disp2.*|groundtruth.*", "disp6.*"),
+                                                      ("view1", "view5", "disp1.*", "disp5.*"))),
+        facts=_middlebury_v2,
+    ),
+    Row(
+        title="middlebury-v3", protocol="middlebury_v3",
+        wants="`im0`, `im1`, `calib.txt`, `disp0GT.pfm`, `mask0nocc.png`; of the sets of 2014 and 2021 `disp0.pfm`, "
+        "`disp1.pfm`, by which pixels hidden in the right view are found",
+        files=(_V3_FILES,), without=("cameras.txt",), facts=_middlebury_v3,
+    ),
+    _Eth3d(
+        title="eth3d", protocol="eth3d",
+        wants="as `middlebury-v3`, with `cameras.txt`, `images.txt`; the truth in the scene's folder or in one of the "
+        "same name in `two_view_training_gt` beside `two_view_training`",
+        files=(_V3_FILES,), needs=("cameras.txt", "images.txt"), facts=_middlebury_v3,
+    ),
+    Row(
+        title="kitti-2012", protocol="kitti_2012", values=_KITTI_VALUES, single=True,
+        wants="`colored_0`/`colored_1` or `image_0`/`image_1`, `disp_noc`, `disp_occ`, `calib`",
+        files=tuple(_kitti(left, right, "disp_occ", "disp_noc", "calib")
+                    for left, right in (("colored_0", "colored_1"), ("image_0", "image_1"))),
+        facts=lambda found: {"cameras": (0, 1)} if found.files["left"].parent.name == "image_0" else {},
+    ),
+    Row(
+        title="kitti-2015", protocol="kitti_2015", values=_KITTI_VALUES, single=True,
+        wants="`image_2`, `image_3`, `disp_noc_0`, `disp_occ_0`, `obj_map`, `calib_cam_to_cam`",
+        files=(_kitti("image_2", "image_3", "disp_occ_0", "disp_noc_0", "calib_cam_to_cam", "obj_map"),),
+    ),
+    Row(
+        title="kitti-odometry", protocol="kitti_2015", either=True,
+        wants="`image_2`, `image_3` or `image_0`, `image_1` with `000000.png`; `calib.txt`",
+        files=tuple({"left": f"{left}/{{number}}.png", "right": f"{right}/{{number}}.png", "calibration": "calib.txt",
+                     "name": "{number}"}
+                    for left, right in (("image_2", "image_3"), ("image_0", "image_1"))),
+        values={"max_disparity": _KITTI_RANGE},
+        facts=lambda found: {"cameras": (0, 1)} if "image_0" in str(found.files.get("left", "")) else {},
+    ),
+    Row(
+        title="sceneflow", protocol="scene_flow",
+        values={"max_disparity": _SCENE_FLOW_RANGE, "decode": _decode_scene_flow},
+        wants="`frames_cleanpass/**/left/0006.png`, `right/0006.png`, `disparity/**/left/0006.pfm` (FlyingThings3D, "
+        "Driving, Monkaa; or `frames_finalpass`); of the subset `image_clean`, `disparity_occlusions`",
+        files=tuple(map(_scene_flow, ("frames_cleanpass", "frames_finalpass", "image_clean", "image_final"))),
+        facts=_only_png,
+    ),
+    Row(
+        title="sintel", protocol="middlebury_v2", values={"decode": _decode_sintel},
+        wants="`clean_left/SEQUENCE/frame_0001.png`, `clean_right` (or `final_left`, `final_right`), `disparities`, "
+        "`occlusions`, `outofframe`: the folder `training` of MPI Sintel's stereo data",
+        files=(_sintel("clean"), _sintel("final")),
+    ),
+    Row(
+        title="booster", protocol="booster", values={"decode": _decode_booster}, facts=_booster,
+        wants="`camera_00/im0.png`, `camera_02/im0.png`, `disp_00.npy`, `disp_02.npy`, `mask_00.png`, `mask_cat.png`, "
+        "`calib_00-02.xml`: a folder of the balanced split",
+        needs=("camera_0[12]",),
+        files=({"left": "camera_00/{image}.png", "right": "camera_02/{image}.png", "disparity_left": "disp_00.npy",
+                "disparity_right": "disp_02.npy", "mask.nonocc": "mask_00.png", "materials": "mask_cat.png",
+                "calibration": "calib_00-02.xml", "name": "{folder}_{image}"},),
+    ),
+    Row(
+        title="crestereo", protocol="middlebury_v2", values={"disparity_scale": 32.0}, facts=_with_truth,
+        wants="`NAME_left.jpg`, `NAME_right.jpg`, `NAME_left.disp.png`, `NAME_right.disp.png` (codes / 32)",
+        needs=("*_left.disp.png",),
+        files=({"left": "{name}_left.jpg|{name}_left.png", "right": "{name}_right.jpg|{name}_right.png",
+                "disparity_left": "{name}_left.disp.png", "disparity_right": "{name}_right.disp.png",
+                "name": "{name}"},),
+    ),
+    Row(
+        title="instereo2k", protocol="middlebury_v2", values={"disparity_scale": 100.0}, needs=("left_disp.png",),
+        wants="`left.png`, `right.png`, `left_disp.png`, `right_disp.png` (codes / 100)",
+        files=({"left": "left.*", "right": "right.*", "disparity_left": "left_disp.png",
+                "disparity_right": "right_disp.png"},),
+    ),
+    Row(
+        title="driving-stereo", protocol="kitti_2015", values={"cameras": (101, 103)}, facts=_driving_scale,
+        wants="`train-left-image`, `train-right-image`, `train-disparity-map` (or `test-...`, or "
+        "`left-image-half-size`, `left-image-full-size` ... of a weather), "
+        "`calib_train/half-image-calib/SEQUENCE.txt`",
+        files=({"left": "{split}-left-image/{path}/{frame}.*", "right": "{split}-right-image/{path}/{frame}.*",
+                "disparity_left": "{split}-disparity-map/{path}/{frame}.*", "name": "{split}-left-image/{frame}",
+                "calibration": "calib_{split}/half-image-calib/{path}.txt"}, _driving("full"), _driving("half")),
+    ),
+)  # fmt: skip
