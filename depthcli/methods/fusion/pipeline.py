@@ -59,10 +59,7 @@ class FusedMeasure(ConfigModel):
         "folder; {scene} stands for the scene's name",
     )
     scale: float | None = Field(
-        None,
-        gt=0,
-        le=1e9,
-        description="cost that counts as 1 - 1/e, in units of the measure; null: the pair's median cost",
+        None, gt=0, le=1e9, description="cost that counts as 1 - 1/e, in units of the measure; null: the pair's median"
     )
 
     @model_validator(mode="before")
@@ -111,10 +108,7 @@ class Fusion(AdjustingMatcher):
         "select: only the most confident measure; vote: no costs, only votes",
     )
     exponent: float = Field(
-        2.0,
-        gt=0,
-        le=8,
-        description="consensus or confidence: weights are proportional to votes or confidence to this power",
+        2.0, gt=0, le=8, description="consensus, confidence: weights are votes or confidence to this power"
     )
     vote_confidence: MeasureName | None = Field(
         "lrc", description="confidence measure that says how much a vote counts; null: all count alike"

@@ -120,10 +120,7 @@ class Consensus(ConfigModel):
         "color", description="color: votes fade with distance and color change; window: all of a square count alike"
     )
     window: Odd = Field(
-        65,
-        ge=1,
-        le=255,
-        description="side of the window, odd, pixels; votes of support color fade to 1/e at half of it",
+        65, ge=1, le=255, description="side of the window, odd, pixels; support color fades to 1/e at half of it"
     )
     softness: float = Field(
         15.0, gt=0, le=1e4, description="color change at which a vote of support color fades to 1/e, grey levels"
@@ -132,19 +129,13 @@ class Consensus(ConfigModel):
         1, ge=0, le=16384, description="largest difference from its own disparity at which a vote still counts, pixels"
     )
     vote_cost: float = Field(
-        0.4,
-        ge=0,
-        le=1e3,
-        description="cost of a disparity that no vote is for, in units of one measure; 0: votes only weigh measures",
+        0.4, ge=0, le=1e3, description="cost of a disparity without votes, units of one measure; 0: votes only weigh"
     )
     rounds: int = Field(
         0, ge=0, le=8, description="number of further rounds, in which the optimized map votes instead of the measures"
     )
     map_vote_cost: float = Field(
-        0.2,
-        gt=0,
-        le=1e3,
-        description="cost of a disparity that no vote is for in further rounds, in units of one measure",
+        0.2, gt=0, le=1e3, description="cost of a disparity without votes in further rounds, units of one measure"
     )
 
     def support_in(self, pair: StereoPair) -> Support:

@@ -93,9 +93,7 @@ class MatchSelection(ConfigModel):
         "in units of one measure",
     )
     blind_margin: float = Field(
-        0.1,
-        ge=0,
-        description="how much cheaper than the pixel's mean cost a match has to be where the sensor has no depth",
+        0.1, ge=0, description="how much cheaper than the pixel's mean a match is where the sensor has no depth"
     )
     consensus: float = Field(
         0.3, ge=0, le=1, description="share of the votes around that a match that confirms the sensor needs"

@@ -75,17 +75,13 @@ class UnreliableRegions(ConfigModel):
     }
 
     score_threshold: float = Field(
-        0.5,
-        ge=0,
-        description="evidence that a pixel needs to count as unreliable, half squared standard deviations",
+        0.5, ge=0, description="evidence that a pixel needs to be unreliable, half squared standard deviations"
     )
     model_error: float = Field(
         0.5, ge=0, description="share of the planes' own standard deviation that is added to the noise"
     )
     systematic: float = Field(
-        0.0,
-        ge=0,
-        description="error that neighboring samples may share, standard deviations; smaller deviations are no evidence",
+        0.0, ge=0, description="error that neighboring samples may share, standard deviations; less is no evidence"
     )
     contradiction: float = Field(
         0.2,

@@ -29,10 +29,7 @@ class LeastEnergyChoice(ChoiceMethod):
 
     cost_weight: float = Field(2.0, ge=0, le=1e3, description="weight of the fused costs, in units of one measure")
     cost_truncation: float = Field(
-        0.7,
-        gt=0,
-        le=16,
-        description="largest matching cost that counts: what the right camera sees differently must not decide",
+        0.7, gt=0, le=16, description="largest matching cost that counts; the views may differ where light does"
     )
     agreement_weight: float = Field(3.0, ge=0, le=1e3, description="weight of the other maps' disagreement")
     visibility_weight: float = Field(

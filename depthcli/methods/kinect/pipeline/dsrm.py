@@ -54,10 +54,7 @@ class Dsrm(KinectPipeline):
         "median", description="how layers are joined: their median; in_turn: each corrects the result of the finer ones"
     )
     correction_band: int = Field(
-        8,
-        ge=0,
-        le=64,
-        description="in_turn: values that contradict the model are corrected so near to a depth edge or border, pixels",
+        8, ge=0, le=64, description="in_turn: distance from edges within which contradictions are corrected, pixels"
     )
     details: bool = Field(False, description="write the segments of every layer as pictures")
 

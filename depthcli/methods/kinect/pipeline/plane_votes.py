@@ -53,10 +53,7 @@ class PlaneVotes(KinectPipeline):
     )
     min_vote_probability: float = Field(0.4, ge=0, lt=1, description="measurements less probable than this do not vote")
     opening_probability: float | None = Field(
-        0.6,
-        gt=0,
-        lt=1,
-        description="largest probability of measurements where colors show a hidden opening; null: not looked for",
+        0.6, gt=0, lt=1, description="largest probability where colors show a hidden opening; null: not looked for"
     )
     shadows: bool | Side = Field(True, description=SHADOW_SIDES)
     continued_share: float = Field(

@@ -82,16 +82,10 @@ class RegistrationSearch(RegistrationPipeline):
         "likelihood is, working voxels; the window's own is 2",
     )
     sharpness: int = Field(
-        10,
-        ge=1,
-        le=40,
-        description="power that likelihoods are raised to: 0.5 / k, k in standard deviations of a curve",
+        10, ge=1, le=40, description="power of the likelihoods: 0.5 / k, k in standard deviations of a curve"
     )
     levels: int = Field(
-        1,
-        ge=1,
-        le=3,
-        description="number of resolutions; every further one is half as fine and finds errors twice as large",
+        1, ge=1, le=3, description="number of resolutions; each further one finds errors twice as large"
     )
     measure: str = Field(
         "eshift",

@@ -43,9 +43,7 @@ class DenseCrf(TransparentPipeline):
         6.0, gt=0, description="distance from a value beyond which its costs no longer grow, labels"
     )
     smooth_truncation: int = Field(
-        8,
-        ge=1,
-        description="difference of two pixels' labels beyond which the cost of their pair no longer grows, labels",
+        8, ge=1, description="difference of two pixels' labels beyond which their cost stays the same, labels"
     )
     bilateral_weight: float = Field(
         1.0, ge=0, description="weight of smoothness between pixels of similar place and color"
@@ -54,9 +52,7 @@ class DenseCrf(TransparentPipeline):
         20.0, gt=0, description="distance at which the weight by place and color falls to exp(-1/2), pixels"
     )
     bilateral_color: float = Field(
-        20.0,
-        gt=0,
-        description="color difference at which the weight by place and color falls to exp(-1/2), grey levels",
+        20.0, gt=0, description="color difference at which the bilateral weight falls to exp(-1/2), grey levels"
     )
     near_weight: float = Field(0.3, ge=0, description="weight of smoothness between pixels of similar place")
     near_distance: float = Field(

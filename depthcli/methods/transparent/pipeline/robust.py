@@ -26,9 +26,7 @@ class Smoothing(ConfigModel):
     """
 
     reach: float = Field(
-        0.011,
-        ge=0,
-        description="values are smoothed beyond this distance from the nearest sample, as a share of the image width",
+        0.011, ge=0, description="distance from the nearest sample beyond which values are smoothed, share of the width"
     )
     radius: int = Field(5, ge=0, le=50, description="half the side of the window, pixels")
     color_scale: float = Field(
