@@ -8,8 +8,7 @@ from typing import Any
 
 from depthcli.core.frames import Image
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.simulate.samples import SampleScene
-from depthcli.simulate.samples._files import scenes_from
+from depthcli.simulate.samples import SampleScene, scenes_from
 from depthcli.simulate.samples.stereo import StereoSample, write_scene
 from depthcli.simulate.transparent_scenes import cross_modal_pair
 

@@ -12,8 +12,7 @@ from depthcli.io.formats.images import read_image
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.simulate.depth_sensor import simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene, make_kinect_sequence
-from depthcli.simulate.samples import Sample, SampleScene
-from depthcli.simulate.samples._files import scenes_from, write_files, write_meta
+from depthcli.simulate.samples import Sample, SampleScene, scenes_from, write_files, write_meta
 
 _KINDS = ("camouflage", "planes", "foreground", "curved")
 _SEQUENCES = ("static", "moving")

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.volumes import write_array
-from depthcli.simulate.samples import Sample, SampleScene
-from depthcli.simulate.samples._files import write_meta
+from depthcli.simulate.samples import Sample, SampleScene, write_meta
 
 _SPACING = (1.5, 1.5, 2.0)  # x, y, z, mm
 _SHAPE = (40, 56, 56)  # z, y, x, voxels

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import Image
-from depthcli.simulate.samples import Sample, SampleScene
-from depthcli.simulate.samples._files import write_files, write_meta
+from depthcli.simulate.samples import Sample, SampleScene, write_files, write_meta
 from depthcli.simulate.stereo_scenes import KINDS, Radiometry, make_scene
 
 _SIZES = ("seed", "width", "height")
@@ -23,7 +22,16 @@ class StereoSample(Sample):
     """Planes, objects in front of them, repetitive patterns, curved surfaces; streets."""
 
     name = "stereo"
-    options = (*_SIZES, "count", "kind", "max_disparity", "noise", "radiometric", "brightness", "wall_contrast")
+    options: ClassVar[tuple[str, ...]] = (
+        *_SIZES,
+        "count",
+        "kind",
+        "max_disparity",
+        "noise",
+        "radiometric",
+        "brightness",
+        "wall_contrast",
+    )
 
     def check(self, values: Mapping[str, Any]) -> None:
         """Raise ConfigError where the range leaves no room for a match, or a kind is unknown."""

@@ -15,8 +15,7 @@ from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import write_png
 from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.simulate.samples import Sample, SampleScene
-from depthcli.simulate.samples._files import scenes_from, write_files, write_meta
+from depthcli.simulate.samples import Sample, SampleScene, scenes_from, write_files, write_meta
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene, sparse_samples
 
 _FB = 24.0  # pixel meters: a room of one to a few meters
