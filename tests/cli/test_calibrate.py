@@ -159,12 +159,9 @@ def test_damaged_photos_are_left_out_and_said(chess: Path, tmp_path: Path, capsy
     ("arguments", "text"),
     [
         (("--board", "9by6", "--square", "25mm"), "--board: want 9x6 (inner corners)"),
-        (("--board", "1x6", "--square", "25mm"), "too few or too many corners"),
         (("--board", "9x6", "--square", "25"), "a length with its unit, such as 25mm (got '25')"),
-        (("--board", "9x6", "--square", "0mm"), "a length with its unit"),
         (("--board", "9x6", "--square", "25mm", "--marker", "5mm"), "those of a ChArUco board"),
         (("--board", "charuco:7x5", "--square", "25mm"), "--marker 18mm"),
-        (("--board", "charuco:7x5", "--square", "25mm", "--marker", "25mm"), "not smaller than a square"),
         (("--board", "charuco:30x20", "--square", "2cm", "--marker", "1cm"), "4X4_50 has 50 markers, the board 300"),
         (("--board", "charuco:7x5", "--square", "2cm", "--marker", "1cm", "--dictionary", "9X9"), "no 9X9"),
         ((*CHESS,), "no photos"),
@@ -183,10 +180,8 @@ def test_wrong_options(
     [
         ("left/01.png", "left/02.png", "right/01.png", "right/02.png"),
         ("left01.png", "left02.png", "right01.png", "right02.png"),
-        ("01_l.png", "02_l.png", "01_r.png", "02_r.png"),
         ("cam0/01.png", "cam0/02.png", "cam1/01.png", "cam1/02.png"),
         ("01/left.png", "02/left.png", "01/right.png", "02/right.png"),
-        ("left/left-01.png", "left/left-02.png", "right/right-01.png", "right/right-02.png"),
     ],
 )
 def test_pairs_are_found_by_name(tmp_path: Path, names: tuple[str, ...]) -> None:
@@ -230,10 +225,3 @@ def test_cameras_of_two_sizes_are_refused(chess: Path, tmp_path: Path, capsys: p
     command = ["calibrate", str(tmp_path / "photos"), "--board", "9x6", "--square", "25mm"]
     assert main([*command, "-o", str(tmp_path / "stereo.yml")]) == 2
     assert "bring" in capsys.readouterr().err and not (tmp_path / "stereo.yml").exists()
-
-
-def test_one_folder_for_both_cameras_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_png(tmp_path / "a.png", np.zeros((4, 4), np.uint8))
-    command = ["calibrate", str(tmp_path), f"{tmp_path}/.", "--board", "9x6", "--square", "25mm"]
-    assert main([*command, "-o", str(tmp_path / "stereo.yml")]) == 2
-    assert "given for both cameras" in capsys.readouterr().err

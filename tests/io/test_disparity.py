@@ -166,17 +166,6 @@ def test_float_tiff_of_either_width_and_byte_order(tmp_path: Path, dtype: type, 
             read_plane(path)
 
 
-def test_float_tiff_of_several_channels_or_half_width_is_refused(tmp_path: Path):
-    color, path = np.ones((4, 5, 3), np.float64), tmp_path / "color.tiff"
-    assert cv2.imwrite(str(path), color)
-    with pytest.raises(InputError, match="floating point"):
-        read_plane(path)
-    half = _float_tiff(np.ones((4, 5), np.float16), "<", False, 4)
-    path.write_bytes(half)
-    with pytest.raises(InputError, match="float"):
-        read_plane(path)
-
-
 def test_npz_files(tmp_path: Path):
     values = np.arange(12, dtype=np.float32).reshape(3, 4)
     np.savez(tmp_path / "one.npz", anything=values)

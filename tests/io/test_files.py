@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.io.formats.disparity import map_npy, read_disparity, read_pfm
+from depthcli.io.formats.disparity import map_npy
 from depthcli.io.formats.files import read_bytes, shown
 from depthcli.io.formats.images import image_size, read_image
 
@@ -19,7 +19,7 @@ def map_costs(path):
     return map_npy(path, 3)
 
 
-READERS = [read_bytes, read_image, read_disparity, read_pfm, map_costs, image_size]
+READERS = [read_bytes, read_image, map_costs, image_size]
 
 
 def refused(read, path) -> str:

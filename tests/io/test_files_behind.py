@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
-import time
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
 from depthcli.io.formats import fields, volumes
 from depthcli.io.formats.calibrations import kinect_files_beside
-from depthcli.io.formats.volumes import read_grid, read_volume, write_array
+from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.io.scenes.volume_pair import VolumePairScene
 
 pytest.importorskip("SimpleITK")
@@ -109,33 +107,6 @@ def test_values_outside_of_the_folder_are_not_read(tmp_path: Path):
         ):
             with pytest.raises(InputError, match="its own folder"):
                 read_volume(header)
-
-
-@pytest.mark.parametrize("special", ["pipe", "device", "folder", "socket link"])
-def test_only_regular_files_are_opened(tmp_path: Path, special: str):
-    path = tmp_path / "v.raw"
-    {
-        "pipe": lambda: os.mkfifo(path),
-        "device": lambda: path.symlink_to("/dev/zero"),
-        "folder": path.mkdir,
-        "socket link": lambda: path.symlink_to("/dev/tty"),
-    }[special]()
-    started = time.monotonic()
-    for header in (
-        put(tmp_path / "a.mhd", f"{META}ElementDataFile = v.raw\n"),
-        put(tmp_path / "a.nhdr", f"{NRRD}encoding: raw\ndata file: v.raw\n"),
-    ):
-        for read in (read_grid, read_volume):
-            with pytest.raises(InputError, match=r"v\.raw"):
-                read(header)
-    chain = tmp_path / "t.txt"
-    chain.write_text(
-        '(Transform "TranslationTransform")\n(TransformParameters 0 0 0)\n'
-        '(InitialTransformParametersFileName "v.raw")\n'
-    )
-    with pytest.raises(InputError, match=r"v\.raw"):
-        fields.read_transform(chain)
-    assert time.monotonic() - started < 5
 
 
 def test_other_kinds_of_volume_are_not_tried(tmp_path: Path):

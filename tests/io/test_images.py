@@ -128,9 +128,7 @@ def resized_jpeg(width: int, height: int, padding: int = 0) -> bytes:
     return bytes(code) + bytes(padding)
 
 
-@pytest.mark.parametrize(
-    "name", ["png", "png16", "jpg", "jpg-padded", "tiff", "tiff-deflate", "tiff-tiles", "pgm", "bmp"]
-)
+@pytest.mark.parametrize("name", ["png", "png16", "jpg", "tiff", "tiff-deflate", "tiff-tiles", "pgm", "bmp"])
 def test_bombs_are_refused_by_their_header(tmp_path: Path, name):
     """Each would take 3 GiB or more to decode."""
     size = 60_000
@@ -139,7 +137,6 @@ def test_bombs_are_refused_by_their_header(tmp_path: Path, name):
         "png": lambda: png(size, size, 8, 0, bytes(1_000_000)),
         "png16": lambda: png(size, size, 16, 6, bytes(4_000_000)),
         "jpg": lambda: resized_jpeg(size, size),
-        "jpg-padded": lambda: resized_jpeg(size, size, 4_000_000),
         "tiff": lambda: tiff(size, size, 3, 8, bytes(120_000), 1),
         "tiff-deflate": lambda: tiff(size, size, 1, 8, zeros, 8),
         "tiff-tiles": lambda: tiff(64, 64, 1, 8, zeros, 8, t322=size, t323=size, t324=8, t325=len(zeros)),
