@@ -156,24 +156,6 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     }  # fmt: skip
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("length", [200, 236, 245, 251, 255])
-def test_long_names_of_scenes_stop_nothing(tmp_path: Path, truth: Path, length: int):
-    """Neither where the map is looked for nor where pictures and plots are written."""
-    long = "n" * length
-    shutil.move(truth / "b", truth / long)
-    run = run_of(tmp_path / "run", {"a": exact(truth), long: exact(truth)})
-    write_pfm(run / long / "confidence_x.pfm", exact(truth))
-    write_pfm(run / "a" / "confidence_x.pfm", exact(truth))
-    report = evaluate_runs([run, tmp_path / "run" / "a"], truth, tmp_path / "out", layout="scenes")
-    first = [r for r in report.results if r.run == report.runs[0]]
-    assert [(r.scene, r.error, bad(r)) for r in first] == [("a", "", 0), (long, "", 0)]
-    for result in first:
-        for path in (result.picture, *result.plots.values()):
-            assert (tmp_path / "out" / path).is_file()
-            assert path in (tmp_path / "out" / "report.md").read_text()
-
-
 def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     (truth / "a" / "disp_left.png").write_bytes(b"nothing")
@@ -187,14 +169,6 @@ def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
     (truth / "b" / "meta.json").write_text("[]")
     with pytest.raises(InputError, match=r"meta\.json"):
         evaluate_runs([run], truth, tmp_path / "out")
-
-
-def test_wrong_scale_is_said(tmp_path: Path, truth: Path):
-    run = run_of(tmp_path / "run", {"a": exact(truth) * 16, "b": exact(truth)})
-    report = evaluate_runs([run], truth, tmp_path / "out")
-    assert len(report.warnings) == 1
-    assert report.warnings[0].startswith("run: a: ") and "about 16 times the truth" in report.warnings[0]
-    assert "16 times the truth" in (tmp_path / "out" / "report.md").read_text()
 
 
 @pytest.mark.slow

@@ -37,15 +37,6 @@ def export(run: Path, name: str, target: Path, *more: str) -> int:
     return main(["export", str(run), "--for", name, "--method", "OUR-1", "-o", str(target), "-q", *more])
 
 
-def test_the_benchmarks_have_their_scenes():
-    assert [len(V3.scenes[s]) for s in (TRAINING, TEST)] == [15, 15]
-    assert [len(ETH.scenes[s]) for s in (TRAINING, TEST)] == [27, 20]
-    assert (len(K12.scenes[TEST]), len(K15.scenes[TEST])) == (195, 200)
-    for each in (V3, ETH, K12, K15):
-        names = [name for split in each.scenes.values() for name in split]
-        assert len(set(names)) == len(names)
-
-
 def test_middlebury(tmp_path: Path):
     run = run_of(tmp_path / "run", [*V3.scenes[TRAINING], *V3.scenes[TEST]], quarter)
     assert export(run, "middlebury-v3", tmp_path / "a.zip") == 0
@@ -144,15 +135,3 @@ def test_eth3d_and_maps_of_other_programs(tmp_path: Path, capsys: pytest.Capture
     write_pfm(run / "low_res_two_view" / "tunnel_1l.pfm", np.full((3, 30), 31, np.float32))
     assert export(run, "eth3d", tmp_path / "b.zip", "--seconds", "0.5") == 2
     assert "tunnel_1l: disparities beyond the image's width, up to 31" in capsys.readouterr().err
-
-
-def test_the_run_knows_its_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    image = tmp_path / "image.pfm"
-    write_pfm(image, np.zeros((5, 12), np.float32))
-    run = run_of(tmp_path / "run", K15.scenes[TEST], lambda scene: 12, source=str(image))
-    assert export(run, "kitti-2015", tmp_path / "a.zip") == 2
-    assert "000000_10: the map is 12 x 3, the image 12 x 5" in capsys.readouterr().err
-    assert main(["export", str(run), "--for", "kitti", "--method", "x", "-o", str(tmp_path / "a.zip")]) == 2
-    assert "one of: middlebury-v3, kitti-2012, kitti-2015, eth3d" in capsys.readouterr().err
-    assert main(["export", str(tmp_path / "none"), "--for", "eth3d", "--method", "x", "-o", str(tmp_path / "a")]) == 2
-    assert main(["export", str(run), "--for", "eth3d", "--method", "x", "-o", "a", "--split", "dev"]) == 2

@@ -152,25 +152,6 @@ def test_a_mask_that_cannot_be_used_is_left_out_and_said(pairs, capsys):
         assert "region_95_good" in document["scenes"][0] and {each["error"] for each in document["scenes"]} == {""}
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('{"labels": ["liver"]}', "labels: want the regions of each mask"),
-        ('{"labels": {"organs": {"liver": 1.5}}}', "labels: want the regions of each mask"),
-        ('{"labels": {"organs": {"a>b": 1}}}', "want a name without"),
-        ('{"labels": {"organs": {"liver": 1, "spleen": 1}}}', "two regions have one label"),
-    ],
-)
-def test_wrong_names_of_labels_are_refused_in_one_line(tmp_path, capsys, text, message):
-    for name in ("fixed", "moving_warped", "mask_organs"):
-        (tmp_path / "pair").mkdir(exist_ok=True)
-        (tmp_path / "pair" / f"{name}.nii.gz").write_bytes(b"")
-    (tmp_path / "pair" / "meta.json").write_text(text)
-    assert main(["register-confidence", "mind", "-i", str(tmp_path), "-o", str(tmp_path / "run"), "-q"]) == 3
-    err = capsys.readouterr().err
-    assert message in err and err.count("\n") == 1
-
-
 @pytest.mark.parametrize("words", [["--flag", "measured"], ["--flag", "measured<much"], ["--fail-flagged"]])
 def test_wrong_conditions_are_refused_before_anything_is_read(tmp_path, capsys, words):
     assert main(["stereo", "fast", "-i", str(tmp_path / "nowhere"), "-o", str(tmp_path / "run"), *words]) == 2
