@@ -20,14 +20,7 @@ from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
 from depthcli.evaluation import protocols
-from depthcli.evaluation.map_files import (
-    DisparityFiles,
-    MapFiles,
-    MapOptions,
-    find_runs,
-    names_in_run,
-    recognized,
-)
+from depthcli.evaluation.map_files import DisparityFiles, MapFiles, MapNaming, find_runs, names_in_run, recognized
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size, read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE
@@ -256,7 +249,7 @@ def _find_scenes(
     }
     known: MapFiles = DisparityFiles()
     options = {
-        name: MapOptions(patterns.get(name) or pattern or "", scales.get(name, scale), invalids.get(name, invalid))
+        name: MapNaming(patterns.get(name) or pattern or "", scales.get(name, scale), invalids.get(name, invalid))
         for name in coded
     }
     for name, place in places.items():
@@ -279,7 +272,7 @@ def _find_scenes(
             problem = f"{where}: no map of scene {scene.name}{known.searched(names[scene.name])}"
         other = None
         for name, place in rights.items():
-            coding = MapOptions(patterns.get(name, ""), options[name].scale, options[name].invalid)
+            coding = MapNaming(patterns.get(name, ""), options[name].scale, options[name].invalid)
             path = _file(place, coding.files(right_files), names[scene.name])
             if path is None:
                 absent.append(f"{name} (right view)")
@@ -311,18 +304,18 @@ def _file(place: Path, files: MapFiles, names: Sequence[str]) -> Path | None:
 def _recognized(
     run: str,
     place: Path,
-    options: MapOptions,
+    options: MapNaming,
     scenes: Sequence[StereoScene],
     names: dict[str, list[str]],
     reporter: Reporter,
-) -> MapOptions:
+) -> MapNaming:
     # The options with the pattern of the maps of a run that holds none under a usual name.
     if not os.path.isdir(place) or read_report(place):
         return options
     usable = {scene.name: scene for scene in scenes if not scene.problem}
     protocol = protocols.load("middlebury-v2")()
 
-    def fits(name: str, path: Path, tried: MapOptions) -> bool:
+    def fits(name: str, path: Path, tried: MapNaming) -> bool:
         with collected_warnings():
             try:
                 shape = GivenMap(run, path, tried.scale, tried.invalid).load().shape

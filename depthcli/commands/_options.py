@@ -19,6 +19,7 @@ from typing import Annotated, Any, ClassVar, TypeAlias, get_type_hints
 import typer
 from typer import Argument, Option
 
+from depthcli.commands._flags import conditions_of
 from depthcli.run.console import Reporter
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one slash
@@ -243,6 +244,9 @@ class RunOptions(Printing):
     fail_flagged: FailFlaggedOption = False
     evaluate: bool = False
     html: bool = False
+
+    def __post_init__(self) -> None:
+        conditions_of(self.flag, self.fail_flagged)  # a wrong one is an error before any scene is looked for
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -70,7 +70,7 @@ def evaluate(
     """Evaluate, print the tables, and return the exit code."""
     from depthcli.commands._evaluation import check_tables, print_place, print_tables, viewers
     from depthcli.evaluation.evaluate import evaluate_runs
-    from depthcli.evaluation.map_files import MapOptions, find_runs
+    from depthcli.evaluation.map_files import MapNaming, find_runs
     from depthcli.evaluation.protocols import Settings
 
     reporter, places = printing.reporter, find_runs(runs)
@@ -83,7 +83,7 @@ def evaluate(
         Settings(codes, (resolution or "").upper() or None, threshold, _size(resize), none),
         reporter,
         viewers=viewers(reporter, output, html, html_budget),
-        map_options={run: MapOptions(patterns.get(run) or pattern or "", own_codes.get(run), own_none.get(run))
+        map_options={run: MapNaming(patterns.get(run) or pattern or "", own_codes.get(run), own_none.get(run))
                      for run in places},
         conditions=(conditions := conditions_of(flag, fail_flagged)),
     )  # fmt: skip

@@ -20,7 +20,7 @@ from depthcli.core.flags import Condition, Flags, flag_rows, plain_name
 from depthcli.core.registry import Plugin, plugin_of, versions_here
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
-from depthcli.evaluation.map_files import MapOptions, find_runs, names_in_run, recognized
+from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
 from depthcli.evaluation.plots import curve_plot
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
 from depthcli.evaluation.results import MapResult
@@ -82,7 +82,7 @@ def evaluate_runs(
     reporter: Reporter | None = None,
     kinds: Iterable[type[Scene]] | None = None,
     viewers: Sequence[Viewer] = (),
-    map_options: Mapping[str, MapOptions] | None = None,
+    map_options: Mapping[str, MapNaming] | None = None,
     conditions: Sequence[Condition] = (),
     rows: Mapping[str, Row] | None = None,
 ) -> EvaluationReport:
@@ -265,7 +265,7 @@ class _Scoring:
     protocol: AnyProtocol | None
     settings: Settings
     viewers: Sequence[Viewer]
-    map_options: dict[str, MapOptions]
+    map_options: dict[str, MapNaming]
     rows: Mapping[str, Row] | None
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)
     hints: list[str] = field(default_factory=list)
@@ -301,7 +301,7 @@ class _Scoring:
             with contextlib.suppress(DepthcliError):
                 usable[scene.name] = scene, self._protocol_of(scene)
 
-        def fits(name: str, path: Path, options: MapOptions) -> bool:
+        def fits(name: str, path: Path, options: MapNaming) -> bool:
             scene, protocol = usable[name]
             with collected_warnings():
                 try:
@@ -313,13 +313,13 @@ class _Scoring:
         files = {name: (protocol.files, names[name]) for name, (_, protocol) in usable.items()}
         for run, place in self.runs.items():
             if place.is_dir() and not self.reports[run]:
-                given = self.map_options.get(run, MapOptions())
+                given = self.map_options.get(run, MapNaming())
                 found = recognized(run, place, given, files, fits)
                 if found != given:
                     self.map_options[run] = found
                     self.hints.append(f"{run}: taken as its maps: {found.pattern} (--maps says otherwise)")
 
-    def _reader(self, protocol: AnyProtocol, options: MapOptions) -> AnyProtocol:
+    def _reader(self, protocol: AnyProtocol, options: MapNaming) -> AnyProtocol:
         """Return the protocol with the settings of one run, by which its maps are read."""
         own = {name: value for name in ("scale", "invalid") if (value := getattr(options, name)) is not None}
         return type(protocol)(replace(protocol.settings, **own, any_scale="scale" in own)) if own else protocol
@@ -364,7 +364,7 @@ class _Scoring:
     def _result(self, start: MapResult, protocol: AnyProtocol, scene: Scene, truth: Any, names: list[str]) -> MapResult:
         """Find, read, score and draw one run's map; if that fails, return the worst scores with the reason."""
         place, rows = self.runs[start.run], self.reports[start.run]
-        options = self.map_options.get(start.run, MapOptions())
+        options = self.map_options.get(start.run, MapNaming())
         files = options.files(protocol.files)
         row: Row = next((rows[name] for name in names if name in rows), {})
         try:

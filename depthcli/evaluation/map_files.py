@@ -25,7 +25,7 @@ _OTHER_STEMS = ("left", "{scene}_left")
 
 
 @dataclass(frozen=True)
-class MapOptions:
+class MapNaming:
     """How the maps of one run are named and coded, as far as that was given.
 
     Attributes
@@ -245,10 +245,10 @@ def _has_standard_map(folder: Path, files: MapFiles, names: Sequence[str]) -> bo
 def recognized(
     run: str,
     folder: Path,
-    options: MapOptions,
+    options: MapNaming,
     scenes: Mapping[str, tuple[MapFiles, Sequence[str]]],
-    fits: Callable[[str, Path, MapOptions], bool],
-) -> MapOptions:
+    fits: Callable[[str, Path, MapNaming], bool],
+) -> MapNaming:
     """Return the options with the one pattern that the maps of a run have where none has a usual place.
 
     Parameters
@@ -273,11 +273,11 @@ def recognized(
     if not likely:
         return options
     if len(likely) == 1:
-        return MapOptions(likely[0], options.scale, options.invalid)
+        return MapNaming(likely[0], options.scale, options.invalid)
     fitting = []
     for pattern in likely:
         scene = found[pattern][0]
-        chosen = MapOptions(pattern, options.scale, options.invalid)
+        chosen = MapNaming(pattern, options.scale, options.invalid)
         path = chosen.files(scenes[scene][0]).find(folder, scenes[scene][1])
         if path is not None and fits(scene, path, chosen):
             fitting.append(chosen)
