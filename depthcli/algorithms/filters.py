@@ -56,21 +56,21 @@ def single_thread() -> Iterator[None]:
     The fast global smoother, and the WLS filter that is based on it, divide images into as many stripes as there are
     threads and round differently at the ends of vectors: the last bits depend on the number of threads.
     """
-    with _single.lock:
-        if _single.users == 0:
-            _single.n_threads = cv2.getNumThreads()
+    with _SingleThread.lock:
+        if _SingleThread.users == 0:
+            _SingleThread.n_threads = cv2.getNumThreads()
             cv2.setNumThreads(1)
-        _single.users += 1
+        _SingleThread.users += 1
     try:
         yield
     finally:
-        with _single.lock:
-            _single.users -= 1
-            if _single.users == 0:
-                cv2.setNumThreads(_single.n_threads)
+        with _SingleThread.lock:
+            _SingleThread.users -= 1
+            if _SingleThread.users == 0:
+                cv2.setNumThreads(_SingleThread.n_threads)
 
 
-class _single:  # noqa: N801  # state of OpenCV, which all threads of Python share
+class _SingleThread:  # state of OpenCV, which all threads of Python share
     lock = threading.Lock()
     users = 0
     n_threads = 0

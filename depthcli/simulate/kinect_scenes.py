@@ -140,7 +140,7 @@ def _shots(
 
 
 @dataclass(frozen=True)
-class Board:
+class CutOut:
     """A cut-out.
 
     Attributes
@@ -155,15 +155,15 @@ class Board:
     disparity: Disparity
 
 
-def moved(board: Board, columns: int) -> Board:
+def moved(board: CutOut, columns: int) -> CutOut:
     """Return the board ``columns`` pixels to the right, out of the picture where that ends."""
     cover = np.roll(board.cover, columns, axis=1)
     cover[:, : min(columns, cover.shape[1])] = 0
     color, disparity = np.roll(board.color, columns, axis=1), np.roll(board.disparity, columns, axis=1)
-    return Board(cover, color, disparity)
+    return CutOut(cover, color, disparity)
 
 
-def seen_from(board: Board, motion: NDArray[np.float64], camera: NDArray[np.float64], fb: float) -> Board:
+def seen_from(board: CutOut, motion: NDArray[np.float64], camera: NDArray[np.float64], fb: float) -> CutOut:
     """Return the board as a moved camera sees it: its plane of disparity, and its picture by that plane's homography.
 
     Parameters
@@ -184,7 +184,7 @@ def seen_from(board: Board, motion: NDArray[np.float64], camera: NDArray[np.floa
     cover = cv2.warpPerspective(board.cover, homography, (width, height), borderMode=cv2.BORDER_REPLICATE)
     color = cv2.warpPerspective(board.color, homography, (width, height), borderMode=cv2.BORDER_REFLECT_101)
     disparity = (pixels @ moved_plane).reshape(height, width)
-    return Board(cover.astype(np.float32), color.astype(np.float32), disparity.astype(np.float32))
+    return CutOut(cover.astype(np.float32), color.astype(np.float32), disparity.astype(np.float32))
 
 
 class Canvas:
@@ -217,25 +217,25 @@ class Canvas:
         disparity: float,
         paint: NDArray[np.float32],
         flat: bool = False,
-    ) -> Board:
+    ) -> CutOut:
         """Return a wavy disc; ``size`` = half its width and height in pixels, ``flat``: of one disparity."""
         x, y = (self._columns - center[0]) / size[0], (self._rows - center[1]) / size[1]
         angle = np.arctan2(y, x)
         waves = sum(self._rng.uniform(0.02, 0.12) * np.cos(k * angle + self._rng.uniform(0, 6.3)) for k in (2, 3, 5))
         inside = (0.9 * (1 + waves) - np.hypot(x, y)) * min(size)
         cover = np.clip(inside + 0.5, 0, 1).astype(np.float32)
-        return Board(cover, self._plaster(paint), self._plane(center, disparity, 0.0 if flat else 0.1 * disparity))
+        return CutOut(cover, self._plaster(paint), self._plane(center, disparity, 0.0 if flat else 0.1 * disparity))
 
-    def put(self, board: Board) -> None:
+    def put(self, board: CutOut) -> None:
         """Draw a board over the picture and keep it there."""
         self.color, self.truth = self._over(board)
 
-    def _over(self, board: Board) -> tuple[NDArray[np.float32], Disparity]:
+    def _over(self, board: CutOut) -> tuple[NDArray[np.float32], Disparity]:
         share = board.cover[:, :, None]
         color = share * board.color + (1 - share) * self.color
         return color, np.where(board.cover >= 0.5, np.maximum(board.disparity, self.truth), self.truth)
 
-    def photograph(self, board: Board | None = None) -> tuple[NDArray[np.uint8], Disparity]:
+    def photograph(self, board: CutOut | None = None) -> tuple[NDArray[np.uint8], Disparity]:
         """Return color, (H, W, 3) uint8, blurred as by a lens, and disparity; ``board`` is on top only here."""
         color, truth = (self.color, self.truth) if board is None else self._over(board)
         shown = cv2.GaussianBlur(color, (0, 0), 0.6) * 255
@@ -253,7 +253,7 @@ def along_boards(
     """
     fb, camera = RgbdFrame.fb, typical_intrinsics(width, height).matrix
     canvas = Canvas(rng, width, height, textures.color(rng), far=0.3 * max_disparity)
-    boards = [Board(np.ones((height, width), np.float32), canvas.color, canvas.truth)]
+    boards = [CutOut(np.ones((height, width), np.float32), canvas.color, canvas.truth)]
     for index, nearness in enumerate(np.linspace(0.45, 0.85, 5)):
         center = (((2 * index) % 5 + rng.uniform(0.3, 0.7)) * width / 5, rng.uniform(0.3, 0.7) * height)
         size = (rng.uniform(0.07, 0.11) * width, rng.uniform(0.15, 0.3) * height)
