@@ -185,7 +185,7 @@ def _calibrated(board: Board, photos: Sequence[Photos], fisheye: bool, reporter:
     found = _Found(photos, [{} for _ in range(n_cameras)], {each.name: {} for each in photos}, [])
     sizes: list[dict[str, Size]] = [{} for _ in range(n_cameras)]
     with reporter:
-        reporter.start(len(photos), 0, "calibrate", "photo" if n_cameras == 1 else "pair")
+        reporter.start(len(photos), 0, "calibrate")
         for each in photos:
             for side, file in enumerate((each.left, each.right)[:n_cameras]):
                 if file is None:
@@ -290,8 +290,9 @@ def _doubts(found: _Found) -> list[str]:
 def _document(board: Board, found: _Found, unnamed: list[str]) -> Row:
     """Return the report as JSON holds it: pixels, meters, degrees."""
     is_charuco = isinstance(board, CharucoBoard)
-    described: Row = {"kind": "charuco" if is_charuco else "chessboard",
-                      "inner_corners": [board.columns, board.rows], "square": board.square}  # fmt: skip
+    counts = [board.columns, board.rows]
+    described: Row = {"kind": "charuco" if is_charuco else "chessboard", "inner_corners": counts}
+    described["square"] = board.square
     if isinstance(board, CharucoBoard):
         described |= {"marker": board.marker, "dictionary": board.dictionary}
     report: Row = {
@@ -300,8 +301,10 @@ def _document(board: Board, found: _Found, unnamed: list[str]) -> Row:
             {
                 "side": _SIDES[k],
                 "size": list(camera.size or ()),
-                "fx": camera.matrix[0, 0], "fy": camera.matrix[1, 1],
-                "cx": camera.matrix[0, 2], "cy": camera.matrix[1, 2],
+                "fx": camera.matrix[0, 0],
+                "fy": camera.matrix[1, 1],
+                "cx": camera.matrix[0, 2],
+                "cy": camera.matrix[1, 2],
                 "distortion": list(camera.distortion),
                 "fisheye": camera.fisheye,
                 "focal_deviations": None if fit.focal_deviations is None else list(fit.focal_deviations),
@@ -315,7 +318,7 @@ def _document(board: Board, found: _Found, unnamed: list[str]) -> Row:
         "photos": [_photo(found, each.name) for each in found.photos],
         "unnamed": unnamed,
         "warnings": found.warnings,
-    }  # fmt: skip
+    }
     if found.rig is not None:
         rig = found.rig.rig
         turn = float(np.degrees(np.linalg.norm(cv2.Rodrigues(rig.rotation)[0])))

@@ -55,22 +55,33 @@ def depth_of_maps(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> in
         raise ConfigError(f"--calibration and --{by_hand[0]} exclude each other")
     check_limits(clouds.near, clouds.far)
     parse_mask(clouds.mask or "all")
-    config = DepthConfig(
-        focal=maps.focal, baseline=maps.baseline, doffs=maps.doffs, mask=clouds.mask, ply=clouds.ply,
-        near=clouds.near, far=clouds.far, depth_scale=clouds.depth_scale,
-    )  # fmt: skip
+    config: DepthConfig = {
+        "focal": maps.focal,
+        "baseline": maps.baseline,
+        "doffs": maps.doffs,
+        "mask": clouds.mask,
+        "ply": clouds.ply,
+        "near": clouds.near,
+        "far": clouds.far,
+        "depth_scale": clouds.depth_scale,
+    }
     compute = _ToDepth(config)
     batch = Batch(
         command="depth",
         config=config,
         compute=compute,
-        columns=(SIZE, Column("density", percent("density")), _number("median_depth", "m"), _number("focal", "px"),
-                 _number("baseline", "m")),
+        columns=(
+            SIZE,
+            Column("density", percent("density")),
+            _number("median_depth", "m"),
+            _number("focal", "px"),
+            _number("baseline", "m"),
+        ),
         settings=_settings,
         memory=compute.memory,
         palette=STATUS_PALETTE,
         shown_as="depth",
-    )  # fmt: skip
+    )
     return run_batch(batch, find_maps(maps, run.reporter), run)
 
 

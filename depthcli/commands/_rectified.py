@@ -66,9 +66,14 @@ def rectify_pairs(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> i
     calibration = None
     if files:
         calibration = Calibration.model_validate(
-            {"files": [str(file) for file in files], "unit": how.unit, "fisheye": how.fisheye, "alpha": how.alpha,
-             "cameras": (int(first), int(second))}
-        )  # fmt: skip
+            {
+                "files": [str(file) for file in files],
+                "unit": how.unit,
+                "fisheye": how.fisheye,
+                "alpha": how.alpha,
+                "cameras": (int(first), int(second)),
+            }
+        )
     scenes = find_scenes((StereoScene,), pairs, run)
     compute = _Rectify(calibration)
     batch = Batch(

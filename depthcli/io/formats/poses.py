@@ -17,6 +17,7 @@ Pose = tuple[float, ...]
 """The 16 numbers of a (4, 4) matrix, row by row: from the camera's coordinates to the world's, meters."""
 
 MAX_SINGLE_DELAY = 0.02  # seconds, as of the TUM RGB-D benchmark's associate.py
+_NO_POSE = "not the matrix of a pose: want a rotation, a translation in meters, and 0 0 0 1 below"
 _TIME_TOLERANCE = 1e-6  # seconds by which times differ that were rounded
 
 
@@ -101,15 +102,14 @@ def read_poses(path: Path) -> Poses:
     matrices = [np.array([row for _, row in rows[k : k + whole]]).reshape(4, 4) for k in range(0, len(rows), whole)]
     for k, matrix in enumerate(matrices):
         if not is_rotation(matrix[:3, :3]) or not np.allclose(matrix[3], (0, 0, 0, 1)):
-            raise InputError(f"{path}:{rows[k * whole][0]}: not the matrix of a pose: want a rotation, a translation "
-                             "in meters, and 0 0 0 1 below")  # fmt: skip
+            raise InputError(f"{path}:{rows[k * whole][0]}: {_NO_POSE}")
     return Poses((), tuple(matrices))
 
 
 def pose_of(matrix: NDArray[np.float64]) -> Pose:
     """Return a (4, 4) matrix as a pose; InputError where it is none."""
     if not is_rotation(matrix[:3, :3]) or not np.allclose(matrix[3], (0, 0, 0, 1)):
-        raise InputError("not the matrix of a pose: want a rotation, a translation in meters, and 0 0 0 1 below")
+        raise InputError(_NO_POSE)
     return _flat(matrix)
 
 
