@@ -433,7 +433,7 @@ def test_without_calibration(pinhole: Shot, tmp_path: Path, capsys: pytest.Captu
         pair = ("--left", taken.left, "--right", tmp_path / other, "--name", other)
         assert run("rectify", *pair, "--uncalibrated", "-o", tmp_path / "scenes", "-q") == 3
         assert "key points" in capsys.readouterr().err
-        assert not (tmp_path / "scenes" / other).exists()
+        assert not (tmp_path / "scenes" / other / "left.png").exists()
 
 
 def test_points_that_no_two_cameras_explain_are_refused():
