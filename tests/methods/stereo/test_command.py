@@ -152,14 +152,6 @@ def test_a_run_goes_on_unless_program_or_version_are_others(here: Path, made_sce
 
 
 @pytest.mark.slow
-def test_a_sweep_goes_over_parameters(here: Path, made_scenes: Path):
-    over = ["--over", "parameters.block=3,9", "--scenes", "planes_0"]
-    assert main(["sweep", "sgbm.yaml", *over, "-i", str(made_scenes), "-o", "sweep", "-q"]) == 0
-    table = json.loads((here / "sweep" / "sweep.json").read_text())
-    assert {run["parameters.block"] for run in table["results"][0]["runs"]} == {"3", "5", "9"}
-
-
-@pytest.mark.slow
 def test_it_is_a_method_for_python_matched_in_tiles_where_a_halo_is_given(here: Path):
     left = np.random.default_rng(0).integers(0, 256, (160, 320), np.uint8)
     right = np.roll(left, -7, axis=1)

@@ -69,32 +69,12 @@ def test_a_gap_takes_the_surface_that_no_edge_separates_from_it():
     np.testing.assert_array_equal(result.values[~gap], disparity.values[~gap])
 
 
-def test_a_gap_of_the_color_of_what_it_was_filled_with_stays():
-    disparity, context, _ = between_two_boards(BOARD)
-    np.testing.assert_array_equal(DirectionalFill()(disparity, context).values, disparity.values)
-
-
 def test_values_that_the_right_view_contradicts_cost_more():
     disparity, context, gap = between_two_boards(WALL)
     seen = RefinementContext(context.pair, context.volume, np.zeros_like(context.right))
     before = DirectionalFill(distance_scale=16)(disparity, context).values[gap]
     contradicted = DirectionalFill(distance_scale=16)(disparity, seen).values[gap]
     assert 0 < np.count_nonzero(contradicted == 5) < np.count_nonzero(before == 5)
-
-
-def test_the_strip_on_the_left_keeps_its_fill():
-    values = np.full((40, 80), np.float32(5))
-    values[20:] = 20
-    strip = np.zeros((40, 80), np.bool_)
-    strip[20:, :15] = True
-    colors = np.full((40, 80, 3), 90, np.uint8)
-    colors[20:, 15:] = 200
-    status = strip * np.uint8(Status.OCCLUDED)
-    context = RefinementContext(
-        StereoPair(colors, colors), CostVolume(np.zeros((40, 80, 21), np.uint8)), np.full((40, 80), 20, np.uint16)
-    )
-    disparity = BackgroundFill()(DisparityMap(np.where(strip, np.float32(np.nan), values), status), context)
-    np.testing.assert_array_equal(DirectionalFill()(disparity, context).values, disparity.values)
 
 
 def test_a_band_with_the_halo_has_the_values_of_the_whole_map():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -64,19 +63,6 @@ def test_a_network_of_one_size_gets_it_and_disparities_are_scaled(tmp_path: Path
     assert abs(np.median(disparity.values) - 16) < 1
     with pytest.raises(InputError, match="takes images of 128 x 96"):
         network.model_copy(update={"size": (64, 64)}).prepare("cpu")
-
-
-@needs_onnx
-def test_size_makes_a_network_of_any_size_run_at_one(tmp_path: Path):
-    file = block_matcher(tmp_path / "net.onnx", "two")
-    smooth = np.random.default_rng(0).integers(0, 256, (12, 25, 3), np.uint8).repeat(16, 0).repeat(16, 1)
-    pair = StereoPair(np.ascontiguousarray(smooth[:, :256]), np.ascontiguousarray(smooth[:, 40:296]))
-    reach = [
-        np.median(pipeline(file, size=size, left_right_check=False)(pair, 64).disparity.values)
-        for size in (None, (128, 96))
-    ]
-    assert reach[0] <= 23  # the largest that the network searches
-    assert abs(reach[1] - 40) < 1
 
 
 @needs_onnx
@@ -158,13 +144,6 @@ def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path, monkeypatch:
         NetworkCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))).prepare("cpu")
     with pytest.raises(InputError, match=r"device cuda:0.*install onnxruntime-gpu"):
         pipeline(tmp_path / "net.onnx").prepare("cuda:0")
-
-
-def test_onnxruntime_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (tmp_path / "net.onnx").write_bytes(b"network")
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(InputError, match=r"pip install 'depthcli\[onnx\]'"):
-        pipeline(tmp_path / "net.onnx").prepare("cpu")
 
 
 def test_devices_of_networks():

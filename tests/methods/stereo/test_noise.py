@@ -36,18 +36,6 @@ def test_the_noise_of_the_mean_channel_is_measured(channels, sigma):
     np.testing.assert_allclose(deep.contrast, found.contrast, rtol=0.15)
 
 
-def test_texture_everywhere_is_not_noise():
-    """Grain of two pixels is as even as noise of the same strength, but it is not white."""
-    grain = np.random.default_rng(0).normal(size=(200, 300))
-    texture = cv2.GaussianBlur(grain, (0, 0), 1.2)
-    levels = [np.clip(np.rint(125 + 25 * one / one.std()), 0, 255).astype(np.uint8) for one in (grain, texture)]
-    white, textured = (noise.noise_level(one) for one in levels)
-    assert white.contrast < 2
-    assert textured.contrast > 14
-    pair = StereoPair(levels[1], levels[1])
-    assert noise.denoised(pair) is pair
-
-
 def dark(seed, kind="planes", sigma=1.5):
     return make_scene(kind, seed, 300, 220, 40, wall_contrast=0.6, brightness=0.08, noise=sigma)
 
@@ -75,21 +63,6 @@ def test_a_dark_pair_is_averaged_and_brightened():
     assert unlikeness(found.left) < unlikeness(pair.left) / 2
 
 
-def test_the_effect_fades_in(monkeypatch):
-    """At the contrast where it begins, a pair hardly changes."""
-    scene = dark(1)
-    pair = StereoPair(scene.left, scene.right)
-    contrast = min(noise.noise_level(image).contrast for image in (pair.left, pair.right))
-    changes = []
-    for beginning in (0.999, 1.05, 1.5):
-        monkeypatch.setattr(noise, "_CLEAN", contrast * beginning)
-        monkeypatch.setattr(noise, "_NOISY", contrast * beginning * 0.5)
-        changed = noise.denoised(pair).left / (65535 if beginning > 1 else 255)
-        changes.append(np.abs(changed - pair.left / 255).mean())
-    assert changes[0] == 0
-    assert changes[1] < changes[2] / 3
-
-
 def test_strips_and_threads_do_not_show(monkeypatch):
     scene = dark(2)
     pair = StereoPair(scene.left, scene.right)
@@ -103,19 +76,6 @@ def test_strips_and_threads_do_not_show(monkeypatch):
     monkeypatch.setattr(noise, "_STRIP", 50)
     difference = np.abs(noise.denoised(pair).left.astype(int) - whole.left.astype(int))
     assert difference.max() <= 1  # sums that run down a column begin elsewhere
-
-
-@pytest.mark.parametrize("deep", [False, True])
-@pytest.mark.parametrize("grey", [False, True])
-def test_all_kinds_of_images_are_taken(grey, deep):
-    scene = dark(3)
-    left, right = (image[..., 1] if grey else image for image in (scene.left, scene.right))
-    bits = None
-    if deep:
-        left, right, bits = left.astype(np.uint16) * 16, right.astype(np.uint16) * 16, 12
-    found = noise.denoised(StereoPair(left, right, bits))
-    assert found.left.shape == left.shape and found.left.dtype == np.uint16 and found.bits is None
-    assert found.left.mean() / 65535 > 3 * left.mean() / (4095 if deep else 255)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 3), (2, 40), (9, 3), (40, 5, 3)])

@@ -54,13 +54,6 @@ def test_tiny_images_and_wide_ranges(peer, height, width, disparities):
     np.testing.assert_array_equal(pair.right, before[1])
 
 
-def test_sixteen_bits_are_matched_as_eight():
-    pair = smooth_pair(40, 80, 4)
-    wide = StereoPair(pair.left.astype(np.uint16) * 257, pair.right.astype(np.uint16) * 257)
-    a, b = (OpencvSgbm()(p, 15).disparity for p in (pair, wide))
-    np.testing.assert_array_equal(a.values, b.values)
-
-
 def test_holes_are_mismatches_and_fills_keep_the_reason():
     pair = smooth_pair(60, 120, 6)
     right = pair.right.copy()
@@ -74,11 +67,6 @@ def test_holes_are_mismatches_and_fills_keep_the_reason():
     assert np.all(holes.status[empty] & (Status.MISMATCH | Status.OUT_OF_RANGE))
     np.testing.assert_array_equal(filled.status[empty], holes.status[empty] | Status.FILLED)
     np.testing.assert_array_equal(filled.values[~empty], holes.values[~empty])
-
-
-def test_negative_range_is_refused():
-    with pytest.raises(ValueError, match="max_disparity"):
-        OpencvSgbm()(shifted_pair(8, 8, 1), -1)
 
 
 def test_the_wls_filter_runs_on_one_thread(monkeypatch):

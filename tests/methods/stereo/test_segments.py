@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numba
 import numpy as np
 import pytest
@@ -14,10 +13,9 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
-from depthcli.methods.stereo.pipeline.segments import Segments
 from depthcli.methods.stereo.segments import energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, segment_window
-from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges, search_ranges, search_zones
+from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges, search_ranges
 from depthcli.methods.stereo.segments.segmented_image import Split
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.run.presets import find_config
@@ -72,24 +70,6 @@ def test_ranges_follow_equations_2_3_to_2_5():
     assert search_ranges(labels, _matches((4, 2, 19.5)), 20, 0.0).tolist() == [[0, 20], [19, 20], [0, 20]]
 
 
-def test_ranges_can_include_nearby_key_points():
-    labels = np.repeat(np.arange(3, dtype=np.int32), 10)[None].repeat(4, axis=0)
-    matches = _matches((5, 1, 8.0), (6, 2, 9.0))
-    assert search_ranges(labels, matches, 20, 0.0, neighbors=2).tolist() == [[8, 9]] * 3
-    assert search_ranges(labels, matches, 20, 0.0, neighbors=2, reach=12).tolist() == [[8, 9], [8, 9], [0, 20]]
-    assert search_ranges(labels, matches, 20, 0.0, neighbors=3).tolist() == [[8, 9], [0, 20], [0, 20]]
-
-
-def test_a_segment_has_a_zone_in_every_cell():
-    labels = np.zeros((5, 7), np.int32)
-    labels[:, 5:] = 1
-    zones = search_zones(labels, 4)
-    assert zones[0].tolist() == [0, 0, 0, 0, 1, 4, 4] and len(np.unique(zones)) == 6
-    assert np.array_equal(search_zones(labels, 100), labels)
-    ranges = np.arange(12, dtype=np.int32).reshape(6, 2)
-    assert SearchRanges(zones, ranges).by_segment(labels).tolist() == [[0, 7], [8, 11]]
-
-
 @pytest.mark.parametrize(("dtype", "limit"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, np.inf)])
 @pytest.mark.parametrize("penalty", [0.0, 20.0, 90.0])
 def test_disparities_outside_the_range_cost_more(dtype, limit, penalty):
@@ -101,20 +81,6 @@ def test_disparities_outside_the_range_cost_more(dtype, limit, penalty):
     assert np.array_equal(costs, raw)
     assert volume.costs.dtype == dtype
     assert np.array_equal(volume.costs, naive.penalize_outside(costs, _labels(), ranges, 2 * penalty, limit))
-
-
-def test_clear_costs_overrule_a_wrong_range():
-    costs = np.full((4, 30, 8), 100, np.uint8)
-    costs[:, :, 6] = 0
-    ranges = np.array([[0, 3]], np.int32)
-    volume = Ranges(penalty=40).penalize(CostVolume(costs), SearchRanges(np.zeros((4, 30), np.int32), ranges))
-    assert np.all(Selection()(volume).values[:, 7:] == 6)
-
-
-def test_more_key_points_than_pixels():
-    labels = np.zeros((1, 2), np.int32)
-    matches = _matches(*[(0, 0, d) for d in range(9)])
-    assert search_ranges(labels, matches, 8, 0.0).tolist() == [[0, 8]]
 
 
 def test_key_points_that_disagree_with_their_neighbors_are_dropped():
@@ -148,11 +114,6 @@ def test_selection_respects_ranges_and_checks_both_views():
     assert np.all(first.values[:, 10:] >= 4)
 
 
-def test_equal_costs_are_not_trusted():
-    first = Selection(subpixel=True)(CostVolume(np.full((4, 9, 5), 7, np.uint16)))
-    assert not first.trusted.any()
-
-
 def test_parabola_finds_the_fraction():
     d = np.arange(8)
     costs = np.broadcast_to(((d - 3.3) ** 2 * 100).astype(np.uint16), (2, 20, 8)).copy()
@@ -173,13 +134,6 @@ def test_ransac_finds_the_plane_among_outliers_and_any_order():
     assert np.all(planes.support >= 0.58 * 600)
     backwards = FIT(values, RegionPixels.of(labels), np.array([1, 0]))
     assert np.array_equal(backwards.coefficients[::-1], planes.coefficients)
-
-
-def test_degenerate_segments_get_a_flat_plane():
-    values = np.array([[1, 2, 3, 4, 5]], np.float32)  # on a line: no plane is determined
-    planes = FIT(values, RegionPixels.of(np.zeros((1, 5), np.int32)), np.array([0]))
-    assert planes.coefficients.tolist() == [[0, 0, 3]]
-    assert FIT.constant(values, RegionPixels.of(np.zeros((1, 5), np.int32)), np.array([0])).support.tolist() == [1]
 
 
 def test_near_duplicates_are_dropped_and_represented():
@@ -314,31 +268,3 @@ def test_tiny_pairs_and_ranges_wider_than_the_image(name, shape):
     known = ~np.isnan(disparity.values)
     assert disparity.values.shape == shape
     assert np.all((disparity.status & Status.NO_DATA != 0) == ~known)
-
-
-def test_no_segment_large_enough_gives_one_flat_plane():
-    scene = make_scene("planes", seed=1, height=60, width=80, max_disparity=12)
-    planes = _preset().planes.model_copy(update={"min_size": 10_000})
-    result = _preset(planes=planes, rounds=1, refinement=())(StereoPair(scene.left, scene.right), 12)
-    assert result.figures["planes"] == 1
-    assert len(np.unique(result.disparity.values)) == 1
-
-
-def test_grey_and_16_bit_pairs():
-    scene = make_scene("planes", seed=1, height=60, width=80, max_disparity=12)
-    grey = [cv2.cvtColor(i, cv2.COLOR_RGB2GRAY) for i in (scene.left, scene.right)]
-    deep = [i.astype(np.uint16) * 257 for i in (scene.left, scene.right)]
-    assert _preset()(StereoPair(*grey), 12).disparity.density == 1
-    one, two = (_preset()(StereoPair(*p), 12) for p in (deep, [scene.left, scene.right]))
-    assert np.mean(np.abs(one.disparity.values - two.disparity.values) <= 1) > 0.95
-
-
-def test_keypoints_none_and_back():
-    for text in ("none", "NONE", None):
-        assert Segments.model_validate({"cost": "census", "keypoints": text}).keypoints is None
-    sift = Segments.model_validate({"cost": "census", "keypoints": "sift"})
-    assert Segments.model_validate({k: v for k, v in sift.model_dump().items() if k != "pipeline"}) == sift
-
-
-def test_peak_memory_grows_with_the_range():
-    assert _preset().peak_bytes((100, 100), 60) > _preset().peak_bytes((100, 100), 10)

@@ -11,7 +11,7 @@ from depthcli.core.maps import DisparityMap
 from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
-from tests.methods.stereo._pairs import assert_pure, blocky_pair
+from tests.methods.stereo._pairs import blocky_pair
 from tests.naive import stereo as naive
 
 SIZES = [(1, 1), (1, 9), (9, 1), (14, 63), (10, 64), (12, 65), (3, 130)]
@@ -73,8 +73,3 @@ def test_a_slope_at_a_color_edge_is_not_flattened():
     slanted = SlantedMedian(radius=6, color_scale=8, distance_scale=5)(given, evidence).values
     assert np.abs(plain - truth)[edge].max() > 0.5
     assert np.abs(slanted - truth)[edge].max() <= 0.15
-
-
-def test_same_bytes_at_any_thread_count():
-    values, image = bumpy(41, 150, 3)
-    assert_pure(lambda: SlantedMedian(passes=2).filtered(values, image, 60), values, image)
