@@ -5,7 +5,8 @@ To write one:
 1. Decorate a function with :func:`~depthcli.kernels.jit.jit`, or with ``parallel_jit`` if its ``prange`` loop is to run
    on all threads. It lies at module level, in the file of the method that calls it.
 2. It takes and fills plain arrays and numbers. ``np.dot`` and ``np.linalg`` cannot be called.
-3. Globals that it reads are constants: compiled in, and part of the fingerprint, so that a changed one compiles anew.
+3. Globals that it reads are constants, compiled in; they are defined in a file that has kernels itself, so that a
+   changed one compiles anew.
 4. NaN and inf keep their meaning in spite of fast math: NaN is "no value" in every map.
 5. Take slices of rows before the innermost loop, so that the compiler vectorizes it.
 6. Test it against a plain loop of Python that computes the same (``tests/naive``).
@@ -13,7 +14,7 @@ To write one:
 | module | holds |
 |---|---|
 | ``jit`` | the decorators, with the compiler's options; the number of threads; the time that compilation takes |
-| ``cache``, ``fingerprint`` | compiled kernels on disk; the digest of all that one was made from |
+| ``cache`` | compiled kernels on disk |
 | ``winners`` | disparities of the smallest costs of both views |
 | ``cost_curve``, ``exponential`` | terms of confidence measures; fast exponentials |
 | ``lanes`` | 16 float32 as one value, for loops that the compiler does not vectorize well |

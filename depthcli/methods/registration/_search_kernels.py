@@ -7,6 +7,9 @@ import numpy as np
 from depthcli.kernels.cost_curve import attainable_likelihood, likelihood, peak_ratio
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
+MAX_SMALL_VALUE = 85
+"""Largest value of features of many channels: three differences then fit a byte, which makes the search faster."""
+
 # Order of the planes written by `search_tiles`.
 PLANES = (
     *("eshift", "square", "shift_z", "shift_y", "shift_x", "mlm0", "aml0", "shift", "rank0", "cur0", "cost0", "msm"),

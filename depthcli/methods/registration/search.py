@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from depthcli.core import memory
 from depthcli.kernels.jit import n_threads
-from depthcli.methods.registration._search_kernels import PLANES, search_tiles
+from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE, PLANES, search_tiles
 
 SearchShape = Literal["cube", "planes", "axes"]
 
@@ -33,9 +33,6 @@ SURER_IF_LARGER = frozenset({"mlm0", "aml0", "cur0", "msm", "mlm", "aml", "pkr"}
 
 COSTLY = frozenset({"aml0", "aml", "pkr"})
 """Measures that are computed only on request: together they take as long as all others."""
-
-MAX_SMALL_VALUE = 85
-"""Largest value of features of many channels: three differences then fit a byte, which makes the search faster."""
 
 _SCRATCH_BYTES = 48 << 20  # for the costs of a tile, in each thread
 _LANES = 32  # rows are measured in whole vectors: the rest of a row would be rounded otherwise

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from depthcli.methods.confidence import CostCurves, measure
-from depthcli.methods.registration.search import MAX_SMALL_VALUE, displacements, search
+from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE
+from depthcli.methods.registration.search import displacements, search
 from tests.naive import registration as naive
 
 

@@ -13,7 +13,7 @@ from depthcli.algorithms.resampling import gaussian, shifted
 from depthcli.core.method import Method, method_of
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.registration.search import MAX_SMALL_VALUE
+from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE
 
 VolumeArray = NDArray[np.float32]
 """(Z, Y, X), finite, of cubic voxels."""

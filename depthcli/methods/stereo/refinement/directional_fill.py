@@ -85,7 +85,8 @@ def _color_changes(image, axes, changes):
 @parallel_jit
 def _replace(values, measured, changes, right, axes, color_rate, distance_rate, out):
     height, width = values.shape
-    for y in prange(height):
+    for row in prange(height):
+        y = np.int64(row)  # unsigned in the loop: functions would be compiled for both
         first = 0
         while first < width and not measured[y, first]:
             first += 1

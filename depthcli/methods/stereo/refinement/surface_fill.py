@@ -53,7 +53,8 @@ class SurfaceFill(Refinement):
 @parallel_jit
 def _continue_surfaces(values, filled, rows, reach, support, largest):
     height, width = values.shape
-    for y in prange(height):
+    for row in prange(height):
+        y = np.int64(row)  # unsigned in the loop: functions would be compiled for both
         sample = np.empty((4, (2 * rows + 1) * reach), np.float64)
         x = 0
         while x < width:
