@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import cv2
@@ -66,16 +65,6 @@ def test_names_of_lists_are_unique(tmp_path: Path):
     scenes = [StereoScene(name="a", folder=tmp_path / folder, left=tmp_path) for folder in ("x", "y")]
     with pytest.raises(InputError, match="two scenes are called 'a'"):
         chosen_scenes(scenes, ["*"], tmp_path)
-
-
-@pytest.mark.parametrize("length", [241, 242, 250, 255])
-def test_names_as_long_as_a_file_system_takes(tmp_path: Path, length: int):
-    from depthcli.run.task import Task
-
-    scene = StereoScene(name="n" * length, folder=tmp_path, left=tmp_path)
-    task = Task(scene, tmp_path, tmp_path, 0, "", {}, "")
-    task.trace.touch()
-    assert len(os.listdir(tmp_path)[0]) <= 255
 
 
 @pytest.mark.parametrize(("shape", "dtype"), [((6, 8, 3), np.float32), ((6, 8), np.float32), ((6, 8, 3), np.float64)])
