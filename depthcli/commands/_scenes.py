@@ -37,7 +37,8 @@ def find_scenes(kinds: tuple[type[SceneT], ...], source: SceneOptions, run: RunO
         As :func:`depthcli.io.walk.discover_scenes`.
     """
     place, name, single = source.input, source.name, source.single_files
-    if named := next((scenes for kind in kinds if (scenes := kind.named(vars(source)))), []):
+    files = {key: local(value) if isinstance(value, Path) else value for key, value in vars(source).items()}
+    if named := next((scenes for kind in kinds if (scenes := kind.named(files))), []):
         if place is not None:
             raise ConfigError(f"--input and {single} exclude each other")
         if run.evaluate:
