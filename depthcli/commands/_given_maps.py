@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from depthcli.api.maps import fused, fusion_of, judge, judge_by_one_view, judge_of
 from depthcli.commands._batch import run_batch
-from depthcli.commands._options import CodingOptions, PairOptions, RangeOptions, RunOptions
+from depthcli.commands._options import CodingOptions, PairOptions, RangeOptions, RunOptions, ScoredRunOptions
 from depthcli.commands._runs import by_run, number_of, pattern_of, positive
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
@@ -93,12 +93,12 @@ def prepare_judgment(
     right_maps: str | None,
     pairs: PairOptions,
     coding: CodingOptions,
-    run: RunOptions,
+    run: ScoredRunOptions,
     max_disparity: str | None,
     within: float,
     measures: Sequence[str],
     threshold: float | None,
-) -> tuple[Batch[MapsScene], list[MapsScene], RunOptions]:
+) -> tuple[Batch[MapsScene], list[MapsScene], ScoredRunOptions]:
     """Return the batch of ``confidence``, the pairs with their maps, and the options without a share in ``--keep``."""
     share = _share(run.keep)
     if share is not None and threshold is not None:
@@ -272,12 +272,12 @@ def _find_scenes(
             problem = f"{where}: no map of scene {scene.name}{known.searched(names[scene.name])}"
         other = None
         for name, place in rights.items():
-            coding = MapNaming(patterns.get(name, ""), options[name].scale, options[name].invalid)
-            path = _file(place, coding.files(right_files), names[scene.name])
+            how = MapNaming(patterns.get(name, ""), options[name].scale, options[name].invalid)
+            path = _file(place, how.files(right_files), names[scene.name])
             if path is None:
                 absent.append(f"{name} (right view)")
             else:
-                other = GivenMap(name, path, coding.scale, coding.invalid)
+                other = GivenMap(name, path, how.scale, how.invalid)
         found.append(MapsScene.of(scene, tuple(maps), other, tuple(absent), problem))
     return found
 

@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from pydantic import BaseModel
+
 from depthcli.commands import _fuse, _pairs, _refine_kinect, _register_confidence, _transparent
 from depthcli.commands._batch import DONE, execution_of, plan_of, run_batch
 from depthcli.commands._evaluation import viewers
@@ -90,8 +92,9 @@ class Sweep:
             own = self._batch(_OWN, [])
             if own[0].config not in [batch.config for batch, _ in batches.values()]:
                 batches = {_OWN: own, **batches}
-                plain = own[0].config.model_dump(mode="json", by_alias=True)
-                tried[_OWN] = tuple(value_text(plain, axis.key) for axis in axes)
+                assert isinstance(own[0].config, BaseModel)
+                values = own[0].config.model_dump(mode="json", by_alias=True)
+                tried[_OWN] = tuple(value_text(values, axis.key) for axis in axes)
             own_run = next(name for name, (batch, _) in batches.items() if batch.config == own[0].config)
         if options.dry_run:
             return self._print_plan(batches)

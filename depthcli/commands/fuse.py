@@ -43,9 +43,8 @@ def fuse(
     if config == "maps":
         from depthcli.commands import _given_maps
 
-        batch, scenes = _given_maps.prepare_fusion(maps or [], pairs, coding, run, within, surfaces, set)
-        return _given_maps.run_batch(batch, scenes, run, pairs)
+        prepared = _given_maps.prepare_fusion(maps or [], pairs, coding, run, within, surfaces, set)
+        return _given_maps.run_batch(*prepared, run, pairs)
     from depthcli.commands import _fuse
 
-    batch, pairs_found = _fuse.prepare(config, pairs, run, set, maps=maps)
-    return _fuse.run_batch(batch, pairs_found, run, pairs)
+    return _fuse.run_batch(*_fuse.prepare(config, pairs, run, set, maps=maps), run, pairs)

@@ -69,7 +69,10 @@ def file_digest(path: Path) -> str:
     """Return the SHA-256 digest of a file, or the reason why it cannot be read, which never equals a digest."""
     try:
         with open_regular(path) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+            sha = hashlib.sha256()
+            while block := file.read(1 << 20):
+                sha.update(block)
+            return sha.hexdigest()
     except (InputError, ValueError) as error:
         return f"unreadable: {error}"
 

@@ -89,14 +89,14 @@ class Planner:
     output : the run folder
     """
 
-    def __init__(self, batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> None:
+    def __init__(self, batch: Batch[Any], scenes: Sequence[Any], output: Path, how: Execution) -> None:
         self.batch, self.output, self.how = batch, output, how
         self.work = Work.of(batch, how, _plugins(batch, scenes))
         self.identity = self.work.identity
         self.workspace = hidden_folder(output)
         self._digests: dict[Path, str] = {}
 
-    def check_names(self, scenes: Sequence[SceneT]) -> None:
+    def check_names(self, scenes: Sequence[Any]) -> None:
         """Raise ConfigError where a name cannot name a folder, or the folder is a link or holds the scene's input."""
         output = self.output
         for scene in scenes:
@@ -114,14 +114,14 @@ class Planner:
                     f"{output}: {scene.name} is a link to {target}; give the folder that it leads to instead"
                 )
 
-    def check_records(self, scenes: Sequence[SceneT]) -> None:
+    def check_records(self, scenes: Sequence[Any]) -> None:
         """Raise ConfigError where results would replace a scene of another run."""
         for scene in scenes if not self.how.overwrite else []:
             known = read_record(self.output / scene.name)
             if known is not None and known.run != self.identity and known.row.get("status") == "done":
                 raise ConfigError(f"{self.output / scene.name}: {OTHER_RUN}")
 
-    def task(self, scene: SceneT, number: int) -> Task:
+    def task(self, scene: Any, number: int) -> Task:
         """Return the task that computes a scene, with the digests of all that its result depends on."""
         files = self._files(scene)
         inputs = {role: self._digest(file) for role, file in files.items()}
@@ -135,13 +135,15 @@ class Planner:
         known = read_record(task.target)
         return (known.row if known is not None and known.is_done(task.target, task.run, task.inputs) else None), known
 
-    def _files(self, scene: SceneT) -> dict[str, Path]:
+    def _files(self, scene: Any) -> dict[str, Path]:
         if scene.problem:
             return {}
         if self.batch.files is not None:
-            return self.batch.files(scene)
+            found: dict[str, Path] = self.batch.files(scene)
+            return found
         config = self.batch.config
-        return scene.input_files | (used_files(config) if isinstance(config, BaseModel) else {})
+        found = scene.input_files | (used_files(config) if isinstance(config, BaseModel) else {})
+        return found
 
     def _digest(self, file: Path) -> str:
         if file not in self._digests:
@@ -151,7 +153,7 @@ class Planner:
         return self._digests[file]
 
 
-def _plugins(batch: Batch[SceneT], scenes: Sequence[SceneT]) -> set[Plugin]:
+def _plugins(batch: Batch[Any], scenes: Sequence[Any]) -> set[Plugin]:
     """Return the plug-ins that a run uses: its command, methods, layouts and formats."""
     found = used_plugins(batch.config) | layout_plugins(scenes)
     found |= {plugin for plugin in plugins_in("depthcli.commands") if plugin.name == batch.command.replace("-", "_")}

@@ -14,7 +14,6 @@ from depthcli.core.frames import Image
 from depthcli.simulate.samples import Sample, SampleScene, write_files, write_meta
 from depthcli.simulate.stereo_scenes import KINDS, Radiometry, make_scene
 
-_SIZES = ("seed", "width", "height")
 _DEFAULT_KINDS = KINDS[:4]  # in turn, where no kind is named
 
 
@@ -23,9 +22,11 @@ class StereoSample(Sample):
 
     name = "stereo"
     options: ClassVar[tuple[str, ...]] = (
-        *_SIZES,
         "count",
         "kind",
+        "seed",
+        "width",
+        "height",
         "max_disparity",
         "noise",
         "radiometric",
