@@ -39,7 +39,6 @@ from depthcli.io.layouts import layouts
 from depthcli.methods.confidence import measures
 from depthcli.methods.given_maps import map_measures
 from depthcli.methods.registration.search import MEASURES
-from depthcli.run import columns as report
 from depthcli.run.batch import EXIT_CODES
 from depthcli.run.folder import REPORT_FILES, RUN_FILE
 from depthcli.run.presets import find_config, list_presets
@@ -229,14 +228,6 @@ def _columns() -> Rows:
         "scores.csv": _rows(evaluation.SCORES),
         "points.csv, points/RUN/SCENE.csv": _rows(evaluation.POINTS),
         "Sensitivity, sweep.csv": _rows(evaluation.SWEEP),
-        "report.csv of every run": _rows(report.REPORT),
-        "report.csv of stereo, fuse, rectify": _rows(report.MAPS),
-        "report.csv of refine-kinect, transparent, depth": _rows(report.DEPTH),
-        "report.csv of confidence, fuse maps": _rows(report.GIVEN_MAPS),
-        "report.csv of register-confidence": _rows(report.REGISTRATION),
-        "report.csv of sample": _rows(report.SAMPLES),
-        "planes.csv, segment_labels.csv, keypoints.csv": _rows(report.SEGMENTS),
-        "Printed by devices, --dry-run": _rows(report.LISTS),
     }
 
 

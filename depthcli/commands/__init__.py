@@ -93,7 +93,7 @@ def config_model(name: str) -> type[BaseModel] | None:
         module, _, kind = _CONFIGS[name].partition(":")
         model: type[BaseModel] = getattr(importlib.import_module(f"depthcli.methods.{module}.config"), kind)
         return model
-    return None if name in own_names() else getattr(find(name), "config", None)
+    return getattr(find(name), "config", None)
 
 
 def find(name: str) -> Callable[..., int] | None:

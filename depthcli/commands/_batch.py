@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, TypeVar
 from pydantic import BaseModel
 
 from depthcli.commands._evaluation import print_place, print_tables, viewers, write_page
-from depthcli.commands._flags import conditions_of, exit_code, flags_of
+from depthcli.commands._flags import exit_code, flags_of
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.config_file import dump_config, load_config, to_yaml
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import InputError
 from depthcli.core.flags import Condition, Flags
 from depthcli.core.method import used_files
 from depthcli.core.text import one_line, show_bytes
@@ -26,13 +26,12 @@ from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd_sequence import SequenceScene
 from depthcli.report.page import Page
 from depthcli.report.run_without_truth import RunWithoutTruth
-from depthcli.run.batch import Batch, Execution, SceneT, shard_of
+from depthcli.run.batch import Batch, Execution, SceneT
 from depthcli.run.console import aligned, run_table
 from depthcli.run.folder import LEGEND_FILE, refusal
 from depthcli.run.json_csv import Row, to_json
 from depthcli.run.presets import find_config, find_preset
 from depthcli.run.report import report_document
-from depthcli.run.resources import parse_bytes
 from depthcli.run.runner import Planner, run_scenes
 from depthcli.run.workers import BUG
 
@@ -82,8 +81,7 @@ def run_batch(
     source : the options that the scenes were found by, whose folder may hold ground truth
     """
     reporter = options.reporter
-    conditions = conditions_of(options.flag, options.fail_flagged)
-    how = execution_of(options)
+    how, conditions = options.execution, options.conditions
     if options.dry_run or options.list_scenes:
         if options.dry_run:
             plan = plan_of(batch, scenes, options.output, how)
@@ -175,21 +173,6 @@ def _without_truth(
     (name,) = run_names([folder])
     columns = batch.columns if batch.page_columns is None else batch.page_columns
     return RunWithoutTruth(name, folder, load(batch.shown_as)(), batch.palette, shown, row_of, columns)
-
-
-def execution_of(options: RunOptions) -> Execution:
-    """Return how a run is carried out; ConfigError for a wrong size or shard, or options that exclude each other."""
-    memory = parse_bytes(options.max_memory) if options.max_memory else None
-    shard = shard_of(options.shard, os.environ)
-    if shard is not None and (options.evaluate or options.html):
-        raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
-    if options.scheduler is not None and options.jobs != 1:
-        raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
-    keep = tuple(name.strip() for name in (options.keep or "").split(",") if name.strip())
-    return Execution(
-        jobs=options.jobs, threads=options.threads, max_memory=memory, overwrite=options.overwrite, shard=shard,
-        fail_fast=options.fail_fast, keep=keep, scheduler=options.scheduler,
-    )  # fmt: skip
 
 
 def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> Row:

@@ -20,7 +20,11 @@ import typer
 from typer import Argument, Option
 
 from depthcli.commands._flags import conditions_of
+from depthcli.core.errors import ConfigError
+from depthcli.core.flags import Condition
+from depthcli.run.batch import Execution, shard_of
 from depthcli.run.console import Reporter
+from depthcli.run.resources import parse_bytes
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one slash
 
@@ -246,7 +250,32 @@ class RunOptions(Printing):
     html: bool = False
 
     def __post_init__(self) -> None:
-        conditions_of(self.flag, self.fail_flagged)  # a wrong one is an error before any scene is looked for
+        """Raise ConfigError where options are wrong or exclude each other, before any file is read."""
+        shard = self.execution.shard
+        if shard is not None and (self.evaluate or self.html):
+            raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
+        if self.scheduler is not None and self.jobs != 1:
+            raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
+        assert isinstance(self.conditions, list)
+
+    @cached_property
+    def conditions(self) -> list[Condition]:
+        """The conditions of ``--flag``; ConfigError if one is wrong, or ``--fail-flagged`` has none."""
+        return conditions_of(self.flag, self.fail_flagged)
+
+    @cached_property
+    def execution(self) -> Execution:
+        """How the run is carried out; ConfigError for a wrong size or shard."""
+        return Execution(
+            jobs=self.jobs,
+            threads=self.threads,
+            max_memory=parse_bytes(self.max_memory) if self.max_memory else None,
+            overwrite=self.overwrite,
+            shard=shard_of(self.shard, os.environ),
+            fail_fast=self.fail_fast,
+            keep=tuple(name.strip() for name in (self.keep or "").split(",") if name.strip()),
+            scheduler=self.scheduler,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

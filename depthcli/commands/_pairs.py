@@ -13,7 +13,7 @@ import numpy as np
 
 from depthcli.api.matching import device_of, limits_of, match_pair, partly_used, read_rig, with_address
 from depthcli.commands._batch import config_of, run_batch
-from depthcli.commands._options import Printing, RunOptions, SceneOptions
+from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._rectified import check_unit, rectified_pair, sequence_range
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import ConfigError
@@ -21,7 +21,7 @@ from depthcli.core.maps import Status
 from depthcli.core.method import device_implementation_of, used_files
 from depthcli.core.result import Clock
 from depthcli.core.scene import current_scene
-from depthcli.device import Device, DeviceError, devices, open_device, why_no_device
+from depthcli.device import Device
 from depthcli.io.formats.images import image_size
 from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.scenes.stereo import StereoScene
@@ -29,10 +29,10 @@ from depthcli.methods.stereo.config import PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, host_bytes
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.batch import Batch, Outcome
-from depthcli.run.console import SIZE, Column, aligned, percent
-from depthcli.run.json_csv import Row, to_json
+from depthcli.run.console import SIZE, Column, percent
+from depthcli.run.json_csv import Row
 
-__all__ = ["MatchPairs", "batch_of", "config_with_calibration", "list_devices", "prepare", "run_batch"]
+__all__ = ["MatchPairs", "batch_of", "config_with_calibration", "prepare", "run_batch"]
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
@@ -233,28 +233,3 @@ def _meanwhile(task: Callable[[], None] | None) -> Iterator[None]:
         done = pool.submit(task)
         yield
         done.result()
-
-
-def list_devices(printing: Printing) -> int:
-    """Print the devices that ``--device`` takes, and on stderr why there is none of a kind; return the exit code."""
-    rows: list[Row] = []
-    for info in devices():
-        row: Row = {"device": info.address, "name": info.name, "gpu": info.is_gpu, "memory": info.memory,
-                    "bandwidth": None, "driver": info.driver, "problem": ""}  # fmt: skip
-        try:
-            device = open_device(info.address)
-            row["bandwidth"] = None if device is None else round(device.measure_bandwidth())
-        except DeviceError as error:
-            row["problem"] = str(error)
-        rows.append(row)
-    if printing.json:
-        printing.reporter.data(to_json(rows))
-    elif rows:
-        lines = [("device", "name", "memory", "bandwidth", "driver")]
-        for row in rows:
-            speed = f"{row['bandwidth'] / 1e9:.1f} GB/s" if row["bandwidth"] else row["problem"]
-            lines.append((row["device"], row["name"], f"{row['memory'] / 2**30:.1f} GiB", speed, row["driver"]))
-        printing.reporter.data(aligned(lines))
-    if why_no_device():
-        printing.reporter.info(why_no_device())
-    return 0

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from depthcli.commands import _fuse, _pairs, _refine_kinect, _register_confidence, _transparent
-from depthcli.commands._batch import DONE, execution_of, plan_of, run_batch
+from depthcli.commands._batch import DONE, plan_of, run_batch
 from depthcli.commands._evaluation import viewers
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError
@@ -127,7 +127,7 @@ class Sweep:
         rows = []
         for name, (batch, scenes) in batches.items():
             options = self._own_options(name)
-            plan = plan_of(batch, scenes, options.output, execution_of(options))
+            plan = plan_of(batch, scenes, options.output, options.execution)
             done = sum(row["status"] == DONE for row in plan["scenes"])
             rows.append({"run": name, "scenes": len(plan["scenes"]), "done": done, "refused": plan["refused"]})
         if self.options.json:

@@ -1,4 +1,4 @@
-"""Match image pairs by several cost measures, fused; or fuse maps made before.
+"""Fuse several cost measures, or maps made before.
 
 With the name maps in place of a config, disparity maps of any programs are fused pixel by pixel; they are found as
 evaluate finds them. One alone is completed and corrected.

@@ -10,9 +10,20 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import typer
 from typer import Option
 
 from depthcli.commands._options import ConfigArgument, RangeOptions, ScoredRunOptions, SetOption
+from depthcli.run.console import Reporter
+
+
+def _listed(device: str | None) -> str | None:
+    if device == "list":
+        from depthcli.commands._devices import print_devices
+
+        print_devices(Reporter())
+        raise typer.Exit
+    return device
 
 
 def stereo(
@@ -25,6 +36,8 @@ def stereo(
         Option(
             "--device",
             metavar="NAME",
+            is_eager=True,
+            callback=_listed,
             help="Where to match: cpu, auto (a GPU if there is one), opencl or cuda, also with :N; list prints all. "
             "Default: cpu.",
         ),
@@ -33,7 +46,5 @@ def stereo(
     """Match every pair by a pipeline of ``methods/stereo/pipeline``, here or on a device."""
     from depthcli.commands import _pairs
 
-    if device == "list":
-        return _pairs.list_devices(run)
     batch, scenes = _pairs.prepare(config, pairs, run, set, device=device)
     return _pairs.run_batch(batch, scenes, run, pairs)

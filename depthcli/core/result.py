@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core import progress
 from depthcli.core.maps import DepthMap
 
 
@@ -57,20 +56,15 @@ class DepthResult(Result):
 
 
 class Clock:
-    """Adds up seconds by stage, and announces every stage that begins (:mod:`depthcli.core.progress`).
+    """Adds up seconds by stage.
 
     ``untimed`` returns seconds that are left out. A runner sets it to the time spent on compiling kernels, which
     happens once per machine and is not the method's time.
-
-    Parameters
-    ----------
-    within : what the names of the stages begin with where they are announced: the stage of another clock
     """
 
     untimed: ClassVar[Callable[[], float]] = staticmethod(lambda: 0.0)
 
-    def __init__(self, within: str = "") -> None:
-        self._within = f"{within} " if within else ""
+    def __init__(self) -> None:
         self._seconds: dict[str, float] = {}
         self._stage: str | None = None
         self._last = 0.0
@@ -79,7 +73,6 @@ class Clock:
         """End the current stage and begin another one; a stage that was begun before goes on."""
         self._book()
         self._stage = stage
-        progress.announce_stage(self._within + stage)
 
     def include(self, stages: Mapping[str, float]) -> None:
         """Book ``stages``, which another clock timed during the current one, instead of that part of it."""

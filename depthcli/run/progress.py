@@ -6,12 +6,9 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from depthcli.core.text import kind_of_warning, without_file
-
-if TYPE_CHECKING:
-    from depthcli.run.console import Reporter
 
 _HEARTBEAT = 30.0  # seconds between lines where there is no terminal
 
@@ -68,11 +65,15 @@ class Progress:
 class WarningCounts:
     """Prints the warnings of the scenes of a run: one line a kind, and at the end how many scenes have it.
 
-    Warnings of a kind differ in numbers and files alone. Verbose, every warning is printed.
+    Warnings of a kind differ in numbers and files alone.
+
+    Parameters
+    ----------
+    say, detail : print a line; ``detail`` only where every warning is wanted
     """
 
-    def __init__(self, reporter: Reporter) -> None:
-        self._reporter = reporter
+    def __init__(self, say: Callable[[str], None], detail: Callable[[str], None]) -> None:
+        self._say, self._detail = say, detail
         self._kinds: dict[str, tuple[str, int]] = {}  # the text of the first one, and the number of scenes
 
     def add(self, scene: str, lines: list[str]) -> None:
@@ -81,7 +82,7 @@ class WarningCounts:
         for line in lines:
             text = without_file(line)
             kind = kind_of_warning(scene, text)
-            print_it = self._reporter.info if kind not in self._kinds or kind in of_scene else self._reporter.detail
+            print_it = self._say if kind not in self._kinds or kind in of_scene else self._detail
             print_it(f"{scene}: warning: {line}")
             of_scene[kind] = text
             self._kinds.setdefault(kind, (text, 0))
@@ -93,5 +94,5 @@ class WarningCounts:
         """Print how many scenes have the warnings that not all were printed of."""
         for text, count in self._kinds.values():
             if count > 1:
-                self._reporter.info(f"warning: {text} ({count} scenes; -v names each)")
+                self._say(f"warning: {text} ({count} scenes; -v names each)")
         self._kinds.clear()

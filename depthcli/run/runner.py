@@ -166,7 +166,7 @@ class _Run:
     def __init__(self, planner: Planner, scenes: Sequence[Any], lock: FolderLock, reporter: Reporter) -> None:
         self.planner, self.scenes, self.lock, self.reporter = planner, scenes, lock, reporter
         self.output, self.how = planner.output, planner.how
-        self.warnings = WarningCounts(reporter)
+        self.warnings = WarningCounts(reporter.info, reporter.detail)
         self.rows: dict[str, Row] = {}
         self.n_unclaimed = 0
 

@@ -100,7 +100,7 @@ def test_a_scene_whose_volume_is_missing_or_damaged_fails_alone(
     assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 3
     err = capsys.readouterr().err
     assert "no such file" in err
-    assert "not an .npy array" in err
+    assert "npy" in err
     assert "(H, W, D)" in err
     assert (tmp_path / "run" / "shifted" / "disp_left.pfm").is_file()
 

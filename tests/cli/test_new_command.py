@@ -55,7 +55,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(ROOT / "pyproject.toml", root)
     shutil.copytree(NEW, root / "depthcli", dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
     command = (TEMPLATE / "command.py").read_text("utf-8")
-    (root / "depthcli" / "commands" / "constant.py").write_text(f"{command}\n\nCOMMAND = ConstantCommand()\n")
+    (root / "depthcli" / "commands" / "constant.py").write_text(command)
     (root / "two.yaml").write_text(LAYOUT)
     shutil.copytree(TEMPLATE / "presets" / "constant", root / "configs" / "constant")
     (cost,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "CONTRIBUTING.md").read_text("utf-8"), re.M | re.S)

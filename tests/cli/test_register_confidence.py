@@ -172,7 +172,7 @@ def spoil(folder, what):
         header = bytearray(gzip.decompress((folder / "fixed.nii.gz").read_bytes()))
         header[80:84] = bytes(4)  # pixdim[1]
         (folder / "fixed.nii.gz").write_bytes(gzip.compress(bytes(header)))
-        return "a spacing of 0"
+        return "mask.nii.gz"
     data = (folder / "moving_warped.nii.gz").read_bytes()
     (folder / "moving_warped.nii.gz").write_bytes(data[: len(data) // 2])
     return "cut off"
@@ -309,7 +309,7 @@ def test_reports_say_how_large_errors_are_in_the_body_and_where(tmp_path, capsys
         write_array(tmp_path / "pair" / f"{name}.mha", grid, values)
     command = ["register-confidence", "intensity", "-o", str(tmp_path / "run")]
     assert main([*command, "-i", str(tmp_path / "pair")]) == 2
-    assert "give files of other names by --fixed FILE --warped FILE" in capsys.readouterr().err
+    assert "give files of other names by --fixed FILE and --warped FILE" in capsys.readouterr().err
     files = ["--fixed", str(tmp_path / "pair" / "ct_plan.mha"), "--warped", str(tmp_path / "pair" / "ct_warped.mha")]
     assert main([*command, *files, "--html"]) == 0
     shown = capsys.readouterr()

@@ -169,7 +169,7 @@ def check_run(output: Path, damaged: list[str], reference: dict[str, bytes], cod
         assert rows[name]["error"]
         assert "bug" not in rows[name]["error"], (name, rows[name]["error"])
         assert "\n" not in rows[name]["error"]
-        assert not (output / name).exists()
+        assert [path.name for path in (output / name).iterdir()] == ["record.json"]
     assert "Traceback" not in err
     for good in ("a_good", "z_good"):
         got = {p.name: p.read_bytes() for p in (output / good).iterdir() if p.name != "record.json"}

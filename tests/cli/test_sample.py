@@ -24,7 +24,7 @@ def sample(output: Path, *options: str | Path) -> int:
 
 
 def _bytes(folder: Path) -> dict[str, bytes]:
-    files = [p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("report.")]
+    files = [p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(("report.", "record."))]
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(files)}
 
 

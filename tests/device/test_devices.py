@@ -207,9 +207,9 @@ def test_devices_says_why_there_is_none(capsys, monkeypatch):
     for kind in (depthcli.device.opencl, depthcli.device.cuda):
         monkeypatch.setattr(kind, "list_devices", list)
         monkeypatch.setattr(kind, "why_no_device", lambda: "no driver")
-    assert main(["devices", "--json"]) == 0
+    assert main(["stereo", "--device", "list"]) == 0
     out, err = capsys.readouterr()
-    assert json.loads(out) == []
+    assert out == ""
     assert "opencl: no driver; cuda: no driver" in err
 
 

@@ -107,7 +107,7 @@ def coarse_prior(
         for larger, _ in sizes:  # in memory meanwhile
             left = left.beside(larger)
         candidates = Candidates.everywhere(half.shape, half_range) if prior is None else prior.candidates
-        result, found = match_by_costs(stages, half, candidates, prior, None, left, Clock("coarse"))
+        result, found = match_by_costs(stages, half, candidates, prior, None, left, Clock())
         islands = refined_map((LeftRightCheck(), SpeckleFilter(size=_ISLAND_SIZE)), found, half, half_range)
         fine, fine_range = sizes[-1]
         thin = thin_structures(fine, fine_range)

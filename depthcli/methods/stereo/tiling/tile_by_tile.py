@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.core.progress import counted
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.confidence import confidence_maps
@@ -85,7 +84,7 @@ def match_by_costs(
     plan = available.tiles(pair, candidates, margins, need)
     found = TiledWinners(pair.shape, any(isinstance(step, Subpixel) for step in stages.refinement))
     confidence: dict[str, NDArray[np.float32]] = {}
-    for tile in counted(plan, "tile"):
+    for tile in plan:
         volume, spans = _tile_volume(stages, pair, tile, prior, clock)
         clock.start("optimization")
         volume = stages.optimization(volume, tile.cut(pair))
@@ -116,7 +115,7 @@ def match_by_patches(
     )
     values, status = np.zeros(pair.shape, np.float32), np.zeros(pair.shape, np.uint8)
     confidence: dict[str, NDArray[np.float32]] = {}
-    for tile in counted(plan, "tile"):
+    for tile in plan:
         clock.start("tiles")
         (span,) = tile.spans
         part = matcher(tile.cut(pair, span.low), span.count - 1)
