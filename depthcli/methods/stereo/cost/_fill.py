@@ -107,6 +107,7 @@ def tolerant_volume(
     left, right : (C, H, W) uint8 or int16
     costs : (H, W, D), written: the sum divided by 2^``shift`` (rounded half up), at most ``limit``
     """
+    left, right = left.astype(np.int16, copy=False), right.astype(np.int16, copy=False)  # one type to compile for
     left_low, left_high = np.empty_like(left), np.empty_like(left)
     _half_pixel_ranges(left, left_low, left_high)
     right_low, right_high = np.empty_like(right), np.empty_like(right)
