@@ -5,7 +5,7 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 | module | holds |
 |---|---|
 | ``method`` | ``Method``, base of the algorithms; ``Family``, those of a folder; ``RootConfig``, of a command |
-| ``registry`` | named objects of any kind, and what packages and files of users add to them |
+| ``registry`` | named classes of one kind, and what packages and files of users add to them |
 | ``config_file`` | ``load_config``: a YAML file, the one it is based on, and ``--set`` become a checked model |
 | ``yaml_source`` | the YAML below it: plain data, with the line of every value; ``to_yaml`` back |
 | ``frames``, ``volumes`` | inputs: a rectified pair; color and depth (and infrared); two volumes on one grid |
@@ -13,7 +13,6 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 | ``progress`` | stages and tiles, announced to whoever shows them |
 | ``cameras`` | one camera, two of them, their rectification; disparity and depth; the Kinect's raw codes |
 | ``networks`` | a trained network as arrays |
-| ``option`` | a command-line option as data |
 | ``memory`` | large arrays that are recycled |
 | ``errors``, ``text`` | errors that a user reads; foreign text made harmless; sizes in bytes |
 """
