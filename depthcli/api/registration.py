@@ -24,8 +24,7 @@ from depthcli.core.volumes import Grid
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.volumes import Slab, simple_itk, write_volume
-from depthcli.io.registered_volumes import LoadedPair, blocks_of, joined, usable
-from depthcli.io.scenes.volume_pair import VolumePairScene
+from depthcli.io.scenes.volume_pair import LoadedPair, VolumePairScene, blocks_of, joined, usable
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult
 from depthcli.run.json_csv import to_csv

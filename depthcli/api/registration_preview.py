@@ -10,7 +10,7 @@ from depthcli.algorithms.body import body
 from depthcli.algorithms.resampling import resample
 from depthcli.core.volumes import ENDS, PLANES, side_and_distance
 from depthcli.io.formats.pictures import draw_text, preview
-from depthcli.io.registered_volumes import LoadedPair
+from depthcli.io.scenes.volume_pair import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
 _TITLES = ("fixed", "moving, registered", "expected error")

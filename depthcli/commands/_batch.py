@@ -23,7 +23,7 @@ from depthcli.evaluation.protocols import load
 from depthcli.io.formats.pictures import write_legend
 from depthcli.io.inputs import local
 from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgbd_sequence import SequenceScene
+from depthcli.io.scenes.rgbd import SequenceScene
 from depthcli.report.page import Page
 from depthcli.report.run_without_truth import RunWithoutTruth
 from depthcli.run.batch import Batch, Execution, SceneT

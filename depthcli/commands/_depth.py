@@ -27,7 +27,7 @@ from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.files import naming
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
-from depthcli.io.scenes.disparity_map import DisparityScene
+from depthcli.io.scenes.maps import DisparityScene
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, Column, percent
 from depthcli.run.json_csv import Row

@@ -25,7 +25,7 @@ from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size, read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.inputs import local
-from depthcli.io.scenes.given_maps import GivenMap, MapsScene
+from depthcli.io.scenes.maps import GivenMap, MapsScene
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.methods.given_maps import UsesNetworks
 from depthcli.methods.given_maps.fusion import MAX_MAPS

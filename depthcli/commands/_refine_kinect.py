@@ -29,8 +29,7 @@ from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts import Folder
 from depthcli.io.layouts.depth import cameras
 from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgbd import RgbdScene
-from depthcli.io.scenes.rgbd_sequence import SequenceScene, sequences
+from depthcli.io.scenes.rgbd import RgbdScene, SequenceScene, sequences
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import SequencePipeline, frame_by_frame
 from depthcli.run.batch import Batch, Outcome

@@ -14,7 +14,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.inputs import local
 from depthcli.io.pairs import TABLE_SUFFIXES
 from depthcli.io.scenes import Scene
-from depthcli.io.scenes.disparity_map import DisparityScene
+from depthcli.io.scenes.maps import DisparityScene
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import NoScenesError, chosen_scenes, discover_scenes, matches_any, scenes_with_files
 from depthcli.run.batch import SceneT

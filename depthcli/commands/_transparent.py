@@ -21,8 +21,7 @@ from depthcli.core.method import used_files
 from depthcli.core.result import Clock, Result
 from depthcli.io.formats.depth import beyond_png
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
-from depthcli.io.scenes.rgb_ir import RgbIrScene
-from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.scenes.rgbd import RgbdScene, RgbIrScene
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, Column, percent

@@ -13,8 +13,7 @@ from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.scenes.rgb_ir import RgbIrScene
-from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.scenes.rgbd import RgbdScene, RgbIrScene
 from depthcli.io.walk import discover_scenes
 
 K = [[190.0, 0, 20], [0, 190, 15], [0, 0, 1]]

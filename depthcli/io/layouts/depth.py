@@ -14,8 +14,7 @@ from depthcli.io.formats.poses import Poses, read_poses
 from depthcli.io.layouts.base import Folder, Layout, Meta
 from depthcli.io.layouts.rows import Found, Row
 from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgb_ir import RgbIrScene
-from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.scenes.rgbd import RgbdScene, RgbIrScene
 
 if TYPE_CHECKING:
     from depthcli.core.cameras.color_and_depth import Place

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.color_and_depth import Place, registered
+from depthcli.core.cameras.kinect import kinect_v1, sensor_fb
 from depthcli.core.errors import InputError
+from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame, color8, infrared_image
+from depthcli.io.formats.calibrations import kinect_files_beside, read_color_infrared_rig, read_kinect_calibration
+from depthcli.io.formats.depth import MILLIMETERS, check_fb, read_depth, read_kinect_raw
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.files import naming, warn
+from depthcli.io.formats.images import image_size, read_grey, read_image
 from depthcli.io.scenes import Scene, check_same_size, name_of, together
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from depthcli.core.cameras.camera import Intrinsics
-    from depthcli.core.cameras.color_and_depth import Place
-    from depthcli.core.frames import RgbdFrame, SparseFrame
 
 _METERS = (".pfm", ".npy")
 _GENERIC_NAMES = ("color", "rgb", "image", "depth")
@@ -99,8 +104,6 @@ class RgbdScene(Scene):
         if self.hidden is not None:
             files["hidden"] = self.hidden
         if self.calibration is not None:
-            from depthcli.io.formats.calibrations import kinect_files_beside
-
             files["calibration"] = self.calibration
             files |= {f"calibration: {file.name}": file for file in kinect_files_beside(self.calibration) if self.raw}
         return files
@@ -110,10 +113,13 @@ class RgbdScene(Scene):
         """True where the true depth is known."""
         return self.depth_true is not None
 
+    @property
+    def image(self) -> Path:
+        """The image whose size the frame has: the color image, or else the depth map."""
+        return self.color or self.depth
+
     def frame_size(self) -> tuple[int, int]:
         """Return (height, width) of the frame by an image's header alone; InputError where it cannot be read."""
-        from depthcli.io.formats.images import image_size
-
         return image_size(self.image)
 
     def load(self) -> RgbdFrame:
@@ -124,46 +130,28 @@ class RgbdScene(Scene):
         InputError
             Files that cannot be used, or without a known depth; sizes that differ while the cameras are not known.
         """
-        from depthcli.core.cameras.camera import Intrinsics
-        from depthcli.core.cameras.kinect import sensor_fb
-        from depthcli.core.frames import RgbdFrame
-
         self.check()
         intrinsics = None if self.intrinsics is None else Intrinsics(*self.intrinsics)
-        interpolated = False
+        depth_camera = None if self.depth_intrinsics is None else Intrinsics(*self.depth_intrinsics)
         if self.color is None:
-            intrinsics = intrinsics or (None if self.depth_intrinsics is None else Intrinsics(*self.depth_intrinsics))
-            depth = self._without_hidden(self._depth(self.depth))
-            frame = RgbdFrame.without_color(depth, self.fb or sensor_fb(intrinsics), intrinsics)
-            return self._checked(frame)
-        color = self._color(self.color)
-        if self.raw:
-            color, depth, intrinsics = self._registered_raw(color)
+            known = intrinsics or depth_camera
+            frame = RgbdFrame.without_color(self._visible_depth(), self.fb or sensor_fb(known), known)
+        elif self.raw:
+            frame = _registered_raw(self, color8(read_image(self.color)))
         else:
-            depth, interpolated = self._registered(color, intrinsics)
-        frame = RgbdFrame(color, depth, self.fb or sensor_fb(intrinsics), intrinsics, interpolated, self._pose())
-        return self._checked(frame)
-
-    def _pose(self) -> NDArray[np.float64] | None:
-        import numpy as np
-
-        return None if self.pose is None else np.array(self.pose).reshape(4, 4)
-
-    def _checked(self, frame: RgbdFrame) -> RgbdFrame:
-        import numpy as np
-
-        from depthcli.io.formats.depth import check_fb
-
+            color, depth = color8(read_image(self.color)), self._visible_depth()
+            with naming(self.depth):
+                found = registered(depth, color.shape[:2], intrinsics, depth_camera, self.depth_to_color)
+            if found.note:
+                warn(f"{self.depth}: {found.note}")
+            pose = None if self.pose is None else np.array(self.pose).reshape(4, 4)
+            fb = self.fb or sensor_fb(intrinsics)
+            frame = RgbdFrame(color, found.depth, fb, intrinsics, found.interpolated, pose)
         if not np.isfinite(frame.depth).any():
             raise InputError(f"{self.depth}: no pixel has a depth")
         if self.fb:
             check_fb(self.folder / "meta.json", self.fb, frame.depth)
         return frame
-
-    @property
-    def image(self) -> Path:
-        """The image whose size the frame has: the color image, or else the depth map."""
-        return self.color or self.depth
 
     def load_sparse(self) -> SparseFrame:
         """Return the frame with its second, sparse depth.
@@ -173,45 +161,30 @@ class RgbdScene(Scene):
         InputError
             As for :meth:`load`; no sparse depth, one of another size, or without a single pixel.
         """
-        import numpy as np
-
-        from depthcli.core.frames import SparseFrame
-        from depthcli.io.formats.disparity import read_plane
-
         frame = self.load()
         if self.color is None:
             raise InputError(f"{self.depth}: no color image beside it, which transparent objects need")
         if self.sparse is None:
             raise InputError(f"{self.folder}: {self.name} has no sparse depth (sparse.*)")
-        sparse, confidence = self._depth(self.sparse), None
+        sparse, confidence = self._read_depth(self.sparse), None
+        check_same_size(self.sparse, sparse.shape, self.image, frame.shape)
         if self.sparse_confidence is not None:
             plane = read_plane(self.sparse_confidence)
-            top = np.iinfo(plane.dtype).max if plane.dtype.kind in "iu" else 1
-            confidence = (plane / top).astype(np.float32)
-        for file, values in ((self.sparse, sparse), (self.sparse_confidence, confidence)):
-            if file is not None and values is not None:
-                check_same_size(file, values.shape, self.image, frame.shape)
+            check_same_size(self.sparse_confidence, plane.shape, self.image, frame.shape)
+            confidence = (plane / (np.iinfo(plane.dtype).max if plane.dtype.kind in "iu" else 1)).astype(np.float32)
         if not np.isfinite(sparse).any():
             raise InputError(f"{self.sparse}: no pixel has a depth")
         return SparseFrame(
-            frame.color,
-            frame.depth,
-            frame.fb,
-            frame.intrinsics,
-            frame.interpolated,
-            sparse=sparse,
-            sparse_confidence=confidence,
-        )
+            frame.color, frame.depth, frame.fb, frame.intrinsics, frame.interpolated,
+            sparse=sparse, sparse_confidence=confidence,
+        )  # fmt: skip
 
     def truth(self) -> RgbdTruth:
         """Return true depth and masks; InputError where there is none or sizes differ."""
-        from depthcli.io.formats.depth import check_fb
-        from depthcli.io.formats.images import read_grey
-
         self.check()
         if self.depth_true is None:
             raise InputError(f"{self.folder}: {self.name} has no true depth")
-        depth = self._depth(self.depth_true)
+        depth = self._read_depth(self.depth_true)
         masks = {}
         for name, file in self.masks.items():
             mask = read_grey(file)
@@ -221,63 +194,112 @@ class RgbdScene(Scene):
             check_fb(self.folder / "meta.json", self.fb, depth)
         return RgbdTruth(depth, masks, self.fb)
 
-    def _color(self, path: Path) -> NDArray[np.uint8]:
-        from depthcli.core.frames import color8
-        from depthcli.io.formats.images import read_image
-
-        return color8(read_image(path))
-
-    def _depth(self, path: Path) -> NDArray[np.float32]:
-        from depthcli.io.formats.depth import MILLIMETERS, read_depth
-
+    def _read_depth(self, path: Path) -> NDArray[np.float32]:
         # The default scale is not passed on: 8-bit codes, which would hold no usable depth, need one of their own.
         scale = None if path.suffix in _METERS or self.depth_scale == MILLIMETERS else self.depth_scale
         return read_depth(path, scale, 3 if self.rotated else 0)
 
-    def _without_hidden(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
-        import numpy as np
-
-        from depthcli.io.formats.images import read_grey
-
+    def _visible_depth(self) -> NDArray[np.float32]:
+        """The depth without the pixels that the sensor is made not to see."""
+        depth = self._read_depth(self.depth)
         if self.hidden is None:
             return depth
         mask = read_grey(self.hidden)
         check_same_size(self.hidden, mask.shape, self.depth, depth.shape)
         return np.where(mask == 255, np.float32(np.nan), depth)
 
-    def _registered(self, color: NDArray[np.uint8], intrinsics: Intrinsics | None) -> tuple[NDArray[np.float32], bool]:
-        """The depth registered to the color image, and whether it is interpolated between samples of a smaller map."""
-        from depthcli.core.cameras.camera import Intrinsics
-        from depthcli.core.cameras.color_and_depth import registered
-        from depthcli.io.formats.files import naming, warn
 
-        depth = self._without_hidden(self._depth(self.depth))
-        camera = None if self.depth_intrinsics is None else Intrinsics(*self.depth_intrinsics)
-        shape = (color.shape[0], color.shape[1])
-        with naming(self.depth):
-            found = registered(depth, shape, intrinsics, camera, self.depth_to_color)
-        if found.note:
-            warn(f"{self.depth}: {found.note}")
-        return found.depth, found.interpolated
+def _registered_raw(scene: RgbdScene, color: NDArray[np.uint8]) -> RgbdFrame:
+    """Color at the depth camera's resolution, and the depth of raw codes registered to it."""
+    raw = read_kinect_raw(scene.depth)
+    calibration = kinect_v1() if scene.calibration is None else read_kinect_calibration(scene.calibration)
+    if calibration.beta is not None and calibration.beta.shape != raw.shape:
+        raise InputError(f"{scene.calibration}: its distortion map is not of the depth image's size")
+    # Where the color image is finer than the depth, most of its pixels would meet no point.
+    ratio = calibration.color.matrix[0, 0] / calibration.depth.matrix[0, 0]
+    factor = 1.0 if ratio < 1.5 else 1.0 / round(ratio)
+    if factor != 1:
+        color = cv2.resize(color, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+    camera = calibration.color.scaled(factor)
+    scaled = replace(calibration, color=camera)
+    depth = scaled.register(scaled.depth_of_raw(raw), (color.shape[0], color.shape[1]))
+    pose = None if scene.pose is None else np.array(scene.pose).reshape(4, 4)
+    return RgbdFrame(color, depth, scene.fb or sensor_fb(camera.intrinsics), camera.intrinsics, False, pose)
 
-    def _registered_raw(self, color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float32], Intrinsics]:
-        """Color at the depth camera's resolution, and the depth registered to it."""
-        import cv2
 
-        from depthcli.core.cameras.kinect import kinect_v1
-        from depthcli.io.formats.calibrations import read_kinect_calibration
-        from depthcli.io.formats.depth import read_kinect_raw
+@dataclass(frozen=True, kw_only=True)
+class RgbIrScene(RgbdScene):
+    """A frame with an infrared image; ``calibration`` holds both cameras, or says that the pair is rectified.
 
-        raw = read_kinect_raw(self.depth)
-        calibration = kinect_v1() if self.calibration is None else read_kinect_calibration(self.calibration)
-        if calibration.beta is not None and calibration.beta.shape != raw.shape:
-            raise InputError(f"{self.calibration}: its distortion map is not of the depth image's size")
-        # Where the color image is finer than the depth, most of its pixels would meet no point.
-        ratio = calibration.color.matrix[0, 0] / calibration.depth.matrix[0, 0]
-        factor = 1.0 if ratio < 1.5 else 1.0 / round(ratio)
-        if factor != 1:
-            color = cv2.resize(color, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
-        camera = calibration.color.scaled(factor)
-        scaled = replace(calibration, color=camera)
-        depth = scaled.register(scaled.depth_of_raw(raw), (color.shape[0], color.shape[1]))
-        return color, depth, camera.intrinsics
+    Attributes
+    ----------
+    infrared : image file, 8 or 16 bit
+    infrared_plain : the same view with the projector covered, which is used instead, or None
+    max_disparity : largest disparity to search, or None
+    """
+
+    infrared: Path
+    infrared_plain: Path | None = None
+    max_disparity: int | None = None
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """Role -> file that a method may look at, with the infrared image that is used."""
+        return {**super().input_files, "infrared": self.infrared_plain or self.infrared}
+
+    def load_pair(self) -> RgbIrFrame:
+        """Return the frame with its infrared image and calibration.
+
+        Raises
+        ------
+        InputError
+            As for :meth:`load`; no calibration, or one that does not fit the images.
+        """
+        frame = self.load()
+        if self.calibration is None:
+            raise InputError(f"{self.folder}: no calibration of the color and the infrared camera (calib.json)")
+        infrared = infrared_image(read_image(self.infrared_plain or self.infrared))
+        height, width = infrared.shape
+        rig = read_color_infrared_rig(self.calibration, (frame.shape[1], frame.shape[0]), (width, height))
+        if not isinstance(rig, float):
+            return RgbIrFrame(frame.color, infrared, frame.depth, rig)
+        check_same_size(self.infrared, infrared.shape, self.image, frame.shape, "; a rectified pair has one size")
+        check_fb(self.calibration, rig, frame.depth)
+        return RgbIrFrame(frame.color, infrared, frame.depth, None, rig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceScene(Scene):
+    """The frames of a sequence, in order."""
+
+    frames: tuple[RgbdScene, ...]
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """Frame and role -> file."""
+        return {f"{frame.name}: {role}": file for frame in self.frames for role, file in frame.input_files.items()}
+
+    @property
+    def has_truth(self) -> bool:
+        """True where any frame has ground truth."""
+        return any(frame.has_truth for frame in self.frames)
+
+    def load(self) -> None:
+        """Raise InputError where the sequence cannot be used; its frames are loaded one by one."""
+        self.check()
+
+
+def sequences(scenes: Sequence[Scene]) -> list[Scene]:
+    """Return the scenes with the frames of every sequence as one scene, by name; a single frame is one as well."""
+    groups: dict[tuple[Path, str], list[RgbdScene]] = {}
+    others: list[Scene] = []
+    for scene in scenes:
+        if isinstance(scene, RgbdScene) and not scene.problem:
+            groups.setdefault((scene.folder, scene.sequence or scene.name), []).append(scene)
+        else:
+            others.append(scene)
+    for (folder, sequence), frames in groups.items():
+        ordered = tuple(sorted(frames, key=lambda frame: frame.number))
+        name = ordered[0].name.rpartition("/")[0] if ordered[0].sequence else ordered[0].name
+        others.append(SequenceScene(name=name or sequence.rpartition("/")[2], folder=folder, frames=ordered))
+    return sorted(others, key=lambda scene: scene.name)

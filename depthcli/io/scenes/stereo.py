@@ -7,20 +7,19 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import Image, StereoPair
 from depthcli.io.formats.disparity import read_disparity
+from depthcli.io.formats.images import IMAGE_SUFFIXES, pair_of, read_grey, read_image, read_pair
+from depthcli.io.formats.videos import VIDEO_SUFFIXES, count_frames, read_frame
+from depthcli.io.pairs import NamedPair, is_many, match_patterns, read_table
 from depthcli.io.scenes import Scene, check_same_size, name_of, together
-
-if TYPE_CHECKING:
-    from depthcli.core.cameras.triangulation import PairGeometry
-    from depthcli.core.frames import StereoPair
-    from depthcli.io.formats.images import Image
-    from depthcli.io.pairs import NamedPair
 
 MAX_DISPARITY = 1 << 20
 """Largest disparity, of either sign, that a file may ask for, pixels; no image is as wide."""
@@ -111,10 +110,6 @@ class StereoScene(Scene):
     @classmethod
     def named(cls, values: Mapping[str, Any]) -> list[Self]:
         """Return the pair of ``--left`` and ``--right``, those of two patterns or folders, the frames of two videos."""
-        from depthcli.io.formats.images import IMAGE_SUFFIXES
-        from depthcli.io.formats.videos import VIDEO_SUFFIXES, count_frames
-        from depthcli.io.pairs import is_many, match_patterns
-
         one = cls.single(values)
         if one is None or one.right is None:
             return []
@@ -132,8 +127,6 @@ class StereoScene(Scene):
     @classmethod
     def of_table(cls, path: Path) -> list[Self]:
         """Return the pairs of a CSV file."""
-        from depthcli.io.pairs import read_table
-
         return [cls._of_pair(pair, path.parent) for pair in read_table(path)]
 
     @classmethod
@@ -177,11 +170,7 @@ class StereoScene(Scene):
         """Return both images as they are, which need not agree; InputError where one cannot be read."""
         right = self._right()
         if self.frame_number is not None:
-            from depthcli.io.formats.videos import read_frame
-
             return read_frame(self.left, self.frame_number), read_frame(right, self.frame_number)
-        from depthcli.io.formats.images import read_image
-
         return read_image(self.left), read_image(right)
 
     def _right(self) -> Path:
@@ -192,8 +181,6 @@ class StereoScene(Scene):
 
     def load(self) -> StereoPair:
         """Return left and right image of one size and dtype, both grey where one is; InputError otherwise."""
-        from depthcli.io.formats.images import pair_of, read_pair
-
         right = self._right()
         return (
             read_pair(self.left, right)
@@ -209,8 +196,6 @@ class StereoScene(Scene):
         InputError
             No ground truth, an unreadable file, or files of different sizes.
         """
-        from depthcli.io.formats.images import read_grey
-
         self.check()
         if self.disparity_left is None:
             raise InputError(f"{self.left.parent}: scene {self.name} has no ground truth")
@@ -233,8 +218,6 @@ class StereoScene(Scene):
 
     def read_masks(self) -> dict[str, tuple[Path, NDArray[np.bool_]]]:
         """Return name -> file and (H, W) mask, True = evaluate."""
-        from depthcli.io.formats.images import read_grey
-
         masks = {name: (path, read_grey(path) == 255) for name, path in self.masks.items()}
         for name, file in (("all", self.ignored), ("nonocc", self.occluded)):
             if file is not None:

@@ -2,25 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.resampling import block_means
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.io.registered_volumes import blocks_of, joined, label_masks, spacing_of, usable
+from depthcli.core.volumes import Grid, RegisteredPair, Volume
+from depthcli.io.formats import fields, volumes
+from depthcli.io.formats.fields import read_landmarks, read_moving_transform
+from depthcli.io.formats.files import naming
+from depthcli.io.formats.volumes import place, read_grid, read_volume, simple_itk
 from depthcli.io.scenes import Scene, name_of
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from depthcli.core.volumes import Grid, Volume
-    from depthcli.io.registered_volumes import LoadedPair
-
+_LABEL_TOLERANCE = 1e-3  # of a whole number: what rounding leaves of a label
+_MAX_LABELS = 2000  # more are the gray values of a scan; atlases have some hundreds
+_MAX_LABEL = 1 << 24  # whole numbers up to here are exact in float32
 _GENERIC_NAMES = ("fixed", "fixed.nii")
 LEFT_OUT = {"displacement": "transform", "transform": "displacement", "both": ""}
 """What counts of a displacement field and a transform -> what does not; both: the field first, as ANTs chains them."""
+
+
+@dataclass(frozen=True)
+class LoadedPair:
+    """A registered pair in memory.
+
+    Attributes
+    ----------
+    grid : the fixed volume's
+    blocks : how many of its voxels (z, y, x) a voxel of ``pair`` is the mean of
+    """
+
+    pair: RegisteredPair
+    grid: Grid
+    blocks: tuple[int, int, int] = (1, 1, 1)
+
+    def on_grid(self, start: Sequence[float], step: Sequence[float]) -> tuple[list[float], list[float]]:
+        """``start`` and ``step`` of maps in voxels of ``pair`` as those in voxels of the fixed volume."""
+        begin = [(n - 1) / 2 + n * a for n, a in zip(self.blocks, start, strict=True)]
+        return begin, [n * a for n, a in zip(self.blocks, step, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -93,8 +118,6 @@ class VolumePairScene(Scene):
     @property
     def input_files(self) -> dict[str, Path]:
         """Volumes, transform and the landmarks of the fixed volume, each with the files that its header names."""
-        from depthcli.io.formats import fields, volumes
-
         roles = ("fixed", "moving_warped", "moving", "transform", "displacement", "mask", "landmarks_fixed")
         files: dict[str, Path] = {role: file for role in roles if (file := getattr(self, role)) is not None}
         files |= {f"mask_{name}": file for name, file in self.regions}
@@ -123,9 +146,6 @@ class VolumePairScene(Scene):
         InputError
             Files that cannot be used, grids that differ, values that are no numbers inside the mask.
         """
-        from depthcli.algorithms.resampling import block_means
-        from depthcli.io.formats.volumes import read_volume
-
         self.check()
         fixed = read_volume(self.fixed)
         grid = fixed.grid
@@ -162,8 +182,6 @@ class VolumePairScene(Scene):
         InputError
             The file cannot be used, or has another grid.
         """
-        from depthcli.io.formats.files import naming
-
         file = dict(self.regions)[name]
         values = self._read_like(file, grid)
         with naming(file):
@@ -171,8 +189,6 @@ class VolumePairScene(Scene):
 
     def size(self, max_voxels: int | None = None) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
         """Return the fixed volume's grid, and shape and spacing (z, y, x) of what :meth:`load` gives, by its header."""
-        from depthcli.io.formats.volumes import read_grid
-
         self.check()
         grid = read_grid(self.fixed)
         blocks = blocks_of(grid, max_voxels)
@@ -187,11 +203,6 @@ class VolumePairScene(Scene):
         InputError
             There is none, the lists differ in length, or a landmark lies outside the fixed volume.
         """
-        import numpy as np
-
-        from depthcli.io.formats.fields import read_landmarks, read_moving_transform
-        from depthcli.io.formats.volumes import read_volume
-
         self.check()
         if not self.has_truth:
             raise InputError(
@@ -216,10 +227,6 @@ class VolumePairScene(Scene):
 
     def landmarks(self, grid: Grid) -> NDArray[np.float64] | None:
         """Return (N, 3) landmarks of the fixed volume, mm; None where there are none."""
-        import numpy as np
-
-        from depthcli.io.formats.fields import read_landmarks
-
         if self.landmarks_fixed is None:
             return None
         points = read_landmarks(self.landmarks_fixed, grid, self.fixed.suffix.lower() == ".img")
@@ -235,8 +242,6 @@ class VolumePairScene(Scene):
     @staticmethod
     def _read_like(file: Path, fixed: Grid) -> NDArray[np.float32]:
         """The values of a volume on the fixed grid."""
-        from depthcli.io.formats.volumes import read_volume
-
         volume = read_volume(file)
         if not volume.grid.same_as(fixed):
             raise InputError(f"{file}: another grid than the fixed volume's ({volume.grid.describe_difference(fixed)})")
@@ -244,11 +249,6 @@ class VolumePairScene(Scene):
 
     def _warp(self, fixed: Volume, convention: str) -> tuple[NDArray[np.float32], Path]:
         """The moving volume on the fixed grid, and the file that is to blame where it holds what is no number."""
-        import numpy as np
-
-        from depthcli.io.formats.fields import read_moving_transform
-        from depthcli.io.formats.volumes import place, read_volume, simple_itk
-
         sitk = simple_itk()
         assert self.moving is not None
         moving = read_volume(self.moving)
@@ -260,3 +260,97 @@ class VolumePairScene(Scene):
         values: NDArray[np.float32] = sitk.GetArrayFromImage(sitk.Resample(image, *placed, low))
         through = self.displacement or self.transform or self.moving
         return values, through if np.isfinite(moving.values).all() else self.moving
+
+
+def joined(
+    fixed: NDArray[np.float32],
+    warped: NDArray[np.float32],
+    inside: NDArray[np.bool_] | None,
+    grid: Grid,
+    blocks: tuple[int, int, int],
+) -> LoadedPair:
+    """Return block means of two volumes as a pair, with the mask of the whole volume reduced likewise."""
+    if inside is not None and max(blocks) > 1:
+        inside = block_means(inside, blocks) >= 0.5
+    placed = grid if max(blocks) == 1 else None
+    return LoadedPair(RegisteredPair(fixed, warped, spacing_of(grid, blocks), inside, placed), grid, blocks)
+
+
+def usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, name: Path | str) -> NDArray[np.float32]:
+    """Return a volume without NaN and infinite values outside the mask; InputError where they are inside, or all equal.
+
+    Parameters
+    ----------
+    name : of the volume, for messages
+    """
+    if not all(np.isfinite(one_slice).all() for one_slice in values):  # a mask of the whole would take memory
+        bad = ~np.isfinite(values)
+        count = int(np.count_nonzero(bad if inside is None else bad & inside))
+        if count:
+            raise InputError(f"{name}: {count} voxels are no numbers; leave them out with a mask")
+        values = np.where(bad, values[~bad].min(), values)
+    if values.min() == values.max():
+        raise InputError(f"{name}: all voxels are {values.flat[0]:g}; nothing to compare")
+    return values
+
+
+def label_masks(
+    values: NDArray[np.float32], name: str, regions: Sequence[tuple[str, int]] = ()
+) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Yield the regions of a mask or label map, one mask at a time.
+
+    Parameters
+    ----------
+    values : 0 is outside. Whole numbers of which several occur are labels, as is one other than 1 and 255. Fractions
+        up to 1 are probabilities, of which the region has at least 0.5
+    name : of the mask
+    regions : (name, label) of regions, where the map's labels have names; then whatever occurs is a label
+
+    Yields
+    ------
+    Name, and mask, bool; a label without a name is ``NAME_LABEL``. Regions with a name are given where none of their
+    voxels is set, too
+
+    Raises
+    ------
+    InputError
+        Fractions above 1, or of labels that have names: what a label map is after linear interpolation; or more
+        labels than label maps have.
+    """
+    values = np.where(np.isfinite(values), values, np.float32(0))
+    near = np.rint(values)
+    whole = all(np.allclose(plane, near[z], rtol=0, atol=_LABEL_TOLERANCE) for z, plane in enumerate(values))
+    if not whole:
+        top = float(values.max())
+        if regions or top > 1:
+            raise InputError(f"values between whole numbers, up to {top:g}: resample labels by the nearest neighbor")
+        yield name, values >= 0.5
+        return
+    present = sorted({float(label) for plane in near for label in np.unique(plane[plane > 0])})
+    if present and (len(present) > _MAX_LABELS or present[-1] > _MAX_LABEL):
+        raise InputError(f"{len(present)} values up to {present[-1]:g}: no label map, of at most {_MAX_LABELS} labels")
+    names = {float(label): region for region, label in regions}
+    if not names and present in ([], [1.0], [255.0]):
+        yield name, near > 0
+        return
+    for label in sorted({*present, *names}):
+        yield names.get(label, f"{name}_{label:.0f}"), near == label
+
+
+def spacing_of(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:
+    """Return the distances (z, y, x) of the centers of blocks of voxels, mm."""
+    z, y, x = (s * n for s, n in zip(grid.spacing[::-1], blocks, strict=True))
+    return z, y, x
+
+
+def blocks_of(grid: Grid, max_voxels: int | None) -> tuple[int, int, int]:
+    """Voxels (z, y, x) that are taken together so that about ``max_voxels`` cubes are left."""
+    count = grid.size[0] * grid.size[1] * grid.size[2]
+    if max_voxels is None or count <= max_voxels:
+        return (1, 1, 1)
+    axes = [a for a in range(3) if grid.shape[a] > 1]
+    spacing = grid.spacing[::-1]
+    extent = math.prod(grid.shape[a] * spacing[a] for a in axes)
+    side = float((extent / max_voxels) ** (1 / len(axes)))
+    z, y, x = (max(1, int(side / spacing[a] + 1e-6)) if a in axes else 1 for a in range(3))
+    return z, y, x

@@ -1,16 +1,55 @@
-"""Rectified pairs with disparity maps that were made before."""
+"""Disparity maps that were made before: those of a run, and pairs with maps of other programs."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.triangulation import PairGeometry
+from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
+from depthcli.io.formats.files import shown, warn
+from depthcli.io.scenes import Scene
 from depthcli.io.scenes.stereo import StereoScene
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+
+@dataclass(frozen=True, kw_only=True)
+class DisparityScene(Scene):
+    """A disparity map that a run made, with the files that belong to it.
+
+    Attributes
+    ----------
+    disparity : the map
+    status : status of its pixels, or None
+    confidence : name -> map
+    left : the image that the map describes, or None where it is missing
+    calibration : calibration of the pair, or None
+    cameras : numbers of the left and right camera in a calibration of several
+    geometry : what the data set of the pair says instead of a calibration, or None
+    """
+
+    disparity: Path
+    status: Path | None = None
+    confidence: dict[str, Path] = field(default_factory=dict)
+    left: Path | None = None
+    calibration: Path | None = None
+    cameras: tuple[int, int] = (2, 3)
+    geometry: PairGeometry | None = None
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """Role -> file, for everything that a depth map can depend on."""
+        known = {"disparity": self.disparity, "status": self.status, "left": self.left, "calibration": self.calibration}
+        files = {role: file for role, file in known.items() if file is not None}
+        return files | {f"confidence_{name}": file for name, file in self.confidence.items()}
+
+    def load(self) -> NDArray[np.float32]:
+        """Return the disparities, (H, W) float32, pixels, NaN = no value; InputError where they cannot be read."""
+        self.check()
+        return read_disparity(self.disparity)
 
 
 @dataclass(frozen=True)
@@ -36,11 +75,6 @@ class GivenMap:
         Where nothing is said about what stands for no value, a constant at or below 0 that stands alone does, in
         maps of other programs; a warning says so.
         """
-        import numpy as np
-
-        from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
-        from depthcli.io.formats.files import shown, warn
-
         values = read_disparity(self.path, self.scale)
         if self.invalid is not None:
             values[read_plane(self.path) == np.float32(self.invalid)] = np.nan
