@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.layouts import layouts
@@ -278,3 +278,20 @@ def test_a_layout_may_be_named_with_underscores(tmp_path: Path, name: str):
     v3(tmp_path / "a", "ndisp=3")
     (scene,) = discover_scenes(tmp_path, layout=name)
     assert scene.layout == "middlebury-v3"
+
+
+def test_layouts_of_a_users_file(tmp_path: Path):
+    for name in ("7", "8"):
+        write_png(tmp_path / "set" / "cam" / f"a_{name}.png", COLOR)
+        write_png(tmp_path / "set" / "other" / f"b_{name}.png", COLOR)
+    write_pfm(tmp_path / "set" / "gt" / "7.pfm", TRUTH)
+    rows = tmp_path / "mine.yaml"
+    rows.write_text(
+        "mine: {left: 'cam/a_{id}.*', right: 'other/b_{id}.*', disparity_left: 'gt/{id}.*', max_disparity: 5}"
+    )
+    first, second = find(tmp_path / "set", str(rows))
+    assert (first.name, first.layout, first.max_disparity, second.has_truth) == ("7", "mine", 5, False)
+    np.testing.assert_array_equal(first.truth().disparity, TRUTH)
+    rows.write_text("mine: {left: 'cam/a_{id}.*', rihgt: x}")
+    with pytest.raises(ConfigError, match=r"mine\.yaml: mine: no field is called 'rihgt'"):
+        find(tmp_path / "set", str(rows))
