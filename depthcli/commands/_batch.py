@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-import os
+import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from pydantic import BaseModel
 
-from depthcli.commands._evaluation import print_place, print_tables, viewers, write_page
 from depthcli.commands._flags import exit_code, flags_of
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.config_file import dump_config, load_config, to_yaml
 from depthcli.core.errors import InputError
-from depthcli.core.flags import Condition, Flags
 from depthcli.core.method import used_files
 from depthcli.core.text import one_line, show_bytes
-from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
-from depthcli.evaluation.map_files import run_names
-from depthcli.evaluation.protocols import load
 from depthcli.io.formats.pictures import write_legend
-from depthcli.io.inputs import local
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgbd import SequenceScene
-from depthcli.report.page import Page
-from depthcli.report.run_without_truth import RunWithoutTruth
 from depthcli.run.batch import Batch, Execution, SceneT
 from depthcli.run.console import aligned, run_table
 from depthcli.run.folder import LEGEND_FILE, refusal
@@ -35,11 +25,9 @@ from depthcli.run.report import report_document
 from depthcli.run.runner import Planner, run_scenes
 from depthcli.run.workers import BUG
 
-if TYPE_CHECKING:
-    from depthcli.evaluation.comparison import EvaluationReport
-
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
+_SCORES = "depthcli.commands._scores"  # by name: only a run that is evaluated needs the evaluation
 DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
 
@@ -100,12 +88,17 @@ def run_batch(
     failed = [row for row in rows if row["status"] == "failed"]
     if batch.palette is not None and len(failed) < len(rows):
         write_legend(options.output / LEGEND_FILE, batch.palette, batch.legend)
-    evaluation, page_file, flags = _evaluated(batch, scenes, rows, options, source, conditions)
+    evaluation = page_file = None
+    if options.evaluate or options.html:
+        scores = importlib.import_module(_SCORES)
+        evaluation, page_file, flags = scores.evaluated(batch, scenes, rows, options, source, conditions)
+    else:
+        flags = flags_of(conditions, rows, reporter)
     if options.json:
         document = report_document(batch.command, rows) | flags.to_dict()
         reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
     elif evaluation is not None:
-        print_tables(evaluation, reporter, None, options.quiet)
+        scores.print_tables(evaluation, reporter, None, options.quiet)
     elif not options.quiet:
         reporter.data(run_table(rows, batch.columns))
     if conditions and not (options.json or options.quiet):
@@ -113,66 +106,13 @@ def run_batch(
     total = len(scenes) if how.shard is None else len(rows)
     reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {options.output}")
     if evaluation is not None:
-        print_place(options.output / "evaluation", reporter)
+        scores.print_place(options.output / "evaluation", reporter)
     elif page_file is not None:
         reporter.info(f"page to open in a browser: {page_file}")
     if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
         return 1
     incomplete = failed or problems or (evaluation is not None and evaluation.failed)
     return exit_code(bool(incomplete), flags, options.fail_flagged, options.shard)
-
-
-def _evaluated(
-    batch: Batch[SceneT],
-    scenes: Sequence[SceneT],
-    rows: Sequence[Row],
-    options: RunOptions,
-    source: SceneOptions | None,
-    conditions: Sequence[Condition],
-) -> tuple[EvaluationReport | None, Path | None, Flags]:
-    """Compare scenes with their truth, and write the page of these and of the others, where requested.
-
-    Returns the evaluation, the page's file, and what the conditions flag.
-    """
-    reporter = options.reporter
-    if not (options.evaluate or options.html):
-        return None, None, flags_of(conditions, rows, reporter)
-    output, truth = options.output / "evaluation", source.input if source is not None else None
-    in_folder = truth is not None and not os.path.isfile(local(truth))  # pairs of a table have no truth
-    scored = [scene for scene in scenes if in_folder and scene.has_truth]
-    others = [s for s in scenes if s not in scored]
-    shown = _without_truth(batch, others, rows, options.output) if options.html and others else None
-    views = viewers(reporter, output, options.html, without_truth=shown)
-    if scored and source is not None and truth is not None:
-        report = evaluate_runs(
-            [options.output], truth, output, source.patterns, source.layout, reporter=reporter, viewers=views,
-            kinds=batch.truth_kinds or {type(scene) for scene in scenes}, conditions=conditions,
-            rows={str(row["scene"]): row for row in rows},
-        )  # fmt: skip
-        return report, output / PAGE_FILE if options.html else None, report.flags
-    shows = ": the page shows the maps without scores" if options.html else ", nothing to compare with"
-    reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
-    flags = flags_of(conditions, rows, reporter)
-    written = any(isinstance(page, Page) and write_page(page, output, flags, reporter) for page in views)
-    return None, output / PAGE_FILE if written else None, flags
-
-
-def _without_truth(
-    batch: Batch[SceneT], scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path
-) -> RunWithoutTruth:
-    """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
-    by_name, shown, row_of = {str(row["scene"]): row for row in rows}, list[Scene](), dict[str, Row]()
-    for scene in scenes:
-        row = by_name.get(scene.name, {})
-        if isinstance(scene, SequenceScene):  # its row has means over the frames
-            shown += scene.frames
-            row_of |= {frame.name: {key: row.get(key, "") for key in ("status", "error")} for frame in scene.frames}
-        else:
-            shown.append(scene)
-            row_of[scene.name] = row
-    (name,) = run_names([folder])
-    columns = batch.columns if batch.page_columns is None else batch.page_columns
-    return RunWithoutTruth(name, folder, load(batch.shown_as)(), batch.palette, shown, row_of, columns)
 
 
 def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> Row:

@@ -1,0 +1,76 @@
+"""What ``--evaluate`` and ``--html`` do with the scenes of a run: compare them with their truth, write the page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from depthcli.commands._evaluation import print_place, print_tables, viewers, write_page
+from depthcli.commands._flags import flags_of
+from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.core.flags import Condition, Flags
+from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
+from depthcli.evaluation.map_files import run_names
+from depthcli.evaluation.protocols import load
+from depthcli.io.inputs import local
+from depthcli.io.scenes import Scene
+from depthcli.io.scenes.rgbd import SequenceScene
+from depthcli.report.page import Page
+from depthcli.report.run_without_truth import RunWithoutTruth
+from depthcli.run.batch import Batch, SceneT
+from depthcli.run.json_csv import Row
+
+__all__ = ["evaluated", "print_place", "print_tables"]
+
+
+def evaluated(
+    batch: Batch[SceneT],
+    scenes: Sequence[SceneT],
+    rows: Sequence[Row],
+    options: RunOptions,
+    source: SceneOptions | None,
+    conditions: Sequence[Condition],
+) -> tuple[EvaluationReport | None, Path | None, Flags]:
+    """Compare scenes with their truth, and write the page of these and of the others.
+
+    Returns the evaluation, the page's file, and what the conditions flag.
+    """
+    reporter = options.reporter
+    output, truth = options.output / "evaluation", source.input if source is not None else None
+    in_folder = truth is not None and not os.path.isfile(local(truth))  # pairs of a table have no truth
+    scored = [scene for scene in scenes if in_folder and scene.has_truth]
+    others = [s for s in scenes if s not in scored]
+    shown = _without_truth(batch, others, rows, options.output) if options.html and others else None
+    views = viewers(reporter, output, options.html, without_truth=shown)
+    if scored and source is not None and truth is not None:
+        report = evaluate_runs(
+            [options.output], truth, output, source.patterns, source.layout, reporter=reporter, viewers=views,
+            kinds=batch.truth_kinds or {type(scene) for scene in scenes}, conditions=conditions,
+            rows={str(row["scene"]): row for row in rows},
+        )  # fmt: skip
+        return report, output / PAGE_FILE if options.html else None, report.flags
+    shows = ": the page shows the maps without scores" if options.html else ", nothing to compare with"
+    reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
+    flags = flags_of(conditions, rows, reporter)
+    written = any(isinstance(page, Page) and write_page(page, output, flags, reporter) for page in views)
+    return None, output / PAGE_FILE if written else None, flags
+
+
+def _without_truth(
+    batch: Batch[SceneT], scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path
+) -> RunWithoutTruth:
+    """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
+    by_name, shown, row_of = {str(row["scene"]): row for row in rows}, list[Scene](), dict[str, Row]()
+    for scene in scenes:
+        row = by_name.get(scene.name, {})
+        if isinstance(scene, SequenceScene):  # its row has means over the frames
+            shown += scene.frames
+            row_of |= {frame.name: {key: row.get(key, "") for key in ("status", "error")} for frame in scene.frames}
+        else:
+            shown.append(scene)
+            row_of[scene.name] = row
+    (name,) = run_names([folder])
+    columns = batch.columns if batch.page_columns is None else batch.page_columns
+    return RunWithoutTruth(name, folder, load(batch.shown_as)(), batch.palette, shown, row_of, columns)
