@@ -177,7 +177,7 @@ def check_run(output: Path, damaged: list[str], reference: dict[str, bytes], cod
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_damaged_images(made_scenes, tmp_path, reference, capfd, seed: int):
     damaged = broken_folder(made_scenes, tmp_path / "in", IMAGES, seed, 24)
     code = main(["stereo", PRESET, "-i", str(tmp_path / "in"), "-o", str(tmp_path / "out")])
@@ -185,7 +185,7 @@ def test_damaged_images(made_scenes, tmp_path, reference, capfd, seed: int):
     check_run(tmp_path / "out", damaged, reference, code, capfd.readouterr().err)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_damaged_truth(made_scenes, tmp_path, reference, capfd, seed: int):
     damaged = broken_folder(made_scenes, tmp_path / "in", TRUTHS, seed, 15)
     folders = ["-i", str(tmp_path / "in"), "-o", str(tmp_path / "out")]
