@@ -149,8 +149,9 @@ def _scenes_below(
 def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -> list[Path]:
     """Folders in a folder, but for those that hold results of runs."""
     try:
-        found = sorted(child for child in folder.iterdir() if child.name[0] != "." and os.path.isdir(child))
-        runs = [child for child in found if os.path.isfile(child / _RUN_FILE) and _holds_results(child)]
+        with os.scandir(folder) as entries:
+            found = [folder / name for name in sorted(e.name for e in entries if e.name[0] != "." and e.is_dir())]
+        runs = [child for child in found if os.path.isfile(f"{child}/{_RUN_FILE}") and _holds_results(child)]
     except (OSError, InputError):
         return []
     for run in runs:

@@ -43,6 +43,10 @@ class Folder:
         """Return whether all of the names are there."""
         return set(names) <= self.names
 
+    def has_stem(self, stem: str) -> bool:
+        """Return whether there is a file of that stem, of any ending."""
+        return stem in self._by_stem
+
     def one(self, stem: str, suffixes: Iterable[str]) -> Path | None:
         """Return the file of that stem; InputError where several endings compete."""
         named = self._by_stem.get(stem)

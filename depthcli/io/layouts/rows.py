@@ -13,7 +13,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +52,7 @@ class Found:
     masks: Mapping[str, Path]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Row(Layout):
     """A layout as a row.
 
@@ -88,16 +88,14 @@ class Row(Layout):
 
     def scenes(self, folder: Folder) -> list[Scene]:
         scenes: dict[str, Scene] = {}
-        for variant in self.files:
-            names = "|".join(variant[role] for role in self._views if role in variant)
-            possible = _is_possible(folder.names, names, self.needs, self.without)
-            for keys, views in self._found(folder, variant) if possible else ():
+        for variant in _possible(self, folder.names):
+            for keys, views in self._found(folder, variant):
                 scene = self._scene(folder, variant, keys, views)
                 if scene is not None:
                     scenes.setdefault(scene.name, scene)
         return list(scenes.values())
 
-    @property
+    @cached_property
     def _views(self) -> tuple[str, str]:
         return next(roles for kind, roles in _VIEWS.items() if issubclass(self.kind, kind))
 
@@ -161,14 +159,20 @@ class _Keep(dict[str, str]):
 
 
 @lru_cache(maxsize=1024)  # folders of thousands of scenes have the same names in them
-def _is_possible(there: frozenset[str], names: str, needs: tuple[str, ...], without: tuple[str, ...]) -> bool:
-    """Return whether a folder with these names may hold a file of one of ``names``, and what else a row asks for."""
-    starts = [_PLACEHOLDER.sub("*", name.partition("/")[0]) for name in names.split("|")]
-    return (
-        any(fnmatch.filter(there, start) for start in starts)
-        and all(fnmatch.filter(there, each) for each in needs)
-        and not any(fnmatch.filter(there, each) for each in without)
-    )
+def _possible(row: Row, there: frozenset[str]) -> tuple[Mapping[str, str], ...]:
+    """Return the variants of which a folder with these names may hold an image."""
+    missing = any(not fnmatch.filter(there, each) for each in row.needs)
+    if missing or any(fnmatch.filter(there, each) for each in row.without):
+        return ()
+    starts = [
+        [
+            _PLACEHOLDER.sub("*", name.partition("/")[0])
+            for role in row._views
+            for name in variant.get(role, "").split("|")
+        ]
+        for variant in row.files
+    ]
+    return tuple(v for v, names in zip(row.files, starts, strict=True) if any(fnmatch.filter(there, n) for n in names))
 
 
 def _suffixes(role: str) -> tuple[str, ...]:
@@ -181,11 +185,11 @@ def _file(folder: Folder, role: str, names: str, keys: _Keys) -> Path | None:
     """Return the file of a role, by the first of the names that is there."""
     for name in names.split("|"):
         place, _, last = name.format_map(_Keep(keys)).rpartition("/")
-        below = folder.below(place)
+        below, found = folder.below(place), None
         if below is not None and last.endswith(".*"):
-            found = below.one(last[:-2], _suffixes(role))
-        else:
-            found = below.path / last if below is not None and os.path.isfile(below.path / last) else None
+            found = below.one(last[:-2], _suffixes(role)) if below.has_stem(last[:-2]) else None
+        elif below is not None and last in below.names and os.path.isfile(below.path / last):
+            found = below.path / last
         if found is not None:
             return found
     return None
