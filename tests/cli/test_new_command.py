@@ -114,8 +114,7 @@ def test_the_measures_serve_pairs_of_the_layout_and_the_protocol_ranks_the_runs(
 @pytest.mark.system
 def test_they_pass_the_tests_of_their_families(checkout: Path):
     shutil.copytree(ROOT / "tests", checkout / "tests", ignore=shutil.ignore_patterns("__pycache__", "new_files"))
-    files = ("methods/stereo/test_contract_cost", "methods/confidence/test_measures",
-             "evaluation/test_protocols", "evaluation/test_plots")  # fmt: skip
+    files = ("methods/stereo/test_contract_cost", "evaluation/test_protocols", "evaluation/test_plots")
     done = run(checkout, "-q", "-p", "no:cacheprovider", *(f"tests/{name}.py" for name in files), module="pytest")
     assert done.returncode == 0, done.stdout[-3000:]
 

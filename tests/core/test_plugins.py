@@ -78,7 +78,8 @@ class MyLayout(Layout):
         if folder.requested != self.name or not folder.has("left.png", "right.png"):
             return []
         left, right = folder.path / "left.png", folder.path / "right.png"
-        return [self.scene(folder, left=left, right=right, **folder.meta.disparities())]
+        truth = folder.one("disp_left", (".pfm", ".numbers"))
+        return [self.scene(folder, left=left, right=right, disparity_left=truth, **folder.meta.disparities())]
 
 
 class MyMeasure(ConfidenceMeasure):
