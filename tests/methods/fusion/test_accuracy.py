@@ -41,8 +41,8 @@ def test_consensus_beats_equal_weights_and_votes_beat_weights(name, equal, weigh
 def test_disparity_agreement_and_peak_sorts_out_errors_best(name, max_area):
     pair, truth, top = real_scenes()[name]
     costs = ConstantWindow(window=11)(Census()(pair, top + 1), pair).costs
-    known = ~np.isnan(truth.disparity)
-    wrong = ~(np.abs(winners(costs)[0] - truth.disparity) <= 1)[known]
+    known = ~np.isnan(truth.values)
+    wrong = ~(np.abs(winners(costs)[0] - truth.values) <= 1)[known]
     areas = {n: sparsification(m[known], wrong).auc for n, m in confidence_maps(costs, ["dap", "da", "pkr"]).items()}
     assert areas["dap"] <= max_area
     assert areas["dap"] < areas["pkr"] < np.mean(wrong) / 2
@@ -74,6 +74,6 @@ def test_mixed_maps_keep_their_accuracy_and_their_probability_sorts_out_errors(f
     result = with_network(load_config(FuseConfig, find_config("fuse", "accurate")))(pair, top)
     assert rates(result.disparity.values, truth)["nonocc"] <= max_rate
     visible = truth.masks["nonocc"]
-    wrong = ~(np.abs(result.disparity.values - truth.disparity) <= 1)[visible]
+    wrong = ~(np.abs(result.disparity.values - truth.values) <= 1)[visible]
     area = sparsification(result.confidence["probability"][visible], wrong).auc
     assert area <= 0.25 * np.mean(wrong)
