@@ -39,7 +39,7 @@ from depthcli.methods.registration.pipeline import RegistrationResult
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.methods.registration.search import SURER_IF_LARGER, search
 from depthcli.run.presets import find_config
-from depthcli.simulate.samples.registration import smooth_noise
+from depthcli.simulate.deformed_volumes import smooth_noise
 
 Values = NDArray[np.floating[Any]]
 

@@ -13,19 +13,12 @@ from depthcli.core.errors import ConfigError
 from depthcli.core.result import Clock
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, Column, percent
-from depthcli.simulate.samples import Sample, SampleScene
-from depthcli.simulate.samples.cross_modal import CrossModalSample
-from depthcli.simulate.samples.kinect import KinectSampleKind
-from depthcli.simulate.samples.registration import RegistrationSample
-from depthcli.simulate.samples.stereo import StereoSample
-from depthcli.simulate.samples.transparent import TransparentSample
+from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene
 
-__all__ = ["KINDS", "prepare", "run_batch"]
+__all__ = ["prepare", "run_batch"]
 
-KINDS: dict[str, Sample] = {
-    kind.name: kind()
-    for kind in (StereoSample, CrossModalSample, KinectSampleKind, RegistrationSample, TransparentSample)
-}
+_BY_SCENE = frozenset({"count", "kind", "seed", "from_"})
+"""Options that choose scenes and say nothing about one of them beyond its settings."""
 
 
 def prepare(values: Mapping[str, Any], command: Callable[..., int]) -> tuple[Batch[SampleScene], list[SampleScene]]:
@@ -40,18 +33,18 @@ def prepare(values: Mapping[str, Any], command: Callable[..., int]) -> tuple[Bat
     ConfigError
         Several kinds, or options that the kind does not take or that do not fit together.
     """
-    chosen = [name for name in KINDS if values.get(name)]
+    chosen = [name for name in SAMPLE_KINDS if values.get(name)]
     if len(chosen) > 1:
         raise ConfigError(f"--{chosen[0]} and --{chosen[1]} exclude each other".replace("_", "-"))
-    kind = KINDS[chosen[0] if chosen else "stereo"]
-    defaults = {name: each.default for name, each in inspect.signature(command).parameters.items()}
-    for name in {option for each in KINDS.values() for option in each.options}.difference(kind.options):
-        if values[name] not in (defaults[name], []):
-            option = name.rstrip("_").replace("_", "-")
-            raise ConfigError(f"--{option} has no effect on {kind.name.replace('_', '-')} scenes")
-    kind.check(values)
-    own = {name: values[name] for name in kind.options}
-    config = {"sample": kind.name, **{key: value for key, value in own.items() if key not in kind.by_scene}}
+    name = chosen[0] if chosen else "stereo"
+    kind = SAMPLE_KINDS[name]
+    defaults = {option: each.default for option, each in inspect.signature(command).parameters.items()}
+    for other in {option for each in SAMPLE_KINDS.values() for option in each.options}.difference(kind.options):
+        if values[other] not in (defaults[other], []):
+            option = other.rstrip("_").replace("_", "-")
+            raise ConfigError(f"--{option} has no effect on {name.replace('_', '-')} scenes")
+    own = {option: values[option] for option in kind.options}
+    config = {"sample": name, **{key: value for key, value in own.items() if key not in _BY_SCENE}}
     batch = Batch(
         command="sample",
         config=config,
@@ -59,7 +52,7 @@ def prepare(values: Mapping[str, Any], command: Callable[..., int]) -> tuple[Bat
         columns=(SIZE, Column("visible", percent("nonocc"))),
         settings=lambda scene: {key: str(value) for key, value in scene.settings.items()},
     )
-    return batch, list(kind.scenes(own))
+    return batch, kind.scenes(own)
 
 
 @dataclass(frozen=True)
@@ -71,5 +64,5 @@ class _Make:
     def __call__(self, scene: SampleScene, folder: Path, memory: int) -> Outcome:
         clock = Clock()
         clock.start("make")
-        facts = KINDS[self.config["sample"]].make(self.config, scene, folder)
+        facts = SAMPLE_KINDS[self.config["sample"]].make(self.config, scene, folder)
         return Outcome(facts, clock.seconds)

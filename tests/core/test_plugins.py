@@ -50,7 +50,6 @@ from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.refinement.median import Median
 from depthcli.methods.transparent.pipeline.nearest import NearestSample
-from depthcli.simulate.samples.stereo import StereoSample
 
 
 class WideCensus(Census):
@@ -91,10 +90,6 @@ class MyMeasure(ConfidenceMeasure):
 
 class MyProtocol(Eth3dProtocol):
     """ETH3D's under another name."""
-
-
-class MySample(StereoSample):
-    about = "Stereo scenes of our own."
 
 
 @command()

@@ -78,7 +78,7 @@ def test_what_is_read_beside_a_file_is_an_input(tmp_path: Path):
 
 def test_a_changed_file_behind_a_header_is_computed_again(tmp_path: Path):
     from depthcli.cli import main
-    from depthcli.simulate.samples.registration import smooth_noise
+    from depthcli.simulate.deformed_volumes import smooth_noise
 
     values = smooth_noise(np.random.default_rng(0), (16, 20, 24), 1.5).astype("<f4")
     header = META.replace("6 5 4", "24 20 16")

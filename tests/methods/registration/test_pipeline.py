@@ -12,7 +12,7 @@ from depthcli.core.result import Clock
 from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.statistics import correlation, ranks
 from depthcli.methods.registration.config import RegisterConfidenceConfig
-from depthcli.simulate.samples.registration import make_deformed_pair, smooth_noise
+from depthcli.simulate.deformed_volumes import make_deformed_pair, smooth_noise
 
 
 def texture(shape, seed=0, sigma=1.2):
