@@ -6,61 +6,61 @@ import contextlib
 import errno
 import os
 import sys
+import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import TracebackType
-from typing import ClassVar, TextIO
+from typing import Any, ClassVar, TextIO
 
 from depthcli.core.errors import IncompleteError
 from depthcli.core.registry import PluginWarning
-from depthcli.core.text import one_line, printable
+from depthcli.core.text import kind_of_warning, one_line, printable, without_file
 from depthcli.run.json_csv import Row
-from depthcli.run.progress import Progress
 
+_HEARTBEAT = 30.0  # seconds between lines where there is no terminal
 _MAX_ROWS = 50  # of a table; of longer ones only the failed scenes and a summary are shown
 
 
 def silence_warnings() -> None:
     """Hide warnings of libraries, which quote code that a user does not know; ``python -W`` shows them."""
+
+    def show(message: Warning | str, category: type[Warning], *place: object, **options: object) -> None:
+        if issubclass(category, PluginWarning):
+            Reporter(-1).error(f"warning: {message}")
+
     if not sys.warnoptions:
-        warnings.showwarning = _show_warning
-
-
-def _show_warning(message: Warning | str, category: type[Warning], *place: object, **options: object) -> None:
-    if issubclass(category, PluginWarning):
-        Reporter(-1).error(f"warning: {message}")
+        warnings.showwarning = show
 
 
 class Reporter:
     """Prints messages and progress on stderr and data on stdout.
 
-    The computation goes on when the reader of either has closed it.
-
-    Parameters
-    ----------
-    level : -1 only errors, 0 also messages, 1 also details
-
-    Attributes
-    ----------
-    command_line : the words of this call as a shell takes them, for reports
+    The computation goes on when the reader of either has closed it. ``level`` is -1: only errors, 0: also messages,
+    1: also details. ``command_line`` holds the words of this call as a shell takes them, for reports.
     """
 
     command_line: ClassVar[str] = ""
 
     def __init__(self, level: int = 0) -> None:
         self.level = level
-        self._progress: Progress | None = None
         self._once: set[str] = set()
+        self._what, self._total, self._done, self._failed = "", 0, 0, 0
+        self._said = 0.0
+        self._bar: Any = None
 
     def error(self, text: str) -> None:
         """Print an error, at any level."""
-        self._line(text)
+        text = printable(text)
+        with contextlib.suppress(OSError, ValueError):  # stderr was closed
+            if self._bar is not None:
+                self._bar.write(text, file=sys.stderr)
+            else:
+                print(text, file=sys.stderr, flush=True)
 
     def info(self, text: str) -> None:
         """Print a message, unless quiet."""
         if self.level >= 0:
-            self._line(text)
+            self.error(text)
 
     def once(self, text: str) -> None:
         """Print a message as ``info`` does, unless the same one was printed before."""
@@ -71,7 +71,7 @@ class Reporter:
     def detail(self, text: str) -> None:
         """Print a message when verbose."""
         if self.level >= 1:
-            self._line(text)
+            self.error(text)
 
     def data(self, text: str) -> None:
         """Print ``text`` on stdout, or nothing where its reader has closed it (``| head``).
@@ -90,36 +90,36 @@ class Reporter:
                 raise IncompleteError(f"stdout: cannot be written ({error.strerror or error})") from error
 
     def start(self, total: int, done: int, what: str) -> None:
-        """Begin to show progress, unless quiet: a bar on a terminal, otherwise a line every 30 seconds.
+        """Begin to show how many scenes of a command are done: a bar on a terminal, else a line every 30 seconds."""
+        self._what, self._total, self._done, self._failed, self._said = what, total, done, 0, time.monotonic()
+        with contextlib.suppress(OSError, ValueError):  # stderr was closed
+            if self.level >= 0 and sys.stderr.isatty():
+                from tqdm import tqdm
 
-        Parameters
-        ----------
-        total, done : number of scenes, and how many of them were done before
-        what : name of the command
-        """
-        if self.level >= 0:
-            self._progress = Progress(what, total, done, self.info, _is_terminal())
+                bar = {"desc": what, "total": total, "initial": done, "unit": "scene", "file": sys.stderr}
+                self._bar = tqdm(**bar, leave=False, dynamic_ncols=True, mininterval=0.2)
 
     def step(self, failed: bool = False) -> None:
         """Count one more scene."""
-        if self._progress is not None:
-            self._progress.step(failed)
+        self._done += 1
+        self._failed += failed
+        failures = f", {self._failed} failed" if self._failed else ""
+        if self._bar is not None:
+            with contextlib.suppress(OSError, ValueError):
+                self._bar.set_postfix_str(failures.removeprefix(", "), refresh=False)
+                self._bar.update()
+        elif time.monotonic() - self._said > _HEARTBEAT:
+            self._said = time.monotonic()
+            self.info(f"{self._what}: {self._done} of {self._total} scenes{failures}")
 
     def __enter__(self) -> Reporter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        if self._progress is not None:
-            self._progress.close()
-            self._progress = None
-
-    def _line(self, text: str) -> None:
-        text = printable(text)
-        with contextlib.suppress(OSError, ValueError):  # stderr was closed
-            if self._progress is not None:
-                self._progress.write(text)
-            else:
-                print(text, file=sys.stderr, flush=True)
+    def __exit__(self, *error: object) -> None:  # takes the bar away
+        if self._bar is not None:
+            with contextlib.suppress(OSError, ValueError):
+                self._bar.close()
+            self._bar = None
 
     @staticmethod
     def close(stream: TextIO) -> None:
@@ -128,11 +128,32 @@ class Reporter:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def _is_terminal() -> bool:
-    try:
-        return sys.stderr.isatty()
-    except ValueError:  # closed
-        return False
+class WarningCounts:
+    """Prints the warnings of scenes: one line a kind (up to numbers and files), and how many scenes have it."""
+
+    def __init__(self, reporter: Reporter) -> None:
+        self._reporter = reporter
+        self._kinds: dict[str, tuple[str, int]] = {}  # the text of the first one, and the number of scenes
+
+    def add(self, scene: str, lines: Sequence[str]) -> None:
+        """Take the warnings of a scene; with ``-v`` each is printed."""
+        of_scene: dict[str, str] = {}
+        for line in lines:
+            text = without_file(line)
+            kind = kind_of_warning(scene, text)
+            is_new = kind not in self._kinds or kind in of_scene
+            (self._reporter.info if is_new else self._reporter.detail)(f"{scene}: warning: {line}")
+            of_scene[kind] = text
+            self._kinds.setdefault(kind, (text, 0))
+        for kind in of_scene:
+            text, count = self._kinds[kind]
+            self._kinds[kind] = text, count + 1
+
+    def close(self) -> None:
+        """Print how many scenes have the warnings that not all were printed of."""
+        for text, count in self._kinds.values():
+            if count > 1:
+                self._reporter.info(f"warning: {text} ({count} scenes; -v names each)")
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,14 @@ from pydantic import BaseModel
 
 from depthcli.core.errors import ConfigError, IncompleteError, OutputError
 from depthcli.core.method import used_files, used_plugins
-from depthcli.core.registry import Plugin, plugins_in
+from depthcli.core.registry import plugins_in
 from depthcli.io.formats.map_format import format_plugins
 from depthcli.io.inputs import origin
 from depthcli.io.layouts import layout_plugins
 from depthcli.run.batch import Batch, Execution, SceneT
-from depthcli.run.console import Reporter
+from depthcli.run.console import Reporter, WarningCounts
 from depthcli.run.folder import FolderLock
 from depthcli.run.json_csv import Row
-from depthcli.run.progress import WarningCounts
 from depthcli.run.records import (
     OTHER_RUN,
     Record,
@@ -48,13 +47,7 @@ _GOES_ON = "the same command goes on where it stopped"
 def run_scenes(
     batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution, reporter: Reporter
 ) -> list[Row]:
-    """Compute every scene that is not done yet, write the run folder, and return the rows of its report.
-
-    Parameters
-    ----------
-    batch : what computes one scene, and its config; together with all versions it identifies the run
-    scenes : all scenes, with unique names
-    output : the run folder
+    """Compute every scene that is not done yet, write the run folder ``output``, and return the rows of its report.
 
     Returns
     -------
@@ -81,17 +74,15 @@ def run_scenes(
 
 
 class Planner:
-    """Says which scenes of a run are done, and makes tasks of the others.
-
-    Parameters
-    ----------
-    scenes : all scenes of the run
-    output : the run folder
-    """
+    """Says which scenes of a run are done, and makes tasks of the others."""
 
     def __init__(self, batch: Batch[Any], scenes: Sequence[Any], output: Path, how: Execution) -> None:
         self.batch, self.output, self.how = batch, output, how
-        self.work = Work.of(batch, how, _plugins(batch, scenes))
+        plugins = used_plugins(batch.config) | layout_plugins(scenes)
+        name = batch.command.replace("-", "_")
+        plugins |= {plugin for plugin in plugins_in("depthcli.commands") if plugin.name == name}
+        plugins |= format_plugins(file for scene in scenes for file in scene.input_files.values())
+        self.work = Work(batch.command, batch.config, batch.compute, how, frozenset(plugins))
         self.identity = self.work.identity
         self.workspace = hidden_folder(output)
         self._digests: dict[Path, str] = {}
@@ -123,8 +114,13 @@ class Planner:
 
     def task(self, scene: Any, number: int) -> Task:
         """Return the task that computes a scene, with the digests of all that its result depends on."""
-        files = self._files(scene)
-        inputs = {role: self._digest(file) for role, file in files.items()}
+        files, inputs = self._files(scene), dict[str, str]()
+        for role, file in files.items():
+            if file not in self._digests:
+                if len(self._digests) >= _MAX_REMEMBERED:
+                    self._digests.pop(next(iter(self._digests)))
+                self._digests[file] = file_digest(file)
+            inputs[role] = self._digests[file]
         inputs |= {} if scene.problem else self.batch.settings(scene)
         inputs |= {"keep": " ".join(self.how.keep)} if self.how.keep else {}
         source = origin(next(iter(files.values()), scene.folder).absolute())
@@ -139,25 +135,9 @@ class Planner:
         if scene.problem:
             return {}
         if self.batch.files is not None:
-            found: dict[str, Path] = self.batch.files(scene)
-            return found
-        config = self.batch.config
-        found = scene.input_files | (used_files(config) if isinstance(config, BaseModel) else {})
-        return found
-
-    def _digest(self, file: Path) -> str:
-        if file not in self._digests:
-            if len(self._digests) >= _MAX_REMEMBERED:
-                self._digests.pop(next(iter(self._digests)))
-            self._digests[file] = file_digest(file)
-        return self._digests[file]
-
-
-def _plugins(batch: Batch[Any], scenes: Sequence[Any]) -> set[Plugin]:
-    """Return the plug-ins that a run uses: its command, methods, layouts and formats."""
-    found = used_plugins(batch.config) | layout_plugins(scenes)
-    found |= {plugin for plugin in plugins_in("depthcli.commands") if plugin.name == batch.command.replace("-", "_")}
-    return found | format_plugins(file for scene in scenes for file in scene.input_files.values())
+            return self.batch.files(scene)
+        own: dict[str, Path] = scene.input_files
+        return own | (used_files(self.batch.config) if isinstance(self.batch.config, BaseModel) else {})
 
 
 class _Run:
@@ -166,7 +146,7 @@ class _Run:
     def __init__(self, planner: Planner, scenes: Sequence[Any], lock: FolderLock, reporter: Reporter) -> None:
         self.planner, self.scenes, self.lock, self.reporter = planner, scenes, lock, reporter
         self.output, self.how = planner.output, planner.how
-        self.warnings = WarningCounts(reporter.info, reporter.detail)
+        self.warnings = WarningCounts(reporter)
         self.rows: dict[str, Row] = {}
         self.n_unclaimed = 0
 

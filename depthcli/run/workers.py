@@ -29,7 +29,7 @@ import cv2
 
 from depthcli.core import memory
 from depthcli.core.errors import ConfigError, DepthcliError, IncompleteError, OutputError
-from depthcli.core.registry import Plugin, versions_here
+from depthcli.core.registry import Plugin
 from depthcli.core.result import Clock
 from depthcli.core.scene import computing
 from depthcli.core.text import show_bytes
@@ -37,7 +37,7 @@ from depthcli.io.formats.files import collected_warnings
 from depthcli.io.scenes import Scene
 from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, set_threads
 from depthcli.run import resources
-from depthcli.run.batch import Batch, Execution, Outcome
+from depthcli.run.batch import Execution, Outcome
 from depthcli.run.console import Reporter, silence_warnings
 from depthcli.run.folder import run_text, saved_config
 from depthcli.run.json_csv import Row
@@ -56,18 +56,13 @@ _cluster_lock = threading.Lock()  # threads of one worker of a cluster share ker
 
 @dataclass(frozen=True)
 class Work:
-    """A batch and how it is carried out, as it is sent to workers."""
+    """What workers get of a batch, and how it is carried out."""
 
     command: str
     config: Any
     compute: Callable[[Any, Path, int], Outcome]
     how: Execution
     plugins: frozenset[Plugin]
-
-    @classmethod
-    def of(cls, batch: Batch[Any], how: Execution, plugins: Iterable[Plugin]) -> Work:
-        """Return the work of a batch, without what only the process of the run needs."""
-        return cls(batch.command, batch.config, batch.compute, how, frozenset(plugins))
 
     @property
     def text(self) -> str:
@@ -82,16 +77,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Task:
-    """One scene to compute.
-
-    Attributes
-    ----------
-    scene : the scene
-    output, hidden : the run folder, and the folder in which the scene is computed
-    run : identity of the run
-    inputs : role -> digest of what the result depends on
-    source : path of the input, for the report
-    """
+    """One scene to compute in the folder ``hidden``; ``inputs`` are role -> digest of what the result depends on."""
 
     scene: Scene
     output: Path
@@ -105,10 +91,18 @@ class Task:
         """The scene's folder in the run folder."""
         return self.output / self.scene.name
 
+    @property
+    def trace(self) -> Path:
+        """The file with the traceback of a bug."""
+        name = self.scene.name.replace("/", "_")
+        if len(os.fsencode(name)) > _MAX_TRACE_NAME:
+            name = f"{name[:40]}-{digest(os.fsencode(name))[:16]}"
+        return self.output / f"traceback-{name}.txt"
+
     def failed(self, error: str) -> Row:
         """Return the row of the report for a scene that failed."""
-        return {"scene": self.scene.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None,
-                "source": self.source, "warnings": []}  # fmt: skip
+        row: Row = {"scene": self.scene.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None}
+        return row | {"source": self.source, "warnings": []}
 
     def record(self, row: Row, files: dict[str, str]) -> Record:
         """Return the record of the scene with this row."""
@@ -130,12 +124,22 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
             opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
             with computing(task.scene.name, limit) as programs:
                 outcome = work.compute(task.scene, task.hidden, limit)
-            _delete_unwanted(task.hidden, work.how.keep)
+            for path in [path for path in task.hidden.rglob("*") if path.is_file()] if work.how.keep else []:
+                names = path.relative_to(task.hidden).as_posix(), path.name
+                if not any(fnmatch.fnmatchcase(name, pattern) for pattern in work.how.keep for name in names):
+                    path.unlink()
             row: Row = {"scene": task.scene.name, "status": "done", "error": "", **outcome.facts}
             row["seconds"] = {name: round(value, 6) for name, value in outcome.seconds.items()}
             row |= {"peak_memory": resources.peak_memory(), **programs.used, "source": task.source}
             row["warnings"] = list(dict.fromkeys([*outcome.warnings, *lines]))
-            _install(task, row, opened, work.how.overwrite)
+            try:
+                files = digests_below(task.hidden)
+                if not _is_open(task.hidden, opened):
+                    raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
+                install(task.hidden, task.target, task.record(row, files), work.how.overwrite)
+            except OSError as error:
+                raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
+            task.trace.unlink(missing_ok=True)
         except Exception as error:
             row = _failed_row(task, error) | {"warnings": lines}
             # Another process may have taken the scene over where this run was ended while it was computed.
@@ -170,24 +174,9 @@ def _failed_row(task: Task, error: Exception) -> Row:
     if isinstance(error, OSError):
         return task.failed(f"{error.filename or task.target}: {error.strerror or error}")
     what = f"{type(error).__name__}: {error}".splitlines()[0][:300]
-    trace = _trace_file(task)
     with contextlib.suppress(OSError):
-        trace.write_text(traceback.format_exc(), "utf-8", "backslashreplace")
-    return task.failed(f"{BUG}{what}; the traceback is in {trace.name}, please report it")
-
-
-def _trace_file(task: Task) -> Path:
-    name = task.scene.name.replace("/", "_")
-    if len(os.fsencode(name)) > _MAX_TRACE_NAME:
-        name = f"{name[:40]}-{digest(os.fsencode(name))[:16]}"
-    return task.output / f"traceback-{name}.txt"
-
-
-def _delete_unwanted(folder: Path, keep: tuple[str, ...]) -> None:
-    for path in [path for path in folder.rglob("*") if path.is_file()] if keep else []:
-        name = path.relative_to(folder).as_posix()
-        if not any(fnmatch.fnmatchcase(name, each) or fnmatch.fnmatchcase(path.name, each) for each in keep):
-            path.unlink()
+        task.trace.write_text(traceback.format_exc(), "utf-8", "backslashreplace")
+    return task.failed(f"{BUG}{what}; the traceback is in {task.trace.name}, please report it")
 
 
 def _is_open(folder: Path, opened: int) -> bool:
@@ -197,30 +186,18 @@ def _is_open(folder: Path, opened: int) -> bool:
         return False
 
 
-def _install(task: Task, row: Row, opened: int, overwrite: bool) -> None:
-    """Move a computed scene into the run folder; ``opened`` is the open folder that it was computed in."""
-    try:
-        files = digests_below(task.hidden)
-        if not _is_open(task.hidden, opened):
-            raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
-        install(task.hidden, task.target, task.record(row, files), overwrite)
-    except OSError as error:
-        raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
-    _trace_file(task).unlink(missing_ok=True)
-
-
 def use_threads(count: int) -> None:
     """Set the number of threads of the kernels and of OpenCV in this process."""
     set_threads(count)
     cv2.setNumThreads(count)
 
 
-@contextlib.contextmanager
-def _compile_watch(changed: Callable[[CompileWatch], None]) -> Iterator[CompileWatch]:
-    """Count compiled kernels and keep their compilation out of all measured times; each calls ``changed`` twice."""
-    Clock.untimed = staticmethod(compile_seconds)
-    with CompileWatch(changed) as watch:
-        yield watch
+def _counted(task: Task, work: Work, limit: int, watch: CompileWatch) -> tuple[Row, int, float]:
+    """Compute a scene; return its row, the number of kernels that were compiled for it, and their seconds."""
+    Clock.untimed = staticmethod(compile_seconds)  # no measured time contains a compilation
+    kernels, seconds = watch.calls, watch.seconds
+    row = compute_scene(task, work, limit)
+    return row, watch.calls - kernels, watch.seconds - seconds
 
 
 def _announce_compilation(reporter: Reporter) -> None:
@@ -236,11 +213,11 @@ def _report_compilation(reporter: Reporter, kernels: int, seconds: float) -> Non
 def compute_here(tasks: Iterable[Task], work: Work, reporter: Reporter) -> Iterator[Row]:
     """Yield the rows of the tasks, computed one by one in this process."""
     use_threads(work.how.threads_each())
-    with _compile_watch(lambda _: _announce_compilation(reporter)) as watch:
+    with CompileWatch(lambda _: _announce_compilation(reporter)) as watch:
         for task in tasks:
-            kernels, seconds = watch.calls, watch.seconds
-            yield compute_scene(task, work, work.how.memory_each())
-            _report_compilation(reporter, watch.calls - kernels, watch.seconds - seconds)
+            row, kernels, seconds = _counted(task, work, work.how.memory_each(), watch)
+            _report_compilation(reporter, kernels, seconds)
+            yield row
 
 
 @dataclass(eq=False)
@@ -263,54 +240,60 @@ def compute_in_processes(tasks: Iterable[Task], work: Work, reporter: Reporter, 
     waiting, retried = iter(tasks), list[tuple[Task, int]]()
     workers: list[_Worker] = []
     alone_until = time.monotonic() + 60.0  # until the first worker has begun
-    with _environment("NUMBA_NUM_THREADS", str(work.how.threads_each())):
-        try:
-            while True:
-                alone = time.monotonic() < alone_until
-                while sum(worker.task is not None for worker in workers) < (1 if alone else jobs):
-                    task, tries = retried.pop() if retried else (next(waiting, None), 0)
-                    if task is None:
-                        break
-                    idle = next((worker for worker in workers if worker.task is None), None)
-                    worker = idle or _start(context, work)
-                    workers += [] if idle else [worker]
-                    worker.task, worker.tries = task, tries + 1
-                    with contextlib.suppress(OSError):  # it has died meanwhile, which is seen below
-                        worker.pipe.send(task)
-                busy = {worker.pipe: worker for worker in workers if worker.task is not None}
-                if not busy:
-                    return
-                for pipe in connection.wait(list(busy), 0.05 if alone else None):
-                    worker = busy[pipe]  # type: ignore[index]
-                    task = worker.task
-                    assert task is not None
-                    try:
-                        message = worker.pipe.recv()
-                    except (EOFError, OSError):  # the process is no more
-                        worker.process.join()
-                        workers.remove(worker)
-                        if worker.tries < _MAX_TRIES:
-                            retried.append((task, worker.tries))
-                            continue
-                        row = _worker_died(task, worker.process.exitcode or 0)
-                        record_failure(task.target, task.record(row, {}), work.how.overwrite)
-                        message = row, 0, 0.0
-                    if message == "begun":
-                        alone_until = min(alone_until, time.monotonic() + _HEAD_START)
-                    elif message == "compiling":
-                        _announce_compilation(reporter)
-                        alone_until = float("inf") if alone else alone_until
-                    else:
-                        row, kernels, seconds = message
-                        worker.task, alone_until = None, 0.0
-                        _report_compilation(reporter, kernels, seconds)
-                        yield row
-        finally:
-            for worker in workers:
-                worker.process.kill()
-            for worker in workers:
-                worker.process.join()
-                worker.pipe.close()
+    earlier = {name: value for name, value in os.environ.items() if name == "NUMBA_NUM_THREADS"}
+    os.environ["NUMBA_NUM_THREADS"] = str(work.how.threads_each())  # which the processes inherit
+    try:
+        while True:
+            alone = time.monotonic() < alone_until
+            while sum(worker.task is not None for worker in workers) < (1 if alone else jobs):
+                task, tries = retried.pop() if retried else (next(waiting, None), 0)
+                if task is None:
+                    break
+                idle = next((worker for worker in workers if worker.task is None), None)
+                worker = idle or _start(context, work)
+                workers += [] if idle else [worker]
+                worker.task, worker.tries = task, tries + 1
+                with contextlib.suppress(OSError):  # it has died meanwhile, which is seen below
+                    worker.pipe.send(task)
+            busy = {worker.pipe: worker for worker in workers if worker.task is not None}
+            if not busy:
+                return
+            for pipe in connection.wait(list(busy), 0.05 if alone else None):
+                worker = busy[pipe]  # type: ignore[index]
+                task = worker.task
+                assert task is not None
+                try:
+                    message = worker.pipe.recv()
+                except (EOFError, OSError):  # the process is no more
+                    worker.process.join()
+                    workers.remove(worker)
+                    if worker.tries < _MAX_TRIES:
+                        retried.append((task, worker.tries))
+                        continue
+                    killed = worker.process.exitcode == -signal.SIGKILL
+                    code = f"exit code {worker.process.exitcode}"
+                    why = "killed, probably out of memory; see --max-memory" if killed else code
+                    row = task.failed(f"the worker process died {_MAX_TRIES} times ({why})")
+                    record_failure(task.target, task.record(row, {}), work.how.overwrite)
+                    message = row, 0, 0.0
+                if message == "begun":
+                    alone_until = min(alone_until, time.monotonic() + _HEAD_START)
+                elif message == "compiling":
+                    _announce_compilation(reporter)
+                    alone_until = float("inf") if alone else alone_until
+                else:
+                    row, kernels, seconds = message
+                    worker.task, alone_until = None, 0.0
+                    _report_compilation(reporter, kernels, seconds)
+                    yield row
+    finally:
+        del os.environ["NUMBA_NUM_THREADS"]
+        os.environ.update(earlier)
+        for worker in workers:
+            worker.process.kill()
+        for worker in workers:
+            worker.process.join()
+            worker.pipe.close()
 
 
 def _start(context: Any, work: Work) -> _Worker:
@@ -329,48 +312,25 @@ def _start(context: Any, work: Work) -> _Worker:
     return _Worker(process, ours)
 
 
-def _worker_died(task: Task, code: int) -> Row:
-    killed = code == -signal.SIGKILL
-    why = "killed, probably out of memory; see --max-memory" if killed else f"exit code {code}"
-    return task.failed(f"the worker process died {_MAX_TRIES} times ({why})")
-
-
-@contextlib.contextmanager
-def _environment(name: str, value: str) -> Iterator[None]:
-    """Set an environment variable, which the worker processes inherit."""
-    earlier = os.environ.get(name)
-    os.environ[name] = value
-    try:
-        yield
-    finally:
-        if earlier is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = earlier
-
-
 def _serve(pipe: connection.Connection, work: Work) -> None:
     """Compute the tasks that come through the pipe, until the parent closes it."""
+
+    def end_with(parent: Any) -> None:  # which may be killed: nobody must go on writing
+        parent.join()
+        os._exit(1)
+
     silence_warnings()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C does
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_exit_after, args=(multiprocessing.parent_process(),), daemon=True).start()
+    threading.Thread(target=end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     use_threads(work.how.threads_each())
     limit = work.how.memory_each()
-    with contextlib.suppress(EOFError), _compile_watch(lambda _: pipe.send("compiling")) as watch:
+    with contextlib.suppress(EOFError), CompileWatch(lambda _: pipe.send("compiling")) as watch:
         while True:
             task = pipe.recv()
             pipe.send("begun")
-            kernels, seconds = watch.calls, watch.seconds
             shutil.rmtree(task.hidden, ignore_errors=True)  # left by a worker that died
-            row = compute_scene(task, work, limit)
-            pipe.send((row, watch.calls - kernels, watch.seconds - seconds))
-
-
-def _exit_after(parent: Any) -> None:
-    """End this process with its parent, which may be killed: nobody must go on writing."""
-    parent.join()
-    os._exit(1)
+            pipe.send(_counted(task, work, limit, watch))
 
 
 def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, workspace: Path) -> Iterator[Row]:
@@ -416,7 +376,10 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
                     error = future.exception()
                     if isinstance(error, ConfigError):
                         raise ConfigError(f"{address}: {error}") from error
-                    row = _lost(task, error)
+                    killed = type(error).__name__ == "KilledWorker"
+                    bug = f"{BUG}{type(error).__name__}: {error}".splitlines()[0][:300]
+                    why = "its worker died several times, probably out of memory; see --max-memory"
+                    row = task.failed(why if killed else bug)
                     record_failure(task.target, task.record(row, {}), work.how.overwrite)
                 yield row
             if client.status != "running":
@@ -429,35 +392,21 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
             client.close(timeout=2)
 
 
-def _lost(task: Task, error: BaseException) -> Row:
-    if type(error).__name__ == "KilledWorker":
-        return task.failed("its worker died several times, probably out of memory; see --max-memory")
-    return task.failed(f"{BUG}{type(error).__name__}: {error}".splitlines()[0][:300])
-
-
 def _check_workers(client: Any, work: Work, output: Path) -> int:
     """Return the number of workers; ConfigError unless all have this depthcli, its plug-ins and see the run folder."""
     address = work.how.scheduler
     try:
-        for worker, found in sorted(client.run(versions_here, work.plugins).items()):
-            for package, version in versions_here(work.plugins).items():
-                if found[package] != version:
-                    has = f"has the plug-in {package} {found[package]}, this machine {version}"
-                    raise ConfigError(f"{address}: worker {worker} {has}; install the same there")
         identities = client.run(_identity_here, work)
         folders = client.run(saved_config, output.absolute())
-    except ConfigError:
-        raise
     except Exception as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ConfigError(f"{address}: its workers have no such depthcli ({reason})") from error
-    for worker, identity in sorted(identities.items()):
+        raise ConfigError(f"{address}: its workers have no such depthcli, or not its plug-ins ({reason})") from error
+    for worker, identity in identities.items():
         if identity != _identity_here(work):
             raise ConfigError(f"{address}: {_other_code(worker)}")
-    for worker, folder in sorted(folders.items()):
-        if folder != saved_config(output):
-            raise ConfigError(f"{address}: worker {worker} does not see the run folder {output.absolute()}; all "
-                              "processes need a common file system")  # fmt: skip
+        if folders[worker] != saved_config(output):
+            place = output.absolute()
+            raise ConfigError(f"{address}: worker {worker} does not see {place}; all need a common file system")
     return len(identities)
 
 
@@ -491,15 +440,14 @@ def _compute_there(data: bytes) -> tuple[Row, int, float]:
     task, work, identity, folder = pickle.loads(data)
     if identity != _identity_here(work):  # a worker that joined later
         raise ConfigError(_other_code(get_worker().address))
-    with _cluster_lock, _compile_watch(lambda _: None) as watch:
+    with _cluster_lock, CompileWatch(lambda _: None) as watch:
         os.chdir(folder)  # paths may be relative to where the run was started
         if not (task.hidden.parent / _RUNNING_FILE).exists():
             return task.failed(f"{task.hidden.parent}: the run has ended, or the file system is not shared"), 0, 0.0
         use_threads(work.how.threads or get_worker().state.nthreads)
         # A worker that was believed to be dead may still compute the scene in its own folder.
         own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
-        row = compute_scene(own, work, work.how.max_memory or resources.available_memory())
-    return row, watch.calls, watch.seconds
+        return _counted(own, work, work.how.max_memory or resources.available_memory(), watch)
 
 
 def _identity_here(work: Work) -> str:
@@ -516,6 +464,6 @@ def _sources() -> str:  # once a process: code that was loaded stays when its fi
 
 def _other_code(worker: str) -> str:
     return (
-        f"worker {worker} has another depthcli, or other versions of Python and its libraries, than this machine; "
-        "end it or install the same there; the same command goes on where it stopped"
+        f"worker {worker} has another depthcli, or other versions of Python, its libraries or plug-ins, than this "
+        "machine; end it or install the same there; the same command goes on where it stopped"
     )
