@@ -1,9 +1,4 @@
-"""Networks in ONNX files, run by onnxruntime: what ``pipeline: onnx`` and ``cost: onnx`` have in common.
-
-``Network`` is the part of a config that names a file and a device; ``Session`` is a network that is ready to run;
-``ImageInput`` one of its inputs that takes images. ``samples`` and ``planes`` bring images into the range of values and
-the order of channels that a network was trained with.
-"""
+"""Networks in ONNX files, run by onnxruntime: what ``pipeline: onnx`` and ``cost: onnx`` have in common."""
 
 from __future__ import annotations
 
@@ -13,11 +8,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, PrivateAttr, Tag, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
@@ -35,8 +30,7 @@ _CUDA = "CUDAExecutionProvider"
 _CHANNELS = (1, 2, 3, 6)
 
 
-@dataclass(frozen=True)
-class Port:
+class Port(NamedTuple):
     """An input of a network, with its sizes; None: any."""
 
     name: str
@@ -46,12 +40,7 @@ class Port:
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A network that is ready to run; several threads may use it at a time.
-
-    Attributes
-    ----------
-    model : file of the network, as the user wrote it
-    """
+    """A network that is ready to run; several threads may use it at a time. ``model`` is its file."""
 
     model: str
     inputs: tuple[Port, ...]
@@ -61,11 +50,10 @@ class Session:
         """Return output's name -> array, in the order of the network; InputError where it fails."""
         names = [output.name for output in self._inference.get_outputs()]
         try:
-            outputs = self._inference.run(names, dict(values))
+            return dict(zip(names, self._inference.run(names, dict(values)), strict=True))
         except Exception as error:  # onnxruntime has an exception of its own for each code of its C interface
             shapes = ", ".join(f"{name} {value.shape}" for name, value in values.items())
             raise InputError(f"{self.model}: the network fails for {shapes}: {_first_line(error)}") from error
-        return dict(zip(names, outputs, strict=True))
 
 
 @lru_cache(maxsize=4)
@@ -108,7 +96,7 @@ def _onnxruntime() -> Any:
 
 
 def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:300]
+    return (str(error).strip() or type(error).__name__).splitlines()[0][:300]
 
 
 class Network(BaseModel):
@@ -121,24 +109,15 @@ class Network(BaseModel):
 
     @property
     def session(self) -> Session:
-        """The network; a file that has not changed is opened once per process.
-
-        InputError where onnxruntime or the device is missing, or the file is not a network that it can run.
-        """
+        """The network, opened once per process and content; InputError where it cannot be run there."""
         try:
             changed = os.stat(self.model).st_mtime_ns
         except OSError as error:
-            raise InputError(f"{self.model}: network cannot be read ({error.strerror or error})") from error
+            raise InputError(f"{self.model}: network cannot be read ({error.strerror})") from error
         return _open_session(self.model, changed, self._device, n_threads())
 
     def prepare(self, device: str) -> None:
-        """Choose where the network runs, ``cpu`` or ``cuda:N``, and check it there.
-
-        Raises
-        ------
-        InputError
-            onnxruntime or the device is missing, the file cannot be read, or the network is not of the right kind.
-        """
+        """Choose where the network runs, ``cpu`` or ``cuda:N``, and check it there: InputError where it cannot."""
         self._device = device
         self.check()
 
@@ -163,15 +142,12 @@ def networks_in(value: object) -> Iterator[Network]:
     """Return all networks of a config, whatever they are a part of."""
     if isinstance(value, Network):
         yield value
-    parts: Iterator[object] = iter(())
-    if isinstance(value, BaseModel):
-        parts = (getattr(value, name) for name in type(value).model_fields)
-    elif isinstance(value, Mapping):
-        parts = iter(value.values())
-    elif isinstance(value, list | tuple):
-        parts = iter(value)
-    for part in parts:
-        yield from networks_in(part)
+    elif isinstance(value, BaseModel):
+        for name in type(value).model_fields:
+            yield from networks_in(getattr(value, name))
+    elif isinstance(value, list | tuple | dict):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from networks_in(part)
 
 
 def network_device(wanted: str) -> str:
@@ -203,46 +179,27 @@ class MeanDeviation(BaseModel):
         return self
 
 
-def _kind(value: object) -> str:
-    return "moments" if isinstance(value, dict | MeanDeviation) else "name"
-
-
-# With a tag, an error speaks of the one that was meant.
-Normalization = Annotated[
-    Annotated[Literal["0-255", "0-1", "imagenet", "image"], Tag("name")] | Annotated[MeanDeviation, Tag("moments")],
-    Discriminator(_kind),
-]
+Normalization = Literal["0-255", "0-1", "imagenet", "image"] | MeanDeviation
 """Range of the values that a network takes; ``image``: minus their mean over the image, divided by their deviation."""
 
 _IMAGENET = MeanDeviation(mean=(0.485, 0.456, 0.406), deviation=(0.229, 0.224, 0.225))
 
 
-@dataclass(frozen=True)
-class ImageInput:
-    """An input that takes images.
-
-    Attributes
-    ----------
-    channels : 1, 2, 3 or 6; None: any
-    channels_last : whether channels are the last axis, (H, W, C), not the first one, (C, H, W)
-    size : (H, W); None: any
-    """
+class ImageInput(NamedTuple):
+    """An input that takes images of 1, 2, 3 or 6 channels, and of (H, W) ``size``; None: any."""
 
     port: Port
     channels: int | None
-    channels_last: bool
+    channels_last: bool  # (H, W, C), not (C, H, W)
     size: tuple[int | None, int | None]
 
     @classmethod
     def of(cls, port: Port, model: str) -> ImageInput:
-        """Read the layout from the shape of an input: (H, W), (C, H, W), (H, W, C), or four axes with the batch first.
-
-        InputError where the shape has none of these forms.
-        """
+        """Read the layout from the shape: (H, W), (C, H, W), (H, W, C), or a batch of one of these; else InputError."""
         if len(port.shape) == 2:
             return cls(port, 1, False, (port.shape[0], port.shape[1]))
         axes = port.shape[-3:]
-        if 3 <= len(port.shape) <= 4 and (len(port.shape) == 3 or port.shape[0] in (None, 1)):
+        if len(port.shape) == 3 or (len(port.shape) == 4 and port.shape[0] in (None, 1)):
             if axes[0] in _CHANNELS or (axes[0] is None and axes[2] not in _CHANNELS):
                 return cls(port, axes[0], False, (axes[1], axes[2]))
             if axes[2] in _CHANNELS:
@@ -296,14 +253,9 @@ def planes(image: NDArray[np.float32], normalization: Normalization, order: Colo
 
 
 def padded(image: NDArray[np.float32], multiple: int, margin: int = 0) -> NDArray[np.float32]:
-    """Return an (H, W, C) image whose border is repeated outwards.
+    """Return an (H, W, C) image with ``margin`` pixels more on all sides, and sides that are a ``multiple``.
 
-    Parameters
-    ----------
-    multiple : which rows and columns then are a multiple of; what is missing is added below and on the right
-    margin : pixels added on all sides before
+    Its border is repeated outwards; what is missing to the multiple is added below and on the right.
     """
     missing = [-(side + 2 * margin) % multiple for side in image.shape[:2]]
-    if not (margin or any(missing)):
-        return image
     return np.pad(image, ((margin, margin + missing[0]), (margin, margin + missing[1]), (0, 0)), mode="edge")

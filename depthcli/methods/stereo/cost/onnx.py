@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar, Literal
 
@@ -50,85 +49,40 @@ class NetworkCost(Network, CostMeasure):
     LEVELS: ClassVar[int] = 250
 
     def check(self) -> None:
-        feature_network(self.session, self.multiple)
+        _input_of(self.session, self.multiple)
 
     def pixel_bytes(self) -> int:
         return 4096  # features of 64 channels of both images, and what convolutions hold meanwhile
 
     def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
-        network = feature_network(self.session, self.multiple)
-        left, right = (
-            self._rows(network(image, self.normalization, self.color_order, self.multiple))
-            for image in samples(pair, network.channels)
-        )
+        session = self.session
+        target, margin = _input_of(session, self.multiple)
+        height, width = pair.shape
+        views = []
+        for image in samples(pair, target.channels or 3):
+            normal = planes(image, self.normalization, self.color_order).transpose(1, 2, 0)
+            given = padded(normal, self.multiple, margin).transpose(2, 0, 1)
+            features = _features(session, target, given)[:, :height, :width]
+            if features.shape[1:] != (height, width) or not np.isfinite(features).all():
+                raise InputError(f"{session.model}: no finite features of {width} x {height} pixels; see multiple")
+            # Scaled so that sums over the channels, a multiple of 4, are the dot product or the mean.
+            if self.distance == "dot":
+                features = features / np.maximum(np.sqrt(np.square(features).sum(axis=0)), np.float32(1e-6))
+            else:
+                features = features / np.float32(len(features))
+            views.append(np.pad(features.transpose(1, 0, 2), ((0, 0), (0, -len(features) % 4), (0, 0))))
         costs = memory.empty((*pair.shape, n_disparities), np.uint8)
         scale = self.LEVELS / self.truncation
-        compare = _products if self.distance == "dot" else _differences
-        compare(left, right, np.float32(scale), np.float32(self.LEVELS), costs)
+        _compare(*views, self.distance == "dot", np.float32(scale), np.float32(self.LEVELS), costs)
         fill_outside(costs, np.uint8(round(self.outside * self.LEVELS)))
         return CostVolume(costs, scale)
 
-    def _rows(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
-        # (H, C, W), C a multiple of 4, scaled so that sums over the channels are the dot product or the mean.
-        channels = features.shape[0]
-        if self.distance == "dot":
-            features = features / np.maximum(np.sqrt(np.square(features).sum(axis=0)), np.float32(1e-6))
-        else:
-            features = features / np.float32(channels)
-        return np.pad(features.transpose(1, 0, 2), ((0, 0), (0, -channels % 4), (0, 0)))
-
-
-@dataclass(frozen=True)
-class FeatureNetwork:
-    """A network that maps an image to features.
-
-    Attributes
-    ----------
-    target : its input
-    margin : pixels by which its output is smaller on every side (convolutions without padding)
-    """
-
-    session: Session
-    target: ImageInput
-    margin: int
-
-    @property
-    def channels(self) -> int:
-        """Channels of the image that it takes: 1 or 3."""
-        return self.target.channels or 3
-
-    def __call__(
-        self, image: NDArray[np.float32], normalization: Normalization, order: ColorOrder, multiple: int
-    ) -> NDArray[np.float32]:
-        """Return (C, H, W) features of an (H, W, 1) or (H, W, 3) image whose values are from 0 to 255.
-
-        Parameters
-        ----------
-        normalization, order : of the values that the network takes; moments are those of the image without its margin
-        multiple : of the sides of images that it takes
-
-        Raises
-        ------
-        InputError
-            The network fails, or gives something else than finite features of this size.
-        """
-        height, width = image.shape[:2]
-        normal = planes(image, normalization, order).transpose(1, 2, 0)
-        given = self.target.array(padded(normal, multiple, self.margin).transpose(2, 0, 1))
-        features = _features(self.session, self.target, given)[:, :height, :width]
-        if features.shape[1:] != (height, width) or not np.isfinite(features).all():
-            raise InputError(f"{self.session.model}: no finite features of {width} x {height} pixels; see multiple")
-        return features
-
 
 @lru_cache(maxsize=4)
-def feature_network(session: Session, multiple: int) -> FeatureNetwork:
-    """Find out what a network takes, and how much smaller its output is, by running it on a small image.
+def _input_of(session: Session, multiple: int) -> tuple[ImageInput, int]:
+    """Return the input of a network, and by how many pixels its output is smaller on every side for a small image.
 
-    Raises
-    ------
-    InputError
-        It is no network that gives a vector for each pixel of one image of any size.
+    InputError where it does not give a vector for each pixel of one image of any size.
     """
     targets = [ImageInput.of(port, session.model) for port in session.inputs]
     if len(targets) != 1 or targets[0].channels not in (None, 1, 3):
@@ -137,17 +91,17 @@ def feature_network(session: Session, multiple: int) -> FeatureNetwork:
     if target.size != (None, None):
         raise InputError(f"{session.model}: takes images of one size; want a network that gives features at any size")
     side = -(-_PROBE // multiple) * multiple
-    probe = np.zeros((target.channels or 3, side, side), np.float32)
-    features = _features(session, target, target.array(probe))
+    features = _features(session, target, np.zeros((target.channels or 3, side, side), np.float32))
     missing = side - features.shape[1]
     if features.shape[1] != features.shape[2] or missing % 2 or not 0 <= missing < side // 2:
         shown = f"{features.shape[2]} x {features.shape[1]} for an image of {side} x {side}"
         raise InputError(f"{session.model}: gives features of {shown} pixels; want a vector for each pixel")
-    return FeatureNetwork(session, target, missing // 2)
+    return target, missing // 2
 
 
-def _features(session: Session, target: ImageInput, given: NDArray[np.generic]) -> NDArray[np.float32]:
-    output = next(iter(session.run({target.port.name: given}).values()))
+def _features(session: Session, target: ImageInput, given: NDArray[np.float32]) -> NDArray[np.float32]:
+    # (C, H, W), of a (C, H, W) image.
+    output = next(iter(session.run({target.port.name: target.array(given)}).values()))
     if output.ndim == 4 and output.shape[0] == 1:
         output = output[0]
     if output.ndim != 3:
@@ -156,7 +110,7 @@ def _features(session: Session, target: ImageInput, given: NDArray[np.generic]) 
 
 
 @parallel_jit
-def _products(left, right, scale, largest, costs):
+def _compare(left, right, products, scale, largest, costs):
     height, width, n_disparities = costs.shape
     channels = left.shape[1]
     half, zero = np.float32(0.5), np.float32(0.0)
@@ -171,31 +125,13 @@ def _products(left, right, scale, largest, costs):
                 a0, a1, a2, a3 = left[y, c, x], left[y, c + 1, x], left[y, c + 2, x], left[y, c + 3, x]
                 b0, b1 = mirror[c, at : at + n_disparities], mirror[c + 1, at : at + n_disparities]
                 b2, b3 = mirror[c + 2, at : at + n_disparities], mirror[c + 3, at : at + n_disparities]
-                for i in range(sums.size):
-                    sums[i] += (a0 * b0[i] + a1 * b1[i]) + (a2 * b2[i] + a3 * b3[i])
+                if products:
+                    for i in range(sums.size):
+                        sums[i] += (a0 * b0[i] + a1 * b1[i]) + (a2 * b2[i] + a3 * b3[i])
+                else:
+                    for i in range(sums.size):
+                        sums[i] += (abs(a0 - b0[i]) + abs(a1 - b1[i])) + (abs(a2 - b2[i]) + abs(a3 - b3[i]))
             out = costs[y, x]
             for i in range(out.size):
-                cost = scale * (np.float32(1.0) - sums[i])
+                cost = scale * (np.float32(1.0) - sums[i] if products else sums[i])
                 out[i] = np.uint8(np.int32(min(max(cost, zero), largest) + half))
-
-
-@parallel_jit
-def _differences(left, right, scale, largest, costs):
-    height, width, n_disparities = costs.shape
-    channels = left.shape[1]
-    for y in prange(height):
-        mirror = np.zeros((channels, width + n_disparities), np.float32)
-        mirror[:, :width] = right[y, :, ::-1]
-        sums = np.zeros(n_disparities, np.float32)
-        for x in range(width):
-            at = width - 1 - x
-            sums[:] = 0
-            for c in range(0, channels, 4):
-                a0, a1, a2, a3 = left[y, c, x], left[y, c + 1, x], left[y, c + 2, x], left[y, c + 3, x]
-                b0, b1 = mirror[c, at : at + n_disparities], mirror[c + 1, at : at + n_disparities]
-                b2, b3 = mirror[c + 2, at : at + n_disparities], mirror[c + 3, at : at + n_disparities]
-                for i in range(sums.size):
-                    sums[i] += (abs(a0 - b0[i]) + abs(a1 - b1[i])) + (abs(a2 - b2[i]) + abs(a3 - b3[i]))
-            out = costs[y, x]
-            for i in range(out.size):
-                out[i] = np.uint8(np.int32(min(scale * sums[i], largest) + np.float32(0.5)))

@@ -33,10 +33,7 @@ from depthcli.kernels.jit import n_threads
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.volume import StereoResult
 
-_PLACEHOLDERS = (
-    *("left", "right", "max_disparity", "min_disparity"),
-    *("output", "scratch", "name", "threads", "cwd"),
-)
+_PLACEHOLDERS = ["left", "right", "max_disparity", "min_disparity", "output", "scratch", "name", "threads", "cwd"]
 _SUFFIXES = {"pfm": ".pfm", "kitti": ".png", "npy": ".npy", "tiff": ".tiff", "png": ".png"}
 _KITTI_SCALE = 256.0  # codes per pixel
 _MAP_BYTES = 200  # of this process, per pixel, while a program runs and its map is read
@@ -115,9 +112,7 @@ class Program(StereoPipeline):
     def _new_names(cls, parameters: dict[str, Any]) -> dict[str, Any]:
         for name in parameters:
             if not name.isidentifier() or name in _PLACEHOLDERS:
-                raise ValueError(
-                    f"{name!r} cannot be the name of a parameter; want letters, and none of {_PLACEHOLDERS}"
-                )
+                raise ValueError(f"{name!r} cannot be the name of a parameter; want letters, none of {_PLACEHOLDERS}")
         return parameters
 
     @field_validator("program")
@@ -130,23 +125,28 @@ class Program(StereoPipeline):
         if not words or not words[0].strip():
             raise ValueError("want a program")
         known = [*_PLACEHOLDERS, *info.data.get("parameters", ())]
-        for name in (name for word in words for name in _placeholders_in(word)):
-            if name not in known:
-                raise ValueError(f"no placeholder {{{name}}}; there are: {', '.join(known)}")
-        if shell:
+        for word in words:
+            try:
+                fields = [field[1:] for field in string.Formatter().parse(word) if field[1] is not None]
+            except ValueError as error:
+                raise ValueError(f"{error} in {word!r}; a brace is written {{{{ or }}}}") from None
+            for name, spec, conversion in fields:
+                if name not in known or spec or conversion:
+                    raise ValueError(f"no placeholder {{{name}}}; there are: {', '.join(known)}")
+        folder = (info.context or {}).get("folder")
+        if shell or folder is None:
             return program
-        first = _beside_config(words[0], info) if "/" in words[0] else words[0]
-        found = (first, *(_beside_config(word, info) for word in words[1:]))
+
+        def beside_config(name: str) -> str:
+            path = os.path.abspath(os.path.join(folder, name))
+            return path if path != os.path.abspath(name) and "\0" not in name and os.path.exists(path) else name
+
+        first = beside_config(words[0]) if "/" in words[0] else words[0]
+        found = (first, *map(beside_config, words[1:]))
         return program if found == words else found
 
     def used_files(self) -> dict[str, Path]:
-        """Return role -> file, of the words that are files; none for a shell.
-
-        Raises
-        ------
-        ConfigError
-            There is no such program.
-        """
+        """Return role -> file, of the words that are files; none for a shell. ConfigError without the program."""
         if self.shell:
             return {}
         first, *others = _words(self.program, False)
@@ -168,32 +168,21 @@ class Program(StereoPipeline):
         with _scratch_folder() as scratch:
             left, right = self._image_files(pair, scratch)
             path = scratch / (self.output or f"output{_SUFFIXES[self.format]}")
-            words = self._command_line(
-                {
-                    "left": left,
-                    "right": right,
-                    "max_disparity": max_disparity,
-                    "min_disparity": 0,
-                    "output": path,
-                    "scratch": scratch,
-                    "name": current_scene().name,
-                    "threads": n_threads(),
-                    "cwd": os.getcwd(),
-                    **self.parameters,
-                }
-            )
+            values = {"left": left, "right": right, "max_disparity": max_disparity, "min_disparity": 0}
+            values |= {"output": path, "scratch": scratch, "name": current_scene().name}
+            words = self._command_line(values | {"threads": n_threads(), "cwd": os.getcwd()} | self.parameters)
             clock.start("program")
             run_program(words, scratch, self.timeout)
             clock.start("read")
-            values = self._read_map(path, pair.shape)
+            disparity = self._read_map(path, pair.shape)
             status = np.zeros(pair.shape, np.uint8)
             with np.errstate(invalid="ignore"):
-                status[~(values >= 0)] = Status.MISMATCH
-                status[values >= max_disparity + 1] = Status.OUT_OF_RANGE
+                status[~(disparity >= 0)] = Status.MISMATCH
+                status[disparity >= max_disparity + 1] = Status.OUT_OF_RANGE
             if status.all():
                 raise ProgramError(f"no pixel of the program's map has a disparity from 0 to {max_disparity}")
-        values[status != 0] = np.nan
-        return StereoResult(DisparityMap(values, status), seconds=clock.seconds)
+        disparity[status != 0] = np.nan
+        return StereoResult(DisparityMap(disparity, status), seconds=clock.seconds)
 
     def _image_files(self, pair: StereoPair, folder: Path) -> Sequence[Path]:
         """Return the left and the right image as files: the scene's own, or written into ``folder``."""
@@ -222,12 +211,9 @@ class Program(StereoPipeline):
         return [os.path.abspath(shutil.which(first) or first), *others]
 
     def _read_map(self, path: Path, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the map that the program wrote, (H, W) float32, NaN = no value.
-
-        ProgramError where it is missing, empty, damaged, of another size, or has no value at all.
-        """
-        if not path.is_file() or path.stat().st_size == 0:
-            raise ProgramError(f"the program wrote {'an empty' if path.is_file() else 'no'} {path.name}")
+        """Return the map that the program wrote, (H, W) float32, NaN = no value; ProgramError where it has none."""
+        if not path.is_file():
+            raise ProgramError(f"the program wrote no {path.name}")
         try:
             stored = read_plane(path)
         except InputError as error:
@@ -247,10 +233,7 @@ class Program(StereoPipeline):
         return values
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Return the memory of the images and maps, bytes, and where pairs may be tiled a guess of the program's.
-
-        What the program takes is not known before; it is ended where that is too much.
-        """
+        """Return the bytes of images and maps, and where pairs may be tiled a guess of those of the program."""
         cells = 0 if self.halo is None else shape[0] * shape[1] * (max_disparity + 1)
         return _MAP_BYTES * shape[0] * shape[1] + _BYTES_PER_CELL * cells
 
@@ -261,13 +244,8 @@ class Program(StereoPipeline):
 def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
     """Run a program in ``folder`` and end its process group; its output goes to files there.
 
-    Processor time and memory are added to those of the current scene.
-
-    Raises
-    ------
-    ProgramError
-        It cannot be started, ended with another exit code than 0 or by a signal, ran for more than ``timeout`` seconds,
-        or took more memory than the scene may. The message ends with the end of its output.
+    Processor time and memory are added to those of the current scene. ProgramError, with the end of the program's
+    output, where it fails, runs for more than ``timeout`` seconds, or takes more memory than the scene may.
     """
     scene, name = current_scene(), os.path.basename(words[0])
     logs = [folder / "stderr.txt", folder / "stdout.txt"]
@@ -353,26 +331,7 @@ def _scratch_folder() -> Iterator[Path]:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _beside_config(name: str, info: ValidationInfo) -> str:
-    """Return the whole path of a file that lies beside the config file; ``name`` as it is where none does."""
-    folder = (info.context or {}).get("folder")
-    path = os.path.abspath(os.path.join(folder or "", name))
-    is_here = path == os.path.abspath(name)
-    return name if folder is None or is_here or "\0" in name or not os.path.exists(path) else path
-
-
 def _words(program: str | tuple[str, ...], shell: bool) -> tuple[str, ...]:
     if isinstance(program, str):
         return (program,) if shell else tuple(shlex.split(program))
     return program
-
-
-def _placeholders_in(word: str) -> Iterator[str]:
-    try:
-        for _, name, spec, conversion in string.Formatter().parse(word):
-            if name is not None:
-                if spec or conversion or not name.isidentifier():
-                    raise ValueError("want names in braces")
-                yield name
-    except ValueError as error:
-        raise ValueError(f"{error} in {word!r}; a brace is written {{{{ or }}}}") from None

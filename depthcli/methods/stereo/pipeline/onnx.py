@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Literal, cast
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -34,20 +33,13 @@ ProfileName = Literal["hitnet", "crestereo", "raft-stereo", "igev", "foundation-
 Sign = Literal["positive", "negative"]
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Conventions of a network, each of which a field of the config replaces.
-
-    Attributes
-    ----------
-    multiple : of the sides of images that it takes, where it takes more than one size
-    sign : of its output where disparities are positive
-    """
+class Profile(NamedTuple):
+    """Conventions of a network, each of which a field of the config replaces."""
 
     normalization: Normalization = "0-255"
     color_order: ColorOrder = "rgb"
-    multiple: int = 32
-    sign: Sign = "positive"
+    multiple: int = 32  # of the sides of images, where it takes more than one size
+    sign: Sign = "positive"  # of its output where disparities are positive
 
 
 PROFILES: dict[ProfileName, Profile] = {
@@ -112,23 +104,18 @@ class NetworkPipeline(Network, StereoPipeline):
     def check(self) -> None:
         self._network()
         if self.self_check:
-            _self_check(self, self.session)
+            _check_shifts(self, self.session)
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
-        """Match the whole pair; disparities beyond 0 .. ``max_disparity`` are out of range.
-
-        Raises
-        ------
-        InputError
-            The network cannot be used, or fails.
-        """
+        """Match the whole pair; disparities beyond 0 .. ``max_disparity`` are out of range. InputError if it fails."""
         clock = Clock()
         clock.start("network")
         network = self._network()
         values = network(pair)
         if not self.left_right_check:
             return StereoResult(_in_range(values, np.zeros(pair.shape, np.uint8), max_disparity), seconds=clock.seconds)
-        right = network(_mirrored(pair))[:, ::-1]
+        mirrored = (cast(Image, np.ascontiguousarray(image[:, ::-1])) for image in (pair.right, pair.left))
+        right = network(StereoPair(*mirrored, pair.bits))[:, ::-1]
         clock.start("left_right_check")
         known, known_right = (np.nan_to_num(np.maximum(view, 0), nan=0, posinf=0) for view in (values, right))
         difference = left_right_difference(known, known_right)
@@ -151,21 +138,10 @@ class NetworkPipeline(Network, StereoPipeline):
 
     def _network(self) -> PairNetwork:
         base = Profile() if self.profile is None else PROFILES[self.profile]
-        given = {name: getattr(self, name) for name in ("normalization", "color_order", "multiple", "sign")}
-        conventions = replace(base, **{name: value for name, value in given.items() if value is not None})
+        given = {name: getattr(self, name) for name in Profile._fields}
+        conventions = base._replace(**{name: value for name, value in given.items() if value is not None})
         size = None if self.size is None else (self.size[1], self.size[0])
         return PairNetwork.of(self.session, conventions, size, self.iterations)
-
-
-@lru_cache(maxsize=4)
-def _self_check(method: NetworkPipeline, session: Session) -> None:
-    # Once a process, method and opened file: an exception is not kept, but ends the run.
-    _check_shifts(method._network())
-
-
-def _mirrored(pair: StereoPair) -> StereoPair:
-    left, right = (cast(Image, np.ascontiguousarray(image[:, ::-1])) for image in (pair.right, pair.left))
-    return StereoPair(left, right, pair.bits)
 
 
 def _in_range(values: NDArray[np.float32], status: NDArray[np.uint8], max_disparity: int) -> DisparityMap:
@@ -187,15 +163,11 @@ def _is_hit(right: NDArray[np.float32]) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(hit, np.ones((1, 3), np.uint8)) != 0)
 
 
-View = Literal["left", "right"]
-
-
-@dataclass(frozen=True)
-class Feed:
+class Feed(NamedTuple):
     """What an input gets: one view, or both, one after the other along the channels; at full or at half size."""
 
     target: ImageInput
-    views: tuple[View, ...]
+    views: tuple[Literal["left", "right"], ...]
     half: bool = False
 
     @property
@@ -204,14 +176,10 @@ class Feed:
         return 3 if self.target.channels is None else self.target.channels // len(self.views)
 
 
-@dataclass(frozen=True)
-class PairNetwork:
+class PairNetwork(NamedTuple):
     """A network that maps a pair to the left view's disparities.
 
-    Attributes
-    ----------
-    conventions : what it takes and gives
-    size : (H, W) of the images that it takes; None: any, with sides that are a multiple of ``conventions.multiple``
+    ``size`` is the (H, W) of the images that it takes; None: any, with sides that are a multiple of the convention's.
     """
 
     session: Session
@@ -224,18 +192,7 @@ class PairNetwork:
     def of(
         cls, session: Session, conventions: Profile, size: tuple[int, int] | None, iterations: int | None
     ) -> PairNetwork:
-        """Find out from names and shapes what the inputs of a network take.
-
-        Parameters
-        ----------
-        size : (H, W) of the images that the network gets; None: that of its input, if it has one
-        iterations : for a network with an integer input that says how many; None where it has none
-
-        Raises
-        ------
-        InputError
-            The inputs are of no known kind, or do not fit ``size`` or ``iterations``.
-        """
+        """Find out what the inputs take; InputError if they are of no known kind, or do not fit the other arguments."""
         counts = [port for port in session.inputs if port.dtype in (np.int32, np.int64) and len(port.shape) < 2]
         feeds = _feeds([port for port in session.inputs if port not in counts], session.model)
         if bool(counts) != (iterations is not None) or len(counts) > 1:
@@ -249,13 +206,7 @@ class PairNetwork:
         return cls(session, conventions, feeds, fixed or size, scalars)
 
     def __call__(self, pair: StereoPair) -> NDArray[np.float32]:
-        """Return (H, W) float32 disparities of the left view, pixels, whatever range and sign they turn out to have.
-
-        Raises
-        ------
-        InputError
-            The network fails, or gives no map of the size of its input.
-        """
+        """Return (H, W) float32 disparities of the left view, pixels, whatever range and sign they turn out to have."""
         views = {}
         for channels in {feed.channels for feed in self.feeds}:
             for view, image in zip(("left", "right"), samples(pair, channels), strict=True):
@@ -263,26 +214,30 @@ class PairNetwork:
                     views[view, channels] = padded(image, self.conventions.multiple)
                 else:
                     views[view, channels] = _resized(image, self.size)
-        first = next(iter(views.values()))
-        size = (first.shape[0], first.shape[1])
-        values = {feed.target.port.name: self._array(feed, views, size) for feed in self.feeds}
-        disparity = _map_in(self.session.run(values | self.scalars), size, self.session.model)
+        size = next(iter(views.values())).shape[:2]
+        values = dict(self.scalars)
+        for feed in self.feeds:
+            images = [views[view, feed.channels] for view in feed.views]
+            if feed.half:
+                own = feed.target.size
+                images = [_resized(image, (own[0] or size[0] // 2, own[1] or size[1] // 2)) for image in images]
+            normal = [planes(image, self.conventions.normalization, self.conventions.color_order) for image in images]
+            values[feed.target.port.name] = feed.target.array(np.concatenate(normal))
+        outputs = self.session.run(values)
+        maps = {name: plane for name, array in outputs.items() if (plane := _first_channel(array, size)).shape == size}
+        if not maps:
+            shown = ", ".join(f"{name} {array.shape}" for name, array in outputs.items())
+            raise InputError(
+                f"{self.session.model}: no output is a map of {size[1]} x {size[0]} pixels; there are {shown}"
+            )
+        named = [name for name in maps if "disp" in name.lower()]
+        disparity = np.ascontiguousarray(maps[(named or list(maps))[-1]], np.float32)
         height, width = pair.shape
         if self.size is None:
             disparity = disparity[:height, :width]
         elif size != pair.shape:
             disparity = _resized(disparity, pair.shape) * np.float32(width / size[1])
         return -disparity if self.conventions.sign == "negative" else disparity
-
-    def _array(
-        self, feed: Feed, views: dict[tuple[str, int], NDArray[np.float32]], size: tuple[int, int]
-    ) -> NDArray[Any]:
-        images = [views[view, feed.channels] for view in feed.views]
-        if feed.half:
-            own = feed.target.size
-            images = [_resized(image, (own[0] or size[0] // 2, own[1] or size[1] // 2)) for image in images]
-        normal = [planes(image, self.conventions.normalization, self.conventions.color_order) for image in images]
-        return feed.target.array(np.concatenate(normal))
 
 
 def _feeds(ports: list[Port], model: str) -> tuple[Feed, ...]:
@@ -292,7 +247,8 @@ def _feeds(ports: list[Port], model: str) -> tuple[Feed, ...]:
     if len(targets) == 2 and all(target.channels in (None, 1, 3) for target in targets):
         return _two(targets, half=False)
     if len(targets) == 4 and all(target.channels in (None, 1, 3) for target in targets):
-        order = sorted(range(4), key=lambda k: (_area(targets[k]), "init" not in targets[k].port.name.lower(), k))
+        areas = [(target.size[0] or 0) * (target.size[1] or 0) for target in targets]
+        order = sorted(range(4), key=lambda k: (areas[k], "init" not in targets[k].port.name.lower(), k))
         return _two([targets[k] for k in order[:2]], half=True) + _two([targets[k] for k in order[2:]], half=False)
     shown = ", ".join(f"{port.name} {port.shape}".replace("None", "?") for port in ports)
     # CREStereo is also exported in two files, of which the second takes two images and the flow of the first.
@@ -310,27 +266,13 @@ def _two(targets: list[ImageInput], half: bool) -> tuple[Feed, ...]:
     return Feed(first, ("left",), half), Feed(second, ("right",), half)
 
 
-def _area(target: ImageInput) -> int:
-    return (target.size[0] or 0) * (target.size[1] or 0)
-
-
-def _map_in(outputs: dict[str, NDArray[Any]], size: tuple[int, int], model: str) -> NDArray[np.float32]:
-    """Return the output that is a map of that size: one whose name has "disp", else the last one."""
-    maps = {name: found for name, array in outputs.items() if (found := _plane(array, size)) is not None}
-    if not maps:
-        shown = ", ".join(f"{name} {array.shape}" for name, array in outputs.items())
-        raise InputError(f"{model}: no output is a map of {size[1]} x {size[0]} pixels; there are {shown}")
-    named = [name for name in maps if "disp" in name.lower()]
-    return np.ascontiguousarray(maps[(named or list(maps))[-1]], np.float32)
-
-
-def _plane(array: NDArray[Any], size: tuple[int, int]) -> NDArray[Any] | None:
-    # The first channel: a second one is the disparity along y.
+def _first_channel(array: NDArray[Any], size: tuple[int, ...]) -> NDArray[Any]:
+    # A second one is the disparity along y.
     if array.ndim == 4 and array.shape[0] == 1:
         array = array[0]
     if array.ndim == 3:
         array = array[0] if array.shape[1:] == size and array.shape[0] <= 2 else array[..., 0]
-    return array if array.shape == size else None
+    return array
 
 
 def _resized(image: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
@@ -347,32 +289,32 @@ _SIZE = (192, 320)  # where the network takes any size
 _OCTAVES = (1, 2, 4, 8, 16)  # pixels, of the texture
 
 
-def _check_shifts(network: PairNetwork) -> None:
-    """Raise InputError where ``network`` does not find by how many pixels a textured plane is shifted."""
-    found = []
+@lru_cache(maxsize=4)  # an exception is not kept, but ends the run
+def _check_shifts(method: NetworkPipeline, session: Session) -> None:
+    """Raise InputError where the network does not find by how many pixels a textured plane is shifted."""
+    network, found = method._network(), []
     for shift in _SHIFTS:
         disparity = network(_textured_plane(network.size or _SIZE, shift))
         rows, columns = (slice(side // 4, 3 * side // 4) for side in disparity.shape)
         inner = disparity[rows, columns]
         found.append(float(np.median(inner)) if np.isfinite(inner).all() else np.nan)
-    if _fits(found, 1.0):
+
+    def fits(factor: float) -> bool:
+        return all(abs(value * factor - shift) <= 1 + 0.1 * shift for value, shift in zip(found, _SHIFTS, strict=True))
+
+    if fits(1.0):
         return
-    text = (
-        f"{network.session.model}: self-check: for pairs shifted by {_SHIFTS[0]} and {_SHIFTS[1]} pixels the network "
-    )
-    text += "gives " + " and ".join(f"{value:.4g}" for value in found)
-    if _fits(found, -1.0):
-        raise InputError(f"{text}: the sign is wrong; set sign to the other one (positive, negative)")
     scale = found[1] / _SHIFTS[1]
-    if abs(scale) > 0.01 and _fits([value / scale for value in found], 1.0):
-        raise InputError(f"{text}: the scale is wrong, {scale:.3g} for each pixel; want pixels of the full size")
+    if fits(-1.0):
+        problem = "the sign is wrong; set sign to the other one (positive, negative)"
+    elif abs(scale) > 0.01 and fits(1 / scale):
+        problem = f"the scale is wrong, {scale:.3g} for each pixel; want pixels of the full size"
+    else:
+        problem = "it does not find them; see profile, normalization, color_order; self_check: false leaves this out"
     raise InputError(
-        f"{text}: it does not find them; see profile, normalization, color_order; self_check: false leaves this out"
+        f"{network.session.model}: self-check: for pairs shifted by {_SHIFTS[0]} and {_SHIFTS[1]} pixels the network "
+        f"gives {found[0]:.4g} and {found[1]:.4g}: {problem}"
     )
-
-
-def _fits(found: list[float], sign: float) -> bool:
-    return all(abs(sign * value - shift) <= 1 + 0.1 * shift for value, shift in zip(found, _SHIFTS, strict=True))
 
 
 def _textured_plane(size: tuple[int, int], shift: int) -> StereoPair:
