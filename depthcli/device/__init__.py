@@ -22,20 +22,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from depthcli.core.errors import ConfigError, DepthcliError
-from depthcli.device.dialect import Kernels
-
-__all__ = [
-    "Device",
-    "DeviceArray",
-    "DeviceError",
-    "DeviceInfo",
-    "Kernels",
-    "Launch",
-    "devices",
-    "find_device",
-    "open_device",
-    "why_no_device",
-]
+from depthcli.device.dialect import Kernels as Kernels
 
 KINDS = ("opencl", "cuda")
 """Ways to reach a device, in the order in which ``auto`` tries them."""
@@ -48,36 +35,22 @@ class DeviceError(DepthcliError):
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What is known of a device without using it.
+    """What is known of a device without using it."""
 
-    Attributes
-    ----------
-    address : how ``--device`` names it, such as ``opencl:0``
-    name : what its driver calls it
-    memory : size of its memory, bytes
-    is_gpu : False for a processor that a driver shows as a device (PoCL)
-    driver : its platform and version, for the user
-    """
-
-    address: str
-    name: str
-    memory: int
-    is_gpu: bool
-    driver: str
+    address: str  # how ``--device`` names it, such as ``opencl:0``
+    name: str  # what its driver calls it
+    memory: int  # size of its memory, bytes
+    is_gpu: bool  # False for a processor that a driver shows as a device (PoCL)
+    driver: str  # its platform and version, for the user
 
 
 @dataclass(frozen=True)
 class DeviceArray:
-    """A C-contiguous array in the memory of a device.
-
-    Attributes
-    ----------
-    handle : the back end's own buffer
-    """
+    """A C-contiguous array in the memory of a device."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    handle: Any
+    handle: Any  # the back end's own buffer
 
     @property
     def size(self) -> int:
@@ -92,31 +65,18 @@ class DeviceArray:
 
 @dataclass(frozen=True)
 class Launch:
-    """The timing of one run of a kernel.
-
-    Attributes
-    ----------
-    name : of the kernel
-    seconds : how long it ran on the device
-    nbytes : size of all arrays among its arguments, each counted once: a lower bound of the memory traffic
-    """
+    """The timing of one run of a kernel."""
 
     name: str
-    seconds: float
-    nbytes: int
+    seconds: float  # on the device
+    nbytes: int  # of all arrays among its arguments, each counted once: a lower bound of the memory traffic
 
 
 class Driver(ABC):
-    """A back end's way to one device. Methods raise whatever the package behind it raises, or DeviceError.
+    """A back end's way to one device. Methods raise whatever the package behind it raises, or DeviceError."""
 
-    Attributes
-    ----------
-    errors : exceptions of the package, which become DeviceError
-    has_double : whether kernels may use double precision
-    """
-
-    errors: tuple[type[Exception], ...] = (Exception,)
-    has_double = True
+    errors: tuple[type[Exception], ...] = (Exception,)  # of the package; they become DeviceError
+    has_double = True  # whether kernels may use double precision
 
     @abstractmethod
     def allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
@@ -222,19 +182,17 @@ class Device:
         """Measure the bandwidth of the device's memory by copying a large array: bytes read and written per second."""
         count = min(32 << 20, self.info.memory // 64)
         source, target = self.empty((count,), np.uint32), self.empty((count,), np.uint32)
-        return 2 * source.nbytes / self._shortest(_BENCHMARKS, "copy", count, source, target)
+        return 2 * source.nbytes / self._shortest("copy", count, source, target)
 
     def measure_operations(self) -> float:
         """Measure the rate of 32-bit multiplications and additions by chains of both: operations per second."""
         count = 1 << 20
-        seconds = self._shortest(_BENCHMARKS, "multiply_add", count, self.empty((count,), np.float32), 0.5)
-        return 64 * 8 * 4 * 2 * count / seconds
+        return 64 * 8 * 4 * 2 * count / self._shortest("multiply_add", count, self.empty((count,), np.float32), 0.5)
 
-    def _shortest(self, kernels: Kernels, name: str, count: int, *arguments: Any) -> float:
-        """Return the shortest time of four launches, seconds; ``count`` is the last argument."""
+    def _shortest(self, name: str, count: int, *arguments: Any) -> float:
         launches_before, self.launches = self.launches, []
         for _ in range(4):
-            self.launch(kernels, name, (count,), (256,), *arguments, count)
+            self.launch(_BENCHMARKS, name, (count,), (256,), *arguments, count)
         self.finish()
         seconds = min(launch.seconds for launch in self.launches)
         self.launches = launches_before
@@ -276,17 +234,9 @@ def why_no_device() -> str:
 def find_device(wanted: str) -> DeviceInfo | None:
     """Return the device that ``wanted`` names; None for the processor.
 
-    Parameters
-    ----------
-    wanted : ``cpu``; ``auto``: the first GPU, else the processor; ``opencl`` or ``cuda``: the first device of this
-        kind, GPUs first; ``opencl:1``: the device with this address
-
-    Raises
-    ------
-    ConfigError
-        ``wanted`` is none of these.
-    DeviceError
-        No such device is there.
+    ``cpu``; ``auto``: the first GPU, else the processor; ``opencl`` or ``cuda``: the first device of this kind, GPUs
+    first; ``opencl:1``: the device with this address. ConfigError where it is none of these, DeviceError where no such
+    device is there.
     """
     if wanted == "cpu":
         return None
@@ -308,15 +258,7 @@ _open: dict[str, Device] = {}
 
 
 def open_device(wanted: str) -> Device | None:
-    """Open the device that ``wanted`` names; return None for the processor.
-
-    A device is opened once per process; later calls return the same object.
-
-    Raises
-    ------
-    ConfigError, DeviceError
-        As :func:`find_device`; DeviceError also where the driver fails.
-    """
+    """Open the device that ``wanted`` names, see :func:`find_device`, once per process; None for the processor."""
     info = find_device(wanted)
     if info is None:
         return None

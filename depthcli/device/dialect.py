@@ -88,14 +88,7 @@ DEVICE int no_value(float v) { return v != v; }
 
 
 class Kernels:
-    """The kernels of one or more files of C text, with macros of their own.
-
-    Parameters
-    ----------
-    package : the package that holds the files
-    files : their names, in the order in which they are joined
-    macros : name -> value, defined before the text
-    """
+    """The kernels of ``files`` of C text in a ``package``, joined, with ``macros`` that are defined before the text."""
 
     def __init__(self, package: str, *files: str, **macros: str | int) -> None:
         self._package = package

@@ -16,6 +16,6 @@ To write one:
 | ``jit`` | the decorators, with the compiler's options; the number of threads; the time that compilation takes |
 | ``cache`` | compiled kernels on disk |
 | ``winners`` | disparities of the smallest costs of both views |
-| ``cost_curve``, ``exponential`` | terms of confidence measures; fast exponentials |
+| ``exponential`` | fast exponentials; terms of confidence measures |
 | ``lanes`` | 16 float32 as one value, for loops that the compiler does not vectorize well |
 """

@@ -33,12 +33,7 @@ os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
 import llvmlite
 import llvmlite.binding
 import numba
-from numba.core.caching import (
-    CompileResultCacheImpl,
-    FunctionCache,
-    IndexDataCacheFile,
-    _CacheLocator,
-)
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 from numba.core.runtime.nrt import rtsys
 
 _PACKAGE = Path(__file__).parents[1]
@@ -61,28 +56,22 @@ def _candidates() -> list[Path]:
     return found
 
 
-def _is_usable(folder: Path) -> bool:
-    """Make ``folder``; True where we may write into it and nobody else planted it (the cache holds code)."""
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            own = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
-            return own or "NUMBA_CACHE_DIR" in os.environ
-    except OSError:
-        return False
-
-
 @cache
 def cache_folder() -> Path | None:
     """Return the folder of compiled kernels: ``NUMBA_CACHE_DIR``, the user's cache, or else a temporary one.
 
-    Never the package's own folder, which may be read-only or belong to another user. None where no folder can be
-    written: then every process compiles for itself.
+    Never the package's own folder, which may be read-only or belong to another user, nor one that another user planted:
+    the cache holds code. None where no folder can be written: then every process compiles for itself.
     """
-    folder = next(filter(_is_usable, _candidates()), None)
-    if folder is None:
-        warn_once("no folder for compiled kernels can be written (see NUMBA_CACHE_DIR): each process compiles its own")
-    return folder
+    for folder in _candidates():
+        with contextlib.suppress(OSError):
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                own = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
+                if own or "NUMBA_CACHE_DIR" in os.environ:
+                    return folder
+    warn_once("no folder for compiled kernels can be written (see NUMBA_CACHE_DIR): each process compiles its own")
+    return None
 
 
 @cache
@@ -93,11 +82,7 @@ def warn_once(message: str) -> None:
 
 @cache  # once per process
 def digest_of_kernels(folder: Path, files: str) -> str:
-    """Return the digest of all that the machine code of kernels is made from, as hexadecimal digits.
-
-    Source files are those of the ``folder`` that match the pattern ``files`` and have kernels, or operations for
-    kernels; all constants that kernels read are defined there.
-    """
+    """Return the digest of all that the machine code of kernels is made from: sources, versions, settings."""
     config: Any = numba.config
     settings = (config.BOUNDSCHECK, config.OPT, config.USING_SVML, config.CPU_NAME, config.CPU_FEATURES)
     facts = (numba.__version__, llvmlite.__version__, llvmlite.binding.get_host_cpu_name(), settings)
@@ -154,12 +139,7 @@ class _Implementation(CompileResultCacheImpl):
 
 
 class KernelCache(FunctionCache):
-    """Compiled versions of one kernel on disk. Damaged or missing files never make a computation fail.
-
-    Parameters
-    ----------
-    kernel : numba's dispatcher of the kernel
-    """
+    """Compiled versions of one kernel on disk. Damaged or missing files never make a computation fail."""
 
     _impl_class = _Implementation
 
@@ -202,15 +182,14 @@ class _CheckedFile(IndexDataCacheFile):
 
     def _load_index(self) -> Any:
         with contextlib.suppress(FileNotFoundError):
-            _check(self._index_path, pickle.dumps(self._version, protocol=-1))
+            self._check(self._index_path, pickle.dumps(self._version, protocol=-1))
         return super()._load_index()
 
     def _load_data(self, name: str) -> Any:
-        _check(self._data_path(name))
+        self._check(self._data_path(name))
         return super()._load_data(name)
 
-
-def _check(path: str, head: bytes = b"") -> None:
-    data = Path(path).read_bytes()
-    if data.startswith(head) and zlib.crc32(data[len(head) : -4]).to_bytes(4, "little") != data[-4:]:
-        raise ValueError("wrong checksum")
+    def _check(self, path: str, head: bytes = b"") -> None:
+        data = Path(path).read_bytes()
+        if data.startswith(head) and zlib.crc32(data[len(head) : -4]).to_bytes(4, "little") != data[-4:]:
+            raise ValueError("wrong checksum")

@@ -51,13 +51,8 @@ def exp2_minus(z):
     factor is set as the bits of an exponent, the last is a series of six terms.
     """
     half, ln2, root = np.float32(0.5), np.float32(0.6931472), np.float32(0.70710678)
-    c2, c3, c4, c5, c6 = (
-        np.float32(1 / 2),
-        np.float32(1 / 6),
-        np.float32(1 / 24),
-        np.float32(1 / 120),
-        np.float32(1 / 720),
-    )
+    c2, c3, c4 = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)
+    c5, c6 = np.float32(1 / 120), np.float32(1 / 720)
     one = np.float32(1)
     z = min(z, np.float32(125))
     n = np.int32(z)
@@ -80,3 +75,33 @@ def exp_minus_16(z):
     power *= power
     power *= power
     return power
+
+
+# Terms of confidence measures on cost curves, over disparities (stereo) and over displacements (registration).
+
+
+@jit
+def likelihood(distance):
+    """Return exp(-2 t), a candidate's term of the maximum likelihood measure (Hu and Mordohai, PAMI 2012).
+
+    ``t`` is the ``distance`` >= 0 of the candidate's cost from the smallest one.
+    """
+    return exp_minus(np.float32(2.0) * distance)
+
+
+@jit
+def attainable_likelihood(distance):
+    """Return exp(-8 t^2), a candidate's term of the attainable maximum likelihood (Hu and Mordohai, PAMI 2012).
+
+    ``t`` is the ``distance`` of the candidate's cost from the smallest one.
+    """
+    return exp_minus(np.float32(8.0) * distance * distance)
+
+
+@jit
+def peak_ratio(lowest, second, eps):
+    """Return the ratio of a curve's ``second`` cost to its ``lowest`` one; ``eps`` > 0 avoids a division by 0.
+
+    Which cost is the second one is the measure's choice: that of another minimum, or the second smallest of all.
+    """
+    return (second + eps) / (lowest + eps)

@@ -136,27 +136,20 @@ _turn = threading.RLock()
 class CompileWatch(numba.core.event.Listener):
     """Counts the kernels that are compiled, not those read from the cache, and the seconds that this takes.
 
-    Parameters
-    ----------
-    changed : called with this watch when the compilation of a kernel that Python calls begins, and when it has ended
-
-    Attributes
-    ----------
-    kernels : number of kernels, those that other kernels call included
-    calls : number of kernels that Python calls, with all that they call themselves
-    seconds : of the finished compilations
-    busy : a kernel is being compiled
+    ``changed`` is called when the compilation of a kernel that Python calls begins, and when it has ended.
     """
 
     def __init__(self, changed: Callable[[CompileWatch], None] = lambda watch: None) -> None:
-        self.kernels = self.calls = 0
-        self.seconds = 0.0
+        self.kernels = 0  # those that other kernels call included
+        self.calls = 0  # kernels that Python calls, with all that they call themselves
+        self.seconds = 0.0  # of the finished compilations
         self._changed = changed
         self._depth = 0
         self._begin = 0.0
 
     @property
     def busy(self) -> bool:
+        """Whether a kernel is being compiled."""
         return self._depth > 0
 
     def on_start(self, event: Any) -> None:

@@ -191,16 +191,15 @@ def _is_integer(value: Any) -> bool:
     return isinstance(value.type.element, ir.IntType)
 
 
-def _minimum(builder: Any, a: Any, b: Any) -> Any:
-    compare = builder.icmp_signed if _is_integer(a) else builder.fcmp_ordered
-    return builder.select(compare("<", a, b), a, b)
+def _chosen(symbol: str) -> Callable[[Any, Any, Any], Any]:
+    def build(builder: Any, a: Any, b: Any) -> Any:
+        compare = builder.icmp_signed if _is_integer(a) else builder.fcmp_ordered
+        return builder.select(compare(symbol, a, b), a, b)
+
+    return build
 
 
-def _maximum(builder: Any, a: Any, b: Any) -> Any:
-    compare = builder.icmp_signed if _is_integer(a) else builder.fcmp_ordered
-    return builder.select(compare(">", a, b), a, b)
-
-
+_minimum, _maximum = _chosen("<"), _chosen(">")
 minimum = _binary(_minimum)
 """Return the minimum of two values, lane by lane."""
 maximum = _binary(_maximum)

@@ -135,7 +135,7 @@ def test_a_full_disk_only_means_that_nothing_is_kept(tmp_path: Path):
 
 SUMS = """
 import hashlib, numpy as np
-from depthcli.methods.stereo.segments import energy
+from depthcli.methods.stereo.segments import planes as energy
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlanes
 from depthcli.algorithms.regions import RegionPixels
 rng = np.random.default_rng(0)
@@ -235,6 +235,8 @@ def test_a_folder_that_somebody_else_made_is_not_trusted(tmp_path: Path, monkeyp
     if not hasattr(os, "getuid"):
         pytest.skip("needs owners of files")
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    assert cache._is_usable(tmp_path / "kernels")
+    folders = [tmp_path / "kernels", tmp_path / "other"]
+    monkeypatch.setattr(cache, "_candidates", lambda: folders)
+    assert cache.cache_folder.__wrapped__() == folders[0]
     monkeypatch.setattr(os, "getuid", lambda: 12345)
-    assert not cache._is_usable(tmp_path / "kernels")
+    assert cache.cache_folder.__wrapped__() is None

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.cost_curve import attainable_likelihood, likelihood
-from depthcli.kernels.exponential import bits_float, float_bits
+from depthcli.kernels.exponential import attainable_likelihood, bits_float, float_bits, likelihood
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.winners import winners
 

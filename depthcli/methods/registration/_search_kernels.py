@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from depthcli.kernels.cost_curve import attainable_likelihood, likelihood, peak_ratio
+from depthcli.kernels.exponential import attainable_likelihood, likelihood, peak_ratio
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 MAX_SMALL_VALUE = 85

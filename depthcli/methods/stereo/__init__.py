@@ -20,7 +20,7 @@ What a pipeline is made of; a family is a folder with one file per method, and i
 |---|---|
 | ``adjustment/`` | pair -> the pair with rows and light of its right image adjusted to the left one |
 | ``cost/`` | pair, D -> (H, W, D) costs, ``costs[y, x, d]``: how left (y, x) and right (y, x - d) differ |
-| ``aggregation/`` | costs, pair -> their means over a support window (``cross_support``: one that follows colors) |
+| ``aggregation/`` | costs, pair -> their means over a support window (``cross``: one that follows colors) |
 | ``optimization/`` | costs, pair -> costs that include smoothness; every pixel then takes its cheapest disparity |
 | ``refinement/`` | map, costs, pair -> a better (H, W) map: outliers removed, holes filled, subpixel values |
 | ``networks/`` | file of a network, images -> disparities or features, for the pipeline and the cost called ``onnx`` |

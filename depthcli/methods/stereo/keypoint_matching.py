@@ -14,22 +14,14 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 
 @dataclass(frozen=True)
 class Matches:
-    """Matched key points of a rectified pair, in raster order.
+    """M matched key points of a rectified pair, in raster order."""
 
-    Attributes
-    ----------
-    left, right : (M,) int32 indices into the two sets of key points
-    x, y : (M,) float32 position in the left image, pixels
-    disparity : (M,) float32 ``x_left - x_right``, pixels
-    distance : (M,) float32 Euclidean distance of the descriptors
-    """
-
-    left: NDArray[np.int32]
+    left: NDArray[np.int32]  # indices into the two sets of key points
     right: NDArray[np.int32]
-    x: NDArray[np.float32]
+    x: NDArray[np.float32]  # position in the left image, pixels
     y: NDArray[np.float32]
-    disparity: NDArray[np.float32]
-    distance: NDArray[np.float32]
+    disparity: NDArray[np.float32]  # x_left - x_right, pixels
+    distance: NDArray[np.float32]  # Euclidean, of the descriptors
 
     def __len__(self) -> int:
         return len(self.left)
@@ -51,20 +43,24 @@ def match_rectified(
     ``max_disparity``] and the same sign of the Laplacian, and about the same scale: in a rectified pair a patch
     keeps its height. (On Cones 9 % of the matches with scales within 5 % are wrong; beyond 10 % it is 8 in 10.)
     The ratio test compares with the best candidate elsewhere on the line, at least two pixels away: two
-    responses to one blob do not make it ambiguous.
-
-    Parameters
-    ----------
-    left, right : key points of the two images, of one detector
-    max_disparity, min_disparity : limits of ``x_left - x_right``, pixels
-    max_row_difference : limit of the difference of rows, pixels
-    ratio : a match must be nearer than this times the second candidate, from both sides; 1 = no test
-    max_distance : farther descriptors never match; two unit vectors are at most 2 apart
-    max_scale_ratio : the larger scale of a match over the smaller, at most
+    responses to one blob do not make it ambiguous. From both sides a match must be nearer than ``ratio`` times the
+    second candidate (1: no test), and at most ``max_distance``; two unit vectors are at most 2 apart.
     """
-    limits = (max_row_difference, ratio, max_scale_ratio)
-    nearest, distance = _search(left, right, min_disparity, max_disparity, *limits)
-    back, _ = _search(right, left, -max_disparity, -min_disparity, *limits)
+
+    def search(points: KeyPoints, others: KeyPoints, low: float, high: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        # For each of ``points`` the index of the nearest of ``others`` with x - x' from low to high, -1: none; and
+        # its distance.
+        order = np.lexsort((others.x, others.y)).astype(np.int32)
+        rows = others.y[order]
+        first = np.searchsorted(rows, points.y - max_row_difference, side="right").astype(np.int32)
+        last = np.searchsorted(rows, points.y + max_row_difference, side="left").astype(np.int32)
+        own = points.x, points.sign, points.scale, points.descriptors
+        other = others.x[order], others.sign[order], others.scale[order], others.descriptors[order]
+        nearest, distance = _nearest(*own, *other, first, last, low, high, ratio, max_scale_ratio)
+        return np.append(order, np.int32(-1))[nearest], distance
+
+    nearest, distance = search(left, right, min_disparity, max_disparity)
+    back, _ = search(right, left, -max_disparity, -min_disparity)
     one = np.flatnonzero((nearest >= 0) & (distance <= max_distance)).astype(np.int32)
     one = one[back[nearest[one]] == one]
     other = nearest[one]
@@ -72,33 +68,6 @@ def match_rectified(
     one, other = one[raster], other[raster]
     x = left.x[one]
     return Matches(one, other, x, left.y[one], x - right.x[other], distance[one])
-
-
-def _search(
-    points: KeyPoints, others: KeyPoints, low: float, high: float, rows: float, ratio: float, max_scale_ratio: float
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    # For each of ``points`` the index of the nearest of ``others``, -1: none; and its distance. ``low`` and ``high``
-    # limit x - x', ``rows`` the difference of y.
-    order = np.lexsort((others.x, others.y)).astype(np.int32)
-    first = np.searchsorted(others.y[order], points.y - rows, side="right").astype(np.int32)
-    last = np.searchsorted(others.y[order], points.y + rows, side="left").astype(np.int32)
-    nearest, distance = _nearest(
-        points.x,
-        points.sign,
-        points.scale,
-        points.descriptors,
-        others.x[order],
-        others.sign[order],
-        others.scale[order],
-        others.descriptors[order],
-        first,
-        last,
-        low,
-        high,
-        ratio,
-        max_scale_ratio,
-    )
-    return np.append(order, np.int32(-1))[nearest], distance
 
 
 @jit
@@ -173,13 +142,8 @@ def _nearest(
 def consistent(matches: Matches, neighbors: int = 8, agreeing: int = 2, tolerance: float = 2.0) -> Matches:
     """Return the matches whose disparity some of the matches around them share.
 
-    A blob that straddles the rim of an object is matched, but by the object, not by the ground it lies on.
-
-    Parameters
-    ----------
-    neighbors : number of the nearest matches that are compared
-    agreeing : number of them that must have a disparity within ``tolerance``
-    tolerance : largest difference of disparities that agree, pixels
+    A blob that straddles the rim of an object is matched, but by the object, not by the ground it lies on. At least
+    ``agreeing`` of the nearest ``neighbors`` must have a disparity within ``tolerance`` pixels.
     """
     index, _ = nearest_points(matches.x, matches.y, matches.x, matches.y, min(neighbors + 1, len(matches)))
     # The match itself is one of these, first but for others at the same place; without it they are the neighbors.
@@ -193,12 +157,9 @@ def consistent(matches: Matches, neighbors: int = 8, agreeing: int = 2, toleranc
 def nearest_points(
     center_x: NDArray[Any], center_y: NDArray[Any], x: NDArray[Any], y: NDArray[Any], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the ``count`` of the (M,) points nearest to every one of (N,) centers, the nearest first.
+    """Return the indices of the ``count`` of (M,) points nearest to every one of (N,) centers, and squared distances.
 
-    Returns
-    -------
-    index : (N, count) int64; of equally distant points the one that comes first is nearer
-    squared : (N, count) float64 squared distances
+    Both are (N, count), the nearest first; of equally distant points the one that comes first is nearer.
     """
     index = np.zeros((len(center_x), count), np.int64)
     squared = np.full((len(center_x), count), np.inf)

@@ -19,7 +19,7 @@ from depthcli.device import Device
 from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
 from depthcli.methods.stereo.on_device import DevicePair, run_stage
 from depthcli.methods.stereo.stages import CostStages, PairMatcher
-from depthcli.methods.stereo.tiling.coarse_to_fine import match_in_tiles
+from depthcli.methods.stereo.tiling import match_in_tiles
 from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES, Memory
 from depthcli.methods.stereo.volume import StereoResult
 
@@ -34,19 +34,14 @@ _HOST_BYTES_PER_PIXEL, _HOST_BYTES = 200, 64 << 20
 class Limits:
     """Where a pair may be matched, and in how much memory.
 
-    Attributes
-    ----------
-    memory : bytes that the process may take
-    tiles : when the pair is matched in tiles
-    tile_memory : bytes that the process may take where the pair is matched in tiles. Tiles are chosen by this, not by
-        the memory that is free, so that the map does not depend on the number of workers
-    device : where to match, if the matcher can; None: on the processor
+    Tiles are chosen by ``tile_memory``, not by the memory that is free, so that the map does not depend on the number
+    of workers.
     """
 
-    memory: int
+    memory: int  # bytes that the process may take
     tiles: TileMode = "auto"
-    tile_memory: int = 3072 << 20
-    device: Device | None = None
+    tile_memory: int = 3072 << 20  # bytes that it may take where the pair is matched in tiles
+    device: Device | None = None  # where to match, if the matcher can; None: on the processor
 
 
 def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Limits) -> StereoResult:

@@ -29,12 +29,7 @@ _CONVERSIONS = Kernels("depthcli.methods.stereo", "conversions.cl")
 
 @dataclass(frozen=True)
 class DevicePair:
-    """A pair whose images are copied to a device when they are first used.
-
-    Attributes
-    ----------
-    host : the pair in the memory of the host
-    """
+    """A pair in the memory of the host, whose images are copied to a device when they are first used."""
 
     device: Device
     host: StereoPair
@@ -53,26 +48,22 @@ class DevicePair:
     @cached_property
     def grey(self) -> tuple[DeviceArray, DeviceArray]:
         """Return both images, (H, W) luma as of :attr:`StereoPair.grey`."""
-        if self.host.left.ndim == 3 and self.host.left.dtype == np.uint8 and self.host.bits in (None, 8):
-            left, right = self.color
-            return self._luma(left), self._luma(right)
-        left_host, right_host = self.host.grey
-        return self.device.upload(left_host), self.device.upload(right_host)
+        height, width = self.shape
+        if self.host.left.ndim < 3 or self.host.left.dtype != np.uint8 or self.host.bits not in (None, 8):
+            left, right = self.host.grey
+            return self.device.upload(left), self.device.upload(right)
+        views = self.device.empty((height, width), np.uint16), self.device.empty((height, width), np.uint16)
+        for image, grey in zip(self.color, views, strict=True):
+            self.device.launch(_CONVERSIONS, "luma", (width, height), PIXELS, image, grey, height, width)
+        return views
 
     @cached_property
     def grey8(self) -> tuple[DeviceArray, DeviceArray]:
         """Return both images, (H, W) uint8."""
-        left, right = self.grey
-        if left.dtype == np.uint8:
-            return left, right
-        left_host, right_host = self.host.grey8
-        return self.device.upload(left_host), self.device.upload(right_host)
-
-    def _luma(self, image: DeviceArray) -> DeviceArray:
-        height, width = self.shape
-        grey = self.device.empty((height, width), np.uint16)
-        self.device.launch(_CONVERSIONS, "luma", (width, height), PIXELS, image, grey, height, width)
-        return grey
+        if self.grey[0].dtype == np.uint8:
+            return self.grey
+        left, right = self.host.grey8
+        return self.device.upload(left), self.device.upload(right)
 
 
 @dataclass(frozen=True)
@@ -184,20 +175,17 @@ def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, in
 def run_stage(stage: object, *arguments: Any) -> Any:
     """Run a stage by its device implementation or, where it has none, on the processor, with transfers.
 
-    Parameters
-    ----------
-    stage : the object that the processor would call
-    arguments : those of the stage's ``__call__``, as types of this module
+    ``arguments`` are those of the stage's ``__call__``, as types of this module.
     """
     implementation = device_implementation_of(stage)
     if implementation is not None:
         return implementation(stage, *arguments)
-    result = stage(*(_on_host(argument) for argument in arguments))  # type: ignore[operator]
+
+    def on_host(argument: Any) -> Any:
+        if isinstance(argument, DevicePair | DeviceContext):
+            return argument.host
+        return argument.download() if isinstance(argument, DeviceVolume | DeviceMap) else argument
+
+    result = stage(*map(on_host, arguments))  # type: ignore[operator]
     kind = DeviceVolume if isinstance(result, CostVolume) else DeviceMap
     return kind.upload(arguments[0].device, result)
-
-
-def _on_host(argument: Any) -> Any:
-    if isinstance(argument, DevicePair | DeviceContext):
-        return argument.host
-    return argument.download() if isinstance(argument, DeviceVolume | DeviceMap) else argument

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -49,13 +49,12 @@ class SearchRange:
         width = pair.shape[1]
         if self.min_disparity >= width:
             raise InputError(f"the smallest disparity is {self.min_disparity}, but the images are {width} pixels wide")
-        if self.min_disparity > 0:
-            left, right = pair.left[:, self.min_disparity :].copy(), pair.right[:, : width - self.min_disparity].copy()
-        else:
-            left, right = (
-                cast(Image, cv2.copyMakeBorder(image, 0, 0, before, behind, cv2.BORDER_REPLICATE))
-                for image, before, behind in ((pair.left, -self.min_disparity, 0), (pair.right, 0, -self.min_disparity))
-            )
+        before, behind = max(self.min_disparity, 0), max(-self.min_disparity, 0)
+        left, right = pair.left[:, before:], pair.right[:, : width - before]
+        if behind:
+            left = cast(Image, cv2.copyMakeBorder(left, 0, 0, behind, 0, cv2.BORDER_REPLICATE))
+            right = cast(Image, cv2.copyMakeBorder(right, 0, 0, 0, behind, cv2.BORDER_REPLICATE))
+        left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
         return StereoPair(left, right, pair.bits)
 
     def restore(self, result: StereoResult, width: int) -> StereoResult:
@@ -93,15 +92,13 @@ class SearchRange:
 
     def share_at_ends(self, disparity: DisparityMap) -> tuple[float, float]:
         """Return the shares of measured pixels whose disparity is within 1 of the range's lower and upper end."""
-        measured, values = disparity.measured, disparity.values
+        values = disparity.values[disparity.measured]
         ends = values < self.min_disparity + 1, values > self.max_disparity - 1
-        n_low, n_top = (int(np.count_nonzero(measured & end)) for end in ends)
-        n_measured = max(int(np.count_nonzero(measured)), 1)
-        return n_low / n_measured, n_top / n_measured
+        low, top = (int(np.count_nonzero(end)) / max(values.size, 1) for end in ends)
+        return low, top
 
 
-@dataclass(frozen=True)
-class KeyPointRange:
+class KeyPointRange(NamedTuple):
     """Disparities of ``n_matches`` matched key points, with a margin: ``low`` .. ``top``, both inclusive, pixels."""
 
     low: int
@@ -119,13 +116,7 @@ class KeyPointRange:
 
 
 def range_of_key_points(pair: StereoPair) -> KeyPointRange:
-    """Return the range of the disparities of matched key points, with a margin.
-
-    Raises
-    ------
-    InputError
-        Too few key points match.
-    """
+    """Return the range of the disparities of matched key points, with a margin; InputError where too few match."""
     height, width = pair.shape
     shrink = min(1.0, (_MAX_PIXELS / (height * width)) ** 0.5)
     size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
@@ -146,26 +137,13 @@ def range_of_key_points(pair: StereoPair) -> KeyPointRange:
 
 
 def complete_range(
-    min_disparity: int | str,
-    max_disparity: int | str | None,
-    pair: StereoPair,
-    known: KeyPointRange | None = None,
+    min_disparity: int | str, max_disparity: int | str | None, pair: StereoPair, known: KeyPointRange | None = None
 ) -> tuple[SearchRange, dict[str, int]]:
     """Replace ends that are "auto" by those of key points, and a missing upper end by the range that they suggest.
 
-    Parameters
-    ----------
-    known : the range of the key points of the pair's sequence; None: that of the pair's own
-
-    Returns
-    -------
-    search : the range
-    columns : columns of the report where an end is "auto": number of matches and the range of the key points; else {}
-
-    Raises
-    ------
-    InputError
-        The range is empty, or too few key points match.
+    ``known`` is the range of the key points of the pair's sequence; None: that of the pair's own. Returned are the
+    range and, where an end is "auto", columns of the report: number of matches and the range of the key points.
+    InputError where the range is empty, or too few key points match.
     """
     if max_disparity is None:
         suggested = (known or range_of_key_points(pair)).suggested

@@ -104,17 +104,9 @@ def finish(
     confidence: Iterable[str],
     clock: Clock,
 ) -> tuple[StereoResult, NDArray[np.uint16], NDArray[np.uint16]]:
-    """Compute the map of a cost volume: optimization, winners, refinement, confidence.
+    """Compute the map of a cost volume: optimization, winners, refinement, confidence; ``clock`` books the stages.
 
-    Parameters
-    ----------
-    confidence : names of measures, applied to the optimized costs
-    clock : books the stages
-
-    Returns
-    -------
-    result
-    left, right : (H, W) uint16, the winners of both views that the map was refined from
+    Returned are the result, and the (H, W) uint16 winners of the left and the right view that the map was refined from.
     """
     clock.start("optimization")
     volume = optimization(volume, pair)

@@ -23,12 +23,9 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 class CostVolume:
     """Matching costs of every pixel and disparity; lower is better.
 
-    Attributes
-    ----------
-    costs : (H, W, D) C-contiguous uint8, uint16 or float32; ``costs[y, x, d]`` compares left (y, x)
-        with right (y, x - d). Every cell is finite. Cells with d > x lie outside the right image:
-        they hold a neutral cost, and whoever selects or counts disparities skips them.
-    scale : stored units per unit of the measure, so that ``costs / scale`` is the measure's cost
+    ``costs`` is (H, W, D), C-contiguous, uint8, uint16 or float32; ``costs[y, x, d]`` compares left (y, x) with right
+    (y, x - d). Every cell is finite. Cells with d > x lie outside the right image: they hold a neutral cost, and
+    whoever selects or counts disparities skips them. ``costs / scale`` is the measure's cost.
     """
 
     costs: NDArray[Any]
@@ -50,15 +47,11 @@ class CostVolume:
 class CostMinima:
     """What is kept of the costs of a pair matched in tiles, whose volume was never whole.
 
-    Attributes
-    ----------
-    left : (H, W) uint16, disparities of the cheapest cells
-    minima : (H, W) float32, minima of the parabolas through these cells and those beside them; the disparity itself
-        where it is no local minimum
-    n_disparities : number of disparities searched
+    ``minima`` are those of the parabolas through the cheapest cells and the ones beside them; the disparity itself
+    where it is no local minimum.
     """
 
-    left: NDArray[np.uint16]
+    left: NDArray[np.uint16]  # (H, W), disparities of the cheapest cells
     minima: NDArray[np.float32]
     n_disparities: int
 
@@ -67,30 +60,17 @@ class CostMinima:
 class RefinementContext:
     """What refinement steps may look at beside the map they refine.
 
-    Attributes
-    ----------
-    pair : the images
-    volume : the volume whose cheapest cells the map holds; for steps without ``needs_costs``, maybe only its minima
-    right : (H, W) disparities of the right view, read from the same volume along its diagonals
+    ``volume`` is the one whose cheapest cells the map holds; for steps without ``needs_costs``, maybe only its minima.
     """
 
     pair: StereoPair
     volume: CostVolume | CostMinima
-    right: NDArray[Any]
-
-    def __post_init__(self) -> None:
-        if self.right.dtype not in (np.uint16, np.float32):
-            raise TypeError(f"right disparities must be uint16 or float32, got {self.right.dtype}")
+    right: NDArray[Any]  # (H, W) uint16 or float32, of the right view, read from the volume along its diagonals
 
 
 @dataclass
 class StereoResult(Result):
-    """The result of a stereo pipeline.
-
-    Attributes
-    ----------
-    disparity : the left view's map
-    """
+    """The result of a stereo pipeline: the left view's map."""
 
     disparity: DisparityMap
 

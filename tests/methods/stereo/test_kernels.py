@@ -13,14 +13,13 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.methods.stereo.aggregation.cross import Cross
+from depthcli.methods.stereo.aggregation.cross import Cross, cross_arms
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.cost.combined import Combined
 from depthcli.methods.stereo.cost.gradient import Gradient, image_gradient
 from depthcli.methods.stereo.cost.rank import Rank
 from depthcli.methods.stereo.cost.zncc import Zncc
-from depthcli.methods.stereo.cross_support import cross_arms
 from depthcli.methods.stereo.optimization import scanline
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill

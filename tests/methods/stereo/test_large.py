@@ -18,6 +18,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.pipeline import Fusion
+from depthcli.methods.stereo import tiling
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.aggregation.cross import Cross
@@ -35,9 +36,9 @@ from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
 from depthcli.methods.stereo.stages import PairMatcher
-from depthcli.methods.stereo.tiling import coarse_to_fine, tile_by_tile
+from depthcli.methods.stereo.tiling import tile_by_tile
 from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Tile
-from depthcli.methods.stereo.tiling.winners import TiledWinners
+from depthcli.methods.stereo.tiling.tile_by_tile import TiledWinners
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.run.presets import find_config, find_preset
 from depthcli.simulate.stereo_scenes import make_scene
@@ -69,8 +70,8 @@ def least_memory(matcher, pair: StereoPair, top: int) -> tuple[StereoResult, int
 @pytest.fixture
 def small_levels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Images and ranges of tests count as large."""
-    monkeypatch.setattr(coarse_to_fine, "_MIN_DISPARITIES", 16)
-    monkeypatch.setattr(coarse_to_fine, "_MIN_SIDE", 48)
+    monkeypatch.setattr(tiling, "_MIN_DISPARITIES", 16)
+    monkeypatch.setattr(tiling, "_MIN_SIDE", 48)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
@@ -84,8 +85,9 @@ def test_winners_of_tiles_are_those_of_the_image(height, width, disparities, dty
     gap = np.zeros((height, width, 1 if middle else 0), dtype)
     apart = np.ascontiguousarray(np.concatenate([costs[:, :, :middle], gap, costs[:, :, middle:]], axis=2))
     for y in range(0, height, 5):
-        inside = slice(0, min(5, height - y)), slice(0, width)
-        gathered.add(apart[y : y + 5], np.array(spans, np.int64), (y, 0), inside)
+        rows = y, min(y + 5, height)
+        tile = Tile(rows, (0, width), (*rows, 0, width), ())
+        gathered.add(apart[y : y + 5], np.array(spans, np.int64), tile)
     left, right = winners(costs)
     np.testing.assert_array_equal(gathered.left, left)
     known = np.arange(width) + 0 <= width - 1  # every right pixel has a candidate: d = 0
@@ -107,7 +109,8 @@ def test_winners_of_tiles_with_disparities_of_their_own(dtype):
             cells += [costs[:, :, low : low + count], np.zeros((height, width, 1), dtype)]
             start += count + 1
         volume = np.ascontiguousarray(np.concatenate(cells[:-1], axis=2))
-        gathered.add(volume, np.array(spans, np.int64), (0, 0), (slice(0, height), slice(x0, x1)))
+        tile = Tile((0, height), (x0, x1), (0, height, 0, width), ())
+        gathered.add(volume, np.array(spans, np.int64), tile)
     left, right, minima = naive.gathered_winners(costs, allowed)
     np.testing.assert_array_equal(gathered.left, left)
     there = right >= 0
@@ -134,7 +137,7 @@ def test_tiles_cover_the_image_once_and_search_all_candidates():
             seen[tile.place] += 1
             assert fits(tile)
             assert len(tile.spans) == 1 or not margins.whole
-            searched = {d for span in tile.spans for d in range(span.low, span.low + span.count)}
+            searched = {d for span in tile.spans for d in range(span.low, span.low + span.n)}
             assert max(searched) <= top
             rows, columns = (slice(a // BLOCK, -(-b // BLOCK)) for a, b in (tile.rows, tile.columns))
             wanted = np.flatnonzero(bins[rows, columns].any(axis=(0, 1))) * BIN
@@ -215,7 +218,7 @@ def test_fusion_in_tiles(small_levels):
 
 
 def test_thin_things_are_found_although_small_images_lose_them(small_levels, monkeypatch):
-    monkeypatch.setattr(coarse_to_fine, "_MIN_DISPARITIES", 32)
+    monkeypatch.setattr(tiling, "_MIN_DISPARITIES", 32)
     height, width, near, far = 260, 320, 56, 12
     wall = texture((height, width + 80, 3), 1)
     views = [wall[:, 40 : 40 + width].copy(), wall[:, 40 + far : 40 + far + width].copy()]
@@ -251,25 +254,8 @@ def test_memory_that_suffices_for_no_tile():
 
 
 def test_the_command_says_what_it_did(tmp_path: Path, capsys):
-    assert (
-        main(
-            [
-                "sample",
-                "--width",
-                "160",
-                "--height",
-                "120",
-                "--max-disparity",
-                "20",
-                "-n",
-                "1",
-                "-o",
-                str(tmp_path / "s"),
-                "-q",
-            ]
-        )
-        == 0
-    )
+    size = ["--width", "160", "--height", "120", "--max-disparity", "20"]
+    assert main(["sample", *size, "-n", "1", "-o", str(tmp_path / "s"), "-q"]) == 0
     arguments = ["stereo", "fast", "-i", str(tmp_path / "s"), "-o"]
     always = ["--set", "tiles=always", "--set", "min_disparity=3"]
     assert main([*arguments, str(tmp_path / "u"), *always, "--max-memory", "1GiB"]) == 0

@@ -13,10 +13,9 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
-from depthcli.methods.stereo.segments import energy
-from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, segment_window
+from depthcli.methods.stereo.segments import planes as energy
+from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, Split, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges, search_ranges
-from depthcli.methods.stereo.segments.segmented_image import Split
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.run.presets import find_config
 from depthcli.simulate.stereo_scenes import make_scene

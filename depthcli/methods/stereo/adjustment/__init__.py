@@ -17,10 +17,14 @@ from pydantic import BaseModel, Field
 
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.result import Clock
-from depthcli.methods.stereo.adjustment.light import estimate_gains, light_trust
 from depthcli.methods.stereo.adjustment.noise import denoised
-from depthcli.methods.stereo.adjustment.resampling import IDENTITY
-from depthcli.methods.stereo.adjustment.rows import BLOCK, estimate_row_shift
+from depthcli.methods.stereo.adjustment.right_view import (
+    BLOCK,
+    IDENTITY,
+    estimate_gains,
+    estimate_row_shift,
+    light_trust,
+)
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
@@ -58,13 +62,8 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
     matches differ least (robustly weighted Gauss-Newton steps), is removed by cubic interpolation along the columns;
     where it was large, the corrected pair is matched again. ``light``: every channel is multiplied by the local ratio
     of the left to the right grey levels of the matches; the differences that remain give the pair's ``light_trust``.
-    Only noise changes the left image. Disparities stay as they are.
-
-    Parameters
-    ----------
-    max_disparity : largest disparity that is searched, pixels
-    what : ``noise``, ``rows``, ``light`` or several of them; with none, ``pair`` itself is returned
-    clock : receives the seconds as the stage "adjustment"
+    Only noise changes the left image. Disparities, at most ``max_disparity``, stay as they are. ``clock`` receives the
+    seconds as the stage "adjustment".
     """
     if not what:
         return pair
@@ -72,15 +71,14 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
         clock.start("adjustment")
     if "noise" in what:
         pair = denoised(pair)
-    if "rows" in what or "light" in what:
-        pair = _aligned(pair, max_disparity, what)
-    return pair
-
-
-def _aligned(pair: StereoPair, max_disparity: int, what: Adjust) -> StereoPair:
-    # The right image with its rows and its light adjusted.
-    factor = reduction_factor(pair.shape, max_disparity)
-    reduced = _reduced(pair, factor)
+    if "rows" not in what and "light" not in what:
+        return pair
+    factor, n_pixels = 2, pair.shape[0] * pair.shape[1]
+    while n_pixels > _MAX_PIXELS * factor**2 or n_pixels * max_disparity > _MAX_COSTS * factor**3:
+        factor *= 2
+    height, width = (-(-side // factor) for side in pair.shape)
+    small = (cast(Image, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)) for image in pair.clamped)
+    reduced = StereoPair(*StereoPair(*small, pair.bits).color8)
     correction = previous = IDENTITY
     disparity = None
     max_matches = 0
@@ -112,23 +110,6 @@ class AdjustingMatcher(PairMatcher, BaseModel):
     """A matcher that first adjusts the right image to the left one."""
 
     adjust: Adjust = ()
-
-
-def reduction_factor(shape: tuple[int, int], max_disparity: int) -> int:
-    """Return the smallest power of 2 by which a pair of (H, W) ``shape`` must be reduced to be matched quickly."""
-    factor, n_pixels = 2, shape[0] * shape[1]
-    while n_pixels > _MAX_PIXELS * factor**2 or n_pixels * max_disparity > _MAX_COSTS * factor**3:
-        factor *= 2
-    return factor
-
-
-def _reduced(pair: StereoPair, factor: int) -> StereoPair:
-    # 8-bit color images.
-    height, width = (-(-side // factor) for side in pair.shape)
-    left, right = (
-        cast(Image, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)) for image in pair.clamped
-    )
-    return StereoPair(*StereoPair(left, right, pair.bits).color8)
 
 
 def _matched(pair: StereoPair, max_disparity: int) -> NDArray[np.float32] | None:

@@ -29,16 +29,10 @@ _STRIP = 512  # rows that are filtered at a time
 
 
 class NoiseLevel(NamedTuple):
-    """Noise and contrast of an image.
+    """Noise and contrast of an image."""
 
-    Attributes
-    ----------
-    deviation : standard deviation of the noise, levels
-    contrast : typical standard deviation within 32 x 32 pixels over that of the noise
-    """
-
-    deviation: float
-    contrast: float
+    deviation: float  # standard deviation of the noise, levels
+    contrast: float  # typical standard deviation within 32 x 32 pixels over that of the noise
 
 
 def denoised(pair: StereoPair) -> StereoPair:
@@ -70,10 +64,6 @@ def noise_level(image: Image) -> NoiseLevel:
 
     Noise is white: averaged over 2 x 2 pixels it has a quarter of the energy, while fine texture, which may fill an
     image as evenly as noise, does not lose any.
-
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3), uint8 or uint16
     """
     level = _level(image)
     full = _flat_energy(level)

@@ -13,9 +13,11 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.aggregation import Aggregator
-from depthcli.methods.stereo.aggregation._intersection import intersected_means
-from depthcli.methods.stereo.cross_support import cross_arms
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
+
+# First pass of intersections: the sum of an arm, above 9 bits of its length. An arm has at most 511 pixels of at most
+# 4080.
+_LENGTH_BITS = 9
 
 
 class Cross(Aggregator):
@@ -144,3 +146,229 @@ def _column_sums(source, before, after, inverse, out, shift, last):
                 low = prefix[y - before[y, x], offset : offset + n_disparities]
                 high = prefix[y + after[y, x] + 1, offset : offset + n_disparities]
                 _write(low, high, inverse[y, x], out[y, x], shift, last)
+
+
+def intersected_means(
+    source: NDArray[np.uint16],
+    arms: NDArray[np.uint8],
+    target: NDArray[np.uint8],
+    horizontal_first: bool,
+    out: NDArray[np.uint16] | None,
+) -> NDArray[np.uint16]:
+    """Return means over the first arms of all pixels on the second arm of every pixel, cut to those of its match.
+
+    The cut makes every arm depend on the disparity. Both passes still read prefix sums, at a place of its own for every
+    d; sum and number of pixels travel in one word, so that one difference gives both. The (H, W, D) ``source`` is at
+    most 4080; ``out``, which it may be, gets the means; None: a new array.
+    """
+    height, width, n_disparities = source.shape
+    # Along d the other view is read backwards; behind its border stands an arm that cuts nothing.
+    mirrored = np.full((4, height, width + n_disparities), 255, np.uint8)
+    mirrored[:, :, :width] = target[:, :, ::-1]
+    spans: NDArray[np.uint32] = memory.empty(source.shape, np.uint32)
+    means: NDArray[np.uint16] = memory.empty(source.shape, np.uint16) if out is None else out
+    if horizontal_first:
+        _row_spans(source, arms, mirrored, spans)
+        _intersected_column_means(spans, arms, mirrored, means)
+    else:
+        _column_spans(source, arms, mirrored, spans)
+        _intersected_row_means(spans, arms, mirrored, means)
+    return means
+
+
+# Index arithmetic is unsigned, which spares the test for negative indices.
+
+
+@parallel_jit
+def _row_spans(source, arms, mirrored, spans):
+    height, width, n_disparities = source.shape
+    bits = np.uint32(_LENGTH_BITS)
+    for y in prange(height):
+        prefix = np.zeros((width + 1) * n_disparities, np.uint32)
+        costs = source[y].reshape(width * n_disparities)
+        later = prefix[n_disparities:]
+        for i in range(costs.size):
+            later[i] = prefix[i] + np.uint32(costs[i])
+        for x in range(width):
+            before, after = arms[0, y, x], arms[1, y, x]
+            cut_before = mirrored[0, y, width - 1 - x : width - 1 - x + n_disparities]
+            cut_after = mirrored[1, y, width - 1 - x : width - 1 - x + n_disparities]
+            out = spans[y, x]
+            for d in range(out.size):
+                b, a = np.uint64(min(before, cut_before[d])), np.uint64(min(after, cut_after[d]))
+                low = (np.uint64(x) - b) * np.uint64(n_disparities) + np.uint64(d)
+                length = a + b + np.uint64(1)
+                total = prefix[low + length * np.uint64(n_disparities)] - prefix[low]
+                out[d] = np.uint32((total << bits) | np.uint32(length))
+
+
+@parallel_jit
+def _column_spans(source, arms, mirrored, spans):
+    height, width, n_disparities = source.shape
+    bits = np.uint32(_LENGTH_BITS)
+    block = 4
+    for start in prange((width + block - 1) // block):
+        x0 = start * block
+        x1 = min(width, x0 + block)
+        run = (x1 - x0) * n_disparities
+        prefix = np.zeros((height + 1) * run, np.uint32)
+        for y in range(height):
+            costs = source[y, x0:x1].reshape(run)
+            here = prefix[y * run : (y + 1) * run]
+            there = prefix[(y + 1) * run : (y + 2) * run]
+            for i in range(costs.size):
+                there[i] = here[i] + np.uint32(costs[i])
+        for y in range(height):
+            for x in range(x0, x1):
+                before, after = arms[2, y, x], arms[3, y, x]
+                cut_before = mirrored[2, y, width - 1 - x : width - 1 - x + n_disparities]
+                cut_after = mirrored[3, y, width - 1 - x : width - 1 - x + n_disparities]
+                out = spans[y, x]
+                offset = np.uint64((x - x0) * n_disparities)
+                for d in range(out.size):
+                    b, a = np.uint64(min(before, cut_before[d])), np.uint64(min(after, cut_after[d]))
+                    low = (np.uint64(y) - b) * np.uint64(run) + offset + np.uint64(d)
+                    length = a + b + np.uint64(1)
+                    total = prefix[low + length * np.uint64(run)] - prefix[low]
+                    out[d] = np.uint32((total << bits) | np.uint32(length))
+
+
+@parallel_jit
+def _intersected_column_means(spans, arms, mirrored, means):
+    height, width, n_disparities = spans.shape
+    bits, mask = np.uint64(_LENGTH_BITS), np.uint64((1 << _LENGTH_BITS) - 1)
+    block = 4
+    for start in prange((width + block - 1) // block):
+        x0 = start * block
+        x1 = min(width, x0 + block)
+        run = (x1 - x0) * n_disparities
+        # sum << 32 | number: the number of pixels of a column of arms is far below 2 ** 32
+        prefix = np.zeros((height + 1) * run, np.uint64)
+        total = np.empty(n_disparities, np.uint64)
+        for y in range(height):
+            packed = spans[y, x0:x1].reshape(run)
+            here = prefix[y * run : (y + 1) * run]
+            there = prefix[(y + 1) * run : (y + 2) * run]
+            for i in range(packed.size):
+                word = np.uint64(packed[i])
+                there[i] = here[i] + (((word >> bits) << np.uint64(32)) | (word & mask))
+        for y in range(height):
+            for x in range(x0, x1):
+                before, after = arms[2, y, x], arms[3, y, x]
+                cut_before = mirrored[2, y, width - 1 - x : width - 1 - x + n_disparities]
+                cut_after = mirrored[3, y, width - 1 - x : width - 1 - x + n_disparities]
+                offset = np.uint64((x - x0) * n_disparities)
+                for d in range(total.size):
+                    b, a = np.uint64(min(before, cut_before[d])), np.uint64(min(after, cut_after[d]))
+                    low = (np.uint64(y) - b) * np.uint64(run) + offset + np.uint64(d)
+                    total[d] = prefix[low + (a + b + np.uint64(1)) * np.uint64(run)] - prefix[low]
+                out = means[y, x]
+                for d in range(out.size):
+                    number = np.float32(np.int32(np.uint32(total[d])))
+                    out[d] = np.uint16(
+                        np.int32(np.float32(np.int32(total[d] >> np.uint64(32))) / number + np.float32(0.5))
+                    )
+
+
+@parallel_jit
+def _intersected_row_means(spans, arms, mirrored, means):
+    height, width, n_disparities = spans.shape
+    bits, mask = np.uint64(_LENGTH_BITS), np.uint64((1 << _LENGTH_BITS) - 1)
+    for y in prange(height):
+        prefix = np.zeros((width + 1) * n_disparities, np.uint64)
+        total = np.empty(n_disparities, np.uint64)
+        packed = spans[y].reshape(width * n_disparities)
+        later = prefix[n_disparities:]
+        for i in range(packed.size):
+            word = np.uint64(packed[i])
+            later[i] = prefix[i] + (((word >> bits) << np.uint64(32)) | (word & mask))
+        for x in range(width):
+            before, after = arms[0, y, x], arms[1, y, x]
+            cut_before = mirrored[0, y, width - 1 - x : width - 1 - x + n_disparities]
+            cut_after = mirrored[1, y, width - 1 - x : width - 1 - x + n_disparities]
+            for d in range(total.size):
+                b, a = np.uint64(min(before, cut_before[d])), np.uint64(min(after, cut_after[d]))
+                low = (np.uint64(x) - b) * np.uint64(n_disparities) + np.uint64(d)
+                total[d] = prefix[low + (a + b + np.uint64(1)) * np.uint64(n_disparities)] - prefix[low]
+            out = means[y, x]
+            for d in range(out.size):
+                number = np.float32(np.int32(np.uint32(total[d])))
+                out[d] = np.uint16(np.int32(np.float32(np.int32(total[d] >> np.uint64(32))) / number + np.float32(0.5)))
+
+
+def cross_arms(
+    image: NDArray[np.uint8], length: int, threshold: int, inner_length: int, inner_threshold: int
+) -> NDArray[np.uint8]:
+    """Return the arm lengths of every pixel of an (H, W, C) uint8 image: (4, H, W) uint8, left, right, up, down.
+
+    An arm grows while (1) the next pixel differs from the center by at most ``threshold`` and, from the
+    second step on, from the pixel before it as well, (2) it is no longer than ``length``, at most 255, (3) beyond
+    ``inner_length`` the difference from the center is at most ``inner_threshold``. Differences are the largest
+    over the channels. Every arm inside the image has at least one pixel, so that no support is a point.
+    (Zhang, Lu & Lafruit 2009, thesis, eq. 3.8-3.9, with the two-threshold rule of Mei et al. 2011.)
+    """
+    planes = np.ascontiguousarray(image.transpose(2, 0, 1))
+    arms = np.empty((4, *image.shape[:2]), np.uint8)
+    _grow_horizontal(planes, arms, length, threshold, inner_length, inner_threshold)
+    _grow_vertical(planes, arms, length, threshold, inner_length, inner_threshold)
+    return arms
+
+
+# Both kernels advance the arms of a whole row of pixels by one step at a time: the loop over pixels is
+# branch-free SIMD, and ``alive`` remembers which arms still grow.
+
+
+@jit
+def _step(center, neighbor, previous, alive, arm, limit, threshold):
+    # Arms grow to ``neighbor`` where it differs from ``center`` by at most limit, from ``previous`` by threshold.
+    for k in range(center.shape[0]):
+        a, b, c = center[k], neighbor[k], previous[k]
+        for i in range(alive.size):
+            value = np.int16(b[i])
+            far = np.uint8(np.int16(abs(np.int16(np.int16(a[i]) - value))) > limit)
+            jump = np.uint8(np.int16(abs(np.int16(np.int16(c[i]) - value))) > threshold)
+            alive[i] = np.uint8(alive[i] & np.uint8(1 - np.uint8(far | jump)))
+    for i in range(alive.size):
+        arm[i] = np.uint8(arm[i] + alive[i])
+
+
+@parallel_jit
+def _grow_horizontal(planes, arms, length, threshold, inner_length, inner_threshold):
+    _, height, width = planes.shape
+    for y in prange(height):
+        row = planes[:, y]
+        for side in range(2):
+            arm = arms[side, y]
+            arm[:] = 0
+            alive = np.ones(width, np.uint8)
+            for step in range(1, min(length, width - 1) + 1):
+                limit = np.int16(threshold if step <= inner_length else inner_threshold)
+                n = width - step
+                if side == 1:
+                    _step(row[:, :n], row[:, step:], row[:, step - 1 : width - 1], alive[:n], arm[:n],
+                          limit, np.int16(threshold))  # fmt: skip
+                else:
+                    _step(row[:, step:], row[:, :n], row[:, 1 : n + 1], alive[step:], arm[step:],
+                          limit, np.int16(threshold))  # fmt: skip
+            for x in range(width):
+                room = x if side == 0 else width - 1 - x
+                arm[x] = max(arm[x], np.uint8(min(1, room)))
+
+
+@parallel_jit
+def _grow_vertical(planes, arms, length, threshold, inner_length, inner_threshold):
+    _, height, width = planes.shape
+    for y in prange(height):
+        for side in range(2, 4):
+            direction = -1 if side == 2 else 1
+            room = y if side == 2 else height - 1 - y
+            arm = arms[side, y]
+            arm[:] = 0
+            alive = np.ones(width, np.uint8)
+            for step in range(1, min(length, room) + 1):
+                limit = np.int16(threshold if step <= inner_length else inner_threshold)
+                v = y + direction * step
+                _step(planes[:, y], planes[:, v], planes[:, v - direction], alive, arm, limit, np.int16(threshold))
+            shortest = np.uint8(min(1, room))
+            for x in range(width):
+                arm[x] = max(arm[x], shortest)

@@ -38,13 +38,10 @@ _TRANSFERRED_WEIGHT = 0.4  # part of the weight lost by measures of grey levels 
 
 
 def light_weights(measures: Sequence[CostMeasure | None], pair: StereoPair) -> NDArray[np.float32] | None:
-    """Return the weights of measures in a sum at every pixel, given its light trust.
+    """Return the weights of M measures in a sum at every pixel, (M, H, W), given its light trust; None: all are 1.
 
-    Returns
-    -------
-    (M, H, W) float32, or None
-        Where the light differs, measures that compare grey levels have weights below 1 and the others above 1; all
-        weights together are at most M. None: all weights are 1.
+    Where the light differs, measures that compare grey levels have weights below 1 and the others above 1; all weights
+    together are at most M.
     """
     levels = [measure is not None and measure.compares_levels for measure in measures]
     n_levels, n_others = sum(levels), len(levels) - sum(levels)

@@ -100,12 +100,8 @@ def tolerant_volume(
     """Write the sum over channels of the sampling-insensitive dissimilarity of Birchfield and Tomasi (PAMI 1998).
 
     It is the difference of a pixel from the nearest value that the other image has within half a pixel of its match;
-    the smaller one of left to right and right to left.
-
-    Parameters
-    ----------
-    left, right : (C, H, W) uint8 or int16
-    costs : (H, W, D), written: the sum divided by 2^``shift`` (rounded half up), at most ``limit``
+    the smaller one of left to right and right to left. Of (C, H, W) images, the (H, W, D) ``costs`` become the sum
+    divided by 2^``shift`` (rounded half up), at most ``limit``.
     """
     left, right = left.astype(np.int16, copy=False), right.astype(np.int16, copy=False)  # one type to compile for
     left_low, left_high = np.empty_like(left), np.empty_like(left)

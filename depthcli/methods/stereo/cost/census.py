@@ -41,16 +41,9 @@ class Census(CostMeasure):
 
 
 def census_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint64]:
-    """Compute census bit strings.
+    """Compute census bit strings of a ``window`` (width, height) of at most 64 neighbors, (H, W) uint64.
 
-    Parameters
-    ----------
-    image : (H, W) uint8 or uint16; its border pixels are repeated outwards
-    window : (width, height), odd, at most 64 neighbors
-
-    Returns
-    -------
-    (H, W) uint64
+    The border pixels of the image are repeated outwards.
     """
     ry, rx = window[1] // 2, window[0] // 2
     padded = np.pad(image, ((ry, ry), (rx, rx)), mode="edge")

@@ -51,16 +51,10 @@ class Gradient(CostMeasure):
 
 
 def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
-    """Compute derivatives along x and y by a 5 x 5 derivative-of-Gaussian filter.
+    """Compute derivatives along x and y by a 5 x 5 derivative-of-Gaussian filter, of ``sigma`` pixels.
 
-    Parameters
-    ----------
-    image : (H, W) uint8 or uint16; its border pixels are repeated outwards
-    sigma : pixels
-
-    Returns
-    -------
-    (2, H, W) int16, in sixteenths of a grey level (of 255) per pixel
+    The border pixels of the image are repeated outwards. Returned are (2, H, W) int16, in sixteenths of a grey level
+    (of 255) per pixel.
     """
     smooth, slope = derivative_filters(sigma)
     grey = image.astype(np.float32) * np.float32(16 if image.dtype == np.uint8 else 16 / 257)

@@ -39,16 +39,9 @@ class Rank(CostMeasure):
 
 
 def rank_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint8]:
-    """Count the pixels in each pixel's window that are darker than it.
+    """Count the pixels in each pixel's ``window`` (width, height) that are darker than it, (H, W) uint8.
 
-    Parameters
-    ----------
-    image : (H, W) uint8 or uint16; its border pixels are repeated outwards
-    window : (width, height), odd, at most 255 pixels
-
-    Returns
-    -------
-    (H, W) uint8
+    The border pixels of the image are repeated outwards.
     """
     ry, rx = window[1] // 2, window[0] // 2
     padded = np.pad(image, ((ry, ry), (rx, rx)), mode="edge")

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.cross_support import cross_arms
+from depthcli.methods.stereo.aggregation.cross import cross_arms
 from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
 

@@ -1,38 +1,34 @@
-"""First disparities of the segment-based pipeline: windows inside segments, winner-takes-all, left-right check."""
+"""First disparities of the segment-based pipeline, by windows inside segments, and the segments that they cut."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
+from depthcli.algorithms.regions import RegionGraph, RegionPixels, connected_components_of_labels, merge_small_labels
 from depthcli.core import memory
+from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.stereo.refinement.subpixel import move_to_minimum
-from depthcli.methods.stereo.segments import Step
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 
 @dataclass(frozen=True)
 class FirstEstimate:
-    """Disparities before planes are fitted.
+    """Disparities (H, W) before planes are fitted."""
 
-    Attributes
-    ----------
-    values : (H, W) float32, pixels, may have fractions
-    trusted : (H, W) bool: the right view agrees
-    right : (H, W) uint16 disparities of the right view
-    """
-
-    values: NDArray[np.float32]
-    trusted: NDArray[np.bool_]
-    right: NDArray[np.uint16]
+    values: NDArray[np.float32]  # pixels, may have fractions
+    trusted: NDArray[np.bool_]  # the right view agrees
+    right: NDArray[np.uint16]  # disparities of the right view
 
 
-class Selection(Step):
+class Selection(ConfigModel):
     """Take the cheapest disparities of both views and check whether they agree.
 
     A pixel is trusted where the views agree and its costs are not all the same: in a uniform image every disparity
@@ -55,13 +51,7 @@ class Selection(Step):
 
 
 def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -> CostVolume:
-    """Average costs over those pixels of a square window that lie in the segment of its center.
-
-    Returns
-    -------
-    CostVolume
-        uint16 fixed point; a unit of a uint8 volume becomes 16.
-    """
+    """Average costs over those pixels of a square window that lie in the segment of its center, in fixed point."""
     fixed = as_fixed_point(volume) if volume.costs.dtype != np.uint8 else volume
     out = memory.empty(fixed.costs.shape, np.uint16)
     refinement = FixedPoint.FRACTION if volume.costs.dtype == np.uint8 else 1
@@ -127,3 +117,70 @@ def _distrust_constant_costs(costs, trusted):
                 low = min(low, cost)
                 high = max(high, cost)
             trusted[y, x] = high > low or n_disparities == 1
+
+
+def grid_cells(shape: tuple[int, ...], cell: int) -> tuple[NDArray[np.int64], int]:
+    """Return the (H, W) numbers of the cells of a grid, ``cell`` pixels wide, and a bound above them."""
+    height, width = shape
+    grid = (np.arange(height)[:, None] // cell) * (width // cell + 1) + np.arange(width)[None] // cell
+    return grid, int(grid.max()) + 1
+
+
+class Split(ConfigModel):
+    """Cut segments that are not planar along a grid: a curved page has one color, but needs several planes.
+
+    The cuts do not follow disparities: the rim of a foreground object, which windows widen, would become a segment of
+    its own and keep its wrong disparity.
+    """
+
+    cells: tuple[Annotated[int, Field(ge=4, le=512)], ...] = Field(
+        (), max_length=8, description="cell sides of the grids that cut segments, one per pass, pixels; empty: no cuts"
+    )
+    tolerance: float = Field(1.0, gt=0, le=16384, description="largest distance of a pixel that fits the plane, pixels")
+    misfits: float = Field(
+        0.1, ge=0, le=1, description="share of trusted pixels off its plane above which a segment is cut"
+    )
+
+    def __call__(self, labels: NDArray[np.int32], first: FirstEstimate, fit: SegmentPlaneFit) -> NDArray[np.int32]:
+        """Return (H, W) int32 connected segments: ``labels``, or pieces of them; ``fit`` gets this ``tolerance``."""
+        plane_fit = fit.model_copy(update={"tolerance": self.tolerance})
+        for cell in self.cells:
+            count = int(labels.max()) + 1
+            members = RegionPixels.of(labels, first.trusted, count)
+            sizes = np.bincount(labels.ravel(), minlength=count)
+            active = np.flatnonzero((members.sizes >= 3) & (sizes > cell * cell // 2))
+            if len(active) == 0:
+                continue
+            planes = plane_fit(first.values, members, active)
+            not_planar = np.zeros(count, bool)
+            not_planar[active] = planes.support < (1 - self.misfits) * members.sizes[active]
+            grid, n_cells = grid_cells(labels.shape, cell)
+            # Every (segment, cell) pair becomes a value of its own; pieces of less than a quarter cell are merged back.
+            keys = labels.astype(np.int64) * n_cells + np.where(not_planar[labels], grid, 0)
+            _, cut = np.unique(keys, return_inverse=True)
+            pieces = connected_components_of_labels(cut.reshape(labels.shape).astype(np.int32))
+            labels = merge_small_labels(pieces, labels, cell * cell // 4)
+        return labels
+
+
+@dataclass(frozen=True)
+class SegmentedImage:
+    """Segments ``labels`` (H, W), 0 .. n - 1, with their first disparities and their pixels."""
+
+    labels: NDArray[np.int32]
+    first: FirstEstimate
+    graph: RegionGraph  # sizes, colors and neighbors of the segments
+    trusted: RegionPixels  # those that passed the left-right check
+    untrusted: RegionPixels
+    everything: RegionPixels
+    max_disparity: int
+
+    @classmethod
+    def of(
+        cls, labels: NDArray[np.int32], first: FirstEstimate, graph: RegionGraph, max_disparity: int
+    ) -> SegmentedImage:
+        """Return the segments of ``labels`` with their pixels sorted."""
+        trusted, untrusted, everything = (
+            RegionPixels.of(labels, mask, len(graph.sizes)) for mask in (first.trusted, ~first.trusted, None)
+        )
+        return cls(labels, first, graph, trusted, untrusted, everything, max_disparity)

@@ -10,25 +10,19 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
+from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.keypoint_matching import Matches, nearest_points
-from depthcli.methods.stereo.segments import Step
-from depthcli.methods.stereo.segments.segmented_image import grid_cells
+from depthcli.methods.stereo.segments.first_estimate import grid_cells
 from depthcli.methods.stereo.volume import CostVolume
 
 
 @dataclass(frozen=True)
 class SearchRanges:
-    """Disparities to search.
+    """Disparities to search."""
 
-    Attributes
-    ----------
-    zones : (H, W) int32, 0 .. n - 1; pixels of a zone share a range
-    limits : (n, 2) int32 lowest and highest disparity, pixels, inclusive
-    """
-
-    zones: NDArray[np.int32]
-    limits: NDArray[np.int32]
+    zones: NDArray[np.int32]  # (H, W), 0 .. n - 1; pixels of a zone share a range
+    limits: NDArray[np.int32]  # (n, 2) lowest and highest disparity, pixels, inclusive
 
     def by_segment(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the (n, 2) lowest and highest disparities over the zones that each segment of ``labels`` overlaps."""
@@ -39,7 +33,7 @@ class SearchRanges:
         return limits
 
 
-class Ranges(Step):
+class Ranges(ConfigModel):
     """Search every segment around the disparities of its key points, and penalize all others."""
 
     margin: float = Field(
@@ -56,7 +50,12 @@ class Ranges(Step):
 
     def __call__(self, labels: NDArray[np.int32], matches: Matches | None, max_disparity: int) -> SearchRanges:
         """Return the ranges of the segments ``labels`` (H, W), 0 .. n - 1."""
-        zones = search_zones(labels, self.cell) if self.cell else labels
+        zones = labels
+        if self.cell:
+            # In a segment of large extent, such as the bars of a fence, distant key points say nothing about a place.
+            grid, n_cells = grid_cells(labels.shape, self.cell)
+            _, zones = np.unique(labels.astype(np.int64) * n_cells + grid, return_inverse=True)
+            zones = np.asarray(zones.reshape(labels.shape), np.int32)
         limits = search_ranges(zones, matches, max_disparity, self.margin, self.neighbors, self.reach)
         return SearchRanges(zones, limits)
 
@@ -93,16 +92,6 @@ def _penalize(costs, zones, ranges, penalty, limit, out):
                 row[d] = min(row[d] + penalty, limit)
 
 
-def search_zones(labels: NDArray[np.int32], cell: int) -> NDArray[np.int32]:
-    """Return zones that share a search range, segments cut along a grid of ``cell`` pixels; (H, W) int32, 0 .. n - 1.
-
-    In a segment of large extent, such as the bars of a fence, distant key points say nothing about a place.
-    """
-    grid, n_cells = grid_cells(labels.shape, cell)
-    _, zones = np.unique(labels.astype(np.int64) * n_cells + grid, return_inverse=True)
-    return np.asarray(zones.reshape(labels.shape), np.int32)
-
-
 def search_ranges(
     labels: NDArray[np.int32],
     matches: Matches | None,
@@ -120,7 +109,6 @@ def search_ranges(
     Parameters
     ----------
     labels : (H, W) segments 0 .. n - 1
-    matches : matched key points, or None
     neighbors : number of key points nearest to the segment's center that count as its own, so that segments without
         any are limited too; 0: those inside the segment (thesis, eq. 2.2-2.5)
     reach : where the farthest of these ``neighbors`` is farther from the center than this, none counts, pixels
@@ -139,9 +127,13 @@ def search_ranges(
         np.minimum.at(low, segment, matches.disparity)
         np.maximum.at(high, segment, matches.disparity)
         if neighbors and len(matches) >= neighbors:
-            index, farthest = _nearest(labels, matches, neighbors)
+            flat = labels.ravel()
+            sizes = np.maximum(np.bincount(flat), 1)
+            y, x = np.divmod(np.arange(flat.size), labels.shape[1])
+            centers = np.bincount(flat, x) / sizes, np.bincount(flat, y) / sizes
+            index, squared = nearest_points(*centers, matches.x, matches.y, neighbors)
             near = matches.disparity[index]
-            within = farthest <= reach
+            within = np.sqrt(squared[:, -1]) <= reach
             low = np.where(within, np.minimum(low, near.min(axis=1)), low)
             high = np.where(within, np.maximum(high, near.max(axis=1)), high)
     widening = margin * max_disparity
@@ -149,15 +141,3 @@ def search_ranges(
     ranges[:, 0] = np.clip(np.floor(np.where(np.isinf(low), 0, low - widening)), 0, max_disparity)
     ranges[:, 1] = np.clip(np.ceil(np.where(np.isinf(high), max_disparity, high + widening)), 0, max_disparity)
     return ranges
-
-
-def _nearest(
-    labels: NDArray[np.int32], matches: Matches, neighbors: int
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    # The (n, neighbors) matches nearest to the center of every segment, and the (n,) distance of the farthest of them.
-    flat = labels.ravel()
-    sizes = np.maximum(np.bincount(flat), 1)
-    y, x = np.divmod(np.arange(flat.size), labels.shape[1])
-    center_x, center_y = np.bincount(flat, x) / sizes, np.bincount(flat, y) / sizes
-    index, squared = nearest_points(center_x, center_y, matches.x, matches.y, neighbors)
-    return index, np.sqrt(squared[:, -1])

@@ -1,9 +1,12 @@
-"""Data flow of the segment-based pipeline, from a cost volume to a disparity map."""
+"""The segment-based pipeline, from a cost volume to a disparity map, and what it writes beside the map."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from depthcli.algorithms.keypoints import Detection
@@ -11,17 +14,23 @@ from depthcli.algorithms.regions import region_graph
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.mean_shift import MeanShift
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, match_rectified
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import RefinementStep
-from depthcli.methods.stereo.segments import Step, outputs
-from depthcli.methods.stereo.segments.assignment import PlaneCandidates, assign
-from depthcli.methods.stereo.segments.energy import Energy
-from depthcli.methods.stereo.segments.first_estimate import Selection, has_information, segment_window
+from depthcli.methods.stereo.segments.first_estimate import (
+    FirstEstimate,
+    SegmentedImage,
+    Selection,
+    Split,
+    has_information,
+    segment_window,
+)
+from depthcli.methods.stereo.segments.planes import Assignment, Energy, PlaneCandidates, assign
 from depthcli.methods.stereo.segments.ranges import Ranges
-from depthcli.methods.stereo.segments.segmented_image import SegmentedImage, Split
 from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext, StereoResult
 
@@ -30,7 +39,7 @@ def _none(value: Any) -> Any:
     return None if isinstance(value, str) and value.lower() == "none" else value
 
 
-class SegmentSteps(Step):
+class SegmentSteps(ConfigModel):
     """Explain every segment of the left image by a plane, chosen for all segments at once."""
 
     segmentation: Segmentation = Field(default_factory=MeanShift, description="segmentation of the left image")
@@ -54,18 +63,15 @@ class SegmentSteps(Step):
     details: bool = Field(False, description="also write segments, key points, planes and labels")
 
     def from_volume(self, pair: StereoPair, volume: CostVolume, max_disparity: int, clock: Clock) -> StereoResult:
-        """Return the map of ``pair`` from its matching costs.
-
-        Parameters
-        ----------
-        volume : (H, W, ``max_disparity`` + 1), not modified
-        clock : receives the seconds of the stages
-        """
+        """Return the map of ``pair`` from its costs, (H, W, ``max_disparity`` + 1); ``clock`` receives the seconds."""
         clock.start("segmentation")
         image = pair.color8[0]
         labels = self.segmentation(image)
         clock.start("keypoints")
-        matches = self._matches(pair, max_disparity)
+        matches = None
+        if self.keypoints is not None:
+            left, right = map(self.keypoints, pair.grey8)
+            matches = consistent(match_rectified(left, right, max_disparity))
         clock.start("window")
         informative = has_information(volume)
         if self.window_radius:
@@ -84,21 +90,112 @@ class SegmentSteps(Step):
             assignment = assign(segments, volume, self.planes, self.energy, self.rounds, self.sweeps, clock)
         clock.start("refinement")
         if assignment is None:
-            disparity = outputs.empty_map(labels.shape)
+            disparity = DisparityMap(
+                np.full(labels.shape, np.nan, np.float32), np.full(labels.shape, Status.NO_DATA, np.uint8)
+            )
         else:
             values = assignment.planes.at(assignment.labels[labels], max_disparity)
-            disparity = outputs.map_with_status(values, first)
+            disparity = map_with_status(values, first)
         disparity = refined(disparity, self.refinement, RefinementContext(pair, optimized, first.right))
-        result = StereoResult(disparity, figures=outputs.figures(segments, assignment, matches))
+        result = StereoResult(disparity, figures=_figures(segments, assignment, matches))
         if self.details:
             clock.start("details")
-            result.tables = outputs.tables(segments, assignment, matches, ranges.by_segment(labels))
-            result.pictures = outputs.pictures(pair, labels, matches)
+            result.tables = _tables(segments, assignment, matches, ranges.by_segment(labels))
+            result.pictures = _pictures(pair, labels, matches)
         result.seconds = clock.seconds
         return result
 
-    def _matches(self, pair: StereoPair, max_disparity: int) -> Matches | None:
-        if self.keypoints is None:
-            return None
-        left, right = pair.grey8
-        return consistent(match_rectified(self.keypoints(left), self.keypoints(right), max_disparity))
+
+def map_with_status(values: NDArray[np.float32], first: FirstEstimate) -> DisparityMap:
+    """Return the disparities (H, W) of planes with the status of every pixel.
+
+    Trusted pixels within a pixel of their plane are smoothed measurements. All others are filled: occluded where the
+    plane's match lies outside the right image or the right view has a larger disparity there, mismatched otherwise.
+    """
+    columns = np.arange(values.shape[1])[None] - np.rint(values).astype(np.int64)
+    right = np.take_along_axis(first.right, np.clip(columns, 0, values.shape[1] - 1), axis=1)
+    hidden = (columns < 0) | (right > values + 1)
+    reason = np.where(hidden & ~first.trusted, Status.OCCLUDED, Status.MISMATCH) | Status.FILLED
+    agrees = first.trusted & (np.abs(values - first.values) <= 1)
+    return DisparityMap(values, np.where(agrees, Status.SMOOTHED, reason).astype(np.uint8))
+
+
+def _figures(segments: SegmentedImage, assignment: Assignment | None, matches: Matches | None) -> dict[str, float]:
+    """Return numbers for the scene's row of the report."""
+    return {
+        "segments": len(segments.graph.sizes),
+        "keypoints": 0 if matches is None else len(matches),
+        "trusted": float(segments.first.trusted.mean()),
+        "planes": 0 if assignment is None else len(assignment.planes),
+        "planes_used": 0 if assignment is None else len(np.unique(assignment.labels)),
+        "energy_before": 0.0 if assignment is None else assignment.energy_before,
+        "energy": 0.0 if assignment is None else assignment.energy,
+    }
+
+
+def _tables(
+    segments: SegmentedImage, assignment: Assignment | None, matches: Matches | None, ranges: NDArray[np.int32]
+) -> dict[str, list[dict[str, Any]]]:
+    """Return tables of the planes, of the segments with their plane and search range, and of the matched key points."""
+    result: dict[str, list[dict[str, Any]]] = {}
+    if assignment is not None:
+        planes = zip(
+            assignment.planes.coefficients.tolist(),
+            assignment.planes.support.tolist(),
+            np.bincount(assignment.labels, minlength=len(assignment.planes)).tolist(),
+            strict=True,
+        )
+        result["planes"] = [
+            {"plane": k, "a": a, "b": b, "c": c, "support": support, "segments": used}
+            for k, ((a, b, c), support, used) in enumerate(planes)
+        ]
+        columns = (assignment.labels, segments.graph.sizes, segments.trusted.sizes, ranges[:, 0], ranges[:, 1])
+        names = ("segment", "plane", "pixels", "trusted", "lowest", "highest")
+        result["segment_labels"] = [
+            dict(zip(names, (t, *map(int, row)), strict=True)) for t, row in enumerate(zip(*columns, strict=True))
+        ]
+    if matches is not None:
+        digits = {"x": 3, "y": 3, "disparity": 3, "distance": 4}
+        result["keypoints"] = [
+            {name: round(float(getattr(matches, name)[k]), n) for name, n in digits.items()}
+            for k in range(len(matches))
+        ]
+    return result
+
+
+def _pictures(pair: StereoPair, labels: NDArray[np.int32], matches: Matches | None) -> dict[str, NDArray[Any]]:
+    """Return the segments as numbers and in colors, and the matched key points of both images joined by lines."""
+    result: dict[str, NDArray[Any]] = {"segments_preview": _colored(labels, pair.color8[0])}
+    if labels.max() <= 0xFFFF:
+        result["segments"] = labels.astype(np.uint16)
+    if matches is not None:
+        result["keypoints"] = _lines(pair, matches)
+    return result
+
+
+def _colored(labels: NDArray[np.int32], image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    # Every segment in its mean color, boundaries in white.
+    flat = labels.ravel()
+    sizes = np.maximum(np.bincount(flat), 1)[:, None]
+    channels = image.reshape(-1, 3)
+    means = np.stack([np.bincount(flat, channels[:, c]) for c in range(3)], axis=1) / sizes
+    picture = np.rint(means).astype(np.uint8)[labels]
+    picture[:, 1:][labels[:, 1:] != labels[:, :-1]] = 255
+    picture[1:][labels[1:] != labels[:-1]] = 255
+    return picture
+
+
+def _lines(pair: StereoPair, matches: Matches) -> NDArray[np.uint8]:
+    # The left image above the right one; a line for every match, its color shows the disparity.
+    left, right = pair.color8
+    picture = np.vstack([left, right]) // 2 + 60
+    height = left.shape[0]
+    top = max(float(matches.disparity.max()) if len(matches) else 1.0, 1.0)
+    palette = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_TURBO).reshape(256, 3)[:, ::-1].tolist()
+    for x, y, d in zip(matches.x, matches.y, matches.disparity, strict=True):
+        color = palette[int(np.clip(d / top * 255, 0, 255))]
+        ends = (round(float(x)), round(float(y))), (round(float(x - d)), round(float(y)) + height)
+        cv2.line(picture, *ends, color, 1, cv2.LINE_AA)
+        for end in ends:
+            cv2.circle(picture, end, 2, color, -1, cv2.LINE_AA)
+    return picture.astype(np.uint8)

@@ -1,9 +1,191 @@
-"""Large pairs, matched in tiles: parts of the images, each over its own disparities.
+"""Large pairs, matched in tiles, coarse to fine: the map at half the size limits the disparities to search.
 
-| module | what it holds |
-|---|---|
-| ``coarse_to_fine`` | ``match_in_tiles``, where to start: maps of the pair at smaller sizes limit what tiles search |
-| ``plan`` | ``Tile``, ``Candidates`` (disparities by block of 16 x 16 pixels) -> the tiles that fit into ``Memory`` |
-| ``tile_by_tile`` | tiles -> map: by the costs of the tiles (``match_by_costs``), or every tile as a pair of its own |
-| ``winners`` | ``TiledWinners``: the cheapest disparities of both views, collected from the costs of all tiles |
+After Rothermel, Wenzel, Fritsch and Haala, "SURE: photogrammetric surface reconstruction from imagery", 2012: the pair
+is matched at the smallest size first. What was found there says which disparities a tile of the next size searches and
+which of them are likely, and it is the value of pixels that the two views do not agree on. Single rows matched over the
+whole range keep what is too thin for the smaller sizes.
 """
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.result import Clock
+from depthcli.kernels.winners import left_right_difference, winners
+from depthcli.methods.stereo.cost._fill import hamming_volume
+from depthcli.methods.stereo.cost.census import Census, census_transform
+from depthcli.methods.stereo.optimization.scanline import Scanline
+from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
+from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
+from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
+from depthcli.methods.stereo.stages import CostStages, PairMatcher
+from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, Candidates, Memory
+from depthcli.methods.stereo.tiling.tile_by_tile import Prior, match_by_costs, match_by_patches, refined_map
+from depthcli.methods.stereo.volume import StereoResult
+
+# Set by hand so that the maps of large pairs are near those of whole pairs (docs/figures.md, large images).
+_MIN_DISPARITIES = 256  # smaller ranges are searched whole
+_MIN_SIDE = 128  # pixels; smaller images are not halved
+_ISLAND_SIZE = 20  # pixels that must belong together to be a candidate at half the size
+_CANDIDATE_MARGIN = 6  # candidates beside what was found at half the size, pixels of that size
+_LIKELY_MARGIN = 4  # the likely ones of them, pixels of the full size
+_UNSURE_SHARE = 0.25  # of the pixels of a block without agreement; above it, what is around is a candidate, too
+_ROW_STEP, _ROW_WINDOW, _ROW_CELLS = 4, (7, 7), 1 << 25  # rows matched by themselves, their census, cells at a time
+_ROW_ISLAND_SIZE = 10  # pixels of these rows that must belong together
+_FAR_AWAY = np.float32(1e6)  # pixels, beyond every range: stands for no thin structure
+
+
+# The stages at the smaller sizes for methods without cost stages: fast, and only what both views agree on is kept.
+_COARSE_STAGES = CostStages(
+    cost=Census(window=(7, 7)),
+    optimization=Scanline(p1=25, p2=120, edge_threshold=15, edge_divisor=6),
+    refinement=(LeftRightCheck(), SpeckleFilter(size=50), BackgroundFill()),
+)
+
+
+def match_in_tiles(
+    matcher: PairMatcher, pair: StereoPair, max_disparity: int, available: Memory, clock: Clock
+) -> StereoResult:
+    """Match a pair over disparities 0 .. ``max_disparity`` inclusive in at most the ``available`` memory.
+
+    Methods with cost stages compute costs tile by tile; the right view's map, and every step that looks at maps alone,
+    is that of the whole image. Any other method matches every tile for itself, over one range from its smallest to its
+    largest candidate, without pictures and tables. ``figures`` has ``tiles``, their number, ``levels``, the number of
+    sizes that were matched, and ``exact``: 1 where the map is that of the whole pair. InputError where nothing fits.
+    """
+    stages = matcher if isinstance(matcher, CostStages) and not matcher.need_whole_volume() else None
+    halo = None if stages is None else stages.halo()
+    prior = None
+    if halo is None:
+        prior = coarse_prior(stages or _COARSE_STAGES, pair, max_disparity, available, clock)
+    candidates = Candidates.everywhere(pair.shape, max_disparity) if prior is None else prior.candidates
+    if stages is None:
+        result = match_by_patches(matcher, pair, candidates, available, clock)
+    else:
+        result, _ = match_by_costs(stages, pair, candidates, prior, halo, available, clock)
+    result.figures |= {"levels": 1.0 if prior is None else float(prior.levels), "exact": float(halo is not None)}
+    return result
+
+
+def coarse_prior(
+    stages: CostStages, pair: StereoPair, max_disparity: int, available: Memory, clock: Clock
+) -> Prior | None:
+    """Match ``pair`` at half its size, itself coarse to fine, and return the disparities that are likely at full size.
+
+    None where the range is narrow enough, or the image small enough, to be searched whole.
+    """
+    sizes = [(pair, max_disparity)]
+    while sizes[-1][1] + 1 >= _MIN_DISPARITIES and min(sizes[-1][0].shape) >= _MIN_SIDE:
+        sizes.append((halved(sizes[-1][0]), -(-sizes[-1][1] // 2)))
+    prior = None
+    if len(sizes) > 1:
+        clock.start("coarse")
+    while len(sizes) > 1:
+        half, half_range = sizes.pop()
+        left = available
+        for larger, _ in sizes:  # in memory meanwhile
+            left = left.beside(larger)
+        candidates = Candidates.everywhere(half.shape, half_range) if prior is None else prior.candidates
+        result, found = match_by_costs(stages, half, candidates, prior, None, left, Clock())
+        islands = refined_map((LeftRightCheck(), SpeckleFilter(size=_ISLAND_SIZE)), found, half, half_range)
+        fine, fine_range = sizes[-1]
+        thin = thin_structures(fine, fine_range)
+        levels = 2 if prior is None else 1 + prior.levels
+        prior = _prior_of(result.disparity, islands.values, thin, fine.shape, fine_range, levels)
+    return prior
+
+
+def _prior_of(
+    half: DisparityMap,
+    islands: NDArray[np.float32],
+    thin_rows: NDArray[np.float32],
+    shape: tuple[int, int],
+    max_disparity: int,
+    levels: int,
+) -> Prior:
+    """Return likely disparities of an image of (H, W) ``shape``, from its map at half the size.
+
+    Thin structures may have been removed as speckles at half the size, filled over, or too thin to be matched: the
+    ``islands`` that both views agree on and the rows of :func:`thin_structures` stay candidates. Where the views did
+    not agree, every disparity around may be there.
+    """
+    side = BLOCK // 2
+    blocks = tuple(-(-length // BLOCK) for length in shape)
+    bins = np.zeros((*blocks, max_disparity // BIN + 1), np.bool_)
+    rows, columns = (np.arange(length)[:, None] // side for length in islands.shape)
+    for values in (half.values, islands):
+        valid = ~np.isnan(values)
+        y, x = (np.broadcast_to(part, islands.shape)[valid] for part in (rows, columns.T))
+        for offset in (-_CANDIDATE_MARGIN, 0, 1 + _CANDIDATE_MARGIN):
+            bins[y, x, np.clip(2 * values[valid] + offset, 0, max_disparity).astype(np.int32) // BIN] = True
+    y, x = np.nonzero(~np.isnan(thin_rows))
+    thin = np.full(islands.shape, np.nan, np.float32)
+    thin[y * _ROW_STEP // 2, x // 2] = thin_rows[y, x] / 2
+    for offset in (-1, 1):
+        values = np.clip(thin_rows[y, x] + offset, 0, max_disparity)
+        bins[y * _ROW_STEP // BLOCK, x // BLOCK, values.astype(np.int32) // BIN] = True
+    unsure = (half.status & Status.MISMATCH) != 0
+    frame = [(0, count * side - length) for count, length in zip(blocks, islands.shape, strict=True)]
+    share = np.pad(unsure, frame).reshape(blocks[0], side, blocks[1], side).mean(axis=(1, 3))
+    around = cv2.dilate(bins.astype(np.uint8), np.ones((5, 5), np.uint8)).reshape(bins.shape) > 0
+    bins |= around & (share > _UNSURE_SHARE)[:, :, None]
+    bins[~bins.any(axis=2)] = True  # nothing was matched there at all
+    ends, thin_ends = [], []
+    for extreme, of, nothing in ((cv2.erode, np.fmin, max_disparity), (cv2.dilate, np.fmax, 0)):
+        end = np.nan_to_num(of(of(half.values, islands), thin), nan=nothing)
+        near, far = (extreme(end, np.ones((size, size), np.uint8)) for size in (5, 17))
+        ends.append(2 * np.where(unsure, far, near))
+        far_away, offset = (_FAR_AWAY, -_LIKELY_MARGIN) if nothing else (-_FAR_AWAY, _LIKELY_MARGIN)
+        known = np.where(np.isnan(thin), far_away, thin)
+        thin_ends.append(2 * extreme(known, np.ones((5, 5), np.uint8)) + np.float32(offset))
+    low, high = (ends[0] - _LIKELY_MARGIN).astype(np.int16), (ends[1] + 1 + _LIKELY_MARGIN).astype(np.int16)
+    return Prior(half.values, Candidates(bins, shape, max_disparity), low, high, np.stack(thin_ends), levels)
+
+
+def thin_structures(pair: StereoPair, max_disparity: int) -> NDArray[np.float32]:
+    """Match every fourth row by itself over the whole range, for what is too thin for smaller images.
+
+    Returns (ceil(H / 4), W) float32: winners of the Hamming distance of 7 x 7 census that both views agree on and that
+    belong together; else NaN.
+    """
+    height, width = pair.shape
+    disparity = np.full((-(-height // _ROW_STEP), width), np.nan, np.float32)
+    rows_at_once = max(1, _ROW_CELLS // (width * (max_disparity + 1)))
+    strip = _ROW_STEP * rows_at_once
+    radius = _ROW_WINDOW[1] // 2
+    costs = np.empty((min(rows_at_once, disparity.shape[0]), width, max_disparity + 1), np.uint8)
+    for y in range(0, height, strip):
+        rows = slice(max(0, y - radius), min(height, y + strip + radius))
+        part = StereoPair(pair.left[rows], pair.right[rows], pair.bits)
+        features_left, features_right = (
+            np.ascontiguousarray(census_transform(image, _ROW_WINDOW)[y - rows.start :][:strip:_ROW_STEP])
+            for image in part.grey
+        )
+        n_rows = features_left.shape[0]
+        hamming_volume(features_left, features_right, costs[:n_rows])
+        left, right = winners(costs[:n_rows])
+        agreed = (left_right_difference(left, right) <= 1) & (features_left != 0)  # a flat window says nothing
+        disparity[y // _ROW_STEP :][:n_rows] = np.where(agreed, left, np.float32(np.nan))
+    # Speckles are removed on int16: as many steps per pixel as fit.
+    steps = max(1, min(16, 32767 // (max_disparity + 1)))
+    fixed = np.where(np.isnan(disparity), -steps * 4, np.nan_to_num(disparity) * steps).astype(np.int16)
+    cv2.filterSpeckles(fixed, -steps * 4, _ROW_ISLAND_SIZE, steps)
+    return np.where(fixed < 0, np.float32(np.nan), disparity).astype(np.float32)
+
+
+def halved(pair: StereoPair) -> StereoPair:
+    """Return the pair at half its size, an odd side rounded up: means of 2 x 2 pixels."""
+
+    def half(image: Any) -> Any:
+        height, width = image.shape[:2]
+        even = cv2.copyMakeBorder(image, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+        return cv2.resize(even, (even.shape[1] // 2, even.shape[0] // 2), interpolation=cv2.INTER_AREA)
+
+    trust = None if pair.light_trust is None else half(pair.light_trust)
+    return StereoPair(half(pair.left), half(pair.right), pair.bits, trust)

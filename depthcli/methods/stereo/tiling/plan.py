@@ -29,29 +29,21 @@ PROCESS_BYTES = 256 << 20  # upper bound of the memory of the interpreter and th
 _MATCHING_BYTES, _FINISHING_BYTES = 26, 48
 
 
-@dataclass(frozen=True)
-class Span:
-    """Disparities ``low`` .. ``low`` + ``count`` - 1."""
+class Span(NamedTuple):
+    """Disparities ``low`` .. ``low`` + ``n`` - 1."""
 
     low: int
-    count: int
+    n: int
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A part of the left view and the disparities that are searched there.
+    """A part of the left view and the disparities that are searched there."""
 
-    Attributes
-    ----------
-    rows, columns : (first, behind the last) of the pixels that get their values from this tile
-    around : (top, bottom, left, right) of these pixels and the margins
-    spans : disparities that are searched, ascending, with gaps between
-    """
-
-    rows: tuple[int, int]
+    rows: tuple[int, int]  # first, and behind the last, of the pixels that get their values from this tile
     columns: tuple[int, int]
-    around: tuple[int, int, int, int]
-    spans: tuple[Span, ...]
+    around: tuple[int, int, int, int]  # top, bottom, left, right of these pixels and the margins
+    spans: tuple[Span, ...]  # disparities that are searched, ascending, with gaps between
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -62,7 +54,12 @@ class Tile:
     @property
     def n_disparities(self) -> int:
         """Return the number of cells of a pixel: the disparities, and one between spans."""
-        return sum(span.count for span in self.spans) + len(self.spans) - 1
+        return sum(span.n for span in self.spans) + len(self.spans) - 1
+
+    @property
+    def recycled_bytes(self) -> int:
+        """Return the size of the pool's blocks that only the next tile can use."""
+        return 2 * self.shape[0] * self.shape[1] * self.n_disparities
 
     @property
     def inside(self) -> tuple[slice, slice]:
@@ -86,31 +83,19 @@ class Tile:
         return StereoPair(pair.left[top:bottom, left:right].copy(), other.copy(), pair.bits, trust)
 
 
-@dataclass(frozen=True)
-class Margins:
-    """The margins of a tile, pixels.
+class Margins(NamedTuple):
+    """The margins of a tile, pixels."""
 
-    Attributes
-    ----------
-    halo : on all sides
-    lead : on the left, beyond those of the longest span, whose cells lie outside the tile's right image
-    whole : whether tiles are matched as pairs of their own: over one span, the right side as wide as the left one
-    """
-
-    halo: int
-    lead: int
-    whole: bool
+    halo: int  # on all sides
+    lead: int  # on the left, beyond those of the longest span, whose cells lie outside the tile's right image
+    whole: bool  # tiles are pairs of their own: over one span, the right side as wide as the left one
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Disparities that may occur in a block of 16 x 16 pixels.
+    """Disparities that may occur in blocks of 16 x 16 pixels of an image of (H, W) ``shape``.
 
-    Attributes
-    ----------
-    bins : (ceil(H / 16), ceil(W / 16), ceil(D / 16)) bool: whether a block may have any of 16 consecutive disparities
-    shape : (H, W)
-    max_disparity : largest disparity searched anywhere, D - 1
+    ``bins`` (ceil(H / 16), ceil(W / 16), ceil(D / 16)) says whether a block may have any of 16 consecutive disparities.
     """
 
     bins: NDArray[np.bool_]
@@ -120,9 +105,8 @@ class Candidates:
     @classmethod
     def everywhere(cls, shape: tuple[int, int], max_disparity: int) -> Candidates:
         """Return 0 .. ``max_disparity`` for all blocks."""
-        return cls(
-            np.ones((*(-(-side // BLOCK) for side in shape), max_disparity // BIN + 1), np.bool_), shape, max_disparity
-        )
+        blocks = (-(-side // BLOCK) for side in shape)
+        return cls(np.ones((*blocks, max_disparity // BIN + 1), np.bool_), shape, max_disparity)
 
     @cached_property
     def _sums(self) -> NDArray[np.int32]:
@@ -173,11 +157,17 @@ class Candidates:
         u0, u1 = max(0, x0 - reach), min(self.bins.shape[1], x1 + reach)
         sums = self._sums
         there = sums[v1, u1] - sums[v0, u1] - sums[v1, u0] + sums[v0, u0] > 0
-        spans = self._spans(there, columns)
+        # Runs of bins. The last pixel has no candidate beyond the image's left side; the first pixel has one.
+        there = there[: min(self.max_disparity, columns[1] - 1) // BIN + 1].copy()
+        if not there.any() or there.argmax() * BIN > columns[0]:
+            there[columns[0] // BIN] = True
+        edges = BIN * np.flatnonzero(np.diff(there.astype(np.int8), prepend=0, append=0))
+        ends = np.minimum(edges[1::2], self.max_disparity + 1)
+        spans = tuple(Span(int(low), int(end - low)) for low, end in zip(edges[::2], ends, strict=True))
         if margins.whole:
             low = spans[0].low
-            spans = (Span(low, spans[-1].low + spans[-1].count - low),)
-        longest = max(span.count for span in spans) - 1
+            spans = (Span(low, spans[-1].low + spans[-1].n - low),)
+        longest = max(span.n for span in spans) - 1
         before = max(margins.halo, longest + margins.lead)
         behind = max(margins.halo, longest) if margins.whole else margins.halo
         around = (
@@ -187,18 +177,6 @@ class Candidates:
             min(width, columns[1] + behind),
         )
         return Tile(rows, columns, around, spans)
-
-    def _spans(self, there: NDArray[np.bool_], columns: tuple[int, int]) -> tuple[Span, ...]:
-        # Runs of bins. The last pixel has no candidate beyond the image's left side; the first pixel has one.
-        last = min(self.max_disparity, columns[1] - 1)
-        there = there[: last // BIN + 1].copy()
-        if not there.any() or there.argmax() * BIN > columns[0]:
-            there[columns[0] // BIN] = True
-        edges = np.flatnonzero(np.diff(there.astype(np.int8), prepend=0, append=0))
-        return tuple(
-            Span(int(a) * BIN, min(int(b) * BIN, self.max_disparity + 1) - int(a) * BIN)
-            for a, b in zip(edges[::2], edges[1::2], strict=True)
-        )
 
 
 class Memory(NamedTuple):
@@ -214,13 +192,7 @@ class Memory(NamedTuple):
     def tiles(
         self, pair: StereoPair, candidates: Candidates, margins: Margins, need: Callable[[Tile], int]
     ) -> TilePlan:
-        """Return tiles of ``pair`` that fit; ``need`` says how many bytes matching one takes.
-
-        Raises
-        ------
-        InputError
-            Not even the smallest tiles fit.
-        """
+        """Return tiles of ``pair`` that fit, each taking ``need`` bytes; InputError where not even the smallest do."""
         held = self.beside(pair).held
         pixels = pair.shape[0] * pair.shape[1]
         free = self.allowed - held - _MATCHING_BYTES * pixels
@@ -236,13 +208,7 @@ class Memory(NamedTuple):
 
 @dataclass(frozen=True)
 class TilePlan:
-    """Tiles in the order in which they are matched.
-
-    Attributes
-    ----------
-    need : bytes that matching a tile takes
-    free : bytes that one tile may take, at most
-    """
+    """Tiles in the order in which they are matched, each in at most ``free`` bytes."""
 
     tiles: list[Tile]
     need: Callable[[Tile], int]

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.stereo.optimization.scanline import Scanline
-from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.stages import CostStages, PairMatcher
 from depthcli.methods.stereo.tiling.plan import Candidates, Margins, Memory, Tile
-from depthcli.methods.stereo.tiling.winners import TiledWinners
 from depthcli.methods.stereo.volume import CostMinima, CostVolume, FixedPoint, RefinementContext, StereoResult
 
 _PATH_HALO = 32  # pixels after which the paths of a scanline that begins anew are what they would have been
@@ -32,24 +32,58 @@ _PIXEL_BYTES = 40  # of a row of a tile: features of the images, states of the p
 
 @dataclass(frozen=True)
 class Prior:
-    """Likely disparities of a pair, from its map at half the size.
+    """Likely disparities of a pair, from its map ``values`` at half the size, (ceil(H / 2), ceil(W / 2))."""
+
+    values: NDArray[np.float32]
+    candidates: Candidates  # of the pair itself
+    low: NDArray[np.int16]  # of the shape of ``values``, the likely disparities at the full size
+    high: NDArray[np.int16]
+    # (2, ...): smallest and largest disparity of the thin structures around at the full size; where there are none,
+    # the smallest is larger than any disparity.
+    thin: NDArray[np.float32]
+    levels: int  # number of sizes matched, that of the pair counted
+
+
+class TiledWinners:
+    """Winner-takes-all over an (H, W) image whose costs are computed tile by tile, each with its own disparities.
 
     Attributes
     ----------
-    values : (ceil(H / 2), ceil(W / 2)) float32, the map of the pair at half its size
-    candidates : disparities by block of the pair itself
-    low, high : of the shape of ``values``, int16, the likely disparities at the full size
-    thin : (2, ...) float32, smallest and largest disparity of the thin structures around at the full size; where
-        there are none, the smallest is larger than any disparity
-    levels : number of sizes matched, that of the pair counted
+    left : (H, W) uint16, the left view's winners; 0 where a tile has no disparity inside the right image
+    minima : (H, W) float32, minima of the parabolas through each winner's cost and its two neighbors; or (0, 0)
     """
 
-    values: NDArray[np.float32]
-    candidates: Candidates
-    low: NDArray[np.int16]
-    high: NDArray[np.int16]
-    thin: NDArray[np.float32]
-    levels: int
+    def __init__(self, shape: tuple[int, int], minima: bool) -> None:
+        self.left: NDArray[np.uint16] = np.zeros(shape, np.uint16)
+        self.minima: NDArray[np.float32] = np.zeros(shape if minima else (0, 0), np.float32)
+        # Smallest costs of the right view so far, columns mirrored: cost and disparity in one key, or apart.
+        self._keys: NDArray[np.uint32] = np.full(shape, 0xFFFFFFFF, np.uint32)
+        self._min_costs: NDArray[np.float32] = np.zeros((0, 0), np.float32)
+        self._right: NDArray[np.uint16] | None = None
+
+    def add(self, costs: NDArray[Any], spans: NDArray[np.int64], tile: Tile) -> None:
+        """Take the (h, w, K) costs of a tile into account, of one dtype and scale for all tiles.
+
+        ``spans`` (n, 3) has the first cell, number of cells and first disparity of runs of disparities, ascending.
+        """
+        rows, columns = tile.inside
+        bounds = (rows.start, rows.stop, columns.start, columns.stop)
+        corner = (tile.around[0], tile.around[2])
+        if costs.dtype == np.float32:
+            if self._min_costs.size == 0:
+                self._min_costs = np.full(self.left.shape, np.inf, np.float32)
+            _add_floats(costs, spans, corner, bounds, self.left, self._min_costs, self._keys)
+        else:
+            _add_integers(costs, spans, corner, bounds, self.left, self._keys)
+        if self.minima.size:
+            _add_minima(costs, spans, corner, bounds, self.left, self.minima)
+
+    def right(self) -> NDArray[np.uint16]:
+        """Return the (H, W) uint16 winners of the right view, and free memory: no tile can be added afterwards."""
+        if self._right is None:
+            self._right = (self._keys[:, ::-1] & np.uint32(0xFFFF)).astype(np.uint16)
+            self._keys, self._min_costs = np.zeros((0, 0), np.uint32), np.zeros((0, 0), np.float32)
+        return self._right
 
 
 def match_by_costs(
@@ -61,13 +95,9 @@ def match_by_costs(
     available: Memory,
     clock: Clock,
 ) -> tuple[StereoResult, TiledWinners]:
-    """Compute costs and winners tile by tile, then refine the whole map.
+    """Compute costs and winners tile by tile, then refine the whole map; without a ``prior`` over the whole range.
 
-    Parameters
-    ----------
-    candidates : disparities that are searched
-    prior : None where the whole range is searched
-    halo : pixels around a pixel that its optimized costs depend on; None: on the whole image
+    Optimized costs depend on ``halo`` pixels around a pixel; None: on the whole image.
     """
     clock.start("plan")
     path_halo = _PATH_HALO if prior is None else _PATH_HALO // 2  # likely disparities hold paths that begin anew
@@ -75,11 +105,8 @@ def match_by_costs(
 
     def need(tile: Tile) -> int:
         height, width = tile.shape
-        return (
-            stages.volume_bytes(tile.shape, tile.n_disparities - 1)
-            + _recycled(tile)
-            + _PIXEL_BYTES * width * (height + tile.n_disparities)
-        )
+        beside = tile.recycled_bytes + _PIXEL_BYTES * width * (height + tile.n_disparities)
+        return stages.volume_bytes(tile.shape, tile.n_disparities - 1) + beside
 
     plan = available.tiles(pair, candidates, margins, need)
     found = TiledWinners(pair.shape, any(isinstance(step, Subpixel) for step in stages.refinement))
@@ -88,7 +115,7 @@ def match_by_costs(
         volume, spans = _tile_volume(stages, pair, tile, prior, clock)
         clock.start("optimization")
         volume = stages.optimization(volume, tile.cut(pair))
-        found.add(volume.costs, spans, (tile.around[0], tile.around[2]), tile.inside)
+        found.add(volume.costs, spans, tile)
         clock.start("confidence")
         for name, values in confidence_maps(volume.costs, stages.confidence).items():
             confidence.setdefault(name, np.zeros(pair.shape, np.float32))[tile.place] = values[tile.inside]
@@ -111,14 +138,14 @@ def match_by_patches(
         pair,
         candidates,
         Margins(halo, min(halo, _PATH_HALO // 2), True),
-        lambda tile: matcher.peak_bytes(tile.shape, tile.n_disparities - 1) + _recycled(tile),
+        lambda tile: matcher.peak_bytes(tile.shape, tile.n_disparities - 1) + tile.recycled_bytes,
     )
     values, status = np.zeros(pair.shape, np.float32), np.zeros(pair.shape, np.uint8)
     confidence: dict[str, NDArray[np.float32]] = {}
     for tile in plan:
         clock.start("tiles")
         (span,) = tile.spans
-        part = matcher(tile.cut(pair, span.low), span.count - 1)
+        part = matcher(tile.cut(pair, span.low), span.n - 1)
         values[tile.place] = part.disparity.values[tile.inside] + np.float32(span.low)
         status[tile.place] = part.disparity.status[tile.inside]
         for name, own in part.confidence.items():
@@ -129,11 +156,6 @@ def match_by_patches(
     return StereoResult(DisparityMap(values, status), seconds=clock.seconds, confidence=confidence, figures=figures)
 
 
-def _recycled(tile: Tile) -> int:
-    """Return the size of the pool's blocks that only the next tile can use, bytes."""
-    return 2 * tile.shape[0] * tile.shape[1] * tile.n_disparities
-
-
 def _tile_volume(
     stages: CostStages, pair: StereoPair, tile: Tile, prior: Prior | None, clock: Clock
 ) -> tuple[CostVolume, NDArray[np.int64]]:
@@ -142,8 +164,8 @@ def _tile_volume(
     joined: CostVolume | None = None
     start = 0
     for k, span in enumerate(tile.spans):
-        spans[k] = start, span.count, span.low
-        volume = stages.volume(tile.cut(pair, span.low), span.count - 1, clock)
+        spans[k] = start, span.n, span.low
+        volume = stages.volume(tile.cut(pair, span.low), span.n - 1, clock)
         clock.start("cost")
         n_outside = max(0, span.low - tile.around[2])  # columns whose matches all lie outside the right image
         if joined is None and len(tile.spans) == 1 and n_outside == 0:
@@ -153,7 +175,7 @@ def _tile_volume(
             joined = CostVolume(memory.empty((*tile.shape, tile.n_disparities), volume.costs.dtype), volume.scale)
         barrier = volume.costs.dtype.type(_largest_cost(volume))
         _copy_span(volume.costs, joined.costs, start, n_outside, barrier)
-        start += span.count + 1
+        start += span.n + 1
         del volume
     assert joined is not None
     if prior is not None and isinstance(stages.optimization, Scanline):
@@ -206,16 +228,14 @@ def _add_penalty(costs, spans, low, high, corner, penalty, largest):
 def refined_map(
     steps: Sequence[Refinement], found: TiledWinners, pair: StereoPair, max_disparity: int, prior: Prior | None = None
 ) -> DisparityMap:
-    """Return the map of all winners after all ``steps``, in order.
-
-    Where ``prior`` is given, pixels that are empty before the first step that fills have the value of the pair at half
-    its size.
-    """
+    """Return the map of all winners after all ``steps``; before the first that fills, the prior fills empty pixels."""
     disparity = DisparityMap(found.left.astype(np.float32), np.zeros(pair.shape, np.uint8))
     first = next((k for k, step in enumerate(steps) if step.fills), len(steps))
     for k, step in enumerate(steps):
         if k == first and prior is not None:
-            disparity = _filled(disparity, prior.values)
+            doubled = np.repeat(np.repeat(np.float32(2) * prior.values, 2, 0), 2, 1)
+            doubled = doubled[: pair.shape[0], : pair.shape[1]]
+            disparity = with_filled(disparity, np.where(np.isnan(disparity.values), doubled, disparity.values))
         disparity = _refined_in_bands(step, disparity, found, pair, max_disparity, prior if k < first else None)
     return disparity
 
@@ -244,7 +264,15 @@ def _refined_in_bands(
         )
         part = DisparityMap(disparity.values[rows], disparity.status[rows])
         if prior is not None and isinstance(step, SpeckleFilter):
-            part = _without_speckles(step, part, context, prior)
+            # Speckles are the same parts of the scene at every size, so they have more pixels here than at the
+            # smallest one. Thin structures stay; what is removed has the value of the smaller image afterwards.
+            mild = step(part, context)
+            part = step.model_copy(update={"size": step.size * 4 ** (prior.levels - 1)})(part, context)
+            v, u = np.nonzero(mild.valid & ~part.valid)
+            low, high = prior.thin[:, (v + rows.start) // 2, u // 2]
+            stays = (mild.values[v, u] >= low) & (mild.values[v, u] <= high)
+            v, u = v[stays], u[stays]
+            part.values[v, u], part.status[v, u] = mild.values[v, u], mild.status[v, u]
         else:
             part = step(part, context)
         inside = slice(y - rows.start, min(y + band, height) - rows.start)
@@ -252,27 +280,66 @@ def _refined_in_bands(
     return DisparityMap(values, status)
 
 
-def _without_speckles(
-    step: SpeckleFilter, disparity: DisparityMap, context: RefinementContext, prior: Prior
-) -> DisparityMap:
-    # Speckles are the same parts of the scene at every size, so they have more pixels here than at the smallest one.
-    # Thin structures stay; what is removed has the value of the smaller image afterwards.
-    mild = step(disparity, context)
-    strict = step.model_copy(update={"size": step.size * 4 ** (prior.levels - 1)})(disparity, context)
-    y, x = np.nonzero(mild.valid & ~strict.valid)
-    low, high = prior.thin[:, y // 2, x // 2]
-    stays = (mild.values[y, x] >= low) & (mild.values[y, x] <= high)
-    y, x = y[stays], x[stays]
-    strict.values[y, x], strict.status[y, x] = mild.values[y, x], mild.status[y, x]
-    return strict
+@parallel_jit
+def _add_integers(costs, spans, corner, bounds, left, right):
+    width = left.shape[1]
+    for v in prange(bounds[0], bounds[1]):
+        y = corner[0] + v
+        for u in range(bounds[2], bounds[3]):
+            x = corner[1] + u
+            best = np.uint32(0xFFFFFFFF)
+            for k in range(spans.shape[0]):
+                start, low = spans[k, 0], spans[k, 2]
+                count = min(spans[k, 1], x - low + 1)
+                if count <= 0:
+                    break
+                row = costs[v, u, start : start + count]
+                first = width - 1 - x + low
+                mirror = right[y, first : first + count]
+                d0 = np.uint32(low)
+                for i in range(row.size):
+                    key = np.uint32((np.uint32(row[i]) << np.uint32(16)) | np.uint32(np.uint32(i) + d0))
+                    best = min(best, key)
+                    mirror[i] = min(mirror[i], key)
+            if best != np.uint32(0xFFFFFFFF):
+                left[y, x] = np.uint16(best & np.uint32(0xFFFF))
 
 
-def _filled(disparity: DisparityMap, half: NDArray[np.float32]) -> DisparityMap:
-    values = disparity.values.copy()
-    doubled = np.float32(2) * half
-    for dy in range(2):
-        for dx in range(2):
-            own = values[dy::2, dx::2]
-            own[:] = np.where(np.isnan(own), doubled[: own.shape[0], : own.shape[1]], own)
-    filled = np.where(~disparity.valid & ~np.isnan(values), np.uint8(Status.FILLED), np.uint8(0))
-    return DisparityMap(values, disparity.status | filled)
+@parallel_jit
+def _add_floats(costs, spans, corner, bounds, left, min_costs, right):
+    width = left.shape[1]
+    for v in prange(bounds[0], bounds[1]):
+        y = corner[0] + v
+        for u in range(bounds[2], bounds[3]):
+            x = corner[1] + u
+            best = np.float32(np.inf)
+            for k in range(spans.shape[0]):
+                start, low = spans[k, 0], spans[k, 2]
+                for i in range(min(spans[k, 1], x - low + 1)):
+                    cost, d = costs[v, u, start + i], np.uint32(low + i)
+                    if cost < best:
+                        best = cost
+                        left[y, x] = d
+                    mirror = width - 1 - x + low + i
+                    if cost < min_costs[y, mirror] or (cost == min_costs[y, mirror] and d < right[y, mirror]):
+                        min_costs[y, mirror] = cost
+                        right[y, mirror] = d
+
+
+@parallel_jit
+def _add_minima(costs, spans, corner, bounds, left, minima):
+    for v in prange(bounds[0], bounds[1]):
+        y = corner[0] + v
+        for u in range(bounds[2], bounds[3]):
+            x = corner[1] + u
+            d = int(left[y, x])
+            minima[y, x] = np.float32(d)
+            for k in range(spans.shape[0]):
+                n = d - spans[k, 2]
+                if n < 1 or n + 1 >= min(spans[k, 1], x - spans[k, 2] + 1):
+                    continue
+                i = spans[k, 0] + n
+                below, here, above = float(costs[v, u, i - 1]), float(costs[v, u, i]), float(costs[v, u, i + 1])
+                curvature = below + above - 2.0 * here
+                if below >= here and above >= here and curvature > 0.0:
+                    minima[y, x] = np.float32(d + 0.5 * (below - above) / curvature)

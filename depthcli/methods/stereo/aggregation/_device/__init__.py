@@ -8,8 +8,6 @@ otherwise.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -102,94 +100,62 @@ def _factor(volume: DeviceVolume) -> int:
 
 def cross(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
     """Return the means of :class:`Cross`, by orthogonal integrals."""
-    return _aggregate(method, volume, pair, _cut_means if method.support == "intersection" else _means)
+    volume = volume.as_fixed_point()
+    device, costs = volume.device, volume.costs
+    kernels, arms = _kernels_and_arms(method, pair)
+    for k in range(method.iterations):
+        across = int(k % 2 == 0)
+        sums = device.empty(costs.shape, np.uint32)
+        if method.support == "intersection":
+            _prefix(device, _CROSS, "prefix", costs, sums, across)
+            words = device.empty(costs.shape, np.uint32)
+            device.launch(_CUT, "cut_spans", *cells(words), sums, *arms, words, *costs.shape, across)
+            totals, means = device.empty(costs.shape, np.uint64), device.empty(costs.shape, np.uint16)
+            _prefix(device, _CUT, "prefix_spans", words, totals, 1 - across)
+            device.launch(_CUT, "cut_means", *cells(means), totals, *arms, means, *costs.shape, 1 - across)
+            costs = means
+            continue
+        inverse = _inverse(device, arms[0], across)
+        for last, along in enumerate((across, 1 - across)):
+            _prefix(device, kernels, "prefix", costs, sums, along)
+            out = device.empty(costs.shape, np.uint16)
+            device.launch(kernels, "spans", *cells(out), sums, arms[0], inverse, out, *costs.shape, along, last)
+            costs = out
+    return DeviceVolume(device, costs, volume.scale)
 
 
 def naive_cross(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
     """Return the means of :class:`Cross`, every support summed anew."""
-    return _aggregate(method, volume, pair, _naive_cut if method.support == "intersection" else _naive)
-
-
-@dataclass(frozen=True)
-class _Supports:
-    """Arms of both views, (4, H, W) uint8, and the kernels for their lengths."""
-
-    device: Device
-    left: DeviceArray
-    right: DeviceArray
-    kernels: Kernels
-
-
-def _aggregate(
-    method: Cross,
-    volume: DeviceVolume,
-    pair: DevicePair,
-    iteration: Callable[[_Supports, DeviceArray, int], DeviceArray],
-) -> DeviceVolume:
     volume = volume.as_fixed_point()
-    left = _arms(method, pair, pair.color[0])
-    right = _arms(method, pair, pair.color[1]) if method.support == "intersection" else left
-    shift = max(0, (FixedPoint.LARGEST * (2 * method.length + 1)).bit_length() - 16)
-    supports = _Supports(volume.device, left, right, _CROSS.with_macros(SHIFT=shift))
-    costs = volume.costs
+    device, costs = volume.device, volume.costs
+    kernels, arms = _kernels_and_arms(method, pair)
     for k in range(method.iterations):
-        costs = iteration(supports, costs, int(k % 2 == 0))
-    return DeviceVolume(volume.device, costs, volume.scale)
+        across, means = int(k % 2 == 0), device.empty(costs.shape, np.uint16)
+        if method.support == "intersection":
+            device.launch(_CUT, "naive_cut", *cells(means), costs, *arms, means, *costs.shape, across)
+        else:
+            inverse = _inverse(device, arms[0], across)
+            device.launch(kernels, "naive_cross", *cells(means), costs, arms[0], inverse, means, *costs.shape, across)
+        costs = means
+    return DeviceVolume(device, costs, volume.scale)
 
 
-def _arms(method: Cross, pair: DevicePair, image: DeviceArray) -> DeviceArray:
-    height, width = pair.shape
+def _kernels_and_arms(method: Cross, pair: DevicePair) -> tuple[Kernels, list[DeviceArray]]:
+    """Return the kernels for the lengths of arms, and the (4, H, W) uint8 arms of the views that count."""
     device = pair.device
-    if method.smoothing:
-        smooth = device.empty(image.shape, np.uint8)
-        device.launch(_CROSS, "median_3", (width, height), PIXELS, image, smooth, height, width)
-        image = smooth
-    arms = device.empty((4, height, width), np.uint8)
-    device.launch(
-        _CROSS, "grow_arms", (width, height, 4), (*PIXELS, 1), image, arms, height, width,
-        method.length, method.threshold, method.inner_length, method.inner_threshold,
-    )  # fmt: skip
-    return arms
-
-
-def _naive(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
-    device, arms = supports.device, supports.left
-    means = device.empty(costs.shape, np.uint16)
-    inverse = _inverse(device, arms, across)
-    device.launch(
-        supports.kernels, "naive_cross", *cells(means), costs, arms, inverse, means, *costs.shape, across
-    )  # fmt: skip
-    return means
-
-
-def _means(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
-    device, arms = supports.device, supports.left
-    inverse = _inverse(device, arms, across)
-    sums = device.empty(costs.shape, np.uint32)
-    for last, along in enumerate((across, 1 - across)):
-        _prefix(device, supports.kernels, "prefix", costs, sums, along)
-        out = device.empty(costs.shape, np.uint16)
-        device.launch(supports.kernels, "spans", *cells(out), sums, arms, inverse, out, *costs.shape, along, last)
-        costs = out
-    return costs
-
-
-def _naive_cut(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
-    device, arms = supports.device, (supports.left, supports.right)
-    means = device.empty(costs.shape, np.uint16)
-    device.launch(_CUT, "naive_cut", *cells(means), costs, *arms, means, *costs.shape, across)
-    return means
-
-
-def _cut_means(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
-    device, arms = supports.device, (supports.left, supports.right)
-    sums, words = device.empty(costs.shape, np.uint32), device.empty(costs.shape, np.uint32)
-    _prefix(device, _CROSS, "prefix", costs, sums, across)
-    device.launch(_CUT, "cut_spans", *cells(words), sums, *arms, words, *costs.shape, across)
-    totals, means = device.empty(costs.shape, np.uint64), device.empty(costs.shape, np.uint16)
-    _prefix(device, _CUT, "prefix_spans", words, totals, 1 - across)
-    device.launch(_CUT, "cut_means", *cells(means), totals, *arms, means, *costs.shape, 1 - across)
-    return means
+    height, width = pair.shape
+    all_arms = []
+    for image in pair.color if method.support == "intersection" else pair.color[:1]:
+        if method.smoothing:
+            smooth = device.empty(image.shape, np.uint8)
+            device.launch(_CROSS, "median_3", (width, height), PIXELS, image, smooth, height, width)
+            image = smooth
+        arms = device.empty((4, height, width), np.uint8)
+        limits = method.length, method.threshold, method.inner_length, method.inner_threshold
+        device.launch(_CROSS, "grow_arms", (width, height, 4), (*PIXELS, 1), image, arms, height, width, *limits)
+        all_arms.append(arms)
+    shift = max(0, (FixedPoint.LARGEST * (2 * method.length + 1)).bit_length() - 16)
+    return _CROSS.with_macros(SHIFT=shift), all_arms
 
 
 def _inverse(device: Device, arms: DeviceArray, across: int) -> DeviceArray:

@@ -1,22 +1,128 @@
-"""Data and smoothness terms of the plane assignment (thesis, eq. 2.8-2.12)."""
+"""Assignment of a plane to every segment: candidates, data and smoothness terms (thesis, eq. 2.8-2.12), graph cuts."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
-from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlanes
-from depthcli.algorithms.regions import RegionGraph, RegionPixels
+from depthcli.algorithms.graph_cut import alpha_expansion, potts_energy
+from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
+from depthcli.algorithms.regions import RegionGraph, RegionPixels, joined_regions
+from depthcli.core.method import ConfigModel
+from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.segments import Step
-from depthcli.methods.stereo.segments.segmented_image import SegmentedImage
+from depthcli.methods.stereo.segments.first_estimate import SegmentedImage
 from depthcli.methods.stereo.volume import CostVolume
 
+_MIN_GROUP_SIZE = 30  # trusted pixels of connected segments that a plane is fitted to again; choice of this program
 
-class Energy(Step):
+
+class PlaneCandidates(SegmentPlaneFit):
+    """Fit the planes that segments may lie on, and drop near-duplicates."""
+
+    renamed: ClassVar[dict[str, str]] = {"most": "max_planes"}
+
+    flat: bool = Field(False, description="also offer a plane of constant disparity for every segment")
+    min_size: int = Field(
+        100, ge=3, le=10**6, description="size of the smallest segment that contributes a plane, pixels"
+    )
+    min_trusted: float = Field(0.5, ge=0, le=1, description="share of trusted pixels that a segment with a plane needs")
+    same_slope: float = Field(0.01, ge=0, le=16, description="largest difference in slope of duplicate planes")
+    same_offset: float = Field(
+        0.25, ge=0, le=16384, description="largest difference at the center of duplicate planes, pixels"
+    )
+    max_planes: int = Field(
+        400, ge=1, le=5000, description="largest number of planes, the best supported ones are kept"
+    )
+
+    def of_segments(self, segments: SegmentedImage) -> SegmentPlanes | None:
+        """Return the planes of segments that are large and trusted enough; None where no pixel is trusted."""
+        sizes, trusted, values = segments.graph.sizes, segments.trusted.sizes, segments.first.values
+        chosen = np.flatnonzero((sizes > self.min_size) & (trusted >= np.maximum(self.min_trusted * sizes, 3)))
+        if len(chosen) == 0:
+            # One flat plane for all trusted pixels.
+            if not segments.first.trusted.any():
+                return None
+            everything = RegionPixels.of(np.zeros_like(segments.labels), segments.first.trusted, 1)
+            return self.constant(values, everything, np.zeros(1, np.int64))
+        own = self(values, segments.trusted, chosen)
+        return SegmentPlanes.joined(own, self.constant(values, segments.trusted, chosen)) if self.flat else own
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """The plane of every segment: ``labels`` (n,) int32, indices in ``planes``, and their energy."""
+
+    planes: SegmentPlanes
+    labels: NDArray[np.int32]
+    energy_before: float  # where every segment has its cheapest plane
+    energy: float
+
+
+def assign(
+    segments: SegmentedImage,
+    volume: CostVolume,
+    candidates: PlaneCandidates,
+    energy: Energy,
+    rounds: int,
+    sweeps: int,
+    clock: Clock,
+) -> Assignment | None:
+    """Return the planes of all segments that minimize the energy (thesis, eq. 2.8); None where no pixel is trusted.
+
+    Before each of the ``rounds`` of assignments but the first, planes are fitted again to groups that share one. The
+    last makes at most ``sweeps`` passes over all planes, the others half as many, at most two.
+    """
+    clock.start("planes")
+    own_planes = candidates.of_segments(segments)
+    if own_planes is None:
+        return None
+    limits = candidates.same_slope, candidates.same_offset, candidates.max_planes
+    weights = smoothness(segments.graph, energy.smoothness, energy.color_scale)
+    planes, _ = own_planes.distinct(*limits)
+    initial: NDArray[np.int32] | None = None
+    for k in range(rounds):
+        if initial is not None:
+            clock.start("planes")
+            group_planes, group = _regrouped(segments, initial, candidates)
+            planes, representative = SegmentPlanes.joined(group_planes, own_planes).distinct(*limits)
+            initial = np.where(group >= 0, representative[group], -1).astype(np.int32)
+        clock.start("data_term")
+        unary = energy(segments, volume, planes)
+        cheapest = np.argmin(unary, axis=1).astype(np.int32)
+        initial = cheapest if initial is None else np.where(initial < 0, cheapest, initial)
+        clock.start("expansion")
+        last = k + 1 == rounds
+        labels, lowest = alpha_expansion(
+            unary, segments.graph.edges, weights, initial, max_sweeps=sweeps if last else min(max(sweeps // 2, 1), 2)
+        )
+        initial = labels
+    energy_before = potts_energy(cheapest, unary, segments.graph.edges, weights)
+    return Assignment(planes, labels, energy_before, lowest)
+
+
+def _regrouped(
+    segments: SegmentedImage, labels: NDArray[np.int32], fit: SegmentPlaneFit
+) -> tuple[SegmentPlanes, NDArray[np.int64]]:
+    """Return planes fitted to groups of connected segments that share a label, and the index of every segment's.
+
+    The index is -1 where the group is too small for a plane.
+    """
+    edges = segments.graph.edges
+    same = labels[edges[:, 0]] == labels[edges[:, 1]]
+    groups = joined_regions(len(labels), edges[same])
+    members = RegionPixels.of(groups[segments.labels], segments.first.trusted, int(groups.max()) + 1)
+    chosen = np.flatnonzero(members.sizes >= _MIN_GROUP_SIZE)
+    index = np.full(len(members.sizes), -1, np.int64)
+    index[chosen] = np.arange(len(chosen))
+    return fit(segments.first.values, members, chosen), index[groups]
+
+
+class Energy(ConfigModel):
     """Costs of planes in segments, and of different planes in neighboring segments."""
 
     data_term: Annotated[
@@ -52,32 +158,15 @@ class Energy(Step):
 def discrepancy(
     values: NDArray[np.float32], trusted: RegionPixels, planes: SegmentPlanes, weight: float, truncation: float
 ) -> NDArray[np.float64]:
-    """Compute the disparity estimate discrepancy cost (thesis, eq. 2.9) of every plane in every segment.
+    """Compute the disparity estimate discrepancy cost (thesis, eq. 2.9) of planes in segments, (n, L) float64.
 
     ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m trusted pixels, n of which have the
-    plane's disparity (to the nearest pixel). In a segment without trusted pixels every plane costs 0.
-
-    Parameters
-    ----------
-    values : (H, W) float32 first estimate, pixels
-    trusted : trusted pixels by segment
-    truncation : largest ``|d_plane - d|`` that counts, pixels; inf for the sum as defined (thesis, eq. 2.9)
-
-    Returns
-    -------
-    (n, L) float64
+    plane's disparity (to the nearest pixel). In a segment without trusted pixels every plane costs 0. Differences above
+    ``truncation`` count as much as it; inf: the sum as defined.
     """
     unary = np.zeros((len(trusted.starts) - 1, len(planes)))
-    _discrepancy(
-        values.ravel(),
-        values.shape[1],
-        trusted.order,
-        trusted.starts,
-        planes.coefficients,
-        weight,
-        min(truncation, 1e6),
-        unary,
-    )
+    segments = trusted.order, trusted.starts
+    _discrepancy(values.ravel(), values.shape[1], *segments, planes.coefficients, weight, min(truncation, 1e6), unary)
     return unary
 
 
