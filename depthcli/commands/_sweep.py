@@ -3,38 +3,37 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import itertools
+import json
 import math
+import random
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
-
-from pydantic import BaseModel
+from dataclasses import replace
+from decimal import Decimal
+from typing import Any, TypeAlias
 
 from depthcli.commands import _fuse, _pairs, _refine_kinect, _register_confidence, _transparent
 from depthcli.commands._batch import DONE, plan_of, run_batch
 from depthcli.commands._evaluation import viewers
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError
-from depthcli.evaluation.comparison import EvaluationReport, Section
+from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.io.formats.files import write_text
 from depthcli.io.walk import discover_scenes
 from depthcli.run.batch import SOME_FAILED, Batch
-from depthcli.run.combinations import (
-    Axis,
-    Combination,
-    Effect,
-    combinations,
-    document_of,
-    effects,
-    folder_names,
-    parse_axis,
-    value_text,
-)
 from depthcli.run.console import aligned
 from depthcli.run.json_csv import Row, to_csv, to_json
+
+Axes: TypeAlias = Mapping[str, Sequence[str]]
+"""Config key -> its values, as texts for ``--set``."""
+
+Combination: TypeAlias = tuple[str, ...]
+"""A value for every key."""
 
 _PREPARE: Mapping[str, Any] = {
     "stereo": _pairs.prepare,
@@ -49,142 +48,236 @@ _RUNS = "runs"  # the folder with one run folder per combination
 _OWN = "own-values"  # name of the run of the config as it is
 _TABLES = ("sweep.json", "sweep.csv")
 _MAX_SHOWN = 20  # runs in the printed table; files hold all
+_MAX_VALUES = 10_000  # of one key
+_MAX_RUNS = 100_000
+_MAX_NAME_LENGTH = 120  # characters of a folder's name; file systems take 255
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?"
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """Runs of one config with many settings.
+def parse_axes(texts: Sequence[str]) -> dict[str, list[str]]:
+    """Return keys and values of ``key=2,4,8``, ``key=20:40:5`` (20, 25 ... 40) and ``key=[9,7],[11,9]``.
 
-    Attributes
-    ----------
-    command, config : the command, and its CONFIG argument
-    source : the folder of scenes
-    options : of every run, and the folder that all runs go to
-    settings : values of ``--set``, of all runs
+    Raises
+    ------
+    ConfigError
+        Not of that form, or the same key or value twice.
     """
-
-    command: str
-    config: str
-    source: SceneOptions
-    options: RunOptions
-    settings: Sequence[str]
-
-    def run(self, over: Sequence[str], drawn: int | None, seed: int, html: bool, html_budget: str) -> int:
-        """Run every combination, evaluate all runs, and return the exit code.
-
-        Raises
-        ------
-        ConfigError
-            A config, key or value is wrong; nothing was computed.
-        """
-        if self.command not in _PREPARE:
-            raise ConfigError(f"--command: must be one of {', '.join(_PREPARE)} (got {self.command!r})")
-        options, own_run = self.options, ""
-        axes = [parse_axis(text) for text in over]
-        chosen = combinations(axes, drawn, seed)
-        names = folder_names(axes, chosen)
-        batches = {
-            name: self._batch(name, [(f"--over {a.key}", f"{a.key}={v}") for a, v in zip(axes, values, strict=True)])
-            for name, values in zip(names, chosen, strict=True)
-        }
-        tried = dict(zip(names, chosen, strict=True))
-        with contextlib.suppress(ConfigError):  # a config that needs the values of --over has none of its own
-            own = self._batch(_OWN, [])
-            if own[0].config not in [batch.config for batch, _ in batches.values()]:
-                batches = {_OWN: own, **batches}
-                assert isinstance(own[0].config, BaseModel)
-                values = own[0].config.model_dump(mode="json", by_alias=True)
-                tried[_OWN] = tuple(value_text(values, axis.key) for axis in axes)
-            own_run = next(name for name, (batch, _) in batches.items() if batch.config == own[0].config)
-        if options.dry_run:
-            return self._print_plan(batches)
-        for table in _TABLES:
-            if (options.output / table).exists() and not (options.output / _RUNS).is_dir():
-                raise ConfigError(f"{options.output / table}: is no sweep's; move it away, or choose another --output")
-        failed = False
-        for number, (name, (batch, scenes)) in enumerate(batches.items(), 1):
-            options.reporter.info(f"run {number} of {len(batches)}: {name}")
-            failed |= run_batch(batch, scenes, self._own_options(name), self.source) != 0
-        report = self._evaluated(list(batches), html, html_budget)
-        if report is not None:
-            _print_result(axes, tried, own_run, report, options)
-            failed |= bool(report.failed)
-            if html:
-                options.reporter.info(f"page to open in a browser: {options.output / 'evaluation' / PAGE_FILE}")
-        return SOME_FAILED if failed else 0
-
-    def _own_options(self, name: str) -> RunOptions:
-        folder = self.options.output / _RUNS / name
-        return replace(self.options, output=folder, json=False, quiet=True, flag=None, fail_flagged=False)
-
-    def _batch(self, name: str, settings: Sequence[tuple[str, str]]) -> tuple[Batch[Any], list[Any]]:
-        found: tuple[Batch[Any], list[Any]] = _PREPARE[self.command](
-            self.config, self.source, self._own_options(name), [*self.settings, *settings]
-        )
-        return found
-
-    def _print_plan(self, batches: Mapping[str, tuple[Batch[Any], list[Any]]]) -> int:
-        rows = []
-        for name, (batch, scenes) in batches.items():
-            options = self._own_options(name)
-            plan = plan_of(batch, scenes, options.output, options.execution)
-            done = sum(row["status"] == DONE for row in plan["scenes"])
-            rows.append({"run": name, "scenes": len(plan["scenes"]), "done": done, "refused": plan["refused"]})
-        if self.options.json:
-            self.options.reporter.data(to_json({"command": self.command, "runs": rows}))
+    axes: dict[str, list[str]] = {}
+    for text in texts:
+        key, _, rest = (part.strip() for part in text.partition("="))
+        if not key or not rest:
+            raise ConfigError(f"--over {text}: must be KEY=VALUE,VALUE... or KEY=FIRST:LAST:STEP")
+        if re.fullmatch(rf"{_NUMBER}(?::{_NUMBER}){{2}}", rest):
+            first, last, step = map(Decimal, rest.split(":"))
+            count = int((last - first) / step) + 1 if step else 0
+            if not 1 <= count <= _MAX_VALUES:
+                raise ConfigError(f"--over {text}: no numbers from FIRST:LAST:STEP, or more than {_MAX_VALUES}")
+            values = [f"{(first + k * step).normalize():f}" for k in range(count)]
         else:
-            lines = [("run", "", "scenes", "done")]
-            lines += [(r["run"], r["refused"], str(r["scenes"]), str(r["done"])) for r in rows]
-            self.options.reporter.data(aligned(lines) + "\n\nnothing was computed\n")
-        return 0
+            parts, depth = [""], 0
+            for char in rest:
+                depth += (char in "[{") - (char in "]}")
+                if char == "," and depth <= 0:
+                    parts.append("")
+                else:
+                    parts[-1] += char
+            values = [part.strip() for part in parts]
+        if key in axes or not all(values) or len(set(values)) < len(values):
+            raise ConfigError(f"--over {text}: an empty value, or the same key or value twice")
+        axes[key] = values
+    return axes
 
-    def _evaluated(self, names: Sequence[str], html: bool, html_budget: str) -> EvaluationReport | None:
-        source, reporter, target = self.source, self.options.reporter, self.options.output / "evaluation"
-        assert source.input is not None
-        scenes = discover_scenes(source.input, None, source.layout, source.patterns)
-        if not any(scene.has_truth for scene in scenes):
-            reporter.info(f"{source.input}: no ground truth there, the runs are not compared")
-            return None
-        runs = [self.options.output / _RUNS / name for name in names]
-        return evaluate_runs(
-            runs, source.input, target, source.patterns, source.layout, reporter=reporter,
-            viewers=viewers(reporter, target, html, html_budget),
-        )  # fmt: skip
+
+def combinations(axes: Axes, drawn: int | None = None, seed: int = 0) -> list[Combination]:
+    """Return all combinations, the last key changing fastest, or ``drawn`` random ones in the same order.
+
+    A larger ``drawn`` with the same seed gives the same combinations and more, so that a sweep can be extended.
+    ConfigError where there are too many.
+    """
+    total = math.prod(map(len, axes.values()))
+    if min(total, drawn or total) > _MAX_RUNS:
+        raise ConfigError(f"--over: {min(total, drawn or total)} combinations; draw fewer with --random N")
+    if drawn is None or drawn >= total:
+        return list(itertools.product(*axes.values()))
+    generator, chosen = random.Random(seed), dict[int, None]()
+    while len(chosen) < drawn:
+        chosen[generator.randrange(total)] = None
+    found = []
+    for number in sorted(chosen):
+        values: Combination = ()
+        for each in reversed(axes.values()):
+            number, place = divmod(number, len(each))
+            values = (each[place], *values)
+        found.append(values)
+    return found
+
+
+def folder_names(axes: Axes, chosen: Sequence[Combination]) -> list[str]:
+    """Return a folder name per combination, such as ``p2=4,window=9-7``; keys are as short as they can be."""
+    short = []
+    for key in axes:
+        parts = key.split(".")
+        tails = [".".join(parts[-n:]) for n in range(1, len(parts) + 1)]
+        short.append(next(t for t in tails if sum(f".{other}".endswith(f".{t}") for other in axes) == 1))
+    texts = []
+    for values in chosen:
+        plain = [re.sub(r"[^\w.+-]+", "-", value).strip("-") or "empty" for value in values]
+        texts.append(",".join(f"{key}={value}" for key, value in zip(short, plain, strict=True)))
+    names = []
+    for text, values in zip(texts, chosen, strict=True):
+        if texts.count(text) > 1 or len(text) > _MAX_NAME_LENGTH:
+            # The suffix depends on the values alone, so that an extended sweep finds its earlier runs.
+            suffix = hashlib.sha256("\0".join(values).encode()).hexdigest()[:8]
+            text = f"{text[: _MAX_NAME_LENGTH - 12]}-{suffix}"
+        names.append(text)
+    return names
+
+
+def value_text(config: Mapping[str, Any], key: str) -> str:
+    """Return a resolved config's value of a key as the text that sets it; empty where the config has no such key."""
+    value: Any = config
+    for part in key.split("."):
+        try:
+            value = value[int(part) if isinstance(value, list) else part]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return ""
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+
+
+def effects(axes: Axes, figures: Mapping[Combination, float], larger_is_better: bool = False) -> list[Row]:
+    """Return the effect of every key on the figure, the strongest first; runs whose figure is NaN are left out.
+
+    Returns
+    -------
+    Rows with ``key``; ``spread``, the largest difference between the means of its values; ``share_of_variance`` of the
+    figures that these means explain (first-order effect), 0 to 1; ``values``: ``value``, ``runs``, ``mean``, ``best``.
+    """
+    known = {values: figure for values, figure in figures.items() if not math.isnan(figure)}
+    whole = math.fsum(known.values()) / len(known) if known else math.nan
+    variance = math.fsum((figure - whole) ** 2 for figure in known.values())
+    found: list[Row] = []
+    for number, key in enumerate(axes):
+        rows: list[Row] = []
+        for value in axes[key]:
+            if group := [figure for values, figure in known.items() if values[number] == value]:
+                best = max(group) if larger_is_better else min(group)
+                rows.append({"value": value, "runs": len(group), "mean": math.fsum(group) / len(group), "best": best})
+        means = [row["mean"] for row in rows]
+        between = math.fsum(row["runs"] * (row["mean"] - whole) ** 2 for row in rows)
+        share = between / variance if variance > 0 else math.nan
+        spread = max(means) - min(means) if means else math.nan
+        found.append({"key": key, "spread": spread, "share_of_variance": share, "values": rows})
+    return sorted(found, key=lambda row: math.inf if math.isnan(row["spread"]) else -row["spread"])
+
+
+def run_sweep(
+    command: str, config: str, source: SceneOptions, options: RunOptions, settings: Sequence[str], axes: Axes,
+    chosen: Sequence[Combination], html: bool, html_budget: str,
+) -> int:  # fmt: skip
+    """Run the combinations, each in a folder of its own, evaluate all runs, and return the exit code.
+
+    Raises
+    ------
+    ConfigError
+        A config, key or value is wrong; nothing was computed.
+    """
+    if command not in _PREPARE:
+        raise ConfigError(f"--command: must be one of {', '.join(_PREPARE)} (got {command!r})")
+    output, reporter = options.output, options.reporter
+
+    def prepared(name: str, values: Sequence[str]) -> tuple[RunOptions, Batch[Any], list[Any]]:
+        run = replace(options, output=output / _RUNS / name, json=False, quiet=True, flag=None, fail_flagged=False)
+        own = [(f"--over {key}", f"{key}={value}") for key, value in zip(axes, values, strict=False)]
+        return run, *_PREPARE[command](config, source, run, [*settings, *own])
+
+    tried = dict(zip(folder_names(axes, chosen), chosen, strict=True))
+    runs, own_run = {name: prepared(name, values) for name, values in tried.items()}, ""
+    with contextlib.suppress(ConfigError):  # a config that needs the values of --over has none of its own
+        own = prepared(_OWN, ())
+        same = [name for name, (_, batch, _) in runs.items() if batch.config == own[1].config]
+        own_run = same[0] if same else _OWN
+        if not same:
+            values = own[1].config.model_dump(mode="json", by_alias=True)  # type: ignore[union-attr]
+            tried[_OWN] = tuple(value_text(values, key) for key in axes)
+            runs = {_OWN: own, **runs}
+    if options.dry_run:
+        return _print_plan(command, runs, options)
+    for table in _TABLES:
+        if (output / table).exists() and not (output / _RUNS).is_dir():
+            raise ConfigError(f"{output / table}: is no sweep's; move it away, or choose another --output")
+    failed = False
+    for number, (name, (run, batch, scenes)) in enumerate(runs.items(), 1):
+        reporter.info(f"run {number} of {len(runs)}: {name}")
+        failed |= run_batch(batch, scenes, run, source) != 0
+    assert source.input is not None
+    if not any(scene.has_truth for scene in discover_scenes(source.input, None, source.layout, source.patterns)):
+        reporter.info(f"{source.input}: no ground truth there, the runs are not compared")
+        return SOME_FAILED if failed else 0
+    report = evaluate_runs(
+        [output / _RUNS / name for name in runs], source.input, output / "evaluation", source.patterns, source.layout,
+        reporter=reporter, viewers=viewers(reporter, output / "evaluation", html, html_budget),
+    )  # fmt: skip
+    _print_result(axes, tried, own_run, report, options)
+    if html:
+        reporter.info(f"page to open in a browser: {output / 'evaluation' / PAGE_FILE}")
+    return SOME_FAILED if failed or report.failed else 0
+
+
+def _print_plan(command: str, runs: Mapping[str, tuple[RunOptions, Batch[Any], list[Any]]], options: RunOptions) -> int:
+    rows = []
+    for name, (run, batch, scenes) in runs.items():
+        plan = plan_of(batch, scenes, run.output, run.execution)
+        done = sum(row["status"] == DONE for row in plan["scenes"])
+        rows.append({"run": name, "scenes": len(plan["scenes"]), "done": done, "refused": plan["refused"]})
+    lines = [("run", "", "scenes", "done")]
+    lines += [(row["run"], row["refused"], str(row["scenes"]), str(row["done"])) for row in rows]
+    text = f"{aligned(lines)}\n\nnothing was computed\n"
+    options.reporter.data(to_json({"command": command, "runs": rows}) if options.json else text)
+    return 0
 
 
 def _print_result(
-    axes: Sequence[Axis],
-    tried: Mapping[str, Combination],
-    own_run: str,
-    report: EvaluationReport,
-    options: RunOptions,
+    axes: Axes, tried: Mapping[str, Combination], own_run: str, report: EvaluationReport, options: RunOptions
 ) -> None:
     """Print the runs by their figure and the effect of every key; write both to ``sweep.csv`` and ``sweep.json``.
 
-    Parameters
-    ----------
-    tried : run -> its value of every key
-    own_run : the run that has the config's own values, or empty
+    ``tried`` has a run's value of every key; ``own_run`` is the run that has the config's own values, or empty.
     """
     rows: list[Row] = []
     documents, texts = [], []
     for section in report.sections:
         headline, where = section.protocol.headline, {"data_set": section.data_set, "protocol": section.protocol.name}
         figures = {run: section.overall(run).value for run in report.runs}
+        seconds = {run: mean_of_known(r.seconds for r in section.results_of(run)) for run in report.runs}
         order = sorted(report.runs, key=lambda run: (math.isnan(figures[run]), headline.sign * figures[run]))
-        combined = {tried[run]: figures[run] for run in report.runs if run != _OWN}
-        found = effects(axes, combined, headline.larger_is_better)
+        found = effects(axes, {tried[run]: figures[run] for run in order if run != _OWN}, headline.larger_is_better)
         for run in order:
-            settings = {axis.key: value for axis, value in zip(axes, tried[run], strict=True)}
-            seconds = mean_of_known(r.seconds for r in section.results_of(run))
-            rows.append({**where, "run": run, **settings, headline.heading: figures[run], "seconds": seconds,
-                         "missing": section.n_missing(run), "own_values": run == own_run})  # fmt: skip
-        documents.append({**where, "headline": headline.heading, "unit": headline.unit,
-                          "larger_is_better": headline.larger_is_better, "best": order[0],
-                          "runs": rows[-len(order):],
-                          "sensitivity": [document_of(effect) for effect in found]})  # fmt: skip
-        texts.append(_text(section, order, own_run, figures, found))
-    document = {"over": {axis.key: axis.values for axis in axes}, "results": documents}
+            row = {**where, "run": run, **dict(zip(axes, tried[run], strict=True)), headline.heading: figures[run]}
+            own = {"missing": section.n_missing(run), "own_values": run == own_run}
+            rows.append(row | {"seconds": seconds[run]} | own)
+        about = {"headline": headline.heading, "unit": headline.unit, "larger_is_better": headline.larger_is_better}
+        own_rows = {"best": order[0], "runs": rows[-len(order) :], "sensitivity": found}
+        documents.append({**where, **about, **own_rows})
+
+        what, more = headline.heading_with_unit, ""
+        if len(order) > _MAX_SHOWN:
+            more = f"; the first {_MAX_SHOWN} of {len(order)}"
+        shown = [run for place, run in enumerate(order) if place < _MAX_SHOWN or run == own_run]
+        names = [f"{run} *" if run == own_run else run for run in shown]
+        title = f"{section.data_set} - {section.protocol.presentation.title}, mean of {len(section.scenes)} scenes"
+        best = [(n, Number(figures[run]), Number(seconds[run])) for n, run in zip(names, shown, strict=True)]
+        note = "*: the config's own values" if own_run else ""
+        texts.append(Table(f"{title}: the best first{more}", ("run", what, "seconds"), tuple(best), note).text())
+        lines: list[tuple[Any, ...]] = []
+        for effect in found:
+            first: tuple[Any, ...] = (Number(effect["spread"]), Number(100 * effect["share_of_variance"], 0))
+            for place, row in enumerate(effect["values"]):
+                means = str(row["runs"]), Number(row["mean"]), Number(row["best"])
+                lines.append(("" if place else effect["key"], row["value"], *means, *(("", "") if place else first)))
+        header = ("key", "value", "runs", f"mean {what}", "best", "spread of means", "% of variance")
+        note = "spread: largest difference of the means; % of variance: what the key explains alone"
+        texts.append(Table("Sensitivity, the strongest first", header, tuple(lines), note).text())
+    document = {"over": dict(axes), "results": documents}
     for name, text in zip(_TABLES, (to_json(document), to_csv(rows)), strict=True):
         write_text(options.output / name, text)
     if options.json:
@@ -192,33 +285,3 @@ def _print_result(
     elif not options.quiet:
         options.reporter.data("\n".join(texts))
     options.reporter.info(f"runs, evaluation, sweep.csv and sweep.json in {options.output}")
-
-
-def _text(
-    section: Section, order: Sequence[str], own_run: str, figures: Mapping[str, float], found: Sequence[Effect]
-) -> str:
-    headline = section.protocol.headline
-    shown = [run for place, run in enumerate(order) if place < _MAX_SHOWN or run == own_run]
-    rows = [
-        (f"{run} *" if run == own_run else run, Number(figures[run]),
-         Number(mean_of_known(r.seconds for r in section.results_of(run))))
-        for run in shown
-    ]  # fmt: skip
-    what = headline.heading_with_unit
-    more = f"; the first {_MAX_SHOWN} of {len(order)}" if len(order) > _MAX_SHOWN else ""
-    runs = Table(
-        f"{section.data_set} - {section.protocol.presentation.title}, mean of {len(section.scenes)} scenes: the best "
-        f"first{more}",
-        ("run", what, "seconds"),
-        tuple(rows),
-        "*: the config's own values" if own_run else "",
-    )
-    lines = [
-        (effect.key if first else "", value, str(effect.runs[value]), Number(mean_), Number(effect.best[value]),
-         Number(effect.spread) if first else "", Number(100 * effect.share, 0) if first else "")
-        for effect in found
-        for first, (value, mean_) in zip((True, *[False] * len(effect.means)), effect.means.items(), strict=False)
-    ]  # fmt: skip
-    header = ("key", "value", "runs", f"mean {what}", "best", "spread of means", "% of variance")
-    note = "spread: largest difference of the means; % of variance: what the key explains alone"
-    return runs.text() + "\n" + Table("Sensitivity, the strongest first", header, tuple(lines), note).text()

@@ -14,7 +14,15 @@ from typing import Annotated
 
 from typer import Option
 
-from depthcli.commands._options import ConfigArgument, HtmlOption, LayoutOption, RunOptions, ScenesOption, SetOption
+from depthcli.commands._options import (
+    ConfigArgument,
+    HtmlOption,
+    LayoutOption,
+    RunOptions,
+    SceneOptions,
+    ScenesOption,
+    SetOption,
+)
 
 
 def sweep(
@@ -39,8 +47,8 @@ def sweep(
     ] = "50MB",
 ) -> int:
     """Run every combination, evaluate all runs, and print the runs by their figure and the effect of every key."""
-    from depthcli.commands._options import SceneOptions
-    from depthcli.commands._sweep import Sweep
+    from depthcli.commands._sweep import combinations, parse_axes, run_sweep
 
-    source = SceneOptions(input=input, layout=layout, scenes=scenes)
-    return Sweep(command, config, source, run, set or []).run(over, random, seed, html, html_budget)
+    source, axes = SceneOptions(input=input, layout=layout, scenes=scenes), parse_axes(over)
+    chosen = combinations(axes, random, seed)
+    return run_sweep(command, config, source, run, set or [], axes, chosen, html, html_budget)

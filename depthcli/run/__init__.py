@@ -13,5 +13,5 @@ The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a `
 A kill at any moment leaves files that one of these steps recognizes when the same command is started again.
 
 Beside them: ``console`` is what the terminal shows, ``resources`` cores and memory, ``json_csv``
-writes rows, ``presets`` finds the configs that are shipped, ``combinations`` are the settings of a sweep.
+writes rows, ``presets`` finds the configs that are shipped.
 """

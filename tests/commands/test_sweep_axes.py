@@ -7,8 +7,8 @@ import math
 
 import pytest
 
+from depthcli.commands._sweep import combinations, effects, folder_names, parse_axes, value_text
 from depthcli.core.errors import ConfigError
-from depthcli.run.combinations import Axis, combinations, effects, folder_names, parse_axis, value_text
 
 
 @pytest.mark.parametrize(
@@ -26,17 +26,16 @@ from depthcli.run.combinations import Axis, combinations, effects, folder_names,
     ],
 )
 def test_axes(text: str, values: tuple[str, ...]):
-    axis = parse_axis(text)
-    assert (axis.key, axis.values) == (text.partition("=")[0], values)
+    assert parse_axes([text]) == {text.partition("=")[0]: list(values)}
 
 
-@pytest.mark.parametrize("text", ["a", "=1", "a=", "a=1,,2", "a=2,2", "a=1:5:0", "a=5:1:1", "a=0:1:1e-9"])
+@pytest.mark.parametrize("text", ["a", "=1", "a=", "a=1,,2", "a=2,2", "a=1:5:0", "a=5:1:1", "a=0:1:1e-9", "b=1"])
 def test_wrong_axes(text: str):
     with pytest.raises(ConfigError, match="--over"):
-        parse_axis(text)
+        parse_axes(["b=1", text])
 
 
-AXES = [Axis("x", ("1", "2", "3")), Axis("y", ("a", "b"))]
+AXES = {"x": ["1", "2", "3"], "y": ["a", "b"]}
 
 
 def test_all_combinations_and_draws():
@@ -48,22 +47,20 @@ def test_all_combinations_and_draws():
     assert set(few) < set(more) < set(every)
     assert combinations(AXES, 2, seed=5) == few
     assert len({tuple(combinations(AXES, 3, seed)) for seed in range(20)}) > 3
-    huge = [Axis(name, tuple(map(str, range(100)))) for name in "abcdef"]
+    huge = {name: list(map(str, range(100))) for name in "abcdef"}
     assert len(set(combinations(huge, 10))) == 10
     with pytest.raises(ConfigError, match="draw fewer"):
         combinations(huge)
-    with pytest.raises(ConfigError, match="same key twice"):
-        combinations([AXES[0], AXES[0]])
 
 
 def test_names_are_short_and_differ():
-    axes = [Axis("cost.p", ("1", "2")), Axis("optimization.p", ("[9, 7]", "[9 7]")), Axis("a.window", ("x/y",))]
+    axes = {"cost.p": ("1", "2"), "optimization.p": ("[9, 7]", "[9 7]"), "a.window": ("x/y",)}
     names = folder_names(axes, combinations(axes))
     assert len(set(names)) == 4
     assert names[0].startswith("cost.p=1,optimization.p=9-7,window=x-y-")
     assert all(name == name.strip("./") and "/" not in name for name in names)
-    assert folder_names([Axis("a.b", ("4",))], [("4",)]) == ["b=4"]
-    long = [Axis("k", ("v" * 200, "w" * 200))]
+    assert folder_names({"a.b": ["4"]}, [("4",)]) == ["b=4"]
+    long = {"k": ("v" * 200, "w" * 200)}
     assert all(len(name) <= 120 for name in folder_names(long, combinations(long)))
 
 
@@ -71,22 +68,22 @@ def test_effects_against_numpy_free_arithmetic():
     # figure = 10 x + y exactly: the keys explain 1200/1204 and ... of the variance, together all of it
     figures = {(x, y): 10.0 * int(x) + (y == "b") for x, y in combinations(AXES)}
     first, second = effects(AXES, figures)
-    assert (first.key, first.spread, second.key, second.spread) == ("x", 20.0, "y", 1.0)
-    assert first.means == {"1": 10.5, "2": 20.5, "3": 30.5}
-    assert first.best == {"1": 10.0, "2": 20.0, "3": 30.0}
-    assert second.runs == {"a": 3, "b": 3}
-    assert first.share + second.share == pytest.approx(1)
-    assert second.share == pytest.approx(1.5 / (400 + 1.5), rel=1e-6)
-    assert effects(AXES, figures, larger_is_better=True)[0].best == {"1": 11.0, "2": 21.0, "3": 31.0}
+    assert (first["key"], first["spread"], second["key"], second["spread"]) == ("x", 20.0, "y", 1.0)
+    means = {"1": (10.5, 10.0), "2": (20.5, 20.0), "3": (30.5, 30.0)}
+    assert {row["value"]: (row["mean"], row["best"]) for row in first["values"]} == means
+    assert [row["runs"] for row in second["values"]] == [3, 3]
+    assert first["share_of_variance"] + second["share_of_variance"] == pytest.approx(1)
+    assert second["share_of_variance"] == pytest.approx(1.5 / (400 + 1.5), rel=1e-6)
+    assert [row["best"] for row in effects(AXES, figures, larger_is_better=True)[0]["values"]] == [11.0, 21.0, 31.0]
 
 
 def test_effects_without_figures():
     holes = dict.fromkeys(combinations(AXES), math.nan)
-    assert all(math.isnan(effect.spread) and effect.means == {} for effect in effects(AXES, holes))
+    assert all(math.isnan(effect["spread"]) and not effect["values"] for effect in effects(AXES, holes))
     holes["1", "a"] = holes["2", "a"] = 3.0
-    first = next(effect for effect in effects(AXES, holes) if effect.key == "x")
-    assert (first.means, first.spread) == ({"1": 3.0, "2": 3.0}, 0.0)
-    assert math.isnan(first.share)
+    first = next(effect for effect in effects(AXES, holes) if effect["key"] == "x")
+    assert ([row["mean"] for row in first["values"]], first["spread"]) == ([3.0, 3.0], 0.0)
+    assert math.isnan(first["share_of_variance"])
 
 
 def test_values_of_a_config_as_texts():
