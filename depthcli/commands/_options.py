@@ -29,83 +29,35 @@ from depthcli.run.resources import parse_bytes
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one slash
 
 
-def _local(output: Path | None) -> Path | None:
-    if output is not None and _URL.match(str(output)) and not os.path.lexists(output.parts[0]):
-        raise typer.BadParameter("results are written to this machine, not to URLs; give a folder")
-    return output
-
-
+# A name is given where typer would make another one of the parameter's: flags get no "--no-..." by it.
 ConfigArgument: TypeAlias = Annotated[str, Argument(metavar="CONFIG", help="YAML file, or the name of a preset.")]
-OutputOption: TypeAlias = Annotated[
-    Path, Option("--output", "-o", metavar="DIR", help="Folder to write into.", callback=_local)
-]
 InputOption: TypeAlias = Annotated[
     Path | None, Option("--input", "-i", metavar="DIR", help="Folder, archive or URL of scenes, or CSV of pairs.")
 ]
 LayoutOption: TypeAlias = Annotated[
-    str | None, Option("--layout", metavar="NAME", help="Layout of the folder. Default: recognized.")
+    str | None, Option(metavar="NAME", help="Layout of the folder. Default: recognized.")
 ]
 ScenesOption: TypeAlias = Annotated[
-    list[str] | None, Option("--scenes", metavar="GLOB", help="Only scenes whose name matches; repeatable.")
-]
-NameOption: TypeAlias = Annotated[
-    str | None, Option("--name", metavar="NAME", help="Name of a single scene. Default: from its file.")
+    list[str] | None, Option(metavar="GLOB", help="Only scenes whose name matches; repeatable.")
 ]
 SetOption: TypeAlias = Annotated[
-    list[str] | None, Option("--set", metavar="KEY=VALUE", help="Override one key of the config; repeatable.")
+    list[str] | None, Option(metavar="KEY=VALUE", help="Override one key of the config; repeatable.")
 ]
 MaxDisparityOption: TypeAlias = Annotated[
-    str | None, Option("--max-disparity", metavar="N", help="Largest disparity searched, or auto: by key points.")
+    str | None, Option(metavar="N", help="Largest disparity searched, or auto: by key points.")
 ]
 WithinOption: TypeAlias = Annotated[
-    float, Option("--within", metavar="PX", help="Error up to which a value of a given map is right, pixels.")
+    float, Option(metavar="PX", help="Error up to which a value of a given map is right, pixels.")
 ]
-DepthScaleOption: TypeAlias = Annotated[
-    float | None, Option("--depth-scale", metavar="CODES", help="Codes a meter of the depth files.")
-]
-OverwriteOption: TypeAlias = Annotated[
-    bool, Option("--overwrite", help="Replace an earlier run that had another config.")
-]
-KeepOption: TypeAlias = Annotated[
-    str | None, Option("--keep", metavar="NAMES", help="Files kept, as disp_left.pfm,status.png. Default: all.")
-]
-JobsOption: TypeAlias = Annotated[
-    int, Option("--jobs", "-j", metavar="N", min=1, max=512, help="Scenes at a time, each in a process.")
-]
-ThreadsOption: TypeAlias = Annotated[
-    int | None, Option("--threads", metavar="N", min=1, max=1024, help="Threads of a process. Default: cores / --jobs.")
-]
-MemoryOption: TypeAlias = Annotated[
-    str | None, Option("--max-memory", metavar="SIZE", help="Memory to use, such as 2GiB. Default: all free.")
-]
-ShardOption: TypeAlias = Annotated[
-    str | None, Option("--shard", metavar="I/N", help="Compute part I of N. Default: from Slurm.")
-]
-SchedulerOption: TypeAlias = Annotated[
-    str | None, Option("--scheduler", metavar="ADDRESS", help="tcp://HOST:PORT of a dask.distributed cluster.")
-]
-FailFastOption: TypeAlias = Annotated[bool, Option("--fail-fast", help="Stop at the first scene that fails.")]
-ListScenesOption: TypeAlias = Annotated[
-    bool, Option("--list-scenes", help="Print the names of the scenes; compute nothing.")
-]
-DryRunOption: TypeAlias = Annotated[bool, Option("--dry-run", help="Print config, scenes and memory; compute nothing.")]
-EvaluateOption: TypeAlias = Annotated[
-    bool, Option("--evaluate", help="Compare the results with the input's ground truth.")
-]
+DepthScaleOption: TypeAlias = Annotated[float | None, Option(metavar="CODES", help="Codes a meter of the depth files.")]
 HtmlOption: TypeAlias = Annotated[bool, Option("--html", help="Also write evaluation/report.html.")]
 FlagOption: TypeAlias = Annotated[
-    list[str] | None,
-    Option("--flag", metavar="CONDITION", help="Flag rows, such as 'measured<0.6'; repeatable, any of them."),
+    list[str] | None, Option(metavar="CONDITION", help="Flag rows, such as 'measured<0.6'; repeatable, any of them.")
 ]
 FailFlaggedOption: TypeAlias = Annotated[bool, Option("--fail-flagged", help="Exit with 4 where a row is flagged.")]
-JsonOption: TypeAlias = Annotated[bool, Option("--json", help="Print one JSON document instead of a table.")]
-VerboseOption: TypeAlias = Annotated[bool, Option("--verbose", "-v", help="Print details on stderr.")]
-QuietOption: TypeAlias = Annotated[bool, Option("--quiet", "-q", help="Print only errors, and no table.")]
 PluginOption: TypeAlias = Annotated[
     list[Path] | None,
-    Option(
-        "--plugin", metavar="FILE.py", help="Python file with methods, layouts or commands of your own; repeatable."
-    ),
+    Option(metavar="FILE.py", help="Python file with methods, layouts or commands of your own; repeatable."),
 ]
 """Read by ``cli`` before all else, since the file may hold the command itself."""
 
@@ -114,9 +66,9 @@ PluginOption: TypeAlias = Annotated[
 class Printing:
     """What a command prints."""
 
-    json: JsonOption = False
-    verbose: VerboseOption = False
-    quiet: QuietOption = False
+    json: Annotated[bool, Option("--json", help="Print one JSON document instead of a table.")] = False
+    verbose: Annotated[bool, Option("--verbose", "-v", help="Print details on stderr.")] = False
+    quiet: Annotated[bool, Option("--quiet", "-q", help="Print only errors, and no table.")] = False
 
     @cached_property
     def reporter(self) -> Reporter:
@@ -132,7 +84,7 @@ class SceneOptions:
     """The options that name the files of a single scene, for messages."""
 
     input: InputOption = None
-    name: NameOption = None
+    name: Annotated[str | None, Option(metavar="NAME", help="Name of a single scene. Default: from its file.")] = None
     layout: LayoutOption = None
     scenes: ScenesOption = None
 
@@ -149,9 +101,9 @@ class PairOptions(SceneOptions):
     single_files: ClassVar[str] = "--left FILE and --right FILE"
 
     left: Annotated[
-        Path | None, Option("--left", metavar="FILE", help="Left image, pattern, folder or video; replaces --input.")
+        Path | None, Option(metavar="FILE", help="Left image, pattern, folder or video; replaces --input.")
     ] = None
-    right: Annotated[Path | None, Option("--right", metavar="FILE", help="Right image, likewise.")] = None
+    right: Annotated[Path | None, Option(metavar="FILE", help="Right image, likewise.")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,14 +111,14 @@ class RangeOptions(PairOptions):
     """Image pairs with what else is known of them: calibration and search range, which override keys of the config."""
 
     calibration: Annotated[
-        Path | None, Option("--calibration", metavar="FILE", help="Calibration, for pairs that are not rectified.")
+        Path | None, Option(metavar="FILE", help="Calibration, for pairs that are not rectified.")
     ] = None
     unit: Annotated[
-        str | None, Option("--unit", metavar="UNIT", help="Unit of an OpenCV calibration's translation: m, cm or mm.")
+        str | None, Option(metavar="UNIT", help="Unit of an OpenCV calibration's translation: m, cm or mm.")
     ] = None
     max_disparity: MaxDisparityOption = None
     min_disparity: Annotated[
-        str | None, Option("--min-disparity", metavar="N", help="Smallest disparity searched, or auto. Default: 0.")
+        str | None, Option(metavar="N", help="Smallest disparity searched, or auto. Default: 0.")
     ] = None
 
 
@@ -175,43 +127,14 @@ class CodingOptions:
     """How the maps of other runs are named and coded."""
 
     pattern: Annotated[
-        list[str] | None,
-        Option("--pattern", metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=..."),
+        list[str] | None, Option(metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=...")
     ] = None
     scale: Annotated[
-        list[str] | None,
-        Option("--scale", metavar="CODES", help="Codes per pixel of integer maps. Of one run: NAME=..."),
+        list[str] | None, Option(metavar="CODES", help="Codes per pixel of integer maps. Of one run: NAME=...")
     ] = None
     invalid: Annotated[
-        list[str] | None,
-        Option("--invalid", metavar="VALUE", help="Value of maps that means none, or nan. Of one run: NAME=..."),
+        list[str] | None, Option(metavar="VALUE", help="Value of maps that means none, or nan. Of one run: NAME=...")
     ] = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class VolumeOptions(SceneOptions):
-    """Pairs of volumes: a folder of them, or the files of one."""
-
-    single_files: ClassVar[str] = "--fixed FILE and --warped FILE"
-
-    fixed: Annotated[Path | None, Option("--fixed", metavar="FILE", help="Fixed volume, instead of --input.")] = None
-    warped: Annotated[
-        Path | None, Option("--warped", metavar="FILE", help="Moving volume after registration, on the fixed grid.")
-    ] = None
-    moving: Annotated[
-        Path | None, Option("--moving", metavar="FILE", help="Moving volume, with --displacement or --transform.")
-    ] = None
-    displacement: Annotated[
-        Path | None, Option("--displacement", metavar="FILE", help="Displacement field of the registration.")
-    ] = None
-    transform: Annotated[Path | None, Option("--transform", metavar="FILE", help="Transform of the registration.")] = (
-        None
-    )
-    apply: Annotated[
-        str | None,
-        Option("--apply", metavar="WHICH", help="With both files: displacement, transform, or both (ANTs)."),
-    ] = None
-    mask: Annotated[Path | None, Option("--mask", metavar="FILE", help="Mask of the fixed volume.")] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,10 +143,14 @@ class FrameOptions(SceneOptions):
 
     single_files: ClassVar[str] = "--color FILE and --depth FILE"
 
-    color: Annotated[Path | None, Option("--color", metavar="FILE", help="Color image, instead of --input.")] = None
-    depth: Annotated[
-        Path | None, Option("--depth", metavar="FILE", help="Depth map, registered to --color if given.")
-    ] = None
+    color: Annotated[Path | None, Option(metavar="FILE", help="Color image, instead of --input.")] = None
+    depth: Annotated[Path | None, Option(metavar="FILE", help="Depth map, registered to --color if given.")] = None
+
+
+def _local(output: Path | None) -> Path | None:
+    if output is not None and _URL.match(str(output)) and not os.path.lexists(output.parts[0]):
+        raise typer.BadParameter("results are written to this machine, not to URLs; give a folder")
+    return output
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,17 +160,29 @@ class RunOptions(Printing):
     ``evaluate`` and ``html`` become options of commands whose group declares them so, see :class:`ScoredRunOptions`.
     """
 
-    output: OutputOption
-    overwrite: OverwriteOption = False
-    keep: KeepOption = None
-    jobs: JobsOption = 1
-    threads: ThreadsOption = None
-    max_memory: MemoryOption = None
-    shard: ShardOption = None
-    scheduler: SchedulerOption = None
-    fail_fast: FailFastOption = False
-    list_scenes: ListScenesOption = False
-    dry_run: DryRunOption = False
+    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder to write into.", callback=_local)]
+    overwrite: Annotated[bool, Option("--overwrite", help="Replace an earlier run that had another config.")] = False
+    keep: Annotated[
+        str | None, Option(metavar="NAMES", help="Files kept, as disp_left.pfm,status.png. Default: all.")
+    ] = None
+    jobs: Annotated[
+        int, Option("--jobs", "-j", metavar="N", min=1, max=512, help="Scenes at a time, each in a process.")
+    ] = 1
+    threads: Annotated[
+        int | None, Option(metavar="N", min=1, max=1024, help="Threads of a process. Default: cores / --jobs.")
+    ] = None
+    max_memory: Annotated[
+        str | None, Option(metavar="SIZE", help="Memory to use, such as 2GiB. Default: all free.")
+    ] = None
+    shard: Annotated[str | None, Option(metavar="I/N", help="Compute part I of N. Default: from Slurm.")] = None
+    scheduler: Annotated[
+        str | None, Option(metavar="ADDRESS", help="tcp://HOST:PORT of a dask.distributed cluster.")
+    ] = None
+    fail_fast: Annotated[bool, Option("--fail-fast", help="Stop at the first scene that fails.")] = False
+    list_scenes: Annotated[bool, Option("--list-scenes", help="Print the names of the scenes; compute nothing.")] = (
+        False
+    )
+    dry_run: Annotated[bool, Option("--dry-run", help="Print config, scenes and memory; compute nothing.")] = False
     flag: FlagOption = None
     fail_flagged: FailFlaggedOption = False
     evaluate: bool = False
@@ -251,8 +190,7 @@ class RunOptions(Printing):
 
     def __post_init__(self) -> None:
         """Raise ConfigError where options are wrong or exclude each other, before any file is read."""
-        shard = self.execution.shard
-        if shard is not None and (self.evaluate or self.html):
+        if self.execution.shard is not None and (self.evaluate or self.html):
             raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
         if self.scheduler is not None and self.jobs != 1:
             raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
@@ -282,7 +220,7 @@ class RunOptions(Printing):
 class ScoredRunOptions(RunOptions):
     """The options of a run whose results can be compared with ground truth of its input."""
 
-    evaluate: EvaluateOption = False
+    evaluate: Annotated[bool, Option("--evaluate", help="Compare the results with the input's ground truth.")] = False
     html: HtmlOption = False
 
 
@@ -291,129 +229,20 @@ class TableOptions:
     """Which tables of an evaluation are printed, and how."""
 
     tables: Annotated[
-        str | None,
-        Option("--tables", metavar="NAMES", help="Tables to print: all, or metrics,scenes-nonocc ... or headline."),
+        str | None, Option(metavar="NAMES", help="Tables to print: all, or metrics,scenes-nonocc ... or headline.")
     ] = None
-    format: Annotated[
-        str | None, Option("--format", metavar="FORMAT", help="Print wide tables: latex, markdown or csv.")
-    ] = None
-    columns: Annotated[
-        str | None, Option("--columns", metavar="NAMES", help="Of the tables, print only these columns.")
-    ] = None
-    caption: Annotated[
-        str | None, Option("--caption", metavar="TEXT", help="Caption of the one table that --tables chooses.")
-    ] = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class DepthRunOptions(RunOptions):
-    """The options of a run that has no ground truth, with a page."""
-
-    html: HtmlOption = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class MapOptions:
-    """The maps of a run, or a single one, and their calibration."""
-
-    run: Annotated[Path, Argument(metavar="RUN", help="Run folder of stereo or fuse, or one disparity map.")]
-    input: InputOption = None
-    layout: LayoutOption = None
-    scenes: ScenesOption = None
-    left: Annotated[
-        Path | None, Option("--left", metavar="FILE", help="Left image of a single map, for the point cloud.")
-    ] = None
-    calibration: Annotated[
-        Path | None, Option("--calibration", metavar="FILE", help="Calibration of all scenes: calib.txt, or KITTI's.")
-    ] = None
-    focal: Annotated[
-        float | None, Option("--focal", metavar="PIXELS", min=1e-6, help="Focal length, if there is no calibration.")
-    ] = None
-    baseline: Annotated[
-        float | None, Option("--baseline", metavar="METERS", min=1e-9, help="Distance of the cameras, with --focal.")
-    ] = None
-    doffs: Annotated[
-        float | None, Option("--doffs", metavar="PIXELS", help="x of the right principal point minus the left one's.")
-    ] = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class CloudOptions:
-    """Which pixels get a depth, and which are points of a cloud."""
-
-    mask: Annotated[
-        str | None,
-        Option(
-            "--mask",
-            metavar="WHICH",
-            help="Pixels that get a depth: all, measured, or confident:0.8, the 80 % of the measured ones with the "
-            "highest confidence (confident:0.8:NAME of several). Default: all, in clouds measured.",
-        ),
-    ] = None
-    ply: Annotated[bool, Option("--ply", help="Also write a colored point cloud of every scene.")] = False
-    near: Annotated[float, Option("--near", metavar="METERS", min=0, help="Nearest depth of point clouds.")] = 0.0
-    far: Annotated[float | None, Option("--far", metavar="METERS", min=0, help="Farthest depth of point clouds.")] = (
+    format: Annotated[str | None, Option(metavar="FORMAT", help="Print wide tables: latex, markdown or csv.")] = None
+    columns: Annotated[str | None, Option(metavar="NAMES", help="Of the tables, print only these columns.")] = None
+    caption: Annotated[str | None, Option(metavar="TEXT", help="Caption of the one table that --tables chooses.")] = (
         None
     )
-    depth_scale: Annotated[
-        float, Option("--depth-scale", metavar="CODES", min=1e-3, max=1e6, help="Codes per meter in depth.png.")
-    ] = 1000.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class RectifyOptions:
-    """By what pairs are rectified."""
-
-    calibration: Annotated[
-        list[Path] | None,
-        Option(
-            "--calibration",
-            metavar="FILE",
-            help="Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain or KITTI "
-            "calib_cam_to_cam; repeatable.",
-        ),
-    ] = None
-    uncalibrated: Annotated[
-        bool, Option("--uncalibrated", help="Rectify by matched key points alone; depths stay unknown.")
-    ] = False
-    unit: Annotated[
-        str, Option("--unit", metavar="UNIT", help="Unit of the translation in an OpenCV calibration: m, cm or mm.")
-    ] = "m"
-    fisheye: Annotated[bool, Option("--fisheye", help="The lenses of an OpenCV file are fisheye.")] = False
-    cameras: Annotated[
-        str, Option("--cameras", metavar="L,R", help="Numbers of the left and right camera in a KITTI file.")
-    ] = "2,3"
-    alpha: Annotated[
-        float,
-        Option(
-            "--alpha", metavar="SHARE", min=0, max=1, help="0: keep only what both images show; 1: keep all of both."
-        ),
-    ] = 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoardOptions:
-    """The board, as it is printed."""
-
-    board: Annotated[
-        str, Option("--board", metavar="BOARD", help="COLUMNSxROWS: inner corners; charuco:COLUMNSxROWS: squares.")
-    ]
-    square: Annotated[str, Option("--square", metavar="LENGTH", help="Edge of a square, with its unit (mm, cm, m).")]
-    marker: Annotated[str | None, Option("--marker", metavar="LENGTH", help="Edge of a marker of a ChArUco board.")] = (
-        None
-    )
-    dictionary: Annotated[str, Option("--dictionary", metavar="NAME", help="Markers of a ChArUco board.")] = "4X4_50"
 
 
 def with_groups(function: Callable[..., int]) -> Callable[..., int]:
-    """Return a command's function with the signature that typer reads: the fields of groups are options of their own.
-
-    Parameters
-    ----------
-    function : each parameter is annotated as typer wants it, or with a dataclass of such fields
-    """
+    """Return a command's function with the signature that typer reads: fields of groups are options of their own."""
     groups: dict[str, tuple[type, list[str]]] = {}
-    parameters = [inspect.Parameter("plugin", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=PluginOption)]
+    make = functools.partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
+    parameters = [make("plugin", default=None, annotation=PluginOption)]
     hints = get_type_hints(function, include_extras=True)
     for name, parameter in inspect.signature(function).parameters.items():
         kind = hints[name]
@@ -425,11 +254,7 @@ def with_groups(function: Callable[..., int]) -> Callable[..., int]:
         groups[name] = kind, [field.name for field in own]  # type: ignore[assignment]
         for field in own:
             default = inspect.Parameter.empty if field.default is MISSING else field.default
-            parameters.append(
-                inspect.Parameter(
-                    field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=types[field.name]
-                )
-            )
+            parameters.append(make(field.name, default=default, annotation=types[field.name]))
 
     @functools.wraps(function)
     def callback(**values: Any) -> int:

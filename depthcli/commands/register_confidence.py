@@ -7,11 +7,34 @@ Examples:
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
 
 from typer import Option
 
-from depthcli.commands._options import ConfigArgument, ScoredRunOptions, SetOption, VolumeOptions
+from depthcli.commands._options import ConfigArgument, SceneOptions, ScoredRunOptions, SetOption
+
+
+@dataclass(frozen=True, kw_only=True)
+class VolumeOptions(SceneOptions):
+    """Pairs of volumes: a folder of them, or the files of one."""
+
+    single_files: ClassVar[str] = "--fixed FILE and --warped FILE"
+
+    fixed: Annotated[Path | None, Option(metavar="FILE", help="Fixed volume, instead of --input.")] = None
+    warped: Annotated[
+        Path | None, Option(metavar="FILE", help="Moving volume after registration, on the fixed grid.")
+    ] = None
+    moving: Annotated[
+        Path | None, Option(metavar="FILE", help="Moving volume, with --displacement or --transform.")
+    ] = None
+    displacement: Annotated[Path | None, Option(metavar="FILE", help="Displacement field of the registration.")] = None
+    transform: Annotated[Path | None, Option(metavar="FILE", help="Transform of the registration.")] = None
+    apply: Annotated[
+        str | None, Option(metavar="WHICH", help="With both files: displacement, transform, or both (ANTs).")
+    ] = None
+    mask: Annotated[Path | None, Option(metavar="FILE", help="Mask of the fixed volume.")] = None
 
 
 def register_confidence(

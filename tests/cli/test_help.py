@@ -11,8 +11,8 @@ import pytest
 
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
+from depthcli.commands._sweep import parse_axes
 from depthcli.core.config_file import load_config
-from depthcli.run.combinations import parse_axis
 from depthcli.run.presets import find_config
 
 ROOT = Path(__file__).parents[2]
@@ -48,8 +48,8 @@ def test_examples_parse_and_their_configs_load(example: str):
         assert main([name, *words]) == 0
     model = config_model(values.get("command", name))
     if "config" in values and model is not None and values["config"] != "maps":
-        axes = [parse_axis(text) for text in values.get("over", ())]
-        settings = [*(values["set"] or ()), *(f"{axis.key}={value}" for axis in axes for value in axis.values)]
+        axes = parse_axes(values.get("over") or ())
+        settings = [*(values["set"] or ()), *(f"{key}={value}" for key in axes for value in axes[key])]
         load_config(model, find_config(values.get("command", name), values["config"]), settings)
 
 
