@@ -9,7 +9,6 @@ from typing import TypeVar
 
 from pydantic import BaseModel
 
-from depthcli.commands._flags import exit_code, flags_of
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.config_file import dump_config, load_config, to_yaml
 from depthcli.core.errors import InputError
@@ -18,6 +17,7 @@ from depthcli.core.text import one_line, show_bytes
 from depthcli.io.formats.pictures import write_legend
 from depthcli.run.batch import Batch, Execution, SceneT
 from depthcli.run.console import aligned, run_table
+from depthcli.run.flags import flag_rows
 from depthcli.run.folder import LEGEND_FILE, refusal
 from depthcli.run.json_csv import Row, to_json
 from depthcli.run.presets import find_config, find_preset
@@ -93,7 +93,7 @@ def run_batch(
         scores = importlib.import_module(_SCORES)
         evaluation, page_file, flags = scores.evaluated(batch, scenes, rows, options, source, conditions)
     else:
-        flags = flags_of(conditions, rows, reporter)
+        flags = flag_rows(conditions, rows, reporter)
     if options.json:
         document = report_document(batch.command, rows) | flags.to_dict()
         reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
@@ -112,7 +112,7 @@ def run_batch(
     if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
         return 1
     incomplete = failed or problems or (evaluation is not None and evaluation.failed)
-    return exit_code(bool(incomplete), flags, options.fail_flagged, options.shard)
+    return flags.exit_code(bool(incomplete), options.fail_flagged, options.shard)
 
 
 def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> Row:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from depthcli.commands._options import TableOptions
 from depthcli.core.errors import ConfigError, DepthcliError
-from depthcli.core.flags import Flags
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, Viewer
 from depthcli.evaluation.render import FORMATS
@@ -15,6 +14,7 @@ from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.page import Page
 from depthcli.report.run_without_truth import RunWithoutTruth
 from depthcli.run.console import Reporter
+from depthcli.run.flags import Flags
 from depthcli.run.folder import saved_config, staging_folder
 from depthcli.run.resources import parse_bytes
 

@@ -14,13 +14,22 @@ from numpy.typing import NDArray
 from depthcli.api.maps import fused, fusion_of, judge, judge_by_one_view, judge_of
 from depthcli.commands._batch import run_batch
 from depthcli.commands._options import CodingOptions, PairOptions, RangeOptions, RunOptions, ScoredRunOptions
-from depthcli.commands._runs import by_run, number_of, pattern_of, positive
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
 from depthcli.evaluation import protocols
-from depthcli.evaluation.map_files import DisparityFiles, MapFiles, MapNaming, find_runs, names_in_run, recognized
+from depthcli.evaluation.map_files import (
+    DisparityFiles,
+    MapFiles,
+    MapNaming,
+    by_run,
+    find_runs,
+    names_in_run,
+    pattern_of,
+    positive,
+    recognized,
+)
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size, read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE
@@ -240,7 +249,7 @@ def _find_scenes(
     coded = {**rights, **places}
     pattern, patterns = by_run("--pattern", coding.pattern or [], coded, pattern_of)
     scale, scales = by_run("--scale", coding.scale or [], coded, positive)
-    invalid, invalids = by_run("--invalid", coding.invalid or [], coded, number_of)
+    invalid, invalids = by_run("--invalid", coding.invalid or [], coded, float)
     scenes = find_scenes((StereoScene,), pairs, run)
     short = [scene.name.rpartition("/")[2] for scene in scenes]
     names = {

@@ -19,11 +19,10 @@ from typing import Annotated, Any, ClassVar, TypeAlias, get_type_hints
 import typer
 from typer import Argument, Option
 
-from depthcli.commands._flags import conditions_of
 from depthcli.core.errors import ConfigError
-from depthcli.core.flags import Condition
 from depthcli.run.batch import Execution, shard_of
 from depthcli.run.console import Reporter
+from depthcli.run.flags import Condition, conditions_of
 from depthcli.run.resources import parse_bytes
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one slash

@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from depthcli.commands._evaluation import print_place, print_tables, viewers, write_page
-from depthcli.commands._flags import flags_of
 from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.core.flags import Condition, Flags
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
 from depthcli.evaluation.map_files import run_names
@@ -20,6 +18,7 @@ from depthcli.io.scenes.rgbd import SequenceScene
 from depthcli.report.page import Page
 from depthcli.report.run_without_truth import RunWithoutTruth
 from depthcli.run.batch import Batch, SceneT
+from depthcli.run.flags import Condition, Flags, flag_rows
 from depthcli.run.json_csv import Row
 
 __all__ = ["evaluated", "print_place", "print_tables"]
@@ -53,7 +52,7 @@ def evaluated(
         return report, output / PAGE_FILE if options.html else None, report.flags
     shows = ": the page shows the maps without scores" if options.html else ", nothing to compare with"
     reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
-    flags = flags_of(conditions, rows, reporter)
+    flags = flag_rows(conditions, rows, reporter)
     written = any(isinstance(page, Page) and write_page(page, output, flags, reporter) for page in views)
     return None, output / PAGE_FILE if written else None, flags
 

@@ -17,7 +17,6 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from depthcli.commands._flags import conditions_of, exit_code
 from depthcli.commands._options import (
     FailFlaggedOption,
     FlagOption,
@@ -26,8 +25,8 @@ from depthcli.commands._options import (
     ScenesOption,
     TableOptions,
 )
-from depthcli.commands._runs import by_run, number_of, pattern_of, positive
 from depthcli.core.errors import ConfigError
+from depthcli.run.flags import conditions_of
 from depthcli.run.json_csv import to_json
 
 
@@ -70,13 +69,13 @@ def evaluate(
     """Evaluate, print the tables, and return the exit code."""
     from depthcli.commands._evaluation import check_tables, print_place, print_tables, viewers
     from depthcli.evaluation.evaluate import evaluate_runs
-    from depthcli.evaluation.map_files import MapNaming, find_runs
+    from depthcli.evaluation.map_files import MapNaming, by_run, find_runs, pattern_of, positive
     from depthcli.evaluation.protocols import Settings
 
     reporter, places = printing.reporter, find_runs(runs)
     pattern, patterns = by_run("--maps", maps or [], places, pattern_of)
     codes, own_codes = by_run("--scale", scale or [], places, positive)
-    none, own_none = by_run("--invalid", invalid or [], places, number_of)
+    none, own_none = by_run("--invalid", invalid or [], places, float)
     check_tables(tables)
     report = evaluate_runs(
         runs, truth, output, scenes or ["*"], layout, protocol,
@@ -95,7 +94,7 @@ def evaluate(
             reporter.data(report.flags.text())
     if output is not None:
         print_place(output, reporter)
-    return exit_code(bool(report.failed), report.flags, fail_flagged)
+    return report.flags.exit_code(bool(report.failed), fail_flagged)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

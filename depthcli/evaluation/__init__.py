@@ -7,11 +7,11 @@
    (H, W) float32 disparities in pixels, (H, W) float32 depths in meters, or (N,) float32 errors in millimeters at
    points of a volume.
 3. It scores the map by region (``nonocc``, ``all`` ...): a ``Score`` (``scores``) for every metric, and the
-   sparsification ``curves`` of the confidence maps. All that is known of one map is a ``MapResult`` (``results``).
+   sparsification ``curves`` of the confidence maps. All that is known of one map is a ``MapResult``.
 4. ``comparison``: a ``Section`` holds the results of one data set under one protocol, with means and ranks by the
    protocol's rule and the tests of ``statistics``; an ``EvaluationReport`` all sections.
 5. ``tables`` arranges the numbers, ``render`` writes any table as text, Markdown, LaTeX, CSV or HTML, ``plots`` draws.
-   A protocol's words, units and colors are its ``presentation``. The page and the contact sheet (room ``report``) are
+   A protocol's words, units and colors are its ``Presentation``. The page and the contact sheet (room ``report``) are
    viewers, which get the maps while they are scored.
 
 ``benchmarks`` stands apart: which files a submission to a benchmark holds. Begin with

@@ -10,15 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.core.flags import Flags
 from depthcli.core.text import summarized
 from depthcli.evaluation.protocols import AnyProtocol, scene_means
-from depthcli.evaluation.results import COMMON_MEAN, MEAN, MapResult, record
-from depthcli.evaluation.scores import Key, Score, in_order
+from depthcli.evaluation.scores import COMMON_MEAN, MEAN, Key, MapResult, Score, in_order, record
 from depthcli.evaluation.statistics import Ranking, average_ranks
+from depthcli.run.flags import Flags
 
 
-@dataclass(frozen=True)
 class Section:
     """The results of one data set under one protocol; every run has a result for every scene.
 
@@ -28,66 +26,46 @@ class Section:
 
     Attributes
     ----------
-    data_set, protocol, runs, results : what is compared, in the order of the results
-    scenes : names of all scenes
-    common : names of the scenes of which every run has a map
+    scenes, common : names of all scenes, and of those of which every run has a map
+    incomplete : some run has no map of some scene
     regions : names of the regions, in the protocol's order; the first is the main region
     keys : all pairs of metric and region that have a score
     known : region -> scenes whose truth is known somewhere in it
     means : (run, over the common scenes alone) -> (metric, region) -> mean
+    figure_regions : regions that the single figure of a run is taken over: the protocol's, without those that some
+        scene lacks, so that every scene counts alike; or else the main region
     """
 
-    data_set: str
-    protocol: AnyProtocol
-    runs: tuple[str, ...]
-    results: tuple[MapResult, ...]
-    scenes: list[str]
-    common: frozenset[str]
-    regions: list[str]
-    keys: list[Key]
-    known: dict[str, frozenset[str]]
-    means: dict[tuple[str, bool], dict[Key, Score]]
-
-    @classmethod
-    def of(cls, data_set: str, protocol: AnyProtocol, runs: tuple[str, ...], results: Sequence[MapResult]) -> Section:
-        """Compare the results of all runs."""
-        scenes = list(dict.fromkeys(result.scene for result in results))
-        common = frozenset(scenes) - {result.scene for result in results if result.error}
+    def __init__(
+        self, data_set: str, protocol: AnyProtocol, runs: tuple[str, ...], results: Sequence[MapResult]
+    ) -> None:
+        self.data_set, self.protocol, self.runs, self.results = data_set, protocol, runs, tuple(results)
+        self.scenes = list(dict.fromkeys(result.scene for result in results))
+        self.common = frozenset(self.scenes) - {result.scene for result in results if result.error}
+        self.incomplete = len(self.common) < len(self.scenes)
         scored = [(score, result.scene) for result in results for score in result.scores]
-        regions = in_order((score.region for score, _ in scored), protocol.region_order)
-        known = {
+        self.keys = list(dict.fromkeys(score.key for score, _ in scored))
+        self.regions = in_order((score.region for score, _ in scored), protocol.region_order)
+        self.known = {
             region: frozenset(scene for s, scene in scored if s.region == region and not math.isnan(s.density))
-            for region in regions
+            for region in self.regions
         }
-        means = {}
+        self.means: dict[tuple[str, bool], dict[Key, Score]] = {}
         for run in runs:
-            own = [result for result in results if result.run == run]
-            means[run, False] = {score.key: score for score in protocol.mean(own)}
-            shared = [result for result in own if result.scene in common]
-            means[run, True] = means[run, False]
-            if len(shared) < len(own):
-                means[run, True] = {score.key: score for score in protocol.mean(shared)}
-        keys = list(dict.fromkeys(score.key for score, _ in scored))
-        return cls(data_set, protocol, runs, tuple(results), scenes, common, regions, keys, known, means)
+            self.means[run, False] = {score.key: score for score in protocol.mean(self.results_of(run))}
+            self.means[run, True] = self.means[run, False]
+            if self.incomplete:
+                self.means[run, True] = {score.key: score for score in protocol.mean(self.results_of(run, True))}
+        named = self.regions if protocol.averages_regions else self.regions[:1]
+        self.figure_regions = [name for name in named if len(self.known[name]) == len(self.scenes)] or named[:1]
 
     @property
-    def incomplete(self) -> bool:
-        """True if some run has no map of some scene."""
-        return len(self.common) < len(self.scenes)
+    def _figure_keys(self) -> list[Key]:
+        return [(self.protocol.headline, region) for region in self.figure_regions]
 
     def scenes_with(self, region: str, common: bool = False) -> frozenset[str]:
         """Return the names of the scenes, or common scenes, whose truth is known somewhere in a region."""
         return self.known[region] & self.common if common else self.known[region]
-
-    @cached_property
-    def figure_regions(self) -> list[str]:
-        """Names of the regions that the single figure of a run is taken over.
-
-        They are the protocol's, without those that some scene lacks, so that every scene counts alike; or else the
-        main region.
-        """
-        named = self.regions if self.protocol.averages_regions else self.regions[:1]
-        return [name for name in named if len(self.known[name]) == len(self.scenes)] or named[:1]
 
     def results_of(self, run: str, common: bool = False) -> list[MapResult]:
         """Return one run's results of all scenes, or of the common ones."""
@@ -104,7 +82,7 @@ class Section:
 
     def overall(self, run: str, common: bool = False) -> Score:
         """Return the single figure of a run, the headline over ``figure_regions``; NaN if there is none."""
-        keys = [(self.protocol.headline, region) for region in self.figure_regions]
+        keys = self._figure_keys
         if len(keys) == 1:  # the mean of that region, which a protocol may compute in its own way
             return self.mean(run, keys[0], common)
         scored = (([r.by_key[k] for k in keys if k in r.by_key], r.scene) for r in self.results_of(run, common))
@@ -117,7 +95,7 @@ class Section:
 
     def by_scene(self, run: str) -> list[float]:
         """Return one run's single figure of every scene, lower is better: signed; NaN if there is no map."""
-        keys = [(self.protocol.headline, region) for region in self.figure_regions]
+        keys = self._figure_keys
         made = []
         for result in self.results_of(run):
             values = [result.by_key[key].value for key in keys if key in result.by_key and not result.error]
@@ -130,7 +108,7 @@ class Section:
         sign = self.protocol.headline.sign
         both = {run: [sign * self.overall(run, common).value for common in (False, True)] for run in self.runs}
         order = sorted(self.runs, key=lambda run: [(math.isnan(v), 0.0 if math.isnan(v) else v) for v in both[run]])
-        return Ranking.of(order, {run: self.by_scene(run) for run in self.runs})
+        return Ranking(order, {run: self.by_scene(run) for run in self.runs})
 
     def average_rank(self, keys: Sequence[Key]) -> dict[str, float]:
         """Return run -> mean rank over the common scenes and (metric, region) pairs; equal values share a rank."""
@@ -139,68 +117,59 @@ class Section:
         ranks = average_ranks(np.array(grid, np.float64).reshape(len(self.runs), -1))
         return {run: float(rank) for run, rank in zip(self.runs, ranks, strict=True)}
 
+    @property
+    def _where(self) -> dict[str, str]:
+        return {"data_set": self.data_set, "protocol": self.protocol.name}
 
-def _records(section: Section) -> list[dict[str, Any]]:
-    """Return the means of every run, metric and region, over all scenes (``MEAN``) and common ones."""
-    made = []
-    for run in section.runs:
-        where = {"run": run, "data_set": section.data_set, "protocol": section.protocol.name}
-        for key in section.means[run, False]:
-            n_missing = section.n_missing(run, key[1])
-            missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
-            notes = (
-                f"over {len(section.scenes_with(key[1]))} scenes{missing}",
-                f"over the {len(section.scenes_with(key[1], common=True))} scenes that all runs have",
-            )
-            for scene, common, note in zip((MEAN, COMMON_MEAN), (False, True), notes, strict=True):
-                made.append(record({**where, "scene": scene}, section.mean(run, key, common), note=note))
-    return made
+    def records(self) -> list[dict[str, Any]]:
+        """Return the means of every run, metric and region, over all scenes and common ones, for ``scores.csv``."""
+        made = []
+        for run in self.runs:
+            for key in self.means[run, False]:
+                n_missing = self.n_missing(run, key[1])
+                missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
+                notes = (
+                    f"over {len(self.scenes_with(key[1]))} scenes{missing}",
+                    f"over the {len(self.scenes_with(key[1], common=True))} scenes that all runs have",
+                )
+                for scene, common, note in zip((MEAN, COMMON_MEAN), (False, True), notes, strict=True):
+                    made.append(
+                        record({"run": run, **self._where, "scene": scene}, self.mean(run, key, common), note=note)
+                    )
+        return made
 
+    def row(self, run: str, score: Score, common: Score) -> dict[str, Any]:
+        """Return a mean over all scenes, and that over the common ones, as plain values."""
+        return {
+            "run": run, **self._where, **score.row(), "scenes": len(self.scenes_with(score.region)),
+            "missing": self.n_missing(run, score.region),
+            "common": len(self.scenes_with(score.region, common=True)), "value_common": common.value,
+        }  # fmt: skip
 
-def _row(section: Section, run: str, score: Score, common: Score) -> dict[str, Any]:
-    """Return a mean over all scenes, and that over the common ones, as plain values."""
-    return {
-        "run": run, "data_set": section.data_set, "protocol": section.protocol.name, **score.row(),
-        "scenes": len(section.scenes_with(score.region)), "missing": section.n_missing(run, score.region),
-        "common": len(section.scenes_with(score.region, common=True)), "value_common": common.value,
-    }  # fmt: skip
-
-
-def _threshold_rows(section: Section) -> list[dict[str, Any]]:
-    """Return the lines of the plot against the threshold, one for every run that has one, as plain values."""
-    made = []
-    for run in section.runs:
-        if scores := section.threshold_curve(run):
-            m = scores[0].metric
-            made.append({
-                "run": run, "data_set": section.data_set, "protocol": section.protocol.name,
-                "metric": m.name, "mask": scores[0].region, "unit": m.unit, "convention": m.convention,
-                "thresholds": [s.metric.threshold for s in scores], "values": [s.value for s in scores],
-            })  # fmt: skip
-    return made
+    def threshold_rows(self) -> list[dict[str, Any]]:
+        """Return the lines of the plot against the threshold, one for every run that has one, as plain values."""
+        made = []
+        for run in self.runs:
+            if scores := self.threshold_curve(run):
+                m = scores[0].metric
+                made.append({
+                    "run": run, **self._where, "metric": m.name, "mask": scores[0].region, "unit": m.unit,
+                    "convention": m.convention, "thresholds": [s.metric.threshold for s in scores],
+                    "values": [s.value for s in scores],
+                })  # fmt: skip
+        return made
 
 
 @dataclass(frozen=True)
 class EvaluationReport:
-    """All results of an evaluation, in the order of the scenes, then of the runs.
-
-    Attributes
-    ----------
-    runs : names of the runs
-    results : one for every scene and run
-    protocols : name -> protocol, of all that the results name
-    truth : folder or file of the ground truth, as people may see it
-    hints : what was assumed of runs and scenes, and what looks wrong with the way they are scored, one line each
-    plugins : package -> version, of the plug-ins that found, read and scored the scenes
-    flags : what a person should look at, by conditions on columns
-    """
+    """All results of an evaluation, in the order of the scenes, then of the runs."""
 
     runs: tuple[str, ...]
     results: tuple[MapResult, ...]
-    protocols: dict[str, AnyProtocol]
-    truth: str
-    hints: tuple[str, ...] = ()
-    plugins: dict[str, str] = field(default_factory=dict)
+    protocols: dict[str, AnyProtocol]  # by name, all that the results name
+    truth: str  # folder or file of the ground truth, as people may see it
+    hints: tuple[str, ...] = ()  # what was assumed, and what looks wrong with the way scenes are scored, one line each
+    plugins: dict[str, str] = field(default_factory=dict)  # package -> version, of those that took part
     flags: Flags = field(default_factory=Flags)
 
     @property
@@ -234,33 +203,31 @@ class EvaluationReport:
         for result in self.results:
             if result.scores:
                 groups.setdefault((result.data_set, result.protocol), []).append(result)
-        return [Section.of(d, self.protocols[p], self.runs, results) for (d, p), results in groups.items()]
+        return [Section(d, self.protocols[p], self.runs, results) for (d, p), results in groups.items()]
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows of ``scores.csv``: every number of all results, then the means of every section."""
-        made = [record for result in self.results for record in result.records()]
-        return made + [record for section in self.sections for record in _records(section)]
+        return [record for part in (*self.results, *self.sections) for record in part.records()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values; NaN where there is no number."""
+        each = [(section, run) for section in self.sections for run in section.runs]
         return {
             "truth": self.truth,
             "runs": list(self.runs),
             "plugins": self.plugins,
             "results": [result.to_dict() for result in self.results],
             "means": [
-                _row(section, run, score, section.mean(run, key, common=True))
-                for section in self.sections
-                for run in section.runs
+                section.row(run, score, section.mean(run, key, common=True))
+                for section, run in each
                 for key, score in section.means[run, False].items()
             ],
             "headlines": [
-                _row(section, run, section.overall(run), section.overall(run, common=True))
+                section.row(run, section.overall(run), section.overall(run, common=True))
                 | {"mask": "+".join(section.figure_regions)}
-                for section in self.sections
-                for run in section.runs
+                for section, run in each
             ],
-            "by_threshold": [row for section in self.sections for row in _threshold_rows(section)],
+            "by_threshold": [row for section in self.sections for row in section.threshold_rows()],
             "comparisons": [
                 {
                     "data_set": section.data_set,

@@ -8,7 +8,7 @@ import os
 import re
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,16 +16,15 @@ from typing import Any
 from numpy.typing import NDArray
 
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.core.flags import Condition, Flags, flag_rows, plain_name
-from depthcli.core.registry import Plugin, plugin_of, versions_here
+from depthcli.core.registry import plugin_of, versions_here
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
 from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
 from depthcli.evaluation.plots import curve_plot
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
-from depthcli.evaluation.results import MapResult
+from depthcli.evaluation.scores import MapResult
 from depthcli.evaluation.tables import report_markdown
-from depthcli.io.formats.files import collected_warnings, warn, write_text
+from depthcli.io.formats.files import collected_warnings, short_path, warn, write_text
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.map_format import format_plugins
 from depthcli.io.formats.pictures import read_status
@@ -36,6 +35,7 @@ from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import discover_scenes, scene_with_file
 from depthcli.run.console import Reporter
+from depthcli.run.flags import Condition, flag_rows, plain_name
 from depthcli.run.folder import saved_config, staging_folder
 from depthcli.run.json_csv import Row, to_csv, to_json
 from depthcli.run.report import read_report
@@ -100,8 +100,6 @@ def evaluate_runs(
     scenes : shell patterns of scene names
     layout : layout of ``truth``; None recognizes it
     protocol : its name; None: what every scene names
-    settings : options of the protocols
-    reporter : shows progress, failures and warnings
     kinds : kinds of scene to evaluate; None: all, or what ``protocol`` scores
     map_options : run -> how its maps are named and coded; what is not given is recognized
     conditions : on scores and on columns of the runs' reports, by which scenes are flagged
@@ -120,9 +118,16 @@ def evaluate_runs(
     reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), local(truth)
     places = find_runs(runs)
     scored_by = None if protocol is None else load(protocol)(settings)
-    found = _find_truth(truth, scored_by, kinds, layout, scenes, settings, reporter)
+    if os.path.isfile(truth):
+        found = [_scene_of_file(truth, scored_by, settings, reporter)]
+    else:
+        chosen = kinds if scored_by is None else [scored_by.kind]
+        found = [s for s in discover_scenes(truth, chosen, layout, scenes, reporter.info) if s.problem or s.has_truth]
+        if not any(scene.has_truth and not scene.problem for scene in found):
+            nothing = f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)"
+            raise InputError(found[0].problem if found else nothing)
     if len(found) > 1 and any(place.is_file() for place in places.values()):
-        raise InputError(f"a single map wants a single scene, {truth} has {len(found)}: give a file, or --scenes")
+        raise InputError(f"a single map needs a single scene, {truth} has {len(found)}: give a file, or --scenes")
     writing = staging_folder(Path(output), "evaluate", RESULTS, reporter.info) if output is not None else None
     with writing or contextlib.nullcontext() as folder:
         own = viewers if folder is not None else ()
@@ -133,15 +138,25 @@ def evaluate_runs(
             taken = any(name in each.takes for each in scoring.protocols.values())
             if value not in (None, False) and scoring.protocols and not taken:
                 reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
-        hints, plugins = (*scoring.hints, *scoring.misfits()), versions_here(_plugins(scoring, found))
-        report = EvaluationReport(tuple(places), tuple(results), scoring.protocols, origin(truth), hints, plugins)
+        files = scoring.maps | {value for s in found for value in vars(s).values() if isinstance(value, Path)}
+        plugins = layout_plugins(found) | format_plugins(files)
+        plugins |= {plugin for each in scoring.protocols.values() if (plugin := plugin_of(type(each))) is not None}
+        hints, used = (*scoring.hints, *scoring.misfits()), versions_here(plugins)
+        report = EvaluationReport(tuple(places), tuple(results), scoring.protocols, origin(truth), hints, used)
         if conditions:
             names = {scene.name for scene in found}
             known = {run: {k: row for k, row in of.items() if k in names} for run, of in scoring.reports.items()}
-            report = replace(report, flags=flag_scores(conditions, report, known))
-            _say(report.flags, reporter)
+            report = replace(report, flags=flag_rows(conditions, _flag_columns(report, known), reporter))
         if folder is not None:
-            _write(folder, report, own, places, reporter)
+            scores = to_json(report.to_dict())
+            write_text(folder / "scores.csv", to_csv(report.records()))
+            write_text(folder / "scores.json", scores)
+            write_text(folder / "report.md", report_markdown(report))
+            for viewer in own:
+                try:
+                    viewer.write(report, scores, {run: saved_config(place) for run, place in places.items()})
+                except DepthcliError as error:  # the scores are there
+                    reporter.error(f"no {viewer.file}: {error}")
     for line in report.warning_lines:
         reporter.info(f"warning: {line}")
     for result in report.failed:
@@ -149,74 +164,28 @@ def evaluate_runs(
     return report
 
 
-def _write(
-    folder: Path, report: EvaluationReport, viewers: Sequence[Viewer], places: Mapping[str, Path], reporter: Reporter
-) -> None:
-    scores = to_json(report.to_dict())
-    write_text(folder / "scores.csv", to_csv(report.records()))
-    write_text(folder / "scores.json", scores)
-    write_text(folder / "report.md", report_markdown(report))
-    for viewer in viewers:
-        try:
-            viewer.write(report, scores, {run: saved_config(place) for run, place in places.items()})
-        except DepthcliError as error:  # the scores are there
-            reporter.error(f"no {viewer.file}: {error}")
-
-
-def _find_truth(
-    truth: Path,
-    scored_by: AnyProtocol | None,
-    kinds: Iterable[type[Scene]] | None,
-    layout: str | None,
-    patterns: Sequence[str],
-    settings: Settings,
-    reporter: Reporter,
-) -> list[Scene]:
-    """Return all scenes with ground truth, and those that cannot be used; of a file, the scene whose truth it is."""
-    if os.path.isfile(truth):
-        holding = scene_with_file(truth)
-        if holding is None and scored_by is None:
-            reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")
-        return [holding or _scene_of_file(truth, scored_by or load(_DEFAULT_PROTOCOL)(settings))]
-    found = discover_scenes(truth, kinds if scored_by is None else [scored_by.kind], layout, patterns, reporter.info)
-    found = [scene for scene in found if scene.problem or scene.has_truth]
-    if not any(scene.has_truth and not scene.problem for scene in found):
-        if found:
-            raise InputError(found[0].problem)
-        raise InputError(f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)")
-    return found
-
-
-def _scene_of_file(truth: Path, protocol: AnyProtocol) -> Scene:
-    """Return a scene of one map without masks; integer codes have the scale of the settings."""
-    scale = protocol.settings.scale
-    common: dict[str, Any] = {"name": truth.stem, "folder": truth.parent, "protocol": protocol.name}
-    if issubclass(protocol.kind, StereoScene):
-        codes = None if truth.suffix.lower() == ".pfm" else scale
+def _scene_of_file(truth: Path, scored_by: AnyProtocol | None, settings: Settings, reporter: Reporter) -> Scene:
+    """Return the scene whose truth a file is, or one of that map without masks, of the settings' scale."""
+    if (holding := scene_with_file(truth)) is not None:
+        return holding
+    if scored_by is None:
+        reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")
+        scored_by = load(_DEFAULT_PROTOCOL)(settings)
+    common: dict[str, Any] = {"name": truth.stem, "folder": truth.parent, "protocol": scored_by.name}
+    if issubclass(scored_by.kind, StereoScene):
+        codes = None if truth.suffix.lower() == ".pfm" else settings.scale
         return StereoScene(**common, left=truth, disparity_left=truth, disparity_scale=codes)
-    if issubclass(protocol.kind, RgbdScene):
-        return RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=scale or _MILLIMETERS)
-    raise InputError(f"{truth}: {protocol.name} wants a folder of scenes as the ground truth")
+    if issubclass(scored_by.kind, RgbdScene):
+        scale = settings.scale or _MILLIMETERS
+        return RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=scale)
+    raise InputError(f"{truth}: {scored_by.name} needs a folder of scenes as the ground truth")
 
 
-def _plugins(scoring: _Scoring, scenes: Sequence[Scene]) -> set[Plugin]:
-    """Return the plug-ins that found the scenes, read their truth and the maps of the runs, or scored them."""
-    files = {value for scene in scenes for value in vars(scene).values() if isinstance(value, Path)}
-    own = {plugin for protocol in scoring.protocols.values() if (plugin := plugin_of(type(protocol))) is not None}
-    return own | layout_plugins(scenes) | format_plugins(files | scoring.maps)
-
-
-def flag_scores(
-    conditions: Sequence[Condition], report: EvaluationReport, known: Mapping[str, Mapping[str, Row]]
-) -> Flags:
-    """Return the scenes of an evaluation that conditions flag, by its scores and by the reports of the runs.
+def _flag_columns(report: EvaluationReport, known: Mapping[str, Mapping[str, Row]]) -> list[Row]:
+    """Return the rows that conditions see: scores, and the runs' own rows, also of scenes that were not scored.
 
     A metric without a region behind it is that of the protocol's main region; ``bad 2 (0.5)``, whose threshold in
-    pixels of a smaller image stands in brackets, is ``bad 2``, too.
-
-    Parameters
-    ----------
-    known : run -> scene -> row of its report; scenes that were not scored are flagged by these rows alone
+    pixels of a smaller image stands in brackets, is ``bad 2``, too. ``known``: run -> scene -> row of its report.
     """
     rows = {(run, scene): {**row, "run": run} for run, of_run in known.items() for scene, row in of_run.items()}
     for section in report.sections:
@@ -229,48 +198,29 @@ def flag_scores(
                 scores |= {plain_name(heading): value for heading, value in here.items()}
             row = rows.get((result.run, result.scene), {})
             rows[result.run, result.scene] = {**row, **scores, "scene": result.scene, "run": result.run}
-    return flag_rows(conditions, list(rows.values()))
+    return list(rows.values())
 
 
-def _say(flags: Flags, reporter: Reporter) -> None:
-    for line in flags.warnings:
-        reporter.info(f"warning: {line}")
-    for line in flags.unanswered:
-        reporter.error(line)
-
-
-@dataclass
 class _Scoring:
-    """An evaluation under way.
+    """An evaluation under way; see ``evaluate_runs`` for the arguments."""
 
-    Attributes
-    ----------
-    runs : name -> folder or file of every run
-    truth : folder or file of the ground truth
-    output : folder for error pictures, plots and tables of points; None: nothing is written
-    protocol : scores every scene; None: each scene names its own
-    settings : options of the protocols
-    viewers : are given every map
-    map_options : run -> how its maps are named and coded, of those that it was given for, or that were recognized
-    rows : scene -> row of the report of the only run; None: read from the runs
-    protocols : name -> protocol, of those that were used
-    hints : what was assumed, one line each
-    maps : the files that were read as maps of the runs
-    unlike : name of a protocol -> scenes that it scored, with what they look like instead
-    """
-
-    runs: dict[str, Path]
-    truth: Path
-    output: Path | None
-    protocol: AnyProtocol | None
-    settings: Settings
-    viewers: Sequence[Viewer]
-    map_options: dict[str, MapNaming]
-    rows: Mapping[str, Row] | None
-    protocols: dict[str, AnyProtocol] = field(default_factory=dict)
-    hints: list[str] = field(default_factory=list)
-    maps: set[Path] = field(default_factory=set)
-    unlike: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    def __init__(
+        self,
+        runs: dict[str, Path],
+        truth: Path,
+        output: Path | None,
+        protocol: AnyProtocol | None,
+        settings: Settings,
+        viewers: Sequence[Viewer],
+        map_options: dict[str, MapNaming],
+        rows: Mapping[str, Row] | None,
+    ) -> None:
+        self.runs, self.truth, self.output, self.protocol, self.settings = runs, truth, output, protocol, settings
+        self.viewers, self.map_options, self.rows = viewers, map_options, rows
+        self.protocols: dict[str, AnyProtocol] = {}  # by name, those that were used
+        self.hints: list[str] = []  # what was assumed, one line each
+        self.maps: set[Path] = set()  # files that were read
+        self.unlike: dict[str, list[tuple[str, str]]] = {}  # protocol -> its scenes, with what they look like instead
 
     @cached_property
     def reports(self) -> dict[str, Mapping[str, Row]]:
@@ -400,7 +350,7 @@ class _Scoring:
         )
         if self.output is not None:
             if points:
-                write_text(self.output / result.table_of_points, to_csv(points))
+                write_text(self.output / short_path(f"points/{result.run}/{result.scene}.csv"), to_csv(points))
             if (drawn := picture(protocol, estimate, truth)) is not None:
                 write_png(self.output / result.picture, drawn)
             for (region, of), plot in result.plots.items():

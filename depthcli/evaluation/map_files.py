@@ -6,10 +6,11 @@ import itertools
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.files import shown
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 from depthcli.io.inputs import local
@@ -18,30 +19,13 @@ _N_SHOWN = 5  # patterns, or files, in a message
 _MAX_LISTED = 50_000  # files of a run folder that are looked at
 # Words in the names of files that are no maps of the left view.
 _OTHER_WORDS = re.compile(
-    "confidence|conf|uncertainty|sigma|(?<!expected_)errors?|err|masks?|valid|nonocc|occ|noc|disc|right|gt|truth|"
-    "groundtruth|preview|status|colou?r|colored|rgb|image|img|im|view|texture|vis|viz|overlay|intensity|fixed|moving"
+    r"(?<![a-z])(confidence|conf|uncertainty|sigma|(?<!expected_)errors?|err|masks?|valid|nonocc|occ|noc|disc|right|gt|"
+    "truth|groundtruth|preview|status|colou?r|colored|rgb|image|img|im|view|texture|vis|viz|overlay|intensity|fixed|"
+    "moving)(?![a-z])"
 )
 _OTHER_STEMS = ("left", "{scene}_left")
 
-
-@dataclass(frozen=True)
-class MapNaming:
-    """How the maps of one run are named and coded, as far as that was given.
-
-    Attributes
-    ----------
-    pattern : path of the map of ``{scene}`` in the run folder, with its ending; empty: as the protocol's ``MapFiles``
-    scale : codes per unit, of maps of any kind; None: as for all runs
-    invalid : value that stands for no value; None: as for all runs
-    """
-
-    pattern: str = ""
-    scale: float | None = None
-    invalid: float | None = None
-
-    def files(self, default: MapFiles) -> MapFiles:
-        """Return where the maps of the run lie, ``default`` where no pattern was given."""
-        return MapFiles((self.pattern,), ("",)) if self.pattern else default
+ValueT = TypeVar("ValueT")
 
 
 @dataclass(frozen=True)
@@ -71,24 +55,16 @@ class MapFiles:
                 yield folder / (place.replace("{scene}", scene) + suffix)
 
     def find(self, folder: Path, names: Sequence[str]) -> Path | None:
-        """Return the map of the scene that is called by any of ``names``; None where there is none.
-
-        Raises
-        ------
-        InputError
-            Several files claim to be the map.
-        """
+        """Return the map of the scene that is called by any of ``names``; InputError if several files claim to be."""
         return next((path for name in names for path in self.candidates(folder, name) if os.path.isfile(path)), None)
 
     def searched(self, names: Sequence[str]) -> str:
         """Return the places that ``find`` looks at, in words for an error message."""
-        endings = self.endings
-        ending = ".*" if len(endings) > 1 else endings[0]
+        ending = ".*" if len(self.endings) > 1 else self.endings[0]
         named = [*(f"{place}{ending}" for place in self.places), *self.other_places]
-        places = ", ".join(named).replace("{scene}", "SCENE")
         short = names[0].rpartition("/")[2]
         several = "" if short in names else f"; several scenes are called {short}, so that the name needs its folder"
-        return f" (looked for {places}{several})"
+        return f" (looked for {', '.join(named).replace('{scene}', 'SCENE')}{several})"
 
     def confidences(self, path: Path) -> dict[str, Path]:
         """Return name -> file of the confidence maps beside a map: ``confidence_<name>.pfm`` or ``.npy``.
@@ -107,7 +83,7 @@ class MapFiles:
         return file if self._in_run_folder(path) and file.is_file() else None
 
     def _in_run_folder(self, path: Path) -> bool:
-        """True where the map is named as in a run folder, so that the files beside it belong to it."""
+        """Return whether the map is named as in a run folder, so that the files beside it belong to it."""
         return any(Path(place).stem == path.stem for place in self.places)
 
 
@@ -131,52 +107,17 @@ class DisparityFiles(MapFiles):
         yield from named
 
 
-def found_patterns(folder: Path, scenes: Mapping[str, Sequence[str]], suffixes: Sequence[str]) -> dict[str, list[str]]:
-    """Return pattern -> scenes with such a file, of the files that can be maps; those of most scenes first.
+@dataclass(frozen=True)
+class MapNaming:
+    """How the maps of one run are named and coded, as far as that was given; None: as for all runs."""
 
-    A pattern is the path of a file in the folder with ``{scene}`` in place of the scene's name, such as
-    ``{scene}/out/{scene}_final.pfm``. Files that are named as something else (``confidence.pfm``, ``right.png``) and
-    such that are named after no scene are left out.
+    pattern: str = ""  # path of the map of ``{scene}`` in the run folder, with its ending; empty: the protocol's
+    scale: float | None = None  # codes per unit, of maps of any kind
+    invalid: float | None = None  # value that stands for no value
 
-    Parameters
-    ----------
-    folder : the run folder
-    scenes : scene -> names that it may have in file names, the longest form first
-    suffixes : endings of maps
-    """
-    words = [(scene, _whole_word(name)) for scene, names in scenes.items() for name in names]
-    made: dict[str, dict[str, None]] = {}
-    for path in itertools.islice(map_paths(folder, suffixes), _MAX_LISTED):
-        for scene, word in words:
-            pattern, n_replaced = word.subn("{scene}", path)
-            if n_replaced:
-                if not _is_other(pattern):
-                    made.setdefault(pattern, {})[scene] = None
-                break
-    ranked = sorted(made.items(), key=lambda item: (-len(item[1]), item[0]))
-    return {pattern: list(scenes) for pattern, scenes in ranked}
-
-
-def map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:
-    """Yield the paths of the files with these endings in a folder, relative to it, with ``/``, sorted."""
-    for place, folders, files in os.walk(folder):
-        folders.sort()
-        for file in sorted(files):
-            if file.lower().endswith(tuple(suffixes)):
-                yield Path(place, file).relative_to(folder).as_posix()
-
-
-def _whole_word(name: str) -> re.Pattern[str]:
-    return re.compile(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])")
-
-
-def _is_other(pattern: str) -> bool:
-    """True where the file's name says that it is no map of the left view."""
-    stem = pattern.rpartition("/")[2].lower().split(".")[0]
-    return stem in _OTHER_STEMS or any(
-        not stem[: found.start()][-1:].isalpha() and not stem[found.end() :][:1].isalpha()
-        for found in _OTHER_WORDS.finditer(stem)
-    )
+    def files(self, default: MapFiles) -> MapFiles:
+        """Return where the maps of the run lie, ``default`` where no pattern was given."""
+        return MapFiles((self.pattern,), ("",)) if self.pattern else default
 
 
 def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
@@ -191,55 +132,41 @@ def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
     InputError
         There is none, a place does not exist, or two runs have one name.
     """
-    given = [_split(str(run)) for run in runs]
+    given = []
+    for text in map(str, runs):
+        name, equals, place = text.partition("=")
+        named = equals and name and place and not os.path.exists(text) and "/" not in name
+        given.append((name, local(Path(place))) if named else ("", local(Path(text))))
     if not given:
         raise InputError("no run to evaluate")
-    given = [(name, local(place)) for name, place in given]
     if absent := [place for _, place in given if not os.path.exists(place)]:
         raise InputError(f"{shown(absent[0])}: no such folder")
-    places = [place for name, place in given if not name]
-    unnamed = iter(run_names(places) if places else [])
+    unnamed = iter(run_names([place for name, place in given if not name]))
     names = [name or next(unnamed) for name, _ in given]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"two runs are called {twice[0]}: give one of them another name, NAME=DIR")
     return dict(zip(names, [place for _, place in given], strict=True))
 
 
-def _split(text: str) -> tuple[str, Path]:
-    """Name, or an empty text, and place of a run."""
-    name, equals, place = text.partition("=")
-    if equals and name and place and not os.path.exists(text) and "/" not in name:
-        return name, Path(place)
-    return "", Path(text)
-
-
 def run_names(places: Sequence[Path]) -> list[str]:
     """Return names of folders or files, with as many parents as make them differ; InputError where two are one."""
     parts = [place.resolve().parts for place in places]
-    for depth in range(1, max(len(p) for p in parts) + 1):
+    for depth in range(1, max(map(len, parts), default=0) + 1):
         names = ["_".join(p[-depth:]).strip("/") or "run" for p in parts]
         if len(set(names)) == len(names):
             return names
-    raise InputError("the same run is given twice")
+    if places:
+        raise InputError("the same run is given twice")
+    return []
 
 
 def names_in_run(scene: str, folder: Path | None, unique: bool) -> list[str]:
-    """Return the names that a scene may have in a run folder, the longest form first.
+    """Return the names that a scene of ``folder`` may have in a run folder, the longest form first.
 
-    Parameters
-    ----------
-    folder : that of the scenes, or None
-    unique : no other scene has its short name
+    ``unique``: no other scene has its short name.
     """
     of_folder = [] if folder is None else [f"{folder.resolve().name}/{scene}"]
     return [scene, *of_folder, *([scene.rpartition("/")[2]] if unique else [])]
-
-
-def _has_standard_map(folder: Path, files: MapFiles, names: Sequence[str]) -> bool:
-    try:
-        return files.find(folder, names) is not None
-    except InputError:  # several files claim to be the map: an error of that scene alone
-        return True
 
 
 def recognized(
@@ -251,9 +178,12 @@ def recognized(
 ) -> MapNaming:
     """Return the options with the one pattern that the maps of a run have where none has a usual place.
 
+    A pattern is the path of a file in the folder with ``{scene}`` in place of the scene's name, such as
+    ``{scene}/out/{scene}_final.pfm``. Files that are named as something else (``confidence.pfm``, ``right.png``) and
+    such that are named after no scene are left out.
+
     Parameters
     ----------
-    run, folder : name and folder of the run
     options : what was given for the run
     scenes : scene -> where its maps may lie, and the names that it may have in the run folder
     fits : whether a file can be read as the map of a scene with such options
@@ -264,26 +194,95 @@ def recognized(
         Several patterns are as frequent, and not exactly one of them is that of files that can be read; the message
         names the files and gives a ``--maps``.
     """
-    if options.pattern or any(_has_standard_map(folder, *scene) for scene in scenes.values()):
+    if options.pattern:
         return options
+    for files, names in scenes.values():
+        try:
+            if files.find(folder, names) is not None:
+                return options
+        except InputError:  # several files claim to be the map: an error of that scene alone
+            return options
     suffixes = tuple({suffix: None for files, _ in scenes.values() for suffix in files.endings})
-    found = found_patterns(folder, {scene: names for scene, (_, names) in scenes.items()}, suffixes)
-    max_scenes = max(map(len, found.values()), default=0)
-    likely = [pattern for pattern, of in found.items() if len(of) == max_scenes][:_N_SHOWN]
+    found: dict[str, list[str]] = {}
+    words = [(scene, re.compile(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])"))
+             for scene, (_, names) in scenes.items() for name in names]  # fmt: skip
+    for path in itertools.islice(_map_paths(folder, suffixes), _MAX_LISTED):
+        for scene, word in words:
+            pattern, n_replaced = word.subn("{scene}", path)
+            if n_replaced:
+                stem = pattern.rpartition("/")[2].lower().split(".")[0]
+                if stem not in _OTHER_STEMS and not _OTHER_WORDS.search(stem):
+                    found.setdefault(pattern, []).append(scene)
+                break
+    max_scenes = max((len(set(of)) for of in found.values()), default=0)
+    likely = [pattern for pattern, of in sorted(found.items()) if len(set(of)) == max_scenes][:_N_SHOWN]
     if not likely:
         return options
     if len(likely) == 1:
-        return MapNaming(likely[0], options.scale, options.invalid)
+        return replace(options, pattern=likely[0])
     fitting = []
     for pattern in likely:
-        scene = found[pattern][0]
-        chosen = MapNaming(pattern, options.scale, options.invalid)
-        path = chosen.files(scenes[scene][0]).find(folder, scenes[scene][1])
-        if path is not None and fits(scene, path, chosen):
+        chosen, scene = replace(options, pattern=pattern), found[pattern][0]
+        place = chosen.files(scenes[scene][0]).find(folder, scenes[scene][1])
+        if place is not None and fits(scene, place, chosen):
             fitting.append(chosen)
     if len(fitting) == 1:
         return fitting[0]
-    files = ", ".join(path for path, _ in zip(map_paths(folder, suffixes), range(_N_SHOWN), strict=False))
+    shown_files = ", ".join(itertools.islice(_map_paths(folder, suffixes), _N_SHOWN))
     best = fitting[0].pattern if fitting else likely[0]
     why = f"{len(fitting)} kinds of file can be the maps" if fitting else "no file there can be read as a map"
-    raise InputError(f"{shown(folder)}: {why} ({files}, ...); say which: --maps '{run}={best}'")
+    raise InputError(f"{shown(folder)}: {why} ({shown_files}, ...); say which: --maps '{run}={best}'")
+
+
+def _map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:
+    """Yield the paths of the files with these endings in a folder, relative to it, with ``/``, sorted."""
+    for place, folders, files in os.walk(folder):
+        folders.sort()
+        for file in sorted(files):
+            if file.lower().endswith(tuple(suffixes)):
+                yield Path(place, file).relative_to(folder).as_posix()
+
+
+def by_run(
+    option: str, texts: Sequence[str], runs: Mapping[str, Path], parse: Callable[[str], ValueT]
+) -> tuple[ValueT | None, dict[str, ValueT]]:
+    """Return the value of an option for all runs, or None, and run -> value of those that have their own.
+
+    Parameters
+    ----------
+    texts : each ``VALUE``, or ``NAME=VALUE``
+    parse : makes a value of a text, or raises ValueError with what is expected
+
+    Raises
+    ------
+    ConfigError
+        Not such a value, no run of that name, or two values for one.
+    """
+    made: dict[str, ValueT] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if equals and name not in runs:
+            raise ConfigError(f"{option} {text}: no run is called {name!r}; one of: {', '.join(runs)}")
+        name, value = (name, value) if equals else ("", text)
+        if name in made:
+            raise ConfigError(f"{option}: two values for {name or 'all runs'}")
+        try:
+            made[name] = parse(value)
+        except ValueError as error:
+            raise ConfigError(f"{option}: {error} (got {value!r})") from None
+    return made.pop("", None), made
+
+
+def pattern_of(text: str) -> str:
+    """Return the pattern of a run's maps, such as ``{scene}/disparity.tiff``; ValueError where it is none."""
+    rest, path = text.replace("{scene}", ""), PurePosixPath(text)
+    if not text or "{" in rest or "}" in rest or path.is_absolute() or ".." in path.parts or not path.suffix:
+        raise ValueError("expected the path of a scene's map in the run folder, such as '{scene}/disparity.tiff'")
+    return str(path)
+
+
+def positive(text: str) -> float:
+    """Return a number from 1e-6 on; ValueError where it is none."""
+    if not 1e-6 <= (value := float(text)) < float("inf"):
+        raise ValueError("expected a number from 1e-6 on")
+    return value

@@ -7,11 +7,11 @@ import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from depthcli.evaluation.comparison import Section
-from depthcli.evaluation.curves import PERCENTAGES, Reliability, Sparsification
+from depthcli.evaluation.curves import PERCENTAGES, ConfidenceCurve, Reliability, Sparsification
 from depthcli.evaluation.statistics import mean_of_known
 
 if TYPE_CHECKING:
@@ -38,13 +38,7 @@ def plots(section: Section) -> dict[str, str]:
     if any(not math.isnan(r.seconds) for r in section.results):
         of_all = f"{metric}, {' + '.join(section.figure_regions)}"
         made[f"Time against {of_all}: means of a scene"] = _times(section, of_all)
-    for (region, of), svg in _sparsifications(section):
-        what = "share of wrong pixels" if of == "bad" else "mean error"
-        made[f"Sparsification, {region}: {what} of the most confident pixels; dotted: the best ranking"] = svg
-    for region, svg in _reliabilities(section):
-        what = "how often pixels of a confidence are right, with the expected calibration error"
-        made[f"Reliability, {region}: {what}; dotted: as often as they say"] = svg
-    return made
+    return made | _confidences(section)
 
 
 def _boxes(section: Section, what: str) -> str:
@@ -57,7 +51,9 @@ def _boxes(section: Section, what: str) -> str:
         style: dict[str, Any] = {"widths": 0.55, "showfliers": False, "medianprops": {"color": "black"}}
         axes.boxplot([row for _, row in kept], positions=place, orientation="horizontal", **style)
         for i, (_, row) in enumerate(kept):
-            axes.plot(row, [place[i]] * len(row), linestyle="", marker="o", ms=4, alpha=0.7, color=_color(i))
+            axes.plot(
+                row, [place[i]] * len(row), linestyle="", marker="o", ms=4, alpha=0.7, color=_COLORS[i % len(_COLORS)]
+            )
         axes.set_yticks(place, [_plain(run) for run, _ in kept])
         axes.set_xlabel(_plain(what))
         axes.set_xlim(left=0)
@@ -109,40 +105,39 @@ def _times(section: Section, what: str) -> str:
     return out[0]
 
 
-def _sparsifications(section: Section) -> Iterator[tuple[tuple[str, str], str]]:
-    """((region, kind of error), plot): a line per run and confidence, the mean of its scenes' curves."""
-    groups: dict[tuple[str, str], dict[str, list[Any]]] = {}
+def _confidences(section: Section) -> dict[str, str]:
+    """Return caption -> plot of sparsification and reliability, a line per run and confidence over all scenes."""
+    groups: dict[tuple[str, str], dict[str, list[ConfidenceCurve]]] = {}
     for r in section.results:
         for c in r.curves:
             name = f"{r.run}: {c.confidence}" if len(section.runs) > 1 else c.confidence
-            groups.setdefault((c.region, c.of), {}).setdefault(name, []).append(c.line)
-    for (region, of), lines in groups.items():
-        columns = {name: zip(*(line.errors for line in found), strict=True) for name, found in lines.items()}
-        means = {name: list(map(mean_of_known, errors)) for name, errors in columns.items()}
-        bests = [map(mean_of_known, zip(*(line.best for line in found), strict=True)) for found in lines.values()]
-        drawn = [Line(name, PERCENTAGES, means[name]) for name in sorted(means, key=lambda name: sum(means[name]))]
-        drawn += [Line("", PERCENTAGES, best, bound=True) for best in dict.fromkeys(map(tuple, bests))]
+            groups.setdefault((c.region, c.of), {}).setdefault(name, []).append(c)
+    made, reliabilities = {}, {}
+    for (region, of), curves in groups.items():
+        mean = {
+            (name, kind): tuple(map(mean_of_known, zip(*(getattr(c.line, kind) for c in found), strict=True)))
+            for name, found in curves.items()
+            for kind in ("errors", "best")
+        }
+        order = sorted(curves, key=lambda name: sum(mean[name, "errors"]))
+        drawn = [Line(name, PERCENTAGES, mean[name, "errors"]) for name in order]
+        drawn += [Line("", PERCENTAGES, best, True) for best in dict.fromkeys(mean[name, "best"] for name in curves)]
         y_label = "share of wrong pixels" if of == "bad" else f"mean error, {section.protocol.presentation.unit}"
-        yield (region, of), line_plot(drawn, "", _SHARE_AXIS, y_label, any_names=True)
+        what = "share of wrong pixels" if of == "bad" else "mean error"
+        caption = f"Sparsification, {region}: {what} of the most confident pixels; dotted: the best ranking"
+        made[caption] = line_plot(drawn, "", _SHARE_AXIS, y_label, any_names=True)
+        known = {name: [c.reliability for c in found if c.reliability] for name, found in curves.items()}
+        pooled = {name: Reliability.pooled(found) for name, found in known.items() if found}
+        if pooled:
+            drawn = [Line(f"{name} {one.ece:.3f}", one.confidence, one.right) for name, one in pooled.items()]
+            drawn.append(Line("", (0, 1), (0, 1), bound=True))
+            what = "how often pixels of a confidence are right, with the expected calibration error"
+            caption = f"Reliability, {region}: {what}; dotted: as often as they say"
+            reliabilities[caption] = line_plot(drawn, "", "confidence", "share of right pixels", any_names=True)
+    return made | reliabilities
 
 
-def _reliabilities(section: Section) -> Iterator[tuple[str, str]]:
-    """(region, plot): how often pixels of a confidence are right, a line per run and confidence, all scenes pooled."""
-    groups: dict[str, dict[str, list[Reliability]]] = {}
-    for r in section.results:
-        for c in r.curves:
-            if c.reliability is not None:
-                name = f"{r.run}: {c.confidence}" if len(section.runs) > 1 else c.confidence
-                groups.setdefault(c.region, {}).setdefault(name, []).append(c.reliability)
-    for region, lines in groups.items():
-        pooled = {name: Reliability.pooled(found) for name, found in lines.items()}
-        drawn = [Line(f"{name} {one.ece:.3f}", one.confidence, one.right) for name, one in pooled.items()]
-        drawn.append(Line("", (0, 1), (0, 1), bound=True))
-        yield region, line_plot(drawn, "", "confidence", "share of right pixels", any_names=True)
-
-
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """One line of a plot: name in the legend, points, and whether it is a bound, drawn grey and dotted."""
 
     name: str
@@ -213,9 +208,8 @@ def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, li
 
 def _line(axes: Axes, i: int, name: str, points: Sequence[tuple[float, float]], marker: str | None = None) -> None:
     x, y = zip(*points, strict=True) if points else ((), ())
-    style = "-" if i < len(_COLORS) else "--"
-    shape = _marker(i) if marker is None else marker
-    axes.plot(x, y, style, color=_color(i), marker=shape, ms=4, lw=1.4, label=_plain(name))
+    style = _dot(i, 4) | {"linestyle": "-" if i < len(_COLORS) else "--"}
+    axes.plot(x, y, **(style if marker is None else style | {"marker": marker}), lw=1.4, label=_plain(name))
 
 
 def _legend(axes: Axes, lines: int) -> None:
@@ -223,16 +217,9 @@ def _legend(axes: Axes, lines: int) -> None:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9 if lines < 14 else 6)
 
 
-def _color(i: int) -> str:
-    return _COLORS[i % len(_COLORS)]
-
-
 def _dot(i: int, size: float) -> dict[str, Any]:
-    return {"linestyle": "", "marker": _marker(i), "ms": size, "color": _color(i)}
-
-
-def _marker(i: int) -> str:
-    return _MARKERS[i % len(_MARKERS)]
+    style = {"marker": _MARKERS[i % len(_MARKERS)], "color": _COLORS[i % len(_COLORS)]}
+    return {"linestyle": "", "ms": size, **style}
 
 
 def _plain(text: str, max_length: int = 40) -> str:

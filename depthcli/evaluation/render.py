@@ -21,20 +21,13 @@ BEST, SECOND = 1, 2
 
 
 class Number(str):
-    """A number as tables show it, ``-`` for NaN; it keeps its value, to be ranked and written with all digits.
-
-    Parameters
-    ----------
-    value : the number
-    digits : decimals that are shown
-    mark : written behind the digits, such as ``*``
-    """
+    """A number as tables show it, ``-`` for NaN; it keeps its value, to be ranked and written with all digits."""
 
     value: float
     digits: int
 
     def __new__(cls, value: float, digits: int = 2, mark: str = "") -> Self:
-        """Format the value."""
+        """Format the value, with a mark such as ``*`` behind its digits."""
         made = super().__new__(cls, "-" if math.isnan(value) else f"{value:.{digits}f}{mark}")
         made.value, made.digits = float(value), digits
         return made
@@ -42,26 +35,15 @@ class Number(str):
 
 @dataclass(frozen=True)
 class Table:
-    """A table of texts and numbers.
-
-    Attributes
-    ----------
-    title : one line above
-    header : names of the columns
-    rows : one cell a column; those that are a :class:`Number` can be ranked
-    note : explanation below, or empty
-    better : for every column whether larger numbers are better; None: its numbers are not ranked. Empty: none are
-    scenes : full name of the scene that a column speaks of, or empty; one a column, or no entry at all
-    name : by which it is chosen, and its label in LaTeX
-    """
+    """A table of texts and numbers."""
 
     title: str
     header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    rows: tuple[tuple[str, ...], ...]  # one cell a column; those that are a :class:`Number` can be ranked
     note: str = ""
-    better: tuple[bool | None, ...] = ()
-    scenes: tuple[str, ...] = ()
-    name: str = ""
+    better: tuple[bool | None, ...] = ()  # of columns, whether larger numbers are better; None: not ranked
+    scenes: tuple[str, ...] = ()  # of columns, full name of the scene that one speaks of, or empty
+    name: str = ""  # by which it is chosen, and its label in LaTeX
 
     def only(self, headings: Collection[str]) -> Table:
         """Return the table with its first column and those of the headings."""
@@ -88,11 +70,13 @@ class Table:
         longest = max((len(row[j]) for row in table.rows for j in places), default=0)
         while _width(table) > width and longest > _MIN_NAME:
             longest -= 1
-            rows = [
-                tuple(_shortened(cell, longest) if j in places else cell for j, cell in enumerate(row))
-                for row in self.only(table.header).rows
-            ]
-            table = replace(table, rows=tuple(rows))
+            rows = [list(row) for row in self.only(table.header).rows]
+            for row in rows:
+                for j in places:
+                    name, half = one_line(row[j]), (longest - 3) // 2
+                    if len(name) > longest:
+                        row[j] = f"{name[: longest - 3 - half]}...{name[len(name) - half :]}"
+            table = replace(table, rows=tuple(map(tuple, rows)))
         return table
 
     def column(self, j: int) -> list[str]:
@@ -142,26 +126,15 @@ class Table:
 
         Its label is ``tab:`` and the table's name.
         """
-        header, *rows = [
-            " & ".join(row) + " \\\\" for row in _formatted(self, r"\textbf{{{}}}", r"\underline{{{}}}", _latex)
-        ]
-        lines = [
-            "% needs \\usepackage{booktabs}",
-            "\\begin{table}",
-            "\\centering",
-            f"\\caption{{{_latex(self.title)}}}",
-            *([f"\\label{{tab:{_NO_LABEL.sub('-', self.name)}}}"] if self.name else []),
-            f"\\begin{{tabular}}{{{''.join('r' if right else 'l' for right in _numeric(self))}}}",
-            "\\toprule",
-            header,
-            "\\midrule",
-            *rows,
-            "\\bottomrule",
-            "\\end{tabular}",
-            *([f"\\par\\footnotesize {_latex(self.note)}"] if self.note else []),
-            "\\end{table}",
-        ]
-        return "\n".join(lines) + "\n"
+        header, *rows = (" & ".join(row) for row in _formatted(self, r"\textbf{{{}}}", r"\underline{{{}}}", _latex))
+        columns = "".join("r" if right else "l" for right in _numeric(self))
+        lines = [r"% needs \usepackage{booktabs}", r"\begin{table}", r"\centering"]
+        lines.append(rf"\caption{{{_latex(self.title)}}}")
+        lines += [rf"\label{{tab:{_NO_LABEL.sub('-', self.name)}}}"] if self.name else []
+        lines += [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", rf"{header} \\", r"\midrule"]
+        lines += [*(rf"{row} \\" for row in rows), r"\bottomrule", r"\end{tabular}"]
+        lines += [rf"\par\footnotesize {_latex(self.note)}"] if self.note else []
+        return "\n".join([*lines, "\\end{table}"]) + "\n"
 
     def csv(self) -> str:
         """Return comma-separated values: numbers with all digits, NaN empty, the title in a column ``table``."""
@@ -173,15 +146,12 @@ class Table:
 
     def html(self) -> str:
         """Return a table of the page, its columns sortable."""
-
-        def row(cells: tuple[str, ...]) -> str:
-            return "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>\n"
-
         helps = [(html.escape(heading), html.escape(heading_help(heading))) for heading in self.header]
         head = "".join(f'<th title="{text}">{name}</th>' if text else f"<th>{name}</th>" for name, text in helps)
         caption = f"<caption>{html.escape(self.title)}</caption>\n" if self.title else ""
         note = f'<p class="note">{html.escape(self.note)}</p>\n' if self.note else ""
-        body = "".join(row(cells) for cells in self.rows)
+        rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in cells) for cells in self.rows)
+        body = "".join(f"<tr>{cells}</tr>\n" for cells in rows)
         return (
             f'<div class="wide"><table class="sortable">\n{caption}<thead><tr>{head}</tr>\n</thead>\n'
             f"<tbody>{body}</tbody>\n</table></div>\n{note}"
@@ -201,9 +171,7 @@ def _formatted(table: Table, best: str, second: str, escape: Callable[[str], str
     """Return header and rows, escaped; ranked numbers in the formats of their place."""
     forms = {0: "{}", BEST: best, SECOND: second}
     places = [table.places(j) for j in range(len(table.header))]
-    rows = [
-        [forms[places[j][i]].format(escape(cell)) for j, cell in enumerate(row)] for i, row in enumerate(table.rows)
-    ]
+    rows = ([forms[places[j][i]].format(escape(c)) for j, c in enumerate(row)] for i, row in enumerate(table.rows))
     return [[escape(cell) for cell in table.header], *rows]
 
 
@@ -238,12 +206,6 @@ def markdown_code(name: str) -> str:
 def markdown_link(path: str) -> str:
     """Return a relative path as the target of a link, whatever bytes it holds."""
     return quote(os.fsencode(path))
-
-
-def _shortened(name: str, length: int) -> str:
-    """The name, or its beginning and end."""
-    name, half = one_line(name), (length - 3) // 2
-    return name if len(name) <= length else f"{name[: length - 3 - half]}...{name[len(name) - half :]}"
 
 
 def _plain(cell: str) -> object:

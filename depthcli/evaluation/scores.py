@@ -1,4 +1,4 @@
-"""Scores: single numbers, each with all that it takes to read it rightly.
+"""Scores: single numbers, each with all that it takes to read it rightly, and the results of one map.
 
 Benchmarks differ in what counts as an error, and above all in how they treat missing values. A :class:`Score`
 therefore carries its region, denominator and density, and its :class:`Metric` the threshold and the convention.
@@ -7,7 +7,7 @@ therefore carries its region, denominator and density, and its :class:`Metric` t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -15,9 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.evaluation.curves import ConfidenceCurve, HiddenPixels
+from depthcli.io.formats.files import short_path
+
 MISSING_IS_BAD = "missing counts as bad"
 MISSING_APART = "missing counted apart (invalid)"
 ESTIMATED_ONLY = "estimated pixels only"
+
+MEAN, COMMON_MEAN = "*mean", "*common mean"
+"""Scenes of the records that hold means: over all scenes, and over those of which every run has a map."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,6 @@ class Metric:
     convention : how missing values are counted
     worst : value that a scene without a map counts as in a mean; None: the metric has no bound, and a mean over
         scenes of which one has no map is NaN
-    larger_is_better : True where a score of 1 is better than one of 0
     label : heading of a table's column; made from metric and threshold where it is empty
     """
 
@@ -50,14 +55,14 @@ class Metric:
         return self.label or (self.name if self.threshold is None else f"{self.name} {self.threshold:g}")
 
     @property
-    def sign(self) -> int:
-        """Factor that makes lower values the better ones."""
-        return -1 if self.larger_is_better else 1
-
-    @property
     def heading_with_unit(self) -> str:
         """The heading, with the unit behind a comma where there is one."""
         return f"{self.heading}, {self.unit}" if self.unit else self.heading
+
+    @property
+    def sign(self) -> int:
+        """Factor that makes lower values the better ones."""
+        return -1 if self.larger_is_better else 1
 
 
 Key = tuple[Metric, str]
@@ -66,25 +71,15 @@ Key = tuple[Metric, str]
 
 @dataclass(frozen=True)
 class Score:
-    """The value of one metric in one region.
-
-    Attributes
-    ----------
-    metric, region : what the value is of, and the name of the region
-    value : NaN where the region has no pixel to take it over
-    pixels : denominator: number of pixels (points, voxels) that the value is taken over
-    density : percentage of the region's pixels with known truth where the map has a value; NaN for an empty region
-    wrong : number of wrong pixels, or None where the metric counts none
-    region_pixels : number of the region's pixels with known truth, by which densities of several scenes are pooled
-    """
+    """The value of one metric in one region."""
 
     metric: Metric
     region: str
-    value: float
-    pixels: int
-    density: float
-    wrong: int | None = None
-    region_pixels: int = 0
+    value: float  # NaN where the region has no pixel to take it over
+    pixels: int  # denominator: number of pixels (points, voxels) that the value is taken over
+    density: float  # percentage of the region's known pixels where the map has a value; NaN for an empty region
+    wrong: int | None = None  # number of wrong pixels, or None where the metric counts none
+    region_pixels: int = 0  # number of the region's pixels with known truth, which weighs densities
 
     @property
     def key(self) -> Key:
@@ -94,21 +89,14 @@ class Score:
     def row(self) -> dict[str, Any]:
         """Return all fields as plain values, the region as ``mask``."""
         m = self.metric
-        return {
-            "metric": m.name, "mask": self.region, "threshold": m.threshold, "value": self.value, "unit": m.unit,
-            "wrong": self.wrong, "pixels": self.pixels, "density": self.density, "convention": m.convention,
-        }  # fmt: skip
+        return {"metric": m.name, "mask": self.region, "threshold": m.threshold, "value": self.value, "unit": m.unit,
+                "wrong": self.wrong, "pixels": self.pixels, "density": self.density,
+                "convention": m.convention}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Tally:
-    """The errors of one region, from which scores are made.
-
-    Attributes
-    ----------
-    region : its name
-    error : (N,) float, absolute errors of its pixels with known truth, NaN = no estimate
-    """
+    """The errors of one region: (N,) float, absolute, of its pixels with known truth; NaN = no estimate."""
 
     region: str
     error: NDArray[np.floating[Any]]
@@ -119,10 +107,10 @@ class Tally:
         valid: NDArray[np.floating[Any]] = self.error[~np.isnan(self.error)]
         return valid
 
-    @cached_property
+    @property
     def density(self) -> float:
         """Percentage of the pixels that have an estimate."""
-        return percent(int(np.count_nonzero(~np.isnan(self.error))), self.error.size)
+        return percent(self.valid.size, self.error.size)
 
     def rate(self, metric: Metric, wrong: NDArray[np.bool_]) -> Score:
         """Return the percentage of True in ``wrong``, an array of all or some of the region's pixels."""
@@ -157,13 +145,7 @@ def float_sum(values: NDArray[np.float32]) -> float:
 def find_score(
     scores: Sequence[Score], metric: str, region: str, threshold: float | None = None, convention: str | None = None
 ) -> Score:
-    """Return the one score of that metric, region and, where they are given, threshold and convention.
-
-    Raises
-    ------
-    KeyError
-        No score fits, or several do.
-    """
+    """Return the one score of that metric, region and, where given, threshold and convention; KeyError if not one."""
     fitting = [
         s
         for s in scores
@@ -172,8 +154,7 @@ def find_score(
         and convention in (None, s.metric.convention)
     ]
     if len(fitting) != 1:
-        what = f"{metric}, region {region}, threshold {threshold}, convention {convention}"
-        raise KeyError(f"{len(fitting)} scores for {what}" if fitting else f"no score {what}")
+        raise KeyError(f"{len(fitting)} scores {metric}, region {region}, threshold {threshold}, {convention}")
     return fitting[0]
 
 
@@ -208,3 +189,90 @@ def in_order(regions: Iterable[str], order: Sequence[str]) -> list[str]:
     """Return names of regions in the order of a protocol's ``region_order``, then all others by name."""
     present = set(regions)
     return [name for name in order if name in present] + sorted(present - set(order))
+
+
+_COLUMNS = "run data_set scene protocol metric threshold mask value unit wrong pixels density convention map note"
+
+
+def record(result: Mapping[str, str], score: Score | None, source: str = "", note: str = "") -> dict[str, Any]:
+    """Return one number of an evaluation as a row of ``scores.csv``, empty where there is nothing to write.
+
+    Parameters
+    ----------
+    result : ``run``, ``data_set``, ``scene`` (or ``MEAN``, ``COMMON_MEAN``) and ``protocol``
+    score : None: the note says why there is no number
+    source : path of the map inside its run folder
+    """
+    cells = {"metric": "failed"} if score is None else score.row()
+    if result["scene"] == COMMON_MEAN:
+        cells |= {"density": None, "pixels": None, "wrong": None}
+    cells |= {**result, "map": source, "note": note}
+    found = {name: cells.get(name) for name in _COLUMNS.split()}
+    return {k: "" if v is None or (isinstance(v, float) and not math.isfinite(v)) else v for k, v in found.items()}
+
+
+@dataclass(frozen=True)
+class MapResult:
+    """One map of one run against the truth of one scene, or the reason why there is none."""
+
+    run: str
+    scene: str
+    data_set: str
+    protocol: str
+    source: str = ""  # path of the map inside its run folder
+    scores: tuple[Score, ...] = ()  # the worst of every metric if the map is missing; empty without a usable truth
+    dense: tuple[Score, ...] = ()  # of the headline's metric at many thresholds, for plots
+    curves: tuple[ConfidenceCurve, ...] = ()  # of the confidence maps beside the map
+    hidden: HiddenPixels | None = None  # how well the map's status says what the right view does not see
+    seconds: float = math.nan  # by the run's report
+    size: int = 0  # number of pixels (or voxels) of the scene, with known truth or without; 0 without a map
+    n_disparities: int = 0  # that the run searched; 0 where its report does not say
+    warning: str = ""  # what looks wrong with the map
+    error: str = ""  # why there is no map to score
+    pooling_data: Any = field(default=None, repr=False, compare=False)  # what the protocol needs to pool scenes
+
+    @cached_property
+    def by_key(self) -> dict[Key, Score]:
+        """(metric, region) -> score."""
+        return {score.key: score for score in self.scores}
+
+    @property
+    def picture(self) -> str:
+        """Path of its error picture in the output folder."""
+        return short_path(f"errors/{self.run}/{self.scene}.png")
+
+    @property
+    def plots(self) -> dict[tuple[str, str], str]:
+        """(region, kind of curve) -> path of the plot in the output folder."""
+        start = f"curves/{self.run}/{self.scene}"
+        return {(c.region, c.of): short_path(f"{start}_{c.region}_{c.of}.svg") for c in self.curves}
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return the rows of ``scores.csv``: scores, areas of the curves (metric ``AREA:CONFIDENCE:KIND``), failure."""
+        where = {"run": self.run, "data_set": self.data_set, "scene": self.scene, "protocol": self.protocol}
+        note = f"missing, counted as wholly wrong: {self.error}" if self.error else self.warning
+        made = [record(where, score, self.source, note) for score in self.scores]
+        for c in self.curves:
+            for area, value in c.areas.items():
+                if area != "ece" or c.reliability is not None:
+                    metric = Metric(f"{area}:{c.confidence}:{c.of}", "")
+                    made.append(record(where, Score(metric, c.region, value, c.line.pixels, math.nan), self.source))
+        if self.hidden is not None:
+            for name, value in self.hidden.shares().items():
+                score = Score(Metric(f"hidden {name}", "%"), "all", value, self.hidden.pixels, math.nan)
+                made.append(record(where, score, self.source))
+        return [*made, record(where, None, self.source, self.error)] if self.error else made
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        confidence = [
+            {"measure": c.confidence, "mask": c.region, "of": c.of, **vars(c.line), **c.areas,
+             "reliability": None if c.reliability is None else vars(c.reliability)}
+            for c in self.curves
+        ]  # fmt: skip
+        return {"run": self.run, "scene": self.scene, "data_set": self.data_set, "protocol": self.protocol,
+                "map": self.source, "seconds": self.seconds, "missing": bool(self.error),
+                "warning": self.warning or None, "error": self.error or None,
+                "scores": [score.row() for score in self.scores], "confidence": confidence,
+                "hidden": None if self.hidden is None else {**self.hidden._asdict(), **self.hidden.shares()},
+        }  # fmt: skip

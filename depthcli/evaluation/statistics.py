@@ -5,11 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+SIGNIFICANT = 0.05
+"""Level that a corrected p value has to be below."""
+
+_MAX_ENUMERATED = 10  # differences, some of one size, whose 2^n signs are all tried: a few tenths of a second
+_MAX_EXACT = 50  # of more the normal approximation, as in scipy
+_MAX_NAMES = 3  # of runs in a sentence
 
 
 def mean_of_known(values: Iterable[float]) -> float:
@@ -63,43 +69,39 @@ def roc_area(score: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class PairedTest:
-    """Method ``b`` against method ``a`` over the scenes that both have.
+    """Method ``b`` against method ``a`` over the scenes that both have."""
 
-    Attributes
-    ----------
-    scenes : number of scenes compared
-    wins, losses, ties : number of scenes where b is lower, higher, equal
-    mean_difference : mean of b - a (negative: b is better)
-    worst_ratio : largest b / a over the scenes (NaN where a is 0 everywhere)
-    rank_difference : rank-biserial correlation, -1 to 1: the sum of the ranks of b's losses less that of its wins, as
-        a share of all ranks; the sign says which of the two the test speaks for (negative: b). 0 where all are ties
-    p_value : two-sided Wilcoxon signed-rank test; ties are left out. NaN where no scene is compared
-    """
-
-    scenes: int
-    wins: int
+    scenes: int  # number of scenes compared
+    wins: int  # scenes where b is lower
     losses: int
     ties: int
-    mean_difference: float
-    worst_ratio: float
+    mean_difference: float  # of b - a (negative: b is better)
+    worst_ratio: float  # largest b / a over the scenes (NaN where a is 0 everywhere)
+    # Rank-biserial correlation, -1 to 1: the sum of the ranks of b's losses less that of its wins, as a share of all
+    # ranks; the sign says which of the two the test speaks for (negative: b). 0 where all are ties.
     rank_difference: float
-    p_value: float
+    p_value: float  # two-sided Wilcoxon signed-rank test; ties are left out. NaN where no scene is compared
 
 
 def compare(a: Sequence[float], b: Sequence[float]) -> PairedTest:
     """Compare two methods scene by scene; lower is better, pairs with a NaN are left out.
 
-    Raises
-    ------
-    ValueError
-        The sequences differ in length.
+    The p value is exact up to 50 differences, or 10 where some are of one size; else a normal approximation. It is 1
+    below two differences.
     """
-    if len(a) != len(b):
-        raise ValueError(f"want two sequences of one length, got {len(a)} and {len(b)}")
     pairs = [(x, y) for x, y in zip(a, b, strict=True) if not (math.isnan(x) or math.isnan(y))]
     differences = np.array([y - x for x, y in pairs if y != x], np.float64)
     weights = ranks(np.abs(differences))
     losses = int(np.count_nonzero(differences > 0))
+    p_value = 1.0 if pairs else math.nan
+    if len(differences) > 1:
+        from scipy.stats import PermutationMethod, wilcoxon  # takes a second to import
+
+        tied = len(np.unique(np.abs(differences))) < len(differences)
+        method: Any = "asymptotic" if tied or len(differences) > _MAX_EXACT else "exact"
+        if tied and len(differences) <= _MAX_ENUMERATED:
+            method = PermutationMethod(n_resamples=2**_MAX_ENUMERATED)
+        p_value = float(wilcoxon(differences, method=method).pvalue)
     return PairedTest(
         scenes=len(pairs),
         wins=len(differences) - losses,
@@ -108,32 +110,8 @@ def compare(a: Sequence[float], b: Sequence[float]) -> PairedTest:
         mean_difference=math.fsum(y - x for x, y in pairs) / len(pairs) if pairs else math.nan,
         worst_ratio=max((y / x for x, y in pairs if x > 0), default=math.nan),
         rank_difference=float((np.sign(differences) * weights).sum() / weights.sum()) if len(differences) else 0.0,
-        p_value=signed_rank_test(differences) if pairs else math.nan,
+        p_value=p_value,
     )
-
-
-_MAX_ENUMERATED = 10  # differences, some of one size, whose 2^n signs are all tried: a few tenths of a second
-_MAX_EXACT = 50  # of more the normal approximation, as in scipy
-
-
-def signed_rank_test(differences: NDArray[np.float64]) -> float:
-    """Return the two-sided p value of the Wilcoxon signed-rank test; 1 below two differences.
-
-    It is exact up to 50 differences, or 10 where some are of one size; else a normal approximation.
-
-    Parameters
-    ----------
-    differences : (n,), none of them 0
-    """
-    if len(differences) < 2:
-        return 1.0
-    from scipy.stats import PermutationMethod, wilcoxon  # takes a second to import
-
-    tied = len(np.unique(np.abs(differences))) < len(differences)
-    method: Any = "asymptotic" if tied or len(differences) > _MAX_EXACT else "exact"
-    if tied and len(differences) <= _MAX_ENUMERATED:
-        method = PermutationMethod(n_resamples=2**_MAX_ENUMERATED)
-    return float(wilcoxon(differences, method=method).pvalue)
 
 
 def smallest_p(n_scenes: int, n_tests: int) -> float:
@@ -151,50 +129,21 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return corrected
 
 
-SIGNIFICANT = 0.05
-"""Level that a corrected p value has to be below."""
-
-_MAX_NAMES = 3  # of runs in a sentence
-
-
-@dataclass(frozen=True)
 class Ranking:
     """Runs in the order of their single figure, and the test of every further one against the best.
 
-    Attributes
+    Parameters
     ----------
     runs : names, the best first
-    tests : run -> its comparison with the best run, scene by scene; all runs but the best
-    p_values : run -> p value of that test, corrected after Holm for the number of tests; NaN without a common scene
+    by_scene : run -> figure of every scene, lower is better, NaN where there is none
     """
 
-    runs: tuple[str, ...]
-    tests: Mapping[str, PairedTest]
-    p_values: Mapping[str, float]
-
-    @classmethod
-    def of(cls, runs: Sequence[str], by_scene: Mapping[str, Sequence[float]]) -> Ranking:
-        """Test every run but the first, which is the best, against the first.
-
-        Parameters
-        ----------
-        runs : names, the best first
-        by_scene : run -> figure of every scene, lower is better, NaN where there is none
-        """
-        best, *others = runs
-        tests = {run: compare(by_scene[best], by_scene[run]) for run in others}
-        corrected = holm([test.p_value for test in tests.values()])
-        return cls(tuple(runs), tests, dict(zip(tests, corrected, strict=True)))
-
-    @property
-    def n_tests(self) -> int:
-        """Number of tests that the p values are corrected for."""
-        return sum(not math.isnan(p) for p in self.p_values.values())
-
-    @cached_property
-    def n_scenes(self) -> int:
-        """Number of scenes of the test that has most."""
-        return max((test.scenes for test in self.tests.values()), default=0)
+    def __init__(self, runs: Sequence[str], by_scene: Mapping[str, Sequence[float]]) -> None:
+        best, *others = self.runs = tuple(runs)
+        self.tests = {run: compare(by_scene[best], by_scene[run]) for run in others}
+        corrected = holm([test.p_value for test in self.tests.values()])
+        self.p_values = dict(zip(others, corrected, strict=True))  # NaN without a common scene
+        self.n_tests = sum(not math.isnan(p) for p in corrected)  # that the p values are corrected for
 
     def is_significant(self, run: str) -> bool:
         """Return True where a run differs from the best more than chance would do."""
@@ -218,18 +167,18 @@ class Ranking:
             return ""
         if not self.n_tests:
             return "No scene has a map of two runs: nothing can be tested."
-        lowest = smallest_p(self.n_scenes, self.n_tests)
+        n_scenes = max(test.scenes for test in self.tests.values())
+        lowest = smallest_p(n_scenes, self.n_tests)
         if lowest >= SIGNIFICANT:
             enough = next(n for n in range(2, 99) if smallest_p(n, self.n_tests) < SIGNIFICANT)
-            count = f"{self.n_scenes} scene{'s' * (self.n_scenes != 1)}"
+            count = f"{n_scenes} scene{'s' * (n_scenes != 1)}"
             return (
                 f"With {count} no difference can be significant: p is {lowest:.2g} or more; it takes {enough} scenes."
             )
-        worse = [run for run in self.tests if self.is_significant(run) and self.tests[run].rank_difference > 0]
-        better = [run for run in self.tests if self.is_significant(run) and self.tests[run].rank_difference < 0]
+        signs = {run: self.is_significant(run) * np.sign(test.rank_difference) for run, test in self.tests.items()}
+        worse, better, even = ([run for run in self.tests if signs[run] == sign] for sign in (1, -1, 0))
         if not worse and not better:
             return f"No significant difference (the smallest p is {min(self.p_values.values()):.2g})."
-        even = [run for run in self.tests if not self.is_significant(run)]
         said = []
         if worse:
             every = "every other run" if len(worse) == len(self.tests) > 1 else _names(worse)

@@ -20,10 +20,12 @@ from depthcli.evaluation.statistics import mean_of_known
 NAMES = ("headline", "overview", "metrics", "scenes", "further", "confidence", "hidden", "missing")
 """Names of tables; behind them may stand a region or run and a data set, as in ``metrics-nonocc``."""
 
-_WIDTH = 100  # characters of a line of the headline table
-
-
 MISSING = "*: scenes without a map count as wholly wrong; where a metric has no worst value there is no mean over all"
+TEST_COLUMNS = ("wins", "losses", "p (Holm)", "verdict")
+"""Headings of what the tests against the best run say."""
+
+_TESTS_NOTE = "wins, losses: scenes on which"  # beginning of what a note says of them, up to its end
+_WIDTH = 100  # characters of a line of the headline table
 _MAX_SCENE_COLUMNS = 4  # of a narrow table; more scenes are its rows
 
 
@@ -53,7 +55,7 @@ def section_tables(section: Section) -> list[Table]:
     for run in section.runs:
         kept = [result.pooling_data for result in section.results_of(run) if result.pooling_data is not None]
         for table in section.protocol.presentation.tables(run, kept) if kept else []:
-            title = f"{section.data_set} - {table.title} ({_count(len(kept))})"
+            title = f"{section.data_set} - {table.title} ({len(kept)} scene{'s' * (len(kept) != 1)})"
             made.append(replace(table, title=title, name=f"further-{run}"))
     return made
 
@@ -82,7 +84,7 @@ def summary(section: Section) -> Table:
     n_figures = len(section.scenes) * len(figures)
     header = ["run", "scenes", *(region_heading(section, region) for region in section.regions)]
     header += [f"mean of {n_figures}"] * with_figure + ["avg rank", *TEST_COLUMNS] * with_tests
-    header += [density_heading(section), *["seconds"] * with_times]
+    header += [f"density {section.regions[0]} %", *["seconds"] * with_times]
     title = f"{section.data_set} - {protocol.presentation.title} ({headline.heading})"
     if len(section.regions) > 1 and with_tests:
         title += f", ranked by {'the mean of ' * with_figure}{', '.join(figures)}"
@@ -92,13 +94,6 @@ def summary(section: Section) -> Table:
     return Table(
         title, tuple(header), tuple(rows), ". ".join(filter(None, [note, tests_note(section)])), ranked, (), "headline"
     )
-
-
-TEST_COLUMNS = ("wins", "losses", "p (Holm)", "verdict")
-"""Headings of what the tests against the best run say."""
-
-TESTS_NOTE = "wins, losses: scenes on which"
-"""Beginning of what a note says of them, up to its end."""
 
 
 def _test(section: Section, run: str) -> tuple[str, str, str, str]:
@@ -112,15 +107,14 @@ def _test(section: Section, run: str) -> tuple[str, str, str, str]:
 
 def tests_note(section: Section) -> str:
     """Return how the runs were tested, and what came out; empty where there is one run."""
-    ranking = section.ranking
+    ranking, figures = section.ranking, section.figure_regions
     if not ranking.tests:
         return ""
-    mean = "mean of " * (len(section.figure_regions) > 1) + ", ".join(section.figure_regions)
-    tests = f"{ranking.n_tests} test{'s' * (ranking.n_tests != 1)}"
+    mean = "mean of " * (len(figures) > 1) + ", ".join(figures)
     return (
-        f"{TESTS_NOTE} {section.protocol.headline.heading} ({mean}) is better or worse than the "
-        f"best run's; p: Wilcoxon signed-rank test over the scenes, Holm-corrected for {tests}. "
-        f"{ranking.verdict()}"
+        f"{_TESTS_NOTE} {section.protocol.headline.heading} ({mean}) is better or worse than the best run's; "
+        f"p: Wilcoxon signed-rank test over the scenes, Holm-corrected for {ranking.n_tests} "
+        f"test{'s' * (ranking.n_tests != 1)}. {ranking.verdict()}"
     )
 
 
@@ -128,11 +122,6 @@ def region_heading(section: Section, region: str) -> str:
     """Return the name of a region, with the number of scenes that its mean is over where some lack it."""
     n = len(section.scenes_with(region))
     return region if n == len(section.scenes) else f"{region} ({n} of {len(section.scenes)})"
-
-
-def density_heading(section: Section) -> str:
-    """Return the heading of the density in the main region."""
-    return f"density {section.regions[0]} %"
 
 
 def details(section: Section) -> list[Table]:
@@ -188,72 +177,58 @@ def overview(report: EvaluationReport) -> list[Table]:
             test = _test(section, run) if len(report.runs) > 1 else ()
             n_scenes = _n_scenes(section, run, False, section.figure_regions[0])
             rows.append((*where, what, ", ".join(section.figure_regions), run, n_scenes, figure, *test))
-    header = (
-        "data set",
-        "protocol",
-        "metric",
-        "mean of",
-        "run",
-        "scenes",
-        "figure",
-        *TEST_COLUMNS * (len(report.runs) > 1),
-    )
+    header = ("data set", "protocol", "metric", "mean of", "run", "scenes", "figure")
     note = [MISSING] * any(section.incomplete for section in report.sections)
     if len(report.runs) > 1:
+        header += TEST_COLUMNS
         note.append(
-            f"{TESTS_NOTE} the run's figure is better or worse than that of the data set's first, the "
+            f"{_TESTS_NOTE} the run's figure is better or worse than that of the data set's first, the "
             "best; p: Wilcoxon signed-rank test over the scenes, Holm-corrected within a data set"
         )
     return [Table("Headline by data set", header, tuple(rows), ". ".join(note), name="overview")]
 
 
 def further_tables(report: EvaluationReport) -> list[Table]:
-    """Return the areas of the sparsification curves, and the maps that are missing; no table where there is none."""
+    """Return areas of sparsification curves, hidden pixels, and the maps that are missing; no table without rows."""
     rows: list[tuple[str, ...]] = []
+    hidden: list[tuple[str, ...]] = []
     groups: dict[tuple[str, ...], list[ConfidenceCurve]] = {}
+    pooled: dict[tuple[str, str], list[HiddenPixels]] = {}
     for r in report.results:
         for c in r.curves:
             groups.setdefault((r.data_set, r.protocol, r.run, c.region, c.confidence, c.of), []).append(c)
             rows.append((r.run, r.scene, c.region, c.confidence, c.of, *_areas([c])))
+        if r.hidden is not None:
+            pooled.setdefault((r.data_set, r.run), []).append(r.hidden)
+            hidden.append((r.run, r.scene, *(Number(value, 1) for value in r.hidden.shares().values())))
+    several = len(report.sections) > 1
     for (data_set, _, run, *what), curves in groups.items():
         if len(curves) > 1:
-            of_set = f" of {data_set}" if len(report.sections) > 1 else ""
-            rows.append((run, f"mean of {len(curves)}{of_set}", *what, *_areas(curves)))
+            rows.append((run, f"mean of {len(curves)}" + f" of {data_set}" * several, *what, *_areas(curves)))
+    for (data_set, run), found in pooled.items():
+        if len(found) > 1:
+            shares = (Number(value, 1) for value in HiddenPixels.pooled(found).shares().values())
+            hidden.append((run, f"pooled of {len(found)}" + f" of {data_set}" * several, *shares))
     areas = ("AUC", "optimal", "random", "AUC/optimal", "AUSE", "AURG", "AUC 5-100", "optimal 5-100", "ECE")
-    header = ("run", "scene", "mask", "confidence", "of", *areas)
     note = (
         "sparsification over the estimated pixels, of wrong ones (bad: by the headline's rule) and of the error; AUC: "
         "integral over all shares; random: their mean; AUSE, AURG: distance to optimal and random; 5-100: trapezoid "
         "over 5..100 %, as LAF-Net and the survey of Poggi et al. take it; ECE: expected calibration error, where the "
         "confidence is a probability; a mean's is that of all pixels together"
     )
-    failed = tuple((r.run, r.scene, r.error) for r in report.failed)
-    made = [
-        Table("Confidence", header, tuple(rows), note, name="confidence"),
-        _hidden_table(report),
-        Table("Not evaluated", ("run", "scene", "reason"), failed, name="missing"),
-    ]
-    return [table for table in made if table.rows]
-
-
-def _hidden_table(report: EvaluationReport) -> Table:
-    rows: list[tuple[str, ...]] = []
-    groups: dict[tuple[str, str], list[HiddenPixels]] = {}
-    for r in report.results:
-        if r.hidden is not None:
-            groups.setdefault((r.data_set, r.run), []).append(r.hidden)
-            rows.append((r.run, r.scene, *(Number(value, 1) for value in r.hidden.shares().values())))
-    for (data_set, run), found in groups.items():
-        if len(found) > 1:
-            of_set = f" of {data_set}" if len(report.sections) > 1 else ""
-            shares = HiddenPixels.pooled(found).shares().values()
-            rows.append((run, f"pooled of {len(found)}{of_set}", *(Number(value, 1) for value in shares)))
-    header = ("run", "scene", "precision", "recall", "F1", "said hidden %", "truly hidden %")
-    note = (
+    hidden_note = (
         "pixels that the right view does not see, by status.png (occluded, or out of view) against the truth (in all, "
         "not in nonocc), percent"
     )
-    return Table("Hidden pixels", header, tuple(rows), note, name="hidden")
+    shares_of = ("precision", "recall", "F1", "said hidden %", "truly hidden %")
+    failed = tuple((r.run, r.scene, r.error) for r in report.failed)
+    curve_columns = ("run", "scene", "mask", "confidence", "of", *areas)
+    made = [
+        Table("Confidence", curve_columns, tuple(rows), note, name="confidence"),
+        Table("Hidden pixels", ("run", "scene", *shares_of), tuple(hidden), hidden_note, name="hidden"),
+        Table("Not evaluated", ("run", "scene", "reason"), failed, name="missing"),
+    ]
+    return [table for table in made if table.rows]
 
 
 def mean_rows(section: Section, runs: Sequence[str] = ()) -> list[tuple[str, bool, str]]:
@@ -279,10 +254,6 @@ def _n_scenes(section: Section, run: str, common: bool, region: str | None = Non
     return f"{len(scenes)}, {n_missing} missing*" if n_missing else str(len(scenes))
 
 
-def _count(n_scenes: int) -> str:
-    return f"{n_scenes} scene{'s' * (n_scenes != 1)}"
-
-
 def _areas(curves: Sequence[ConfidenceCurve]) -> tuple[str, ...]:
     areas = [c.areas for c in curves]
     means = {name: mean_of_known(each[name] for each in areas) for name in areas[0]}
@@ -290,15 +261,6 @@ def _areas(curves: Sequence[ConfidenceCurve]) -> tuple[str, ...]:
     means["ece"] = Reliability.pooled(known).ece if known else math.nan
     means["ratio"] = means["auc"] / means["optimal"] if means["optimal"] > 0 else math.nan
     return tuple(Number(value, 2 if name == "ratio" else 4) for name, value in means.items())
-
-
-def wide_tables(report: EvaluationReport) -> list[Table]:
-    """Return the wide tables: of every section the headline by scene, then the means of all metrics, by region."""
-    made = []
-    for section in report.sections:
-        scenes = [wide_by_scene(section, (section.protocol.headline, region)) for region in section.regions]
-        made += named(report, section, scenes + [wide_by_metric(section, region) for region in section.regions])
-    return made
 
 
 Column = tuple[str, list[Number], bool | None, str]
@@ -326,14 +288,6 @@ def wide_by_scene(section: Section, key: Key) -> Table:
     return _wide(section, f"{section.data_set}: {metric.heading_with_unit}, {region}", columns, f"scenes-{region}")
 
 
-def wide_by_metric(section: Section, region: str) -> Table:
-    """Return the means over the scenes of every metric in one region, a column for each."""
-    columns = [_means(section, key, key[0].heading) for key in section.keys if key[1] == region]
-    many = len(section.scenes_with(region))
-    over = f"means over {many} scenes" if many > 1 else ", ".join(map(short, section.scenes_with(region)))
-    return _wide(section, f"{section.data_set}: {over}, {region}", columns, f"metrics-{region}")
-
-
 def _means(section: Section, key: Key, heading: str, common: bool = False) -> Column:
     cells = [
         cell_of(section, section.mean(run, key, each), mark) for run, each, mark in mean_rows(section) if each == common
@@ -356,15 +310,8 @@ def _wide(section: Section, title: str, columns: list[Column], name: str) -> Tab
     columns = columns + [(heading, [Number(v) for v in values], False, "") for heading, values in known.items()]
     rows = tuple((run, *(cells[i] for _, cells, _, _ in columns)) for i, run in enumerate(section.runs))
     note = "*: no map, counted as wholly wrong; means over scenes that all runs have beside" * section.incomplete
-    return Table(
-        title,
-        ("run", *(heading for heading, *_ in columns)),
-        rows,
-        note,
-        (None, *(larger for _, _, larger, _ in columns)),
-        ("", *(scene for *_, scene in columns)),
-        name,
-    )
+    headings, _, better, scenes = zip(*columns, strict=True)
+    return Table(title, ("run", *headings), rows, note, (None, *better), ("", *scenes), name)
 
 
 def headline_text(report: EvaluationReport) -> str:
@@ -372,12 +319,8 @@ def headline_text(report: EvaluationReport) -> str:
     if len(report.sections) == 1:
         (section,) = report.sections
         table = summary(section)
-        spare = [
-            "avg rank",
-            density_heading(section),
-            "seconds",
-            *(region_heading(section, r) for r in section.regions[:0:-1]),
-        ]
+        spare = ["avg rank", f"density {section.regions[0]} %", "seconds"]
+        spare += [region_heading(section, region) for region in section.regions[:0:-1]]
         note = ". ".join(filter(None, [MISSING * section.incomplete, tests_note(section)]))
         return replace(table, note=note).fitted(_WIDTH, spare, ["run"]).text(_WIDTH)
     fitted = (each.fitted(_WIDTH, ["protocol", "losses", "mean of"], ["data set", "run"]) for each in overview(report))
@@ -395,7 +338,6 @@ def chosen_text(
 
     Parameters
     ----------
-    report : the evaluation
     names : names of tables, or their beginnings up to a dash; ``all``: all. Empty: all of a format are the wide ones
     columns : headings of the columns to show beside the first one; empty: all
     form : name of one of ``FORMATS``, in which tables of scenes and metrics are wide; None: aligned text, titles and
@@ -411,16 +353,30 @@ def chosen_text(
     if form is None:
         tables = narrow
     else:
-        tables = wide_tables(report)
+        tables = []
+        for section in report.sections:  # the headline by scene, then the means of all metrics, by region
+            wide = [wide_by_scene(section, (section.protocol.headline, region)) for region in section.regions]
+            for region in section.regions:
+                columns_of = [_means(section, key, key[0].heading) for key in section.keys if key[1] == region]
+                many = len(section.scenes_with(region))
+                over = f"means over {many} scenes" if many > 1 else ", ".join(map(short, section.scenes_with(region)))
+                title = f"{section.data_set}: {over}, {region}"
+                wide.append(_wide(section, title, columns_of, f"metrics-{region}"))
+            tables += named(report, section, wide)
         tables += [t for t in narrow if t.name.partition("-")[0] not in ("scenes", "metrics")] if names else []
-    chosen = choose(tables, names) if names else tables
+    chosen = tables
+    if names:
+        for name in names:
+            if name not in ("all", *NAMES) and not any(_called(table, name) for table in tables):
+                raise ConfigError(f"--tables: no table {name}; there are {', '.join(t.name for t in tables)}")
+        chosen = [t for t in tables if "all" in names or any(_called(t, name) for name in names)]
     if columns:
         known = dict.fromkeys(heading for table in chosen for heading in table.header[1:])
         if absent := [name for name in columns if name not in known]:
             raise ConfigError(f"--columns: no {', '.join(absent)} in these tables, which have {', '.join(known)}")
         chosen = [table.only(columns) for table in chosen if set(columns) & set(table.header[1:])]
         if not set(columns) & set(TEST_COLUMNS):
-            chosen = [replace(table, note=table.note.partition(TESTS_NOTE)[0].rstrip(". ")) for table in chosen]
+            chosen = [replace(table, note=table.note.partition(_TESTS_NOTE)[0].rstrip(". ")) for table in chosen]
     if caption is not None:
         if len(chosen) != 1:
             raise ConfigError(f"--caption: is for one table; give --tables {' or '.join(t.name for t in chosen)}")
@@ -428,22 +384,15 @@ def chosen_text(
     return "\n".join(table.text(_WIDTH) if form is None else FORMATS[form](table) for table in chosen)
 
 
+def _called(table: Table, name: str) -> bool:
+    return f"{table.name}-".startswith(f"{name}-")
+
+
 def check_names(names: Sequence[str]) -> None:
     """Raise ConfigError where a name can be that of no table."""
     wrong = [name for name in names if name.partition("-")[0] not in (*NAMES, "all")]
     if wrong:
-        raise ConfigError(f"--tables: want all, {', '.join(NAMES)} (got {', '.join(wrong)})")
-
-
-def choose(tables: Sequence[Table], names: Sequence[str]) -> list[Table]:
-    """Return the tables whose name is one of ``names`` or begins with it and a dash; ConfigError where a name has none.
-
-    ``all`` is the name of all; ``headline`` and the like may be of no table where there is nothing for it to show.
-    """
-    for name in names:
-        if name not in ("all", *NAMES) and not any(f"{t.name}-".startswith(f"{name}-") for t in tables):
-            raise ConfigError(f"--tables: no table {name}; there are {', '.join(t.name for t in tables)}")
-    return [t for t in tables if "all" in names or any(f"{t.name}-".startswith(f"{name}-") for name in names)]
+        raise ConfigError(f"--tables: expected all, {', '.join(NAMES)} (got {', '.join(wrong)})")
 
 
 def report_markdown(report: EvaluationReport) -> str:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.evaluation.presentation import EMPTY, HIDDEN_RIGHT, HIDDEN_WRONG, RIGHT, UNKNOWN, WRONG
+from depthcli.evaluation.protocols import EMPTY, HIDDEN_RIGHT, HIDDEN_WRONG, RIGHT, UNKNOWN, WRONG
 
 # From a small error to a large one. Blue and orange stay apart for every kind of color blindness, purple is apart from
 # both by lightness too; the darker, the worse.

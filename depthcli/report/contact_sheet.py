@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.protocols import AnyProtocol, picture
-from depthcli.evaluation.results import MapResult
+from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import draw_text
 from depthcli.io.scenes import Scene

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.core.errors import ConfigError, InputError, OutputError
-from depthcli.core.flags import Flags
 from depthcli.core.text import without_secrets
 from depthcli.evaluation import tables
 from depthcli.evaluation.columns import heading_help
@@ -21,13 +20,14 @@ from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.plots import plots
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.render import Number
-from depthcli.evaluation.results import MapResult
+from depthcli.evaluation.scores import MapResult
 from depthcli.evaluation.tables import wide_by_scene
 from depthcli.io.formats.files import write_text
 from depthcli.io.scenes import Scene
 from depthcli.report import colors
 from depthcli.report.run_without_truth import RunTable, RunWithoutTruth
 from depthcli.report.scene_view import SceneView, smaller, view_with_truth
+from depthcli.run.flags import Flags
 
 ASSETS = "assets"
 """Folder beside the page, of the pictures that do not fit into it."""

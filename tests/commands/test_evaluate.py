@@ -20,7 +20,7 @@ from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import evaluate_runs
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
-from depthcli.evaluation.results import MapResult
+from depthcli.evaluation.scores import MapResult, find_score
 from depthcli.evaluation.tables import chosen_text, report_tables
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
@@ -66,7 +66,7 @@ def text_of(report: EvaluationReport) -> str:
 
 
 def bad(result: MapResult, mask: str = "all", threshold: float = 1.0) -> float:
-    return result.value("bad", mask, threshold)
+    return find_score(result.scores, "bad", mask, threshold).value
 
 
 def rows(output: Path) -> list[dict[str, str]]:
@@ -404,7 +404,7 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
         "8-bit disparities need a scale"
         in evaluate_runs([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed[0].error
     )
-    with pytest.raises(InputError, match="a single map wants a single scene"):
+    with pytest.raises(InputError, match="a single map needs a single scene"):
         evaluate_runs([tmp_path / "m.pfm"], truth, None)
     single = truth / "a" / "disp_left.png"
     assert main(["evaluate", str(tmp_path / "m.pfm"), "--truth", str(single), "--json"]) == 0
@@ -513,10 +513,10 @@ def test_a_folder_with_several_kinds_of_maps_is_refused(
     ("options", "message"),
     [
         (["--maps", "y={scene}.png"], "--maps y={scene}.png: no run is called 'y'; one of: x"),
-        (["--maps", "../{scene}.png"], "want the path of a scene's map in the run folder"),
-        (["--maps", "{name}.png"], "want the path of a scene's map in the run folder"),
-        (["--scale", "x=many"], "--scale: want a number (got 'many')"),
-        (["--scale", "0"], "--scale: want a number from 1e-6 on"),
+        (["--maps", "../{scene}.png"], "the path of a scene's map in the run folder"),
+        (["--maps", "{name}.png"], "the path of a scene's map in the run folder"),
+        (["--scale", "x=many"], "(got 'many')"),
+        (["--scale", "0"], "--scale: expected a number from 1e-6 on"),
         (["--invalid", "1", "--invalid", "2"], "--invalid: two values for all runs"),
     ],
 )
@@ -597,7 +597,7 @@ def test_the_terminal_shows_the_headline_within_100_columns(
     chosen = capsys.readouterr().out
     assert "every metric, all" in chosen and "by scene" in chosen and "every metric, disc" not in chosen
     assert main([*command, "--tables", "metric"]) == 2
-    assert "want all, headline, overview, metrics" in capsys.readouterr().err
+    assert "expected all, headline, overview, metrics" in capsys.readouterr().err
     assert main([*command, "--tables", "metrics-edges"]) == 2
     assert "no table metrics-edges; there are headline, metrics-nonocc" in capsys.readouterr().err
 

@@ -13,7 +13,7 @@ import pytest
 from depthcli.commands.sample import sample as sample_command
 from depthcli.core.method import Family
 from depthcli.evaluation.protocols import load, missing_scores, picture
-from depthcli.evaluation.results import MapResult
+from depthcli.evaluation.scores import MapResult
 from depthcli.io.layouts import own_layouts
 from depthcli.io.walk import discover_scenes
 from depthcli.simulate.samples import SAMPLE_KINDS

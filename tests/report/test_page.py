@@ -21,11 +21,9 @@ from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import evaluate_runs
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Presentation
-from depthcli.evaluation.protocols import Protocol
+from depthcli.evaluation.protocols import Presentation, Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
-from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.scores import Metric, Score
+from depthcli.evaluation.scores import MapResult, Metric, Score
 from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene

@@ -1,33 +1,159 @@
-"""Protocols: how a benchmark, or a kind of ground truth, scores a map; one file each, the folder is the registry.
+"""Protocols: how a benchmark, or a kind of ground truth, scores a map and how that is shown; one file each.
 
-``_disparity`` has what the protocols of disparity maps share: ``middlebury_v2``, ``middlebury_v3``, ``eth3d``,
-``kitti_2012``, ``kitti_2015``, ``scene_flow`` and ``booster``. ``depth`` scores depth maps, ``registration`` expected
-registration errors. ``load`` returns the class of a name, :class:`Protocol` says what it has to have.
+The folder is the registry. ``_disparity`` has what the protocols of disparity maps share: ``middlebury_v2``,
+``middlebury_v3``, ``eth3d``, ``kitti_2012``, ``kitti_2015``, ``scene_flow`` and ``booster``. ``depth`` scores depth
+maps, ``registration`` expected registration errors. ``load`` returns the class of a name, :class:`Protocol` says what
+it has to have, :class:`Presentation` its words, units and colors.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import color8
 from depthcli.core.registry import Registry, registered_name
 from depthcli.evaluation.curves import ConfidenceCurve, reliability, sparsifications
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Presentation, error_picture, pixel_kinds
-from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.scores import Metric, Score, mean_of_scenes, pooled
+from depthcli.evaluation.render import Table
+from depthcli.evaluation.scores import MapResult, Metric, Score, mean_of_scenes, pooled
 from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.images import read_image
+from depthcli.io.formats.pictures import Palette
 from depthcli.io.scenes import Scene
+
+UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
+"""Kinds of pixel; ``HIDDEN``: occluded in the other view, ``EMPTY``: without a value."""
+
+_COLORS = (
+    ("white", (255, 255, 255)), ("grey", (170, 170, 170)), ("black", (0, 0, 0)), ("light blue", (176, 196, 222)),
+    ("dark blue", (40, 70, 130)), ("dark red", (140, 30, 20)),
+)  # fmt: skip
+"""Name and RGB of every kind of pixel in an error picture."""
+
+
+class SliceAxis(NamedTuple):
+    """An axis of a volume that is shown."""
+
+    plane: str  # name of the slices across it
+    ends: str  # letters of the sides where its first and its last voxel is
+    first: float  # where the first voxel is, mm; positive towards the first side
+    step: float  # how much further the next one is, mm
+
+
+@dataclass(frozen=True)
+class ShownMap:
+    """A run's map as it is shown, read without a look at any truth.
+
+    Attributes
+    ----------
+    values : (H, W), or (Z, Y, X) of a volume, float, in the presentation's unit; NaN = none
+    confidence : name -> array of that shape, higher is surer
+    expected_error : array of that shape in the presentation's unit, NaN = none; or None
+    axes : of a volume; empty: it is an image
+    figures : heading with unit -> number, by which scenes are ordered: larger is worse, the first counts most
+    note : explanation of the figures
+    """
+
+    values: NDArray[np.floating[Any]]
+    confidence: dict[str, NDArray[Any]] = field(default_factory=dict)
+    expected_error: NDArray[np.floating[Any]] | None = None
+    axes: tuple[SliceAxis, ...] = ()
+    figures: dict[str, float] = field(default_factory=dict)
+    note: str = ""
+
+
+def planes_beside(path: Path, files: MapFiles) -> dict[str, NDArray[Any]]:
+    """Return name -> confidence map beside a map; those that cannot be read are left out."""
+    found = {}
+    for name, file in files.confidences(path).items():
+        with contextlib.suppress(InputError):
+            found[name] = read_plane(file)
+    return found
+
+
+def _first_image(scene: Scene) -> NDArray[np.uint8] | None:
+    """Return the left image of a scene, or its first, (H, W, 3) uint8 RGB; None if it is no picture."""
+    try:
+        files = scene.input_files
+        return color8(read_image(files.get("left") or next(iter(files.values()))))
+    except (InputError, StopIteration):
+        return None
+
+
+@dataclass(frozen=True)
+class Presentation:
+    """How a protocol's tables are worded and its maps are shown; it computes no score.
+
+    Attributes
+    ----------
+    title, note : heading of the tables, and explanation of the numbers below them
+    unit, digits : of the errors, and decimals of the scores
+    mean_heading : heading of the means over the scenes
+    scene_rows : tables have a row for every scene beside those of the means
+    quantity : what a map holds, in a word
+    threshold_axis : label of the axis of a plot against the threshold
+    error_pictures : a picture of right, wrong and missing pixels is written for every map
+    visible_region : name of the region that both views see, outside of which pixels are shown as occluded; or empty
+    palette : colors and words of the status map beside a map
+    opacity : initial opacity of a map's colors over the scene's image, 0 to 1
+    verdicts : words for a pixel that is right, and for one that is wrong
+    scale : lowest and highest value of the colors if no truth is known; None: by the map
+    show : returns one run's map as it is shown if no truth is known; InputError if it cannot be read
+    image : returns the picture of a scene that is shown beneath its maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey
+        levels of a volume; None if there is none
+    on_grid : returns an array of a region's shape as an image or volume, NaN or False where it has no point, given the
+        truth; None: the points lie on no grid and cannot be shown
+    axes : returns the axes of what is shown if it is a volume, given the truth; empty: it is an image
+    at_points : returns whether the truth is known at few points, so that the whole map is shown
+    tables : returns further tables of a run, from what the protocol keeps of every scene with a map
+    """
+
+    title: str = ""
+    unit: str = ""
+    note: str = ""
+    digits: int = 2
+    mean_heading: str = "mean"
+    scene_rows: bool = True
+    quantity: str = "value"
+    threshold_axis: str = "threshold"
+    error_pictures: bool = False
+    visible_region: str = ""
+    palette: Palette = field(default_factory=dict)
+    opacity: float = 1.0
+    verdicts: tuple[str, str] = ("right", "wrong")
+    scale: tuple[float, float] | None = None
+    show: Callable[[Path, Scene, MapFiles], ShownMap] = lambda path, _, files: ShownMap(
+        read_plane(path), planes_beside(path, files)
+    )
+    image: Callable[[Scene], NDArray[np.uint8] | None] = _first_image
+    on_grid: Callable[[NDArray[Any], Any], NDArray[Any] | None] = lambda points, _: points if points.ndim > 1 else None
+    axes: Callable[[Any], tuple[SliceAxis, ...]] = lambda _: ()
+    at_points: Callable[[Any], bool] = lambda _: False
+    tables: Callable[[str, Sequence[Any]], list[Table]] = lambda _, __: []
+
+    @property
+    def pixel_kind_names(self) -> tuple[str, ...]:
+        """Words for the kinds of pixel, ``UNKNOWN`` to ``EMPTY``."""
+        right, wrong = self.verdicts
+        return ("truth unknown or not evaluated", right, wrong, f"{right}, occluded", f"{wrong}, occluded", "no value")
+
+    @property
+    def legend(self) -> str:
+        """Colors of the error pictures in words."""
+        words = [f"{color}: {kind}" for (color, _), kind in zip(_COLORS, self.pixel_kind_names, strict=True)]
+        return "; ".join(words[1:] + words[:1])
 
 
 class Truth(typing.Protocol):
@@ -122,13 +248,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
 
     @abstractmethod
     def truth(self, scene: Scene) -> TruthT:
-        """Return the scene's ground truth, checked and prepared.
-
-        Raises
-        ------
-        InputError
-            The scene is of another kind, or its ground truth is missing or unusable.
-        """
+        """Return the scene's ground truth; InputError if it is of another kind, missing or unusable."""
 
     @abstractmethod
     def read(self, path: Path, scene: Scene, truth: TruthT) -> Estimate:
@@ -207,10 +327,9 @@ def headlines(protocol: AnyProtocol, estimate: Any, truth: Any) -> dict[str, flo
 def missing_scores(protocol: AnyProtocol, truth: Truth, dense: bool = False) -> list[Score]:
     """Return the scores (or ``dense``: the threshold curve) of a scene without a map: the worst value, or NaN."""
     empty = np.full_like(truth.values, np.nan)
-    scores = (protocol.threshold_curve if dense else protocol.scores)(empty, truth)
     sizes = {name: int(np.count_nonzero(region)) for name, region in truth.regions.items()}
     made = []
-    for score in scores:
+    for score in (protocol.threshold_curve if dense else protocol.scores)(empty, truth):
         worst, pixels = score.metric.worst, sizes.get(score.region, score.pixels)
         value = math.nan if worst is None or math.isnan(score.density) else worst
         made.append(replace(score, value=value, pixels=pixels, wrong=None if score.wrong is None else pixels))
@@ -224,12 +343,24 @@ def shown_pixels(protocol: AnyProtocol, truth: Truth) -> tuple[NDArray[np.bool_]
     return known, np.zeros_like(known) if visible is None else known & ~visible
 
 
+def pixel_kinds(
+    known: NDArray[np.bool_], hidden: NDArray[np.bool_], wrong: NDArray[np.bool_], missing: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """Return the kind of every pixel, ``UNKNOWN`` to ``EMPTY``, as uint8.
+
+    ``known`` are those whose truth is known and counts, ``hidden`` those occluded in the other view.
+    """
+    kind = np.where(wrong, np.where(hidden, HIDDEN_WRONG, WRONG), np.where(hidden, HIDDEN_RIGHT, RIGHT))
+    return np.where(known, np.where(missing, EMPTY, kind), UNKNOWN).astype(np.uint8)
+
+
 def picture(protocol: AnyProtocol, estimate: Any, truth: Truth) -> NDArray[np.uint8] | None:
-    """Return the (H, W, 3) RGB error picture; None if the presentation wants none."""
+    """Return the (H, W, 3) RGB error picture, in the colors of the legend; None if the presentation has none."""
     if not protocol.presentation.error_pictures:
         return None
     missing = np.isnan(protocol.error(estimate, truth))
-    return error_picture(pixel_kinds(*shown_pixels(protocol, truth), protocol.wrong(estimate, truth), missing))
+    kinds = pixel_kinds(*shown_pixels(protocol, truth), protocol.wrong(estimate, truth), missing)
+    return np.array([color for _, color in _COLORS], np.uint8)[kinds]
 
 
 _REGISTRY = Registry[AnyProtocol](__name__)
@@ -242,13 +373,7 @@ def names() -> list[str]:
 
 @cache
 def load(name: str) -> type[AnyProtocol]:
-    """Return the protocol of that name, written with dashes or underscores.
-
-    Raises
-    ------
-    InputError
-        There is none; the message lists the names.
-    """
+    """Return the protocol of that name, with dashes or underscores; InputError, with all names, if there is none."""
     known = _REGISTRY.find(name)
     if known is None:
         raise InputError(f"no protocol called {name!r}; one of: {', '.join(names())}")

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
 from depthcli.evaluation.map_files import DisparityFiles, MapFiles
-from depthcli.evaluation.presentation import Presentation, ShownMap, planes_beside
-from depthcli.evaluation.protocols import Protocol, Settings
+from depthcli.evaluation.protocols import Presentation, Protocol, Settings, ShownMap, planes_beside
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally, in_order
 from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
 from depthcli.io.formats.files import shown, warn
@@ -54,27 +53,16 @@ PRESENTATION = Presentation(
 
 @dataclass(frozen=True)
 class DisparityTruth:
-    """Ground truth of the left view, ready to be compared with.
+    """Ground truth of the left view, ready to be compared with."""
 
-    Attributes
-    ----------
-    values : (H, W) float32, pixels, NaN = unknown
-    masks : name -> (H, W) bool, True = evaluate
-    noc : (H, W) float32, values of the visible pixels if they have their own (KITTI), or None
-    scale : codes per pixel of the truth's files, or None
-    max_disparity, round_disparity : values of an estimate are clipped, and rounded (Middlebury v3)
-    factor : size of the benchmark's full image / size of this one (Middlebury v3)
-    looks_like : other protocols that such a truth is usually scored by, or empty
-    """
-
-    values: Disparity
-    masks: Mapping[str, NDArray[np.bool_]]
-    noc: Disparity | None = None
-    scale: float | None = None
-    max_disparity: int | None = None
-    round_disparity: bool = False
-    factor: int = 1
-    looks_like: str = ""
+    values: Disparity  # (H, W) float32, pixels, NaN = unknown
+    masks: Mapping[str, NDArray[np.bool_]]  # name -> (H, W), True = evaluate
+    noc: Disparity | None = None  # (H, W) float32, values of the visible pixels if they have their own (KITTI)
+    scale: float | None = None  # codes per pixel of the truth's files
+    max_disparity: int | None = None  # values of an estimate are clipped (Middlebury v3)
+    round_disparity: bool = False  # and rounded
+    factor: int = 1  # size of the benchmark's full image / size of this one (Middlebury v3)
+    looks_like: str = ""  # other protocols that such a truth is usually scored by
 
     def reference(self, region: str) -> Disparity:
         """Return the values that a region is compared with: those of ``noc`` for its regions."""
@@ -94,14 +82,9 @@ class DisparityTruth:
 class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     """A protocol for (H, W) float32 disparity maps in pixels, NaN = no value.
 
-    One that derives from it adds ``presentation``, ``thresholds`` and ``default_threshold``; ``scores``, which gets the
-    errors of every region from ``tallies``, and ``values``, if maps are changed before they are compared.
-
-    Attributes
-    ----------
-    thresholds : of the tables, pixels; with that of the settings they are ``all_thresholds``, ascending
-    default_threshold : of the headline, pixels
-    thresholded_metric : the headline without its threshold
+    One that derives from it adds ``presentation``, ``thresholds`` of the tables and ``default_threshold`` of the
+    headline, in pixels; ``scores``, which gets the errors of every region from ``tallies``, and ``values``, if maps are
+    changed before they are compared.
     """
 
     kind = StereoScene
@@ -110,6 +93,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     takes: ClassVar[tuple[str, ...]] = ("scale", "threshold", "invalid")
     thresholds: ClassVar[tuple[float, ...]]
     default_threshold: ClassVar[float]
+    # The headline without its threshold.
     thresholded_metric: ClassVar[Metric] = Metric("bad", "%", convention=MISSING_IS_BAD, worst=100.0)
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -135,7 +119,13 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
             raise InputError(f"{scene.disparity_left}: the ground truth has no known pixel")
         masks = self.masks(stored)
         ordered = {name: masks[name] for name in in_order(masks, self.region_order)}
-        top, rounded, other = scene.max_disparity, scene.round_disparity, _other_protocols(stored.disparity)
+        height, width = stored.disparity.shape  # of KITTI's rectified frames: 370 x 1224 to 376 x 1242
+        known, other = float(np.mean(~np.isnan(stored.disparity))), ""
+        if 370 <= height <= 376 and 1224 <= width <= 1242 and known < _MAX_KITTI_KNOWN:
+            other = (
+                f"frames of kitti-2015 or kitti-2012 ({width} x {height}, truth at {100 * known:.0f} % of the pixels)"
+            )
+        top, rounded = scene.max_disparity, scene.round_disparity
         return DisparityTruth(stored.disparity, ordered, stored.noc, stored.scale, top, rounded, looks_like=other)
 
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
@@ -168,13 +158,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         return estimate
 
     def resized(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Return the estimate on the truth's grid.
-
-        Raises
-        ------
-        ValueError
-            The size does not fit.
-        """
+        """Return the estimate on the truth's grid; ValueError if the size does not fit."""
         if estimate.shape != truth.values.shape:
             raise ValueError(f"the map is {size(estimate)}, the truth {size(truth.values)}")
         return estimate
@@ -209,15 +193,6 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         return [s for s in scores if s.metric.threshold is not None and s.metric == self.at(s.metric.threshold)]
 
 
-def _other_protocols(truth: Disparity) -> str:
-    """Return the protocols of KITTI if the truth has the size of its frames and is sparse; else an empty text."""
-    height, width = truth.shape  # of rectified frames: 370 x 1224 to 376 x 1242
-    known = float(np.mean(~np.isnan(truth)))
-    if not (370 <= height <= 376 and 1224 <= width <= 1242 and known < _MAX_KITTI_KNOWN):
-        return ""
-    return f"frames of kitti-2015 or kitti-2012 ({size(truth)}, truth at {100 * known:.0f} % of the pixels)"
-
-
 def difference(estimate: Disparity, truth: Disparity) -> Disparity:
     """Return the absolute difference in single precision; NaN where one of the two has no value."""
     with np.errstate(over="ignore", invalid="ignore"):
@@ -233,10 +208,6 @@ def invalid_value(estimate: Disparity, truth: Disparity) -> float | None:
     """Return the constant at or below 0 that stands for no value in other programs' maps, such as OpenCV's -1.
 
     It stands alone, and the truth has nothing as small. None: there is no such constant.
-
-    Parameters
-    ----------
-    estimate, truth : (H, W) float32, pixels, NaN = none
     """
     lowest = lone_constant(estimate)
     return None if lowest is None or float(np.nanmin(truth)) <= lowest + 0.5 else lowest
@@ -258,10 +229,6 @@ def scale_warning(estimate: Disparity, truth: Disparity) -> str | None:
 
     That is so where the ratio estimate / truth of half of the pixels lies within 8 % of one factor: a power of two,
     3, one of their reciprocals, or -1 for a swapped sign. None: no warning.
-
-    Parameters
-    ----------
-    estimate, truth : (H, W) float32, pixels, NaN = none
     """
     with np.errstate(invalid="ignore"):
         both = ~np.isnan(estimate) & (truth > 0.5)

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Presentation, ShownMap, planes_beside
-from depthcli.evaluation.protocols import Protocol
+from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, planes_beside
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
@@ -35,21 +34,12 @@ _CODES_PER_METER = 1000.0  # millimeters, where neither file nor settings say ot
 
 @dataclass(frozen=True)
 class DepthTruth:
-    """True depth, ready to be compared with.
+    """True depth, ready to be compared with."""
 
-    Attributes
-    ----------
-    depth : (H, W) float32, meters, NaN = unknown
-    regions : name -> (H, W) bool, pixels with known truth
-    fb : focal length x baseline, pixel meters, or None
-    scale : codes a meter of the truth's files
-    looks_like : always empty
-    """
-
-    depth: Depth
-    regions: dict[str, NDArray[np.bool_]]
-    fb: float | None
-    scale: float
+    depth: Depth  # (H, W) float32, meters, NaN = unknown
+    regions: dict[str, NDArray[np.bool_]]  # name -> (H, W), pixels with known truth
+    fb: float | None  # focal length x baseline, pixel meters
+    scale: float  # codes a meter of the truth's files
     looks_like: str = ""
 
     @property
@@ -118,9 +108,8 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         masks = {name: self._resized(mask.astype(np.uint8)) > 0 for name, mask in stored.masks.items()}
         regions = {"all": known, **{name: mask & known for name, mask in masks.items()}}
         scale = getattr(scene, "depth_scale", _CODES_PER_METER)
-        return DepthTruth(
-            depth, {name: regions[name] for name in in_order(regions, self.region_order)}, stored.fb, scale
-        )
+        ordered = {name: regions[name] for name in in_order(regions, self.region_order)}
+        return DepthTruth(depth, ordered, stored.fb, scale)
 
     def read(self, path: Path, scene: Scene, truth: DepthTruth) -> Depth:
         """Return the map in meters; integer codes have the truth's scale where the settings have none."""

@@ -120,10 +120,6 @@ def interpolate_background(disparity: Disparity) -> Disparity:
     Along rows, a run between two values gets the smaller of them; then the first and last value of a
     row are extended to its borders; then the first and last filled row of a column to top and bottom.
     Only a row without any value that lies between others stays empty.
-
-    Parameters
-    ----------
-    disparity : (H, W) float32, NaN = none
     """
     known = ~np.isnan(disparity)
     width = disparity.shape[1]

@@ -17,11 +17,9 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import ENDS, PLANES, Grid
 from depthcli.evaluation.curves import ConfidenceCurve, sparsification
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Presentation, ShownMap, SliceAxis
-from depthcli.evaluation.protocols import Protocol
+from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, SliceAxis
 from depthcli.evaluation.render import Number, Table
-from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.scores import Metric, Score, percent
+from depthcli.evaluation.scores import MapResult, Metric, Score, percent
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene
@@ -44,22 +42,12 @@ _LANDMARK_RADIUS = 1 / 64  # of its ball in pictures, in lengths of the volume; 
 
 @dataclass(frozen=True)
 class PreparedTruth:
-    """True registration errors and the points that they are known at.
+    """True registration errors and the points that they are known at."""
 
-    Attributes
-    ----------
-    error : (N,) float32, mm
-    landmarks : (N, 3) float64, (z, y, x) in voxels, or None where the truth is dense
-    inside : (Z, Y, X) bool, voxels with known error, or None where the truth is at landmarks
-    stored : the truth as the scene has it
-    looks_like : always empty
-    """
-
-    error: Errors
-    landmarks: NDArray[np.float64] | None
-    inside: NDArray[np.bool_] | None
+    error: Errors  # (N,) float32, mm
+    landmarks: NDArray[np.float64] | None  # (N, 3), (z, y, x) in voxels; None where the truth is dense
+    inside: NDArray[np.bool_] | None  # (Z, Y, X), voxels with known error; None where the truth is at landmarks
     stored: RegistrationTruth
-
     looks_like: str = ""
 
     @property
@@ -111,12 +99,9 @@ def _on_grid(points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any]:
     return grid.turned(volume)
 
 
-def _image(scene: Scene) -> NDArray[np.uint8] | None:
-    """Return grey levels of the fixed volume as it is shown, between its darkest and brightest half percent."""
-    if not isinstance(scene, VolumePairScene):
-        return None
-    fixed = read_volume(scene.fixed)
-    return grey_levels(fixed.grid.turned(fixed.values))
+def _turned(file: Path) -> NDArray[Any]:
+    volume = read_volume(file)
+    return volume.grid.turned(volume.values)
 
 
 def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
@@ -125,14 +110,13 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     volume = read_volume(path)
     grid = volume.grid
     if scene.mask is None:
-        fixed = read_volume(scene.fixed)
-        inside = body_of_volume(fixed.grid.turned(fixed.values))
+        inside = body_of_volume(_turned(scene.fixed))
     else:
-        inside = grid.turned(read_volume(scene.mask).values) > 0
+        inside = _turned(scene.mask) > 0
     values = np.where(inside, grid.turned(volume.values), np.float32(np.nan))
     known = values[np.isfinite(values)]
     mean, high = (float(known.mean()), float(np.quantile(known, 0.95))) if known.size else (math.nan, math.nan)
-    confidence = {name: grid.turned(read_volume(file).values) for name, file in files.confidences(path).items()}
+    confidence = {name: _turned(file) for name, file in files.confidences(path).items()}
     note = "in the body: mean over the mask, or else over tissue and what it encloses, and its 95 % quantile"
     figures = {"expected error in the body, mm": mean, "95 % quantile, mm": high}
     return ShownMap(values, confidence, None, _axes(grid), figures, note)
@@ -164,12 +148,7 @@ def error_classes(error: NDArray[np.floating[Any]]) -> NDArray[np.intp]:
 
 
 def point_scores(region: str, expected: Errors, true: Errors) -> list[Score]:
-    """Compute every metric over points; expected errors that are not finite are unknown.
-
-    Parameters
-    ----------
-    expected, true : (N,) float32, mm, N > 0
-    """
+    """Compute every metric over N > 0 points; expected errors that are not finite are unknown."""
     known = np.isfinite(expected)
     n_known = int(known.sum())
     e, t = expected[known].astype(np.float64), true[known].astype(np.float64)
@@ -219,7 +198,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         mean_heading="pooled",
         scale=(0.0, 10.0),
         show=_shown_map,
-        image=_image,
+        image=lambda scene: grey_levels(_turned(scene.fixed)) if isinstance(scene, VolumePairScene) else None,
         on_grid=_on_grid,
         axes=lambda truth: _axes(truth.stored.grid),
         at_points=lambda truth: truth.inside is None,
@@ -292,19 +271,20 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """
         scored = [result for result in results if result.scores]
         regions = dict.fromkeys(result.scores[0].region for result in scored)
-        return [s for region in regions for s in self._pooled([r for r in scored if r.scores[0].region == region])]
-
-    def _pooled(self, results: Sequence[MapResult]) -> list[Score]:
-        """Pool the scenes of one region."""
-        if len(results) == 1:
-            return list(results[0].scores)
-        answered = [r for r in results if r.pooling_data is not None and np.isfinite(r.pooling_data[0]).any()]
-        if not answered:
-            return super().mean(results)
-        n_points, n_answered = (sum(r.scores[0].region_pixels for r in each) for each in (results, answered))
-        drawn = [_drawn(r.pooling_data, _MAX_POOLED / n_points) for r in answered]
-        made = point_scores(results[0].scores[0].region, *map(np.concatenate, zip(*drawn, strict=True)))
-        return [_with_missing(score, 1 - n_answered / n_points, n_points) for score in made]
+        made: list[Score] = []
+        for region in regions:
+            alike = [r for r in scored if r.scores[0].region == region]
+            answered = [r for r in alike if r.pooling_data is not None and np.isfinite(r.pooling_data[0]).any()]
+            if len(alike) == 1:
+                made += alike[0].scores
+            elif not answered:
+                made += super().mean(alike)
+            else:
+                n_points, n_answered = (sum(r.scores[0].region_pixels for r in each) for each in (alike, answered))
+                drawn = [_drawn(r.pooling_data, _MAX_POOLED / n_points) for r in answered]
+                scores = point_scores(region, *map(np.concatenate, zip(*drawn, strict=True)))
+                made += [_with_missing(score, 1 - n_answered / n_points, n_points) for score in scores]
+        return made
 
 
 def _axes(grid: Grid) -> tuple[SliceAxis, ...]:
@@ -313,7 +293,7 @@ def _axes(grid: Grid) -> tuple[SliceAxis, ...]:
 
 
 def _drawn(points: tuple[Errors, Errors], share: float) -> tuple[Errors, Errors]:
-    """Expected and true errors of a share of the points, or of all where it is not below 1."""
+    """Return expected and true errors of a share of the points, or of all where it is not below 1."""
     if share >= 1:
         return points
     expected, true = points
@@ -322,7 +302,7 @@ def _drawn(points: tuple[Errors, Errors], share: float) -> tuple[Errors, Errors]
 
 
 def _with_missing(score: Score, share: float, n_points: int) -> Score:
-    """The score where a share of the points lies in scenes without any value; NaN where there is no worst value."""
+    """Return the score where a share of the points lies in scenes without any value; NaN where there is no worst value."""
     if share == 0:
         return replace(score, region_pixels=n_points)
     worst = math.nan if score.metric.worst is None else score.metric.worst

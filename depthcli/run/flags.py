@@ -7,106 +7,92 @@ import math
 import operator
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from depthcli.core.errors import ConfigError
+from depthcli.run.batch import FLAGGED, SOME_FAILED
+from depthcli.run.console import Reporter
 
-_COMPARISONS = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "=": operator.eq,
-    "!=": operator.ne,
-}
+_COMPARISONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+_COMPARISONS |= {"=": operator.eq, "!=": operator.ne}
 _CONDITION = re.compile(r"\s*([^<>=!]+?)\s*(<=|>=|!=|<|>|=)\s*([^\s<>=!]+)\s*")
 _NUMBER = re.compile(r"\d+\.?\d*|\.\d+")
 _COLUMNS = {"memory": "peak_memory"}  # as the printed table names them
 
 
-@dataclass(frozen=True)
-class Condition:
+class Condition(NamedTuple):
     """A column compared with a number, such as ``measured<0.6`` or ``bad 1 nonocc>8``."""
 
     column: str
     comparison: str
     limit: float
 
-    @classmethod
-    def of(cls, text: str) -> Condition:
-        """Return the condition that a text means; ConfigError if it means none."""
-        found = _CONDITION.fullmatch(text)
+    def __str__(self) -> str:
+        return f"{self.column}{self.comparison}{self.limit:g}"
+
+
+def conditions_of(texts: Sequence[str] | None, fail_flagged: bool) -> list[Condition]:
+    """Return the conditions that are given; ConfigError if one is wrong, or --fail-flagged has none."""
+    if fail_flagged and not texts:
+        raise ConfigError("--fail-flagged needs a condition, such as --flag 'measured<0.6'")
+    made = []
+    for text in texts or ():
         try:
-            column, comparison, limit = found.groups() if found else ("", "", "nan")
+            column, comparison, limit = found.groups() if (found := _CONDITION.fullmatch(text)) else ("", "", "nan")
             number = float(limit)
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
             raise ConfigError(f"--flag: expected COLUMN<NUMBER, or > <= >= = !=, such as 'measured<0.6' (got {text!r})")
-        return cls(_COLUMNS.get(column, plain_name(column)), comparison, number)
-
-    def __str__(self) -> str:
-        return f"{self.column}{self.comparison}{self.limit:g}"
+        made.append(Condition(_COLUMNS.get(column, plain_name(column)), comparison, number))
+    return made
 
 
-@dataclass(frozen=True)
-class Flagged:
+class Flagged(NamedTuple):
     """A flagged row: its scene, its run (empty if there is only one), and the conditions that hold, with its values."""
 
     scene: str
     run: str
     reasons: tuple[str, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values, for JSON."""
-        return {"scene": self.scene, **({"run": self.run} if self.run else {}), "reasons": list(self.reasons)}
 
-
-@dataclass(frozen=True)
-class Flags:
-    """The result of all conditions.
-
-    Attributes
-    ----------
-    conditions : as texts; none: nothing was requested
-    flagged : rows for which a condition holds, worst first
-    n_rows : number of rows
-    warnings : lines on conditions for which some rows have no value
-    unanswered : lines on conditions for which no row has a value, perhaps because the column is misspelled
-    """
+class Flags(NamedTuple):
+    """The result of all conditions."""
 
     conditions: tuple[str, ...] = ()
-    flagged: tuple[Flagged, ...] = ()
+    flagged: tuple[Flagged, ...] = ()  # worst first
     n_rows: int = 0
-    warnings: tuple[str, ...] = ()
-    unanswered: tuple[str, ...] = ()
+    unanswered: tuple[str, ...] = ()  # conditions for which no row has a value, perhaps of a misspelled column
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON; nothing without conditions."""
-        return {"flagged": [each.to_dict() for each in self.flagged]} if self.conditions else {}
+        flagged = [{k: v for k, v in each._asdict().items() if k != "run" or v} for each in self.flagged]
+        return {"flagged": flagged} if self.conditions else {}
 
     def text(self) -> str:
         """Return the number of flagged rows and a table of them, for a terminal."""
-        lines = [f"flagged: {len(self.flagged) or 'none'} of {self.n_rows}"]
         names = [name for name in ("scene", "run") if any(getattr(each, name) for each in self.flagged)]
         rows = [[*(getattr(each, name) for name in names), "; ".join(each.reasons)] for each in self.flagged]
         table = [[*names, "why"], *rows] if rows else []
         widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines += ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table]
-        return "\n" + "".join(f"{line.rstrip()}\n" for line in lines)
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
+        return "\n".join(["", f"flagged: {len(rows) or 'none'} of {self.n_rows}", *lines, ""])
+
+    def exit_code(self, failed: bool, fail_flagged: bool, shard: str | None = None) -> int:
+        """Return the exit code of a command; values that one shard lacks may be in the others."""
+        if failed:
+            return SOME_FAILED
+        return FLAGGED if fail_flagged and (self.flagged or (self.unanswered and not shard)) else 0
 
 
-def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]) -> Flags:
+def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]], reporter: Reporter) -> Flags:
     """Return the rows that the conditions flag: most reasons first, then the farthest beyond their first limit.
 
-    Parameters
-    ----------
-    rows : column -> value; each has a ``scene``, and may have a ``run``
+    Warn about conditions that some or all rows, which have a ``scene`` and may have a ``run``, have no value for.
     """
     reasons: list[list[str]] = [[] for _ in rows]
     distances: list[list[float]] = [[] for _ in rows]
-    warnings, unanswered = [], []
+    unanswered = []
     for condition in conditions:
         values = [_number(row.get(condition.column)) for row in rows]
         n_known = sum(value is not None for value in values)
@@ -115,15 +101,16 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
             near = difflib.get_close_matches(condition.column, columns, 1, 0.7)
             meant = f"; did you mean {near[0]!r}?" if near else ""
             unanswered.append(f"--flag {condition}: no row has a value for {condition.column!r}{meant}")
+            reporter.error(unanswered[-1])
         elif n_known < len(rows):
-            warnings.append(f"--flag {condition}: {len(rows) - n_known} of {len(rows)} rows have no value")
+            reporter.info(f"warning: --flag {condition}: {len(rows) - n_known} of {len(rows)} rows have no value")
         for k, value in enumerate(values):
             if value is not None and _COMPARISONS[condition.comparison](value, condition.limit):
                 reasons[k].append(f"{condition.column} {value:.4g} {condition.comparison} {condition.limit:g}")
                 distances[k].append(abs(value - condition.limit))
     worst = sorted((k for k in range(len(rows)) if reasons[k]), key=lambda k: (-len(reasons[k]), -distances[k][0]))
     flagged = tuple(Flagged(str(rows[k]["scene"]), str(rows[k].get("run", "")), tuple(reasons[k])) for k in worst)
-    return Flags(tuple(map(str, conditions)), flagged, len(rows), tuple(warnings), tuple(unanswered))
+    return Flags(tuple(map(str, conditions)), flagged, len(rows), tuple(unanswered))
 
 
 def plain_name(heading: str) -> str:

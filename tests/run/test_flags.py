@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from depthcli.core.errors import ConfigError
-from depthcli.core.flags import Condition, flag_rows, plain_name
+from depthcli.run.console import Reporter
+from depthcli.run.flags import conditions_of, flag_rows, plain_name
 
 ROWS = [
     {"scene": "a", "measured": 0.4, "status": "done", "bad 1": 3.0, "bad 1 all": 9.0, "seconds": {"x": 1.0, "y": 2.0}},
@@ -14,9 +15,9 @@ ROWS = [
 ]
 
 
-def flagged(*texts, rows=ROWS):
-    flags = flag_rows([Condition.of(text) for text in texts], rows)
-    return [(each.scene, list(each.reasons)) for each in flags.flagged], [*flags.warnings, *flags.unanswered]
+def flagged(*texts):
+    flags = flag_rows(conditions_of(texts, False), ROWS, Reporter())
+    return [(each.scene, list(each.reasons)) for each in flags.flagged]
 
 
 @pytest.mark.parametrize(
@@ -35,37 +36,32 @@ def flagged(*texts, rows=ROWS):
     ],
 )
 def test_a_condition_flags_the_rows_that_it_holds_for(text, scenes):
-    assert [scene for scene, _ in flagged(text)[0]] == scenes
+    assert [scene for scene, _ in flagged(text)] == scenes
 
 
 def test_rows_with_more_reasons_come_first_then_those_farthest_beyond_the_limit():
-    found, _ = flagged("measured<1", "bad 1>4")
-    assert found == [("b", ["measured 0.6 < 1", "bad 1 5 > 4"]), ("a", ["measured 0.4 < 1"])]
-    assert [scene for scene, _ in flagged("measured<1")[0]] == ["a", "b"]
+    assert flagged("measured<1", "bad 1>4") == [("b", ["measured 0.6 < 1", "bad 1 5 > 4"]), ("a", ["measured 0.4 < 1"])]
+    assert [scene for scene, _ in flagged("measured<1")] == ["a", "b"]
 
 
-def test_rows_without_a_value_are_not_flagged_but_counted():
-    found, lines = flagged("measured<1", "bad 2>0")
-    assert [scene for scene, _ in found] == ["a", "b"]
-    assert "1 of 3 rows" in lines[0] and "no row has a value for 'bad 2'; did you mean 'bad 1'?" in lines[1]
+def test_rows_without_a_value_are_not_flagged_but_counted(capsys):
+    assert [scene for scene, _ in flagged("measured<1", "bad 2>0")] == ["a", "b"]
+    err = capsys.readouterr().err
+    assert "1 of 3 rows" in err and "no row has a value for 'bad 2'; did you mean 'bad 1'?" in err
 
 
 @pytest.mark.parametrize("text", ["measured", "measured<", "", "measured<much", "measured=>0.5", "measured<nan"])
 def test_wrong_conditions_are_refused_in_one_line(text):
     with pytest.raises(ConfigError, match="--flag") as raised:
-        Condition.of(text)
+        conditions_of([text], False)
     assert "\n" not in str(raised.value)
 
 
 def test_table_and_json():
     rows = [{"scene": "a", "run": "x", "bad 1": 3.0}, {"scene": "b", "run": "long", "bad 1": 2.5}]
-    flags = flag_rows([Condition.of("bad 1>2")], rows)
+    flags = flag_rows(conditions_of(["bad 1>2"], False), rows, Reporter())
     assert flags.text().splitlines()[1:3] == ["flagged: 2 of 2", "scene  run   why"]
-    assert flags.to_dict() == {
-        "flagged": [
-            {"scene": "a", "run": "x", "reasons": ["bad 1 3 > 2"]},
-            {"scene": "b", "run": "long", "reasons": ["bad 1 2.5 > 2"]},
-        ]
-    }
-    assert flag_rows([], rows).to_dict() == {} and "none of 2" in flag_rows([], rows).text()
+    assert [each["run"] for each in flags.to_dict()["flagged"]] == ["x", "long"]
+    nothing = flag_rows([], rows, Reporter())
+    assert nothing.to_dict() == {} and "none of 2" in nothing.text()
     assert plain_name(" bad  1.0  nonocc ") == "bad 1 nonocc"
