@@ -11,8 +11,7 @@ from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, Viewer
 from depthcli.evaluation.render import FORMATS
 from depthcli.evaluation.tables import check_names, chosen_text, headline_text
 from depthcli.report.contact_sheet import ContactSheet
-from depthcli.report.page import Page
-from depthcli.report.run_without_truth import RunWithoutTruth
+from depthcli.report.page import Page, RunWithoutTruth
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Flags
 from depthcli.run.folder import saved_config, staging_folder

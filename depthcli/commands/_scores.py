@@ -15,8 +15,7 @@ from depthcli.evaluation.protocols import load
 from depthcli.io.inputs import local
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd import SequenceScene
-from depthcli.report.page import Page
-from depthcli.report.run_without_truth import RunWithoutTruth
+from depthcli.report.page import Page, RunWithoutTruth
 from depthcli.run.batch import Batch, SceneT
 from depthcli.run.flags import Condition, Flags, flag_rows
 from depthcli.run.json_csv import Row

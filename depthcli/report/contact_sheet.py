@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,7 +16,7 @@ from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import draw_text
 from depthcli.io.scenes import Scene
-from depthcli.report.colors import map_picture
+from depthcli.report.packing import map_picture
 
 Picture: TypeAlias = NDArray[np.uint8]
 
@@ -73,7 +73,7 @@ class ContactSheet:
         if not rows:
             return
         columns = ["", *(run for run in runs if any(run in row for row in rows.values()))]
-        heights = [max(_height(row.get(run, ())) for run in columns) for row in rows.values()]
+        heights = [max(sum(len(each) + _GAP for each in row.get(run, ())) for run in columns) for row in rows.values()]
         width = _GAP + len(columns) * (_WIDTH + _GAP)
         sheet = np.full((_LINE + sum(_LINE + height for height in heights), width, 3), 255, np.uint8)
         for k, run in enumerate(columns):
@@ -94,7 +94,3 @@ def _small(image: Picture) -> Picture:
     height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
     shrink = cv2.INTER_AREA if image.shape[1] > _WIDTH else cv2.INTER_NEAREST
     return np.asarray(cv2.resize(image, (_WIDTH, min(height, 2 * _WIDTH)), interpolation=shrink), np.uint8)
-
-
-def _height(pictures: Sequence[Picture]) -> int:
-    return sum(len(each) + _GAP for each in pictures)

@@ -6,11 +6,13 @@ import base64
 import contextlib
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.core.text import without_secrets
@@ -21,36 +23,42 @@ from depthcli.evaluation.plots import plots
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.scores import MapResult
-from depthcli.evaluation.tables import wide_by_scene
-from depthcli.io.formats.files import write_text
+from depthcli.io.formats.files import collected_warnings, write_text
+from depthcli.io.formats.pictures import Palette
 from depthcli.io.scenes import Scene
-from depthcli.report import colors
-from depthcli.report.run_without_truth import RunTable, RunWithoutTruth
-from depthcli.report.scene_view import SceneView, smaller, view_with_truth
+from depthcli.report import packing
+from depthcli.report.scene_view import SceneView, scale_of, smaller, view_with_truth
+from depthcli.run.console import Column
 from depthcli.run.flags import Flags
+from depthcli.run.json_csv import Row
 
-ASSETS = "assets"
-"""Folder beside the page, of the pictures that do not fit into it."""
-
-BUDGET = 50_000_000
-"""Default size of the scenes' pictures in the page itself, bytes: browsers open such a file within seconds."""
-
+_ASSETS = "assets"  # folder beside the page, of the pictures that do not fit into it
+_BUDGET = 50_000_000  # size of the scenes' pictures in the page, bytes: browsers open such a file within seconds
 _MAX_CONFIG = 100_000  # characters of a config that are shown
 _MAX_CELLS = 40_000  # of the tables of one section; more make the page slow
+_MAX_SHOWN = 300  # scenes without truth with pictures; more would make the page slow
+_DOUBTS = {"inside_mean": 1, "mean_error": 1, "measured": -1, "density": -1}
+"""Columns of reports by which the scenes with pictures are chosen where there are too many; 1: larger is worse."""
 
 
-@dataclass(frozen=True)
-class _SavedScene:
+class RunWithoutTruth(NamedTuple):
+    """Scenes of a run without truth, which the page shows with what the run says of them."""
+
+    name: str
+    folder: Path
+    protocol: AnyProtocol  # says where maps lie and how they are shown; it scores nothing here
+    palette: Palette | None  # colors and words of the status maps; None: the protocol's
+    scenes: Sequence[Scene]
+    rows: Mapping[str, Row]  # scene -> its row of the run's report
+    columns: Sequence[Column]  # further columns of the table, made from the rows
+
+
+class _SavedScene(NamedTuple):
     """A scene whose pictures lie in the assets folder: its view without the maps, their file, its size in bytes."""
 
     view: SceneView
     file: Path
     size: int
-
-    @property
-    def key(self) -> str:
-        """Name of the scene's pictures in the assets folder."""
-        return self.file.stem
 
 
 class Page:
@@ -63,12 +71,11 @@ class Page:
     ----------
     command : the command line, shown on the page
     budget : size of all scenes' pictures in the page itself, bytes; of more, every second, third ... pixel is taken
-    run : scenes without truth that the page shows, too
     """
 
     file = "report.html"
 
-    def __init__(self, command: str = "", budget: int = BUDGET, run: RunWithoutTruth | None = None) -> None:
+    def __init__(self, command: str = "", budget: int = _BUDGET, run: RunWithoutTruth | None = None) -> None:
         self.command, self.budget, self.run = command, budget, run
         self._saved: list[_SavedScene] = []
         self._scene: SceneView | None = None
@@ -95,7 +102,7 @@ class Page:
     def write(
         self, report: EvaluationReport | None, scores: str, configs: Mapping[str, str], flags: Flags | None = None
     ) -> None:
-        """Write ``report.html``.
+        """Write ``report.html``; ConfigError if Jinja2 or matplotlib is not installed.
 
         Parameters
         ----------
@@ -103,13 +110,6 @@ class Page:
         scores : all of it as JSON
         configs : run -> its resolved config, or empty
         flags : the flagged scenes, which are shown first; None: those of the report
-
-        Raises
-        ------
-        ConfigError
-            Jinja2 or matplotlib is not installed.
-        OutputError
-            The page cannot be written.
         """
         self._save()
         flags = flags or (report.flags if report else Flags())
@@ -119,38 +119,46 @@ class Page:
         factor = max(1, math.ceil(math.sqrt(sum(saved.size for saved in self._saved) / self.budget)))
         page = {
             "runs": [self.run.name] if report is None and self.run is not None else report.runs if report else [],
-            "assets": [f"{ASSETS}/{saved.file.name}" if factor > 1 else None for saved in self._saved],
-            "keys": [saved.key for saved in self._saved],
-            "scale": colors.map_colors().tolist(),
-            "errors": colors.error_scales().tolist(),
-            "none": colors.NO_VALUE,
+            "assets": [f"{_ASSETS}/{saved.file.name}" if factor > 1 else None for saved in self._saved],
+            "keys": [saved.file.stem for saved in self._saved],
+            "scale": packing.map_colors().tolist(),
+            "errors": packing.error_scales().tolist(),
+            "none": packing.NO_VALUE,
         }
-        kinds = dict.fromkeys(saved.view.protocol.presentation.pixel_kind_names for saved in scored)
+        # Words for every kind of pixel, and the colors of a small and of a large error.
+        ends = [[f"rgb({','.join(map(str, scale[k].tolist()))})" for k in (0, -1)] for scale in packing.error_scales()]
+        names = dict.fromkeys(saved.view.protocol.presentation.pixel_kind_names for saved in scored)
+        kinds = [[(words, *end) for words, end in zip(each, ends, strict=True)] for each in names]
         text = _template().render(
             style=_file("page.css"), scripts=[_file("page.js"), _file("viewer.js")],
             report=report, command=without_secrets(self.command),
-            configs={run: text[:_MAX_CONFIG] for run, text in configs.items()}, factor=factor, assets=ASSETS,
+            configs={run: text[:_MAX_CONFIG] for run, text in configs.items()}, factor=factor, assets=_ASSETS,
             sections=[_section_data(section) for section in report.sections] if report else [],
             overview=tables.overview(report) if report else [], others=tables.further_tables(report) if report else [],
             scenes=[_scene_data(report, saved.view) for saved in scored] if report else [], without=without,
             data=[_embedded(saved, factor) for saved in self._saved],
-            page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=[*map(_swatches, kinds)],
+            page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=kinds,
             flags=flags,
             number_of={saved.view.name: i for i, saved in enumerate(self._saved)},
         )  # fmt: skip
         write_text(self.folder / self.file, text)
-        self._remove_assets(keep=len(self._saved) if factor > 1 else 0)
+        if factor == 1:
+            try:
+                shutil.rmtree(self.folder / _ASSETS, ignore_errors=not self._saved)
+            except OSError as error:
+                raise OutputError(f"{self.folder / _ASSETS}: cannot be removed ({error.strerror or error})") from error
 
-    def _add_run(self) -> RunTable | None:
+    def _add_run(self) -> dict[str, Any] | None:
         """Add the scenes without truth, the worst first; return their table."""
         if self.run is None:
             return None
-        n_scored = len(self._saved)
-        for view in self.run.views():
+        n_scored, problems = len(self._saved), dict[str, str]()
+        for view in _views(self.run, problems):
             self._scene = view
             self._save()
-        table = self.run.table()
-        order = {view.name: number for number, view in enumerate(table.views)}
+        views = {saved.view.name: saved.view for saved in self._saved[n_scored:]}
+        table = _table_without_truth(self.run, views, problems)
+        order = {view.name: number for number, view in enumerate(table["views"])}
         self._saved[n_scored:] = sorted(self._saved[n_scored:], key=lambda saved: order[saved.view.name])
         return table
 
@@ -159,24 +167,12 @@ class Page:
             return
         view, number = self._scene, len(self._saved)
         view.close()
-        file = self.folder / ASSETS / f"scene-{number}.js"
+        file = self.folder / _ASSETS / f"scene-{number}.js"
         text = f'depthcli("{file.stem}", {_script_json(json.dumps(view.data))});\n'
         write_text(file, text)
         view.data = {}
         self._saved.append(_SavedScene(view, file, len(text)))
         self._scene = None
-
-    def _remove_assets(self, keep: int) -> None:
-        """Remove the scenes from number ``keep`` on, and the folder where nothing is left in it."""
-        folder = self.folder / ASSETS
-        try:
-            for file in folder.glob("scene-*.js"):
-                if not file.stem[6:].isdecimal() or int(file.stem[6:]) >= keep:
-                    file.unlink(missing_ok=True)
-            if folder.is_dir() and not any(folder.iterdir()):
-                folder.rmdir()
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be cleared ({error.strerror or error})") from error
 
 
 def _embedded(saved: _SavedScene, factor: int) -> str:
@@ -186,7 +182,7 @@ def _embedded(saved: _SavedScene, factor: int) -> str:
 
 
 def _section_data(section: Section) -> dict[str, Any]:
-    """What the template shows of a section: runs from the best to the worst, tables, plots, comparisons."""
+    """Return what the template shows of a section: runs from the best to the worst, tables, plots, comparisons."""
     headline, runs, order = section.protocol.headline, section.runs, section.ranking.runs
     figures = {run: section.overall(run).value for run in runs}
     known = [run for run in order if not math.isnan(figures[run])]
@@ -204,8 +200,8 @@ def _section_data(section: Section) -> dict[str, Any]:
         "rows": [runs.index(run) for run in order],
         "bars": {run: 100 * figures[run] / longest if run in known else 0.0 for run in runs},
         "verdict": _verdict(section, known),
-        "wins": {a: {b: _n_better(by_scene[a], by_scene[b]) for b in runs} for a in runs},
-        "wide": [(*key, wide_by_scene(section, key)) for key in list(keys)[:n_keys]],
+        "wins": {a: {b: sum(x < y for x, y in zip(by_scene[a], by_scene[b], strict=True)) for b in runs} for a in runs},
+        "wide": [(*key, tables.wide_by_scene(section, key)) for key in list(keys)[:n_keys]],
         "plots": {
             caption: f"data:image/svg+xml;base64,{base64.b64encode(svg.encode()).decode('ascii')}"
             for caption, svg in plots(section).items()
@@ -213,13 +209,8 @@ def _section_data(section: Section) -> dict[str, Any]:
     }
 
 
-def _n_better(a: Sequence[float], b: Sequence[float]) -> int:
-    """Number of scenes on which ``a`` is lower."""
-    return sum(x < y for x, y in zip(a, b, strict=True))
-
-
 def _verdict(section: Section, best: list[str]) -> dict[str, Any] | None:
-    """The best run against the second: by how much, on how many scenes, where it gains and loses most."""
+    """Return the best run against the second: by how much, on how many scenes, where it gains and loses most."""
     if len(best) < 2:
         return None
     first, second = (section.overall(run).value for run in best[:2])
@@ -240,7 +231,7 @@ def _verdict(section: Section, best: list[str]) -> dict[str, Any] | None:
 
 
 def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
-    """What the template shows of a scene: small pictures, and each run's headline in every region."""
+    """Return what the template shows of a scene: small pictures, and each run's headline in every region."""
     runs = []
     for r in report.results:
         if r.scene == view.name and r.protocol == view.protocol.name:
@@ -250,10 +241,76 @@ def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
     return {"name": view.name, "protocol": view.protocol, "thumbs": view.thumbs.get("", {}), "runs": runs}
 
 
-def _swatches(names: tuple[str, ...]) -> list[tuple[str, str, str]]:
-    """(words, color of a small error, color of a large one) of every kind of pixel."""
-    ends = [[f"rgb({','.join(map(str, scale[k].tolist()))})" for k in (0, -1)] for scale in colors.error_scales()]
-    return [(words, first, last) for words, (first, last) in zip(names, ends, strict=True)]
+def _views(run: RunWithoutTruth, problems: dict[str, str]) -> Iterator[SceneView]:
+    """Yield the view of every scene whose map can be read; of very many scenes, of the worst by the report.
+
+    ``problems`` gets the reason of each that cannot.
+    """
+    protocol = run.protocol
+    done = [scene for scene in run.scenes if run.rows.get(scene.name, {}).get("status") != "failed"]
+    for scene in sorted(done, key=lambda scene: _doubt(run.rows.get(scene.name, {})))[:_MAX_SHOWN]:
+        try:
+            path = protocol.files.find(run.folder, [scene.name])
+            if path is None:
+                raise InputError(f"no map there{protocol.files.searched([scene.name])}")
+            with collected_warnings():
+                shown = protocol.presentation.show(path, scene, protocol.files)
+                nothing, scale = np.zeros(shown.values.shape, np.bool_), protocol.presentation.scale
+                palette = protocol.presentation.palette if run.palette is None else run.palette
+                scale = scale or scale_of(shown.values)
+                view = SceneView(scene, protocol, nothing, nothing, None, shown.axes, scale, palette)
+                view.add_shown(run.name, path, shown)
+        except InputError as error:
+            problems[scene.name] = str(error)
+        else:
+            yield view
+
+
+def _table_without_truth(
+    run: RunWithoutTruth, views: Mapping[str, SceneView], problems: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return what the template shows of scenes without truth: failed ones first, then by the figures, the worst first.
+
+    ``by`` is the heading of the figure that orders the scenes; a failed scene has the reason in its second cell.
+    """
+
+    def rank(name: str) -> tuple[float, ...]:
+        if name not in views:
+            failed = run.rows.get(name, {}).get("status") == "failed" or name in problems
+            return (-2.0,) if failed else (0.0, *_doubt(run.rows.get(name, {})))
+        return (-1.0, *(math.inf if math.isnan(value) else -value for value in views[name].figures.values()))
+
+    shown = {name: view.figures | view.mean_confidence for name, view in views.items()}
+    keys = list(dict.fromkeys(key for figures in shown.values() for key in figures))
+    names = sorted((scene.name for scene in run.scenes), key=lambda name: (rank(name), name))
+    rows = []
+    for name in names:
+        row, figures = run.rows.get(name, {}), shown.get(name, {})
+        reason = str(row.get("error") or problems.get(name, ""))
+        cells = [reason or str(row.get("status") or "done")]
+        cells += [str(Number(figures[key])) if key in figures else "-" for key in keys]
+        cells += [column.text(row) if row and not reason else "-" for column in run.columns]
+        seconds = math.fsum(row.get("seconds", {}).values())
+        rows.append((name, [*cells, f"{seconds:.2f}" if seconds else "-"]))
+    n_failed = sum(rank(name) == (-2.0,) for name in names)
+    header = ["status", *keys, *(column.title for column in run.columns), "seconds"]
+    filled = [k for k in range(len(header)) if any(cells[k] != "-" for _, cells in rows)]
+    return {
+        "run": run.name,
+        "header": ["scene", *(header[k] for k in filled)],
+        "rows": [(name, [cells[k] for k in filled]) for name, cells in rows],
+        "note": "; ".join(dict.fromkeys(view.note for view in views.values() if view.note)),
+        "by": keys[0] if keys else "",
+        "n_failed": n_failed,
+        "n_left_out": len(names) - len(views) - n_failed,
+        "views": [views[name] for name in names if name in views],
+    }
+
+
+def _doubt(row: Row) -> tuple[float, ...]:
+    """Return a key of a row of the report: the worse its scene is, the smaller."""
+    values = ((row.get(key), sign) for key, sign in _DOUBTS.items())
+    return tuple(-sign * value if isinstance(value, int | float) else math.inf for value, sign in values)
 
 
 def _template() -> Any:
@@ -261,9 +318,8 @@ def _template() -> Any:
         import jinja2
     except ImportError as error:  # pragma: no cover
         raise ConfigError(f"--html wants Jinja2 ({error})") from error
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
+    options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "undefined": jinja2.StrictUndefined}
+    environment = jinja2.Environment(autoescape=True, **options)
     environment.globals["help"] = heading_help
     environment.filters["short"] = tables.short
     environment.filters["number"] = Number
@@ -275,5 +331,5 @@ def _file(name: str) -> str:
 
 
 def _script_json(text: str) -> str:
-    r"""JSON that cannot end its script element: ``<`` stands in strings alone and is written ``\u003c`` there."""
+    r"""Return JSON that cannot end its script element: ``<``, which strings alone have, is written ``\u003c``."""
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")

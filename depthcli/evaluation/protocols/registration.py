@@ -302,7 +302,7 @@ def _drawn(points: tuple[Errors, Errors], share: float) -> tuple[Errors, Errors]
 
 
 def _with_missing(score: Score, share: float, n_points: int) -> Score:
-    """Return the score where a share of the points lies in scenes without any value; NaN where there is no worst value."""
+    """Return the score where a share of the points lies in scenes without any value; NaN without a worst value."""
     if share == 0:
         return replace(score, region_pixels=n_points)
     worst = math.nan if score.metric.worst is None else score.metric.worst
