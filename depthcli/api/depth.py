@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from depthcli.api.inputs import Overrides, as_depth, as_image, as_map, computing, load_config
 from depthcli.api.results import RefinedDepth, chosen_pixels
 from depthcli.core.cameras.camera import Intrinsics
-from depthcli.core.cameras.color_and_depth import Place, registered
+from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame, color8, infrared_image
@@ -30,36 +30,19 @@ from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.run.resources import available_memory, check_memory
 
 Image = NDArray[Any]
+_Preset = str | Path | RefineKinectConfig
 
 
 @overload
-def refine_depth(
-    color: Image | None,
-    depth: Image,
-    preset: str | Path | RefineKinectConfig = "accurate",
-    overrides: Overrides | None = None,
-    *,
-    fb: float | None = None,
-    depth_intrinsics: Sequence[float] | None = None,
-    depth_to_color: tuple[ArrayLike, ArrayLike] | None = None,
-    **fields: object,
-) -> RefinedDepth: ...
+def refine_depth(color: Image | None, depth: Image, preset: _Preset = ..., **options: Any) -> RefinedDepth: ...
 @overload
 def refine_depth(
-    color: Sequence[Image],
-    depth: Sequence[Image],
-    preset: str | Path | RefineKinectConfig = "accurate",
-    overrides: Overrides | None = None,
-    *,
-    fb: float | None = None,
-    depth_intrinsics: Sequence[float] | None = None,
-    depth_to_color: tuple[ArrayLike, ArrayLike] | None = None,
-    **fields: object,
+    color: Sequence[Image], depth: Sequence[Image], preset: _Preset = ..., **options: Any
 ) -> list[RefinedDepth]: ...
 def refine_depth(
     color: Image | Sequence[Image | None] | None,
     depth: Image | Sequence[Image],
-    preset: str | Path | RefineKinectConfig = "accurate",
+    preset: _Preset = "accurate",
     overrides: Overrides | None = None,
     *,
     fb: float | None = None,
@@ -67,7 +50,10 @@ def refine_depth(
     depth_to_color: tuple[ArrayLike, ArrayLike] | None = None,
     **fields: object,
 ) -> RefinedDepth | list[RefinedDepth]:
-    """Clean and complete the depth map of a Kinect or a sensor like it.
+    """Return the depth map of a Kinect or a sensor like it cleaned and completed, or a list of such maps.
+
+    ConfigError for an unknown preset, or keys and values that do not fit; InputError for arrays that are no images or
+    maps, or have no depth, sizes that differ while the cameras are not known, or too little memory.
 
     Parameters
     ----------
@@ -85,18 +71,6 @@ def refine_depth(
         None: both are at one place
     **fields : config keys that are Python names, such as ``intrinsics=(fx, fy, cx, cy)`` and ``depth_scale=5000``
 
-    Returns
-    -------
-    The refined map, or a list of them.
-
-    Raises
-    ------
-    ConfigError
-        No such preset, or keys and values that do not fit.
-    InputError
-        Arrays that are no images or maps, or have no depth; sizes that differ while the cameras are not known; or too
-        little memory.
-
     Examples
     --------
     >>> import depthcli, numpy as np
@@ -108,7 +82,15 @@ def refine_depth(
     (False, 40)
     """
     config = load_config(RefineKinectConfig, preset, overrides, **fields)
-    cameras = _depth_camera(depth_intrinsics, depth_to_color)
+    depth_camera = place = None
+    if depth_intrinsics is not None:
+        depth_camera = Intrinsics(*numbers(list(depth_intrinsics), "depth_intrinsics", (4,)).tolist())
+    if depth_to_color is not None:
+        if len(depth_to_color) != 2:
+            raise InputError(f"depth_to_color: want rotation and translation (got {len(depth_to_color)} parts)")
+        turn, shift = (np.ravel(np.asarray(part)).tolist() for part in depth_to_color)
+        rotation = numbers(turn, "depth_to_color: rotation", (9,)).tolist()
+        place = tuple(rotation), tuple(numbers(shift, "depth_to_color: translation", (3,)).tolist())
     scale = config.depth_scale or MILLIMETERS
     single = not isinstance(color, list | tuple) and not isinstance(depth, list | tuple)
     colors, depths = ([color], [depth]) if single else (color, depth)
@@ -118,54 +100,28 @@ def refine_depth(
         raise InputError("color, depth: give two images, or two lists of as many")
     refine = frame_by_frame(config.pipeline)
     refined: list[RefinedDepth] = []
-    for number, (image, measured) in enumerate(zip(colors, depths, strict=True)):
-        frame = _rgbd_frame(config, image, measured, fb, cameras, "" if single else f"frame {number}: ")
-        if refined and frame.shape != refined[0].values.shape:
-            (height, width), (first_height, first_width) = frame.shape, refined[0].values.shape
+    for number, (one_color, one_depth) in enumerate(zip(colors, depths, strict=True)):
+        where = "" if single else f"frame {number}: "
+        measured = as_depth(one_depth, f"{where}depth", scale)
+        image = None if one_color is None else color8(as_image(one_color, f"{where}color"))
+        height, width = measured.shape if image is None else image.shape[:2]
+        if refined and (height, width) != refined[0].values.shape:
+            first_height, first_width = refined[0].values.shape
             raise InputError(f"frame {number}: {width} x {height}, but frame 0 is {first_width} x {first_height}")
+        check_memory(config.pipeline.peak_bytes((height, width)), available_memory(), f"{width} x {height} pixels")
+        camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+        if image is None:
+            camera = camera or depth_camera
+            frame = RgbdFrame.without_color(measured, fb or sensor_fb(camera), camera)
+        else:
+            with naming(f"{where}depth"):
+                found = registered(measured, (height, width), camera, depth_camera, place)
+            if found.note:
+                warn(f"{where}depth: {found.note}")
+            frame = RgbdFrame(image, found.depth, fb or sensor_fb(camera), camera, found.interpolated)
         with computing():
             refined.append(refined_frame(config, frame, refine, Clock(), scale))
     return refined[0] if single else refined
-
-
-def _depth_camera(
-    intrinsics: Sequence[float] | None, depth_to_color: tuple[ArrayLike, ArrayLike] | None
-) -> tuple[Intrinsics | None, Place | None]:
-    """Return the depth camera and its place, if given; InputError where they are not the numbers of such."""
-    camera = None if intrinsics is None else Intrinsics(*numbers(list(intrinsics), "depth_intrinsics", (4,)).tolist())
-    if depth_to_color is None:
-        return camera, None
-    if len(depth_to_color) != 2:
-        raise InputError(f"depth_to_color: want rotation and translation (got {len(depth_to_color)} parts)")
-    rotation, translation = (
-        tuple(numbers(np.ravel(np.asarray(part)).tolist(), f"depth_to_color: {name}", (count,)).tolist())
-        for part, name, count in zip(depth_to_color, ("rotation", "translation"), (9, 3), strict=True)
-    )
-    return camera, (rotation, translation)
-
-
-def _rgbd_frame(
-    config: RefineKinectConfig,
-    color: Any,
-    depth: Any,
-    fb: float | None,
-    depth_camera: tuple[Intrinsics | None, Place | None],
-    where: str,
-) -> RgbdFrame:
-    """Return color and depth of one size; InputError as for :func:`refine_depth`, begun with ``where``."""
-    measured = as_depth(depth, f"{where}depth", config.depth_scale or MILLIMETERS)
-    image = None if color is None else color8(as_image(color, f"{where}color"))
-    shape = measured.shape if image is None else (image.shape[0], image.shape[1])
-    check_memory(config.pipeline.peak_bytes(shape), available_memory(), f"{shape[1]} x {shape[0]} pixels")
-    camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
-    if image is None:
-        camera = camera or depth_camera[0]
-        return RgbdFrame.without_color(measured, fb or sensor_fb(camera), camera)
-    with naming(f"{where}depth"):
-        found = registered(measured, shape, camera, *depth_camera)
-    if found.note:
-        warn(f"{where}depth: {found.note}")
-    return RgbdFrame(image, found.depth, fb or sensor_fb(camera), camera, found.interpolated)
 
 
 def complete_transparent(
@@ -181,7 +137,10 @@ def complete_transparent(
     fb: float | None = None,
     **fields: object,
 ) -> RefinedDepth:
-    """Complete the depth of transparent objects, from sparse depth or by stereo of the color and an infrared image.
+    """Return depth completed at transparent objects, from sparse depth or stereo of the color and an infrared image.
+
+    ConfigError for an unknown preset, or keys and values that do not fit; InputError for arrays that are no images or
+    maps, or differ in size, where what the preset needs is missing, or with too little memory.
 
     Parameters
     ----------
@@ -195,17 +154,6 @@ def complete_transparent(
     calibration : file of both cameras, JSON or OpenCV's YAML; None: the images are a rectified pair
     fb : focal length x baseline of the rectified pair, pixel meters; with ``sparse``, that of the sensor
     **fields : config keys that are Python names, such as ``depth_scale=4000``
-
-    Returns
-    -------
-    The completed map.
-
-    Raises
-    ------
-    ConfigError
-        No such preset, or keys and values that do not fit.
-    InputError
-        Arrays that are no images or maps, or differ in size; what the preset needs is missing; too little memory.
 
     Examples
     --------
@@ -226,40 +174,27 @@ def complete_transparent(
     height, width = image.shape[:2]
     measured = as_depth(depth, "depth", scale, (height, width))
     check_completion_memory(config, config.stereo, (height, width), available_memory())
-    with computing():
-        if config.stereo is not None:
-            pair = _color_infrared_pair(image, measured, infrared, calibration, fb)
-            return completed_frame(config, *sparse_by_stereo(config.stereo, pair, scale, clock), clock, scale)
+    if config.stereo is None:
         if sparse is None:
             raise InputError("this config wants sparse depth: give sparse, or a preset with stereo")
         second = as_depth(sparse, "sparse", scale, measured.shape)
         surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
         frame = SparseFrame(image, measured, fb or sensor_fb(None), sparse=second, sparse_confidence=surer)
-        return completed_frame(config, frame, Result(), clock, scale)
-
-
-def _color_infrared_pair(
-    color: NDArray[np.uint8],
-    depth: NDArray[np.float32],
-    infrared: Image | None,
-    calibration: str | Path | None,
-    fb: float | None,
-) -> RgbIrFrame:
-    """Return the frame with its infrared image; InputError or ConfigError where the calibration does not fit it."""
+        with computing():
+            return completed_frame(config, frame, Result(), clock, scale)
     if infrared is None:
         raise InputError("this config wants an infrared image: give infrared, or sparse with another preset")
     if (calibration is None) == (fb is None):
         raise ConfigError("an infrared image wants either the calibration of both cameras, or fb of a rectified pair")
-    grey = infrared_image(as_image(infrared, "infrared"))
-    rig: Any = fb
+    grey, rig = infrared_image(as_image(infrared, "infrared")), None
     if calibration is not None:
-        sizes = ((each.shape[1], each.shape[0]) for each in (color, grey))
-        rig = read_color_infrared_rig(Path(calibration), *sizes)
-    if not isinstance(rig, int | float):
-        return RgbIrFrame(color, grey, depth, rig)
-    if grey.shape != depth.shape:
+        found = read_color_infrared_rig(Path(calibration), (width, height), (grey.shape[1], grey.shape[0]))
+        rig, fb = (None, found) if isinstance(found, int | float) else (found, None)
+    if rig is None and grey.shape != measured.shape:
         raise InputError("infrared: a rectified pair has one size")
-    return RgbIrFrame(color, grey, depth, None, float(rig))
+    pair = RgbIrFrame(image, grey, measured, rig, fb or 1.0)
+    with computing():
+        return completed_frame(config, *sparse_by_stereo(config.stereo, pair, scale, clock), clock, scale)
 
 
 def check_completion_memory(
@@ -278,13 +213,9 @@ def refined_frame(
     scale: float,
     rotate: int = 0,
 ) -> RefinedDepth:
-    """Refine a frame.
+    """Return a refined frame; ``refine`` is the config's pipeline, or that for the next frame of a sequence.
 
-    Parameters
-    ----------
-    refine : the config's pipeline, or that for the next frame of a sequence
-    clock : books the stages, and ``other``
-    scale, rotate : of the codes that are written
+    ``clock`` books the stages, and ``other``; ``scale`` and ``rotate`` are of the codes that are written.
     """
     found = _refined(refine, frame, clock, scale, rotate)
     if not config.ply:
@@ -295,13 +226,7 @@ def refined_frame(
 
 
 def sparse_by_stereo(stereo: CrossModal, pair: RgbIrFrame, scale: float, clock: Clock) -> tuple[SparseFrame, Result]:
-    """Return the frame with sparse depth that is matched between color and infrared, and what is written of it.
-
-    Parameters
-    ----------
-    scale : codes per meter of the picture ``stereo``
-    clock : books the stages
-    """
+    """Return the frame with sparse depth that is matched between color and infrared, and what is written of it."""
     frame, figures = stereo(pair, clock)
     with np.errstate(invalid="ignore"):
         codes = np.nan_to_num(np.rint(frame.sparse * scale), nan=0.0)
@@ -313,14 +238,7 @@ def sparse_by_stereo(stereo: CrossModal, pair: RgbIrFrame, scale: float, clock: 
 def completed_frame(
     config: TransparentConfig, frame: SparseFrame, stereo: Result, clock: Clock, scale: float, rotate: int = 0
 ) -> RefinedDepth:
-    """Complete a frame.
-
-    Parameters
-    ----------
-    stereo : what is written of the stereo that the sparse depth comes from, if it does
-    clock : books the stages, and ``other``
-    scale, rotate : of the codes that are written
-    """
+    """Return a completed frame, with what is written of the stereo that its sparse depth comes from."""
     found = _refined(config.pipeline, frame, clock, scale, rotate)
     found.details.figures |= stereo.figures
     found.details.pictures |= stereo.pictures

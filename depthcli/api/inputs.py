@@ -39,7 +39,7 @@ COMMANDS = {
 def load_config(
     model: type[ModelT], preset: str | Path | ModelT, overrides: Overrides | None = None, **fields: object
 ) -> ModelT:
-    """Return a checked config of a problem.
+    """Return a checked config of a problem; ConfigError names all problems of preset, keys and values, one a line.
 
     Parameters
     ----------
@@ -49,11 +49,6 @@ def load_config(
     overrides : key -> value, as ``--set`` has them: ``{"cost.window": 9}``. A mapping as a value changes only the keys
         that it holds, unless it names a method
     **fields : the same for keys that are Python names
-
-    Raises
-    ------
-    ConfigError
-        No such preset or file, or keys and values that do not fit; all problems, one a line.
 
     Examples
     --------
@@ -97,12 +92,8 @@ def computing() -> Iterator[None]:
 def as_image(array: ArrayLike, name: str) -> Image:
     """Return an image as (H, W) grey or (H, W, 3) RGB, uint8 or uint16; InputError for anything else.
 
-    Kernels are compiled apart for arrays that are not contiguous or cannot be written to: those are copied.
-
-    Parameters
-    ----------
-    array : (H, W), (H, W, 1) or (H, W, 3) uint8, uint16, bool, or floats from 0 to 1; (H, W, 4) loses its last channel
-    name : for messages
+    Given are uint8, uint16, bool, or floats from 0 to 1, with 1, 3 or 4 channels, of which the fourth is lost. Kernels
+    are compiled apart for arrays that are not contiguous or cannot be written to: those are copied.
     """
     if isinstance(array, str | PathLike):
         raise InputError(f"{name}: expected an image, got a path: read it, such as by cv2.imread(...)[..., ::-1]")
@@ -147,9 +138,7 @@ def as_map(array: ArrayLike, name: str, shape: tuple[int, int] | None = None) ->
 def as_depth(array: ArrayLike, name: str, scale: float, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
     """Return depths as (H, W) float32, meters, NaN = unknown; InputError as for :func:`as_map`, or where all are.
 
-    Parameters
-    ----------
-    array : (H, W) floats, meters, or integers, ``scale`` codes a meter; what is not a positive number is unknown
+    Floats are meters, integers ``scale`` codes a meter; what is not a positive number is unknown.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         depth = as_map(array, name, shape)

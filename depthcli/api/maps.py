@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.inputs import as_image, as_map, as_pair, computing
-from depthcli.api.results import Disparity, made, write_confidence
+from depthcli.api.results import Disparity, made, write_details
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import Status
+from depthcli.core.result import Result
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.networks import network_path, read_network
@@ -34,57 +35,40 @@ _MIN_EXPECTED = 0.3  # mean probability below which a map has a warning
 
 @dataclass(frozen=True, eq=False)
 class MapConfidence:
-    """How sure a disparity map is.
+    """How sure a disparity map is: arrays of (H, W) pixels.
 
-    Attributes
-    ----------
-    values : (H, W) float32, the map that was judged, pixels, NaN = no value
-    probability : (H, W) float32 in [0, 1]: of pixels with p, a share of p is right; 0 where there is no value
-    status : (H, W) uint8, bits of :class:`Status`: ``OCCLUDED``, hidden in the right view; ``OUT_OF_RANGE``, its match
-        lies outside the right image; ``MISMATCH``, visible, and more likely wrong than right; ``NO_DATA``, no value
-    measures : name -> (H, W) float32, larger is surer, NaN = no value; those that were asked for
-    max_disparity : largest disparity whose costs were computed, pixels
-    seconds : stage -> time
-    warnings : what looks wrong, one line each
+    ``status`` has bits of :class:`Status`: ``OCCLUDED``, hidden in the right view; ``OUT_OF_RANGE``, its match lies
+    outside the right image; ``MISMATCH``, visible, and more likely wrong than right; ``NO_DATA``, no value.
     """
 
-    values: NDArray[np.float32]
-    probability: NDArray[np.float32]
+    values: NDArray[np.float32]  # the map that was judged, pixels, NaN = no value
+    probability: NDArray[np.float32]  # of pixels with p, a share of p is right; 0 where there is no value
     status: NDArray[np.uint8]
-    measures: Mapping[str, NDArray[np.float32]]
-    max_disparity: int
-    seconds: Mapping[str, float]
-    warnings: tuple[str, ...] = ()
+    measures: Mapping[str, NDArray[np.float32]]  # those that were asked for; larger is surer, NaN = no value
+    max_disparity: int  # the largest one whose costs were computed, pixels
+    seconds: Mapping[str, float]  # stage -> time
+    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
 
     def kept(self, share: float | None = None, threshold: float | None = None) -> NDArray[np.float32]:
         """Return the map without its doubtful pixels, (H, W) float32, pixels, NaN = no value.
 
-        Parameters
-        ----------
-        share : share of the map's pixels that stay, those of the highest probability; of equal ones all stay
-        threshold : smallest probability of a pixel that stays
-
-        Raises
-        ------
-        ConfigError
-            Both are given, or one is not in 0 .. 1.
+        ``share`` of the map's pixels stay, those of the highest probability (of equal ones all), or those of at least
+        the probability ``threshold``. ConfigError where both are given, or one is not in 0 .. 1.
         """
         if share is not None and threshold is not None:
             raise ConfigError("share and threshold exclude each other")
-        limit = _in_unit("threshold", threshold) if threshold is not None else 0.0
+        for name, value in (("share", share), ("threshold", threshold)):
+            if value is not None and not 0 <= value <= 1:
+                raise ConfigError(f"{name}: want a number from 0 to 1 (got {value:g})")
+        limit = threshold or 0.0
         known = self.probability[np.isfinite(self.values)]
         if share is not None and known.size:
-            place = min(max(math.ceil(_in_unit("share", share) * known.size), 1), known.size)
+            place = min(max(math.ceil(share * known.size), 1), known.size)
             limit = float(np.partition(known, known.size - place)[known.size - place])
         return np.where(self.probability >= np.float32(limit), self.values, np.float32(np.nan))
 
     def save(self, folder: str | Path, share: float | None = None, threshold: float | None = None) -> None:
-        """Write what ``depthcli confidence`` writes into ``folder``, which is created where it is missing.
-
-        Parameters
-        ----------
-        share, threshold : as for :meth:`kept`, of the map that is written
-        """
+        """Write what ``depthcli confidence`` writes, the map as :meth:`kept` returns it, into a folder old or new."""
         kept, files = self.kept(share, threshold), made(folder)
         write_pfm(files / "confidence.pfm", self.probability)
         write_png(files / "confidence.png", self._picture())
@@ -92,19 +76,13 @@ class MapConfidence:
         write_pfm(files / "disp_left.pfm", kept)
         write_disparity_png(files / "disp_left.png", kept)
         write_png(files / "preview.png", preview(kept, self.max_disparity))
-        write_confidence(self.measures, files)
+        write_details(Result(confidence=dict(self.measures)), files)
 
     def _picture(self) -> NDArray[np.uint8]:
         return np.asarray(np.rint(self.probability * np.float32(255)), np.uint8)
 
     def _repr_png_(self) -> bytes:
         return png_bytes(self._picture())
-
-
-def _in_unit(name: str, value: float) -> float:
-    if not 0 <= value <= 1:
-        raise ConfigError(f"{name}: want a number from 0 to 1 (got {value:g})")
-    return value
 
 
 def map_confidence(
@@ -118,7 +96,10 @@ def map_confidence(
     within: float = 1.0,
     measures: Sequence[str] = (),
 ) -> MapConfidence:
-    """Judge a disparity map of a rectified pair that any program made.
+    """Return how sure a disparity map of a rectified pair is that any program made.
+
+    ConfigError for an unknown measure, or a number out of bounds; InputError for images and maps that do not fit each
+    other, negative disparities, or too little memory.
 
     Parameters
     ----------
@@ -130,13 +111,6 @@ def map_confidence(
     right_disparity : (H, W) pixels, the map of the right view by the same program, for the measure ``left_right``
     within : error up to which a value counts as right, pixels, 0.25 to 8
     measures : names of single measures that are wanted, too, or ``all``; the error for another name lists them
-
-    Raises
-    ------
-    ConfigError
-        An unknown measure, or a number out of bounds.
-    InputError
-        Images and maps that do not fit each other, negative disparities, or too little memory.
 
     Examples
     --------
@@ -173,7 +147,9 @@ def fuse_maps(
     within: float = 1.0,
     surfaces: bool = False,
 ) -> Disparity:
-    """Take the best of several disparity maps of a rectified pair at every pixel; one alone is completed and corrected.
+    """Return the best of several disparity maps of a rectified pair at every pixel; one is completed and corrected.
+
+    The map has a value everywhere. ConfigError and InputError as for :func:`map_confidence`; no map, or more than 14.
 
     Parameters
     ----------
@@ -182,15 +158,6 @@ def fuse_maps(
     max_disparity : largest disparity that is compared with, pixels; None: that of the maps
     within : error up to which a value counts as right in ``confidence["probability"]``, pixels, 0.25 to 8
     surfaces : whether planes of segments are proposed, too; slower
-
-    Returns
-    -------
-    The map, with a value everywhere.
-
-    Raises
-    ------
-    ConfigError, InputError
-        As for :func:`map_confidence`; no map, or more than 14.
 
     Examples
     --------
@@ -237,7 +204,7 @@ def _threshold(within: float) -> float:
 def judge_by_one_view(
     method: MapJudge, left: Image, values: NDArray[np.float32], max_disparity: int | None
 ) -> MapConfidence:
-    """Judge a map where there is no right image. Parameters and errors as for :func:`judge`."""
+    """Return how sure a map is where there is no right image; errors as of :func:`judge`."""
     top, clean, warnings = _prepared(left.shape[1], {"disparity": values}, max_disparity)
     found = method.by_one_view(left, clean[0], top)
     known = np.where(np.isfinite(values) & (values >= 0), values, np.float32(np.nan))
@@ -254,21 +221,13 @@ def judge(
     right: NDArray[np.float32] | None,
     memory: int,
 ) -> MapConfidence:
-    """Judge the first of the maps.
+    """Return how sure the first of the maps is, which have the names that messages call them.
 
-    Parameters
-    ----------
-    maps : by the names that messages call them
-    max_disparity : largest disparity of the costs, pixels; None: that of the maps
-    memory : bytes that may be used
-
-    Raises
-    ------
-    InputError
-        The maps do not fit, or the memory does not suffice.
+    InputError where the maps do not fit, or ``memory`` bytes do not suffice.
     """
     top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity)
-    _check_memory(method, pair, top, len(clean), memory)
+    size = f"{pair.shape[1]} x {pair.shape[0]} pixels, {top + 1} disparities"
+    check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory, size)
     found = method(pair, clean, top, right)
     first = next(iter(maps.values()))
     values = np.where(np.isfinite(first) & (first >= 0), first, np.float32(np.nan))
@@ -292,20 +251,16 @@ def fused(
     max_disparity: int | None,
     memory: int,
 ) -> Disparity:
-    """Fuse maps. Parameters and errors as for :func:`judge`."""
+    """Return one map of several; errors as of :func:`judge`."""
     if not 1 <= len(maps) <= MAX_MAPS:
         raise InputError(f"maps: want 1 to {MAX_MAPS} (got {len(maps)})")
     top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity)
-    _check_memory(method, pair, top, len(clean), memory)
+    size = f"{pair.shape[1]} x {pair.shape[0]} pixels, {top + 1} disparities"
+    check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory, size)
     found, judgment = method(pair, clean, top)
     seconds, confidence = dict(judgment.seconds), {"probability": judgment.probability}
     result = StereoResult(disparity=found, seconds=seconds, confidence=confidence)
     return Disparity(found.values, found.status, pair.left, SearchRange(0, top), result, seconds, tuple(warnings))
-
-
-def _check_memory(method: MapJudge | GivenMapsFusion, pair: StereoPair, top: int, n_maps: int, memory: int) -> None:
-    size = f"{pair.shape[1]} x {pair.shape[0]} pixels, {top + 1} disparities"
-    check_memory(method.peak_bytes(pair.shape, top, n_maps), memory, size)
 
 
 def _prepared(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -23,9 +22,8 @@ from depthcli.io.formats import calibrations
 from depthcli.methods.stereo.config import Calibration, PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.networks import network_device, networks_in
-from depthcli.methods.stereo.search_range import KeyPointRange, SearchRange, complete_range
+from depthcli.methods.stereo.search_range import KeyPointRange, complete_range
 from depthcli.methods.stereo.stages import PairMatcher
-from depthcli.methods.stereo.volume import StereoResult
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
@@ -41,18 +39,13 @@ def match_pair(
     clock: Clock,
     known: KeyPointRange | None = None,
 ) -> Disparity:
-    """Match a pair.
+    """Return the map of a pair; InputError where the range is empty, too few key points match, or memory is short.
 
     Parameters
     ----------
     ends : of the search range, pixels or "auto"; the upper one None: as key points suggest
     clock : books ``range``, where key points are matched, the stages of the method, and ``other``
     known : the range of the key points of the pair's sequence; None: that of the pair's own, where it is wanted
-
-    Raises
-    ------
-    InputError
-        The range is empty, too few key points match, or the memory does not suffice.
     """
     if known is None and (ends[1] is None or "auto" in ends):
         clock.start("range")
@@ -61,9 +54,32 @@ def match_pair(
     matched = match(matcher, search.shift(pair), search.shifted_max_disparity, limits)
     result = search.restore(matched, pair.shape[1])
     clock.include(result.seconds)
-    warnings = tuple(_warnings(pair, result, search, key_points, limits))
-    found = result.disparity
-    return Disparity(found.values, found.status, pair.left, search, result, dict(clock.seconds), warnings, key_points)
+    found, warnings = result.disparity, []
+    if partly_used(pair):
+        warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
+    measured = np.count_nonzero(found.measured) / found.values.size
+    if measured < _MIN_MEASURED_SHARE:
+        warnings.append(
+            f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
+            "not rectified, search range too small, or no texture?"
+        )
+    bounds = ((search.min_disparity, "min_disparity"), (search.max_disparity, "max_disparity"))
+    for share, (end, option) in zip(search.share_at_ends(found), bounds, strict=True):
+        if share > _MAX_SHARE_AT_END:
+            warnings.append(
+                f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
+            )
+    if key_points and search.min_disparity > key_points["range_low"] and key_points["range_low"] < 0:
+        warnings.append(f"key points have disparities down to {key_points['range_low']}; see min_disparity")
+    if search.min_disparity < 0:
+        warnings.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
+    if result.figures.get("exact") == 0 and limits.memory < limits.tile_memory:
+        warnings.append(
+            f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
+            f"{show_bytes(limits.memory)} of memory may be used: with more the map is another one"
+        )
+    seconds = dict(clock.seconds)
+    return Disparity(found.values, found.status, pair.left, search, result, seconds, tuple(warnings), key_points)
 
 
 def limits_of(config: PairConfig, memory: int, device: Device | None) -> Limits:
@@ -72,13 +88,7 @@ def limits_of(config: PairConfig, memory: int, device: Device | None) -> Limits:
 
 
 def with_address(config: StereoConfig) -> StereoConfig:
-    """Return the config with the address of its device, and with its networks opened and checked there.
-
-    Raises
-    ------
-    ConfigError
-        There is no such device, or a network cannot be used.
-    """
+    """Return the config with the address of its device, and its networks opened there; ConfigError where one fails."""
     try:
         if config.pipeline.uses_devices:
             info = device.find_device(config.device)
@@ -96,12 +106,9 @@ def device_of(config: StereoConfig) -> Device | None:
 
 
 def with_opened_networks(config: PairConfigT, address: str) -> PairConfigT:
-    """Return the config with its networks opened and checked; on a device other than CUDA's they run on the processor.
+    """Return the config with its networks opened and checked; ConfigError where one cannot be used.
 
-    Raises
-    ------
-    ConfigError
-        A network cannot be used.
+    On a device other than CUDA's they run on the processor.
     """
     if not any(networks_in(config)):
         return config
@@ -151,33 +158,3 @@ def file_states(*files: Path) -> tuple[object, ...]:
 def partly_used(pair: StereoPair) -> bool:
     """Return whether the samples have fewer bits than their type."""
     return pair.bits is not None and pair.bits < 8 * pair.left.dtype.itemsize
-
-
-def _warnings(
-    pair: StereoPair, result: StereoResult, search: SearchRange, key_points: Mapping[str, int], limits: Limits
-) -> list[str]:
-    warnings = []
-    measured = np.count_nonzero(result.disparity.measured) / result.disparity.values.size
-    if partly_used(pair):
-        warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
-    if measured < _MIN_MEASURED_SHARE:
-        warnings.append(
-            f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
-            "not rectified, search range too small, or no texture?"
-        )
-    ends = ((search.min_disparity, "min_disparity"), (search.max_disparity, "max_disparity"))
-    for share, (end, option) in zip(search.share_at_ends(result.disparity), ends, strict=True):
-        if share > _MAX_SHARE_AT_END:
-            warnings.append(
-                f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
-            )
-    if key_points and search.min_disparity > key_points["range_low"] and key_points["range_low"] < 0:
-        warnings.append(f"key points have disparities down to {key_points['range_low']}; see min_disparity")
-    if search.min_disparity < 0:
-        warnings.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
-    if result.figures.get("exact") == 0 and limits.memory < limits.tile_memory:
-        warnings.append(
-            f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
-            f"{show_bytes(limits.memory)} of memory may be used: with more the map is another one"
-        )
-    return warnings

@@ -38,22 +38,13 @@ _DECIMALS = {"x": 4, "y": 4, "z": 4, "confidence": 5, "expected_error": 4, "shif
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RegistrationConfidence:
-    """Expected errors of a registration, on the grid of the fixed volume.
+    """Expected errors of a registration, on the grid of the fixed volume."""
 
-    Attributes
-    ----------
-    loaded : the pair as it was compared, maybe as means of blocks
-    details : what the method returns, on its own grid of measured voxels
-    seconds : stage -> time
-    warnings : what looks wrong, one line each
-    neurological : pictures have the patient's right on the right
-    """
-
-    loaded: LoadedPair
-    details: RegistrationResult
-    seconds: Mapping[str, float]
-    warnings: tuple[str, ...] = ()
-    neurological: bool = False
+    loaded: LoadedPair  # the pair as it was compared, maybe as means of blocks
+    details: RegistrationResult  # what the method returns, on its own grid of measured voxels
+    seconds: Mapping[str, float]  # stage -> time
+    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
+    neurological: bool = False  # pictures have the patient's right on the right
 
     @property
     def grid(self) -> Grid:
@@ -96,11 +87,8 @@ class RegistrationConfidence:
     def save(self, folder: str | Path, suffix: str = ".nii.gz", landmarks: ArrayLike | None = None) -> None:
         """Write the files that ``depthcli register-confidence`` writes for a scene, with the same bytes.
 
-        Parameters
-        ----------
-        folder : created where it is missing
-        suffix : of the volumes: ``.nii.gz``, ``.nii``, ``.mha`` or ``.nrrd``
-        landmarks : (N, 3) positions x, y, z, mm, for the table ``points.csv``; None: no table
+        The folder is created where it is missing; volumes have the suffix ``.nii.gz``, ``.nii``, ``.mha`` or ``.nrrd``;
+        landmarks, (N, 3) positions x, y, z, mm, are for the table ``points.csv``.
         """
         if suffix not in (".nii.gz", ".nii", ".mha", ".nrrd"):
             raise InputError(f"suffix: must be .nii.gz, .nii, .mha or .nrrd (got {suffix!r})")
@@ -154,7 +142,10 @@ def registration_confidence(
     mask: Any = None,
     **fields: object,
 ) -> RegistrationConfidence:
-    """Estimate where a registration of two volumes is wrong, from the registered volumes alone.
+    """Return expected error, confidence and shift of every voxel of a registration, from the registered volumes alone.
+
+    ConfigError for an unknown preset, or keys and values that do not fit; InputError for volumes of different grids,
+    with values that are no numbers, or that are the same everywhere, or too little memory.
 
     Parameters
     ----------
@@ -167,17 +158,6 @@ def registration_confidence(
     direction : of arrays: (3, 3), whose columns are the axes x, y, z, as in ITK; None: the axes of the frame
     mask : (Z, Y, X) or image, > 0 where voxels are of interest; None: all
     **fields : config keys that are Python names, such as ``radius=4``
-
-    Returns
-    -------
-    Expected error, confidence and shift of every voxel.
-
-    Raises
-    ------
-    ConfigError
-        No such preset, or keys and values that do not fit.
-    InputError
-        Volumes of different grids, with values that are no numbers, or that are the same everywhere; too little memory.
 
     Examples
     --------
@@ -212,12 +192,7 @@ def registration_confidence(
 
 
 def measured_pair(config: RegisterConfidenceConfig, loaded: LoadedPair, clock: Clock) -> RegistrationConfidence:
-    """Measure a pair.
-
-    Parameters
-    ----------
-    clock : books the stages, and ``other``
-    """
+    """Return the expected errors of a pair; the clock books the stages, and ``other``."""
     clock.start("other")
     result = config.pipeline(loaded.pair)
     result.figures.update(inside_figures(result, loaded))
@@ -252,10 +227,8 @@ def peak_bytes(
 def inside_figures(result: RegistrationResult, loaded: LoadedPair) -> dict[str, float]:
     """Return figures of the expected error in the mask, or else in the body; empty where no voxel lies there.
 
-    Returns
-    -------
-    ``inside_mean``, ``inside_95`` (quantile) and ``inside_max``, mm; ``above_3mm``, the volume of larger errors, mL;
-    where there are any, ``above_x``, ``above_y`` and ``above_z``: center of their largest connected region, mm, LPS.
+    They are ``inside_mean``, ``inside_95`` (quantile), ``inside_max``, mm; ``above_3mm``, mL of larger errors; where
+    there are any, ``above_x``, ``above_y`` and ``above_z``: center of their largest connected region, mm, LPS.
     """
     pair, grid = loaded.pair, loaded.grid
     inside = pair.mask
@@ -284,10 +257,8 @@ def inside_figures(result: RegistrationResult, loaded: LoadedPair) -> dict[str, 
 def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: VolumePairScene) -> dict[str, float | str]:
     """Return figures of the expected error in the regions of a pair, such as organs.
 
-    Returns
-    -------
-    ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL; the volume alone
-    of a region without a voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
+    They are ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL, alone
+    where a region has no voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
     """
     figures: dict[str, float | str] = {}
     error = _error_of_voxels(result, loaded) if scene.regions else np.zeros(0, np.float32)
@@ -299,7 +270,11 @@ def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volume
                     twice = f"{scene.folder}: two regions are called {name}: give one of them another name"
                     figures.setdefault(f"region_error_{file}", twice)
                     continue
-                known = error[_in_blocks(mask, loaded.blocks)]
+                chosen = mask
+                if max(loaded.blocks) > 1:  # blocks of which the mask holds half; a small one: those it holds most of
+                    shares = block_means(mask, loaded.blocks)
+                    chosen = (shares > 0) & (shares >= min(0.5, float(shares.max())))
+                known = error[chosen]
                 figures[f"region_volume_{name}"] = round(int(np.count_nonzero(mask)) * voxel, 4)
                 if known.size:
                     figures[f"region_mean_{name}"] = round(float(known.mean(dtype=np.float64)), 4)
@@ -307,15 +282,6 @@ def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volume
         except InputError as problem:
             figures[f"region_error_{file}"] = str(problem)
     return figures
-
-
-def _in_blocks(mask: NDArray[np.bool_], blocks: tuple[int, int, int]) -> NDArray[np.bool_]:
-    """Return the blocks of which a mask holds half; of a mask that is too small for it, those that it holds most of."""
-    if max(blocks) == 1:
-        return mask
-    shares = block_means(mask, blocks)
-    largest = float(shares.max())
-    return shares >= min(0.5, largest) if largest > 0 else np.zeros(shares.shape, np.bool_)
 
 
 def _error_of_voxels(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.float32]:

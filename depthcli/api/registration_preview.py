@@ -13,7 +13,6 @@ from depthcli.io.formats.pictures import draw_text, preview
 from depthcli.io.scenes.volume_pair import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
-_TITLES = ("fixed", "moving, registered", "expected error")
 _MAX_SHOWN_ERROR = 10.0  # mm; this and more is dark red
 _SIDE, _MARGIN, _LINE = 300, 24, 22  # pixels: longest side of a slice, space around it for letters, line of text
 _SCALE_WIDTH = 90  # pixels, of the scale with its numbers
@@ -24,14 +23,12 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
     """Return (H, W, 3) RGB, at least 900 wide: a row for the middle slice across each axis of the body.
 
     Columns: the fixed volume, the registered one, and the expected error over the fixed one where there is tissue and
-    the mask is set. Sides are true in mm; anterior and superior are up.
-
-    Parameters
-    ----------
-    neurological : the patient's right is on the right, else on the left
+    the mask is set. Sides are true in mm; anterior and superior are up; the patient's right is on the left, or, in
+    neurological pictures, on the right.
     """
     grid, pair = loaded.grid, loaded.pair
     low, high = (float(v) for v in np.percentile(pair.fixed[:: max(1, pair.shape[0] // 16)], [1, 99]))
+    scaling = 255 / max(high - low, 1e-6)
     order, flipped = grid.anatomical_axes()
     blocks = [loaded.blocks[axis] for axis in order]
     shape = [pair.shape[axis] for axis in order]
@@ -44,8 +41,14 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
         middle = shape[axis] // 2
         stored = shape[axis] - 1 - middle if axis in flipped else middle
         cuts = [np.take(volume, [stored], order[axis]) for volume in (pair.fixed, pair.warped)]
-        fixed, warped = (_grey(grid.turned(cut).squeeze(axis), low, high) for cut in cuts)
-        error = grid.turned(_error_slice(result, pair.shape, order[axis], stored)).squeeze(axis)
+        fixed, warped = (
+            ((np.clip(grid.turned(cut).squeeze(axis), low, high) - low) * scaling).astype(np.uint8) for cut in cuts
+        )
+        steps = [1 / step for step in result.step]
+        starts = [-start / step for start, step in zip(result.start, result.step, strict=True)]
+        starts[order[axis]] += steps[order[axis]] * stored
+        z, y, x = (1 if k == order[axis] else n for k, n in enumerate(pair.shape))
+        error = grid.turned(resample(result.expected_error, (z, y, x), steps, starts)).squeeze(axis)
         if pair.mask is None:
             seen = body(fixed)
         else:
@@ -65,22 +68,12 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
         titles = (f"{plane}, {place}", "", "")
         framed = [_framed(picture, ends, title) for picture, title in zip(pictures, titles, strict=True)]
         rows.append(np.concatenate(framed, axis=1))
-    sheet = np.concatenate([_heading(), *rows])
+    side = _SIDE + 2 * _MARGIN
+    heading = np.full((_LINE + 6, 3 * side, 3), _PAPER, np.uint8)
+    for k, title in enumerate(("fixed", "moving, registered", "expected error")):
+        draw_text(heading, title, (k * side + side // 2, _LINE // 2 + 4), _INK, centered=True)
+    sheet = np.concatenate([heading, *rows])
     return np.concatenate([sheet, _scale(len(sheet))], axis=1)
-
-
-def _error_slice(result: RegistrationResult, shape: tuple[int, int, int], axis: int, place: int) -> NDArray[np.float32]:
-    """Return the expected error at slice ``place`` across ``axis`` of a volume of this shape, that axis kept."""
-    steps = [1 / step for step in result.step]
-    starts = [-start / step for start, step in zip(result.start, result.step, strict=True)]
-    starts[axis] += steps[axis] * place
-    z, y, x = (1 if k == axis else n for k, n in enumerate(shape))
-    return resample(result.expected_error, (z, y, x), steps, starts)
-
-
-def _grey(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
-    levels: NDArray[np.uint8] = ((np.clip(values, low, high) - low) * (255 / max(high - low, 1e-6))).astype(np.uint8)
-    return levels
 
 
 def _framed(picture: NDArray[np.uint8], ends: str, title: str) -> NDArray[np.uint8]:
@@ -96,14 +89,6 @@ def _framed(picture: NDArray[np.uint8], ends: str, title: str) -> NDArray[np.uin
         draw_text(frame, letter, place, _INK, centered=True)
     draw_text(frame, title, (_MARGIN, len(frame) - _LINE // 2), _INK)
     return frame
-
-
-def _heading() -> NDArray[np.uint8]:
-    side = _SIDE + 2 * _MARGIN
-    heading = np.full((_LINE + 6, 3 * side, 3), _PAPER, np.uint8)
-    for k, title in enumerate(_TITLES):
-        draw_text(heading, title, (k * side + side // 2, _LINE // 2 + 4), _INK, centered=True)
-    return heading
 
 
 def _scale(height: int) -> NDArray[np.uint8]:

@@ -60,15 +60,11 @@ def write_depth(depth: MatchedMap | DepthMap, folder: Path, scale: float, rotate
     write_png(folder / "preview.png", preview_depth(depth.values))
 
 
-def write_confidence(maps: Mapping[str, NDArray[np.float32]], folder: Path) -> None:
-    """Write ``confidence_NAME.pfm`` and a picture of each map."""
-    for name, confidence in maps.items():
+def write_details(result: Result, folder: Path) -> None:
+    """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV, and pictures."""
+    for name, confidence in result.confidence.items():
         write_pfm(folder / f"confidence_{name}.pfm", confidence)
         write_png(folder / f"confidence_{name}.png", confidence_picture(confidence))
-
-
-def _write_details(result: Result, folder: Path) -> None:
-    write_confidence(result.confidence, folder)
     for name, rows in result.tables.items():
         write_text(folder / f"{name}.csv", to_csv(rows))
     for name, picture in result.pictures.items():
@@ -93,18 +89,9 @@ def chosen_pixels(
 ) -> NDArray[np.bool_]:
     """Return the pixels of a map that a mask chooses, (H, W) bool.
 
-    Parameters
-    ----------
-    mask : ``all``, ``measured``, ``confident:0.8:NAME`` (of the measured ones all at and above the quantile of a
-        confidence; the name may be left out where there is one only), or (H, W) bool
-    confidence : name -> (H, W) float32, higher is surer
-
-    Raises
-    ------
-    ConfigError
-        Another text.
-    InputError
-        An array of another shape or dtype; no confidence of that name, or none is named and there are several.
+    ``confident:0.8:NAME`` chooses those of the measured ones at and above the quantile of a confidence; the name may be
+    left out where there is one only. ConfigError for other texts; InputError for an array of another shape or dtype,
+    and where no confidence has that name, or none is named and there are several.
     """
     if not isinstance(mask, str):
         if np.shape(mask) != found.values.shape or np.asarray(mask).dtype != np.bool_:
@@ -126,16 +113,10 @@ def chosen_pixels(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PointCloud:
-    """Points in the frame of a camera: x right, y down, z forward.
+    """Points in the frame of a camera: x right, y down, z forward."""
 
-    Attributes
-    ----------
-    points : (N, 3) float32, meters
-    color : (N, 3) uint8, RGB
-    """
-
-    points: NDArray[np.float32]
-    color: NDArray[np.uint8]
+    points: NDArray[np.float32]  # (N, 3), meters
+    color: NDArray[np.uint8]  # (N, 3), RGB
 
     @classmethod
     def of(
@@ -147,12 +128,7 @@ class PointCloud:
         near: float = 0.0,
         far: float = math.inf,
     ) -> PointCloud:
-        """Return the points of a depth map's pixels from ``near`` to ``far``, meters, with the colors of its image.
-
-        Parameters
-        ----------
-        mask : ``all``, ``measured``, or (H, W) bool: the pixels that become points
-        """
+        """Return the points of a depth map's pixels from ``near`` to ``far``, meters, with the colors of its image."""
         chosen = chosen_pixels(found, mask) & found.valid & (found.values >= near) & (found.values <= far)
         return cls(camera.points(found.values, chosen), color8(image)[chosen])
 
@@ -177,36 +153,22 @@ def _described(found: MatchedMap | DepthMap, text: str = "") -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Depth(MatchedMap):
-    """Metric depth of a disparity map.
+    """Metric depth of a disparity map: ``values`` (H, W) float32, meters; ``status``, bits of :class:`Status`."""
 
-    Attributes
-    ----------
-    values : (H, W) float32, meters, NaN = no value
-    status : (H, W) uint8, bits of :class:`Status` of the disparity
-    camera : the left camera
-    left : its image
-    """
-
-    camera: Intrinsics
+    camera: Intrinsics  # the left one
     left: Image
 
     def to_points(self, mask: Pixels = "measured", near: float = 0.0, far: float = math.inf) -> PointCloud:
-        """Return the colored points of the map.
+        """Return the colored points of the pixels that ``mask`` chooses, from ``near`` to ``far`` meters.
 
-        Parameters
-        ----------
-        mask : ``measured``, ``all``, or (H, W) bool: the pixels that become points
-        near, far : nearest and farthest depth of points, meters
+        The mask is ``measured``, ``all``, or (H, W) bool.
         """
         return PointCloud.of(self, self.camera, self.left, mask, near, far)
 
     def save(self, folder: str | Path, scale: float = MILLIMETERS) -> None:
-        """Write ``depth.pfm``, ``depth.png``, ``status.png`` and ``preview.png``, as ``depthcli depth`` does.
+        """Write ``depth.pfm``, ``depth.png`` (``scale`` codes a meter), ``status.png`` and ``preview.png``.
 
-        Parameters
-        ----------
-        folder : created where it is missing
-        scale : codes per meter of ``depth.png``
+        ``depthcli depth`` writes the same. The folder is created where it is missing.
         """
         write_depth(self, made(folder), scale)
 
@@ -221,26 +183,17 @@ class Depth(MatchedMap):
 class Disparity(DisparityMap):
     """The disparity map of a pair's left view.
 
-    Attributes
-    ----------
-    values : (H, W) float32, pixels, NaN = no value
-    status : (H, W) uint8, bits of :class:`Status`; ``measured``, ``filled``, ``occluded`` and ``mismatched`` read them
-    left : the left image, not a copy
-    search : the disparities that were searched
-    details : what the method returns beside the map: confidence, tables, pictures, figures
-    seconds : stage -> time
-    warnings : what looks wrong, one line each
-    key_points : number of matches, and the range of their disparities, where an end of the range was "auto"; else empty
-    geometry : of the rectified views, where a calibration was given; ``left`` is the rectified image then
+    ``values`` (H, W) are float32, pixels, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`Status`, which
+    ``measured``, ``filled``, ``occluded`` and ``mismatched`` read.
     """
 
-    left: Image
-    search: SearchRange
-    details: StereoResult
-    seconds: Mapping[str, float]
-    warnings: tuple[str, ...] = ()
-    key_points: Mapping[str, int] = field(default_factory=dict)
-    geometry: PairGeometry | None = None
+    left: Image  # the left image, rectified where a calibration was given; not a copy
+    search: SearchRange  # the disparities that were searched
+    details: StereoResult  # what the method returns beside the map: confidence, tables, pictures, figures
+    seconds: Mapping[str, float]  # stage -> time
+    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
+    key_points: Mapping[str, int] = field(default_factory=dict)  # matches and their range, where an end was "auto"
+    geometry: PairGeometry | None = None  # of the rectified views, where a calibration was given
 
     @property
     def confidence(self) -> Mapping[str, NDArray[np.float32]]:
@@ -259,6 +212,9 @@ class Disparity(DisparityMap):
     ) -> Depth:
         """Return the metric depth of the map.
 
+        ConfigError for neither or both of file and numbers; InputError for a calibration that cannot be used, or is
+        for images of another shape.
+
         Parameters
         ----------
         calibration : calib.txt of Middlebury, ETH3D or ``depthcli rectify``, or KITTI's projections; instead of the
@@ -268,13 +224,6 @@ class Disparity(DisparityMap):
         principal_point : x and y of the left camera's, pixels; None: the center of the image
         mask : ``all``, ``measured``, ``confident:0.8:NAME`` (the surest 80 % of the measured ones, by a measure of
             ``confidence``), or (H, W) bool: the pixels that get a depth
-
-        Raises
-        ------
-        ConfigError
-            Neither or both of file and numbers.
-        InputError
-            A calibration that cannot be used, or is for images of another shape.
 
         Examples
         --------
@@ -286,17 +235,14 @@ class Disparity(DisparityMap):
         5.0
         """
         height, width = self.values.shape
-        numbers = focal is not None and baseline is not None
-        if (calibration is not None) + numbers > 1 or not (calibration or numbers or self.geometry):
-            raise ConfigError("to_depth wants either a calibration file, or focal (pixels) and baseline (meters)")
-        if calibration is not None:
-            geometry = read_geometry(Path(calibration), (2, 3))
-        elif focal is None or baseline is None:
-            assert self.geometry is not None
-            geometry = self.geometry
-        else:
+        geometry = self.geometry
+        if focal is not None and baseline is not None:
             x, y = principal_point or ((width - 1) / 2, (height - 1) / 2)
-            geometry = PairGeometry(Intrinsics(focal, focal, x, y), baseline, doffs)
+            geometry = None if calibration else PairGeometry(Intrinsics(focal, focal, x, y), baseline, doffs)
+        elif calibration is not None:
+            geometry = read_geometry(Path(calibration), (2, 3))
+        if geometry is None:
+            raise ConfigError("to_depth wants either a calibration file, or focal (pixels) and baseline (meters)")
         geometry = geometry.for_size(width, height)
         depth = geometry.depth(np.where(chosen_pixels(self, mask, self.confidence), self.values, np.float32(np.nan)))
         return Depth(depth, self.status, geometry.left, self.left)
@@ -310,9 +256,7 @@ class Disparity(DisparityMap):
     def save(self, folder: str | Path) -> None:
         """Write the files that ``depthcli stereo`` and ``fuse`` write for a scene, with the same bytes.
 
-        Parameters
-        ----------
-        folder : created where it is missing
+        The folder is created where it is missing.
         """
         files, low = made(folder), self.search.min_disparity
         write_pfm(files / "disp_left.pfm", self.values)
@@ -321,7 +265,7 @@ class Disparity(DisparityMap):
         write_disparity_png(files / "disp_left.png", shown)
         write_status(files / "status.png", self.status, STATUS_PALETTE)
         write_png(files / "preview.png", self._preview())
-        _write_details(self.details, files)
+        write_details(self.details, files)
         if self.geometry is not None:
             write_png(files / "left.png", self.left)
             write_geometry(files / "calib.txt", self.geometry)
@@ -341,25 +285,17 @@ class Disparity(DisparityMap):
 class RefinedDepth(DepthMap):
     """The depth map of a sensor, cleaned and completed.
 
-    Attributes
-    ----------
-    values : (H, W) float32, meters, NaN = no value
-    status : (H, W) uint8, bits of :class:`DepthStatus`; ``kept``, ``filled`` and ``corrected`` read them
-    color : (H, W, 3) uint8, the color image
-    camera : of the color image; None: not known
-    details : what the method returns beside the map: sigma, confidence, tables, pictures, figures
-    seconds : stage -> time
-    scale, rotate : codes per meter of ``depth.png``, and bits that they are rotated left by
-    cloud : (H, W) bool, the pixels that :meth:`save` writes as ``points.ply``; None: none
+    ``values`` (H, W) are float32, meters, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`DepthStatus`,
+    which ``kept``, ``filled`` and ``corrected`` read.
     """
 
-    color: NDArray[np.uint8]
-    camera: Intrinsics | None
-    details: DepthResult
-    seconds: Mapping[str, float]
-    scale: float = MILLIMETERS
-    rotate: int = 0
-    cloud: NDArray[np.bool_] | None = None
+    color: NDArray[np.uint8]  # (H, W, 3)
+    camera: Intrinsics | None  # of the color image; None: not known
+    details: DepthResult  # what the method returns beside the map: sigma, confidence, tables, pictures, figures
+    seconds: Mapping[str, float]  # stage -> time
+    scale: float = MILLIMETERS  # codes per meter of depth.png
+    rotate: int = 0  # bits that the codes are rotated left by
+    cloud: NDArray[np.bool_] | None = None  # (H, W), the pixels that ``save`` writes as points.ply
 
     @property
     def sigma(self) -> NDArray[np.float32]:
@@ -378,34 +314,26 @@ class RefinedDepth(DepthMap):
         far: float = math.inf,
         intrinsics: tuple[float, float, float, float] | None = None,
     ) -> PointCloud:
-        """Return the colored points of the map.
+        """Return the colored points of the pixels that ``mask`` chooses, from ``near`` to ``far`` meters.
 
-        Parameters
-        ----------
-        mask : ``all``, ``measured`` (not those that were filled in), or (H, W) bool: the pixels that become points
-        near, far : nearest and farthest depth of points, meters
-        intrinsics : fx, fy, cx, cy, pixels; None: those of ``camera``, or of a typical Kinect where that is not known
+        The mask is ``all``, ``measured`` (not those that were filled in), or (H, W) bool; ``intrinsics`` are fx, fy,
+        cx, cy, pixels, by default those of ``camera``, or of a typical Kinect where that is not known.
         """
-        camera = self._camera if intrinsics is None else Intrinsics(*intrinsics)
+        camera = self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
+        camera = camera if intrinsics is None else Intrinsics(*intrinsics)
         return PointCloud.of(self, camera, self.color, mask, near, far)
 
     def save(self, folder: str | Path) -> None:
         """Write the files that ``depthcli refine-kinect`` and ``transparent`` write for a scene, with the same bytes.
 
-        Parameters
-        ----------
-        folder : created where it is missing
+        The folder is created where it is missing.
         """
         files = made(folder)
         write_pfm(files / "sigma.pfm", self.sigma)
         write_depth(self, files, self.scale, self.rotate)
         if self.cloud is not None:
-            PointCloud.of(self, self._camera, self.color, self.cloud).save(files / "points.ply")
-        _write_details(self.details, files)
-
-    @property
-    def _camera(self) -> Intrinsics:
-        return self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
+            self.to_points(self.cloud).save(files / "points.ply")
+        write_details(self.details, files)
 
     def __repr__(self) -> str:
         return _described(self)

@@ -33,33 +33,23 @@ _TRUTH = Path("truth")  # files of a truth in memory, for messages
 class Scores:
     """The scores of one estimate.
 
-    Attributes
-    ----------
-    protocol : name of the protocol
-    metric : the one that the protocol ranks by, with its threshold
-    headline : region -> value of that metric
-    scores : every metric in every region
-    error : absolute error, in the protocol's unit, NaN where estimate or truth has no value: (H, W), or of registration
-        errors (M,) at those whose truth is known
-    picture : (H, W, 3) uint8: grey right, black wrong, blue occluded, white unknown; None: the protocol draws none
-    warnings : what looks wrong with the estimate, one line each
+    ``error`` is absolute, in the protocol's unit, NaN where estimate or truth has no value: (H, W), or of registration
+    errors (M,) at those whose truth is known. ``picture`` is (H, W, 3): grey right, black wrong, blue occluded, white
+    unknown; None where the protocol draws none.
     """
 
     protocol: str
-    metric: str
-    headline: Mapping[str, float]
-    scores: tuple[Score, ...]
+    metric: str  # the one that the protocol ranks by, with its threshold
+    headline: Mapping[str, float]  # region -> value of that metric
+    scores: tuple[Score, ...]  # every metric in every region
     error: NDArray[np.floating[Any]]
     picture: NDArray[np.uint8] | None
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # what looks wrong with the estimate, one line each
 
     def value(self, metric: str, region: str, threshold: float | None = None) -> float:
-        """Return one number; InputError, with the names that there are, where no score fits, or several do.
+        """Return the score of a metric, such as ``bad``, and a region, such as ``all``.
 
-        Parameters
-        ----------
-        metric, region : names, such as ``bad`` and ``all``
-        threshold : of metrics that have several
+        InputError, with the names that there are, where none fits, or several do.
         """
         try:
             return find_score(self.scores, metric, region, threshold).value
@@ -96,7 +86,9 @@ def evaluate(
     truth_right: ArrayLike | None = None,
     objects: ArrayLike | None = None,
 ) -> Scores:
-    """Score a map by the rules of a benchmark.
+    """Return the scores of a map by the rules of a benchmark, and the error of every pixel.
+
+    InputError for an unknown protocol, arrays that differ in size, or a truth without a known value.
 
     Parameters
     ----------
@@ -110,15 +102,6 @@ def evaluate(
     fb : of depths: focal length x baseline of the sensor, for errors in its pixels
     truth_right : of disparities: those of the right view, from which Middlebury v2 derives ``nonocc`` and ``disc``
     objects : of disparities: (H, W), > 0 on the foreground objects of KITTI 2015
-
-    Returns
-    -------
-    The scores, and the error of every pixel.
-
-    Raises
-    ------
-    InputError
-        No such protocol, arrays that differ in size, a truth without a known value.
 
     Examples
     --------
@@ -137,7 +120,8 @@ def evaluate(
     if issubclass(judge.kind, VolumePairScene):
         scene, values = _points(estimate, truth, mask)
     else:
-        known, values = _finite(as_map(truth, "truth")), _finite(as_map(estimate, "estimate"))
+        both = as_map(truth, "truth"), as_map(estimate, "estimate")
+        known, values = (np.where(np.isfinite(each), each, np.float32(np.nan)) for each in both)
         shape = known.shape[0], known.shape[1]
         if not issubclass(judge.kind, StereoScene) and values.shape != shape:
             sizes = f"{values.shape[1]} x {values.shape[0]}, but the truth is {shape[1]} x {shape[0]}"
@@ -199,7 +183,3 @@ def _points(
         stored = RegistrationTruth(grid, np.zeros((int(inside.sum()), 3)), error[inside])
     scene = VolumePairScene(name="truth", folder=_TRUTH, fixed=_TRUTH)
     return _with_truth(scene, stored), expected[inside]
-
-
-def _finite(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.where(np.isfinite(values), values, np.float32(np.nan))

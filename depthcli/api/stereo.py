@@ -29,9 +29,6 @@ from depthcli.run.resources import available_memory
 End = int | Literal["auto"] | None
 """An end of the search range: pixels, "auto": from matched key points, or None: what the config says."""
 
-_WARMUP_SHAPE = (32, 96)  # pixels, of the pairs that load the kernels
-_MAX_WARMUP_DISPARITY = 32
-
 
 def stereo(
     left: ArrayLike,
@@ -41,7 +38,10 @@ def stereo(
     overrides: Overrides | None = None,
     **fields: object,
 ) -> Disparity:
-    """Match a pair, rectified or, with ``calibration="stereo.yml"``, as the cameras took it.
+    """Return the map of a pair, rectified or, with ``calibration="stereo.yml"``, as the cameras took it.
+
+    ConfigError for an unknown preset, or keys and values that do not fit; InputError for images that cannot be matched,
+    too few key points where they give the range, or too little memory. ``warnings`` says what looks wrong with the map.
 
     Parameters
     ----------
@@ -53,17 +53,6 @@ def stereo(
     overrides : config keys -> values, as ``--set`` has them, such as ``{"cost.window": 9}``
     **fields : the same for keys that are Python names, such as ``min_disparity=-8``, or ``calibration``: a file, a list
         of files, or a mapping as in a config; the map is then that of the rectified left image
-
-    Returns
-    -------
-    The left view's map. ``warnings`` says what looks wrong with it.
-
-    Raises
-    ------
-    ConfigError
-        No such preset, or keys and values that do not fit.
-    InputError
-        Images that cannot be matched, too few key points where they give the range, or too little memory.
 
     Examples
     --------
@@ -88,22 +77,15 @@ def fuse(
     volumes: Mapping[str, ArrayLike] | None = None,
     **fields: object,
 ) -> Disparity:
-    """Match a rectified pair by several measures, each trusted where the pixels around agree with it.
+    """Return the map of a rectified pair by several measures, each trusted where the pixels around agree with it.
+
+    ConfigError and InputError as for :func:`stereo`.
 
     Parameters
     ----------
     left, right, max_disparity, overrides, **fields : as for :func:`stereo`
     preset : name of a preset of ``depthcli fuse``, path of a YAML file, or a config
     volumes : costs made elsewhere: name, as the ``volume`` of a measure in the config has it -> (H, W, D)
-
-    Returns
-    -------
-    The left view's map.
-
-    Raises
-    ------
-    ConfigError, InputError
-        As for :func:`stereo`.
 
     Examples
     --------
@@ -135,17 +117,7 @@ class Matcher:
         self._turn = contextlib.nullcontext() if self._device is None else threading.Lock()
 
     def __call__(self, left: ArrayLike, right: ArrayLike) -> Disparity:
-        """Match a pair as :func:`stereo` does, with the same result.
-
-        Parameters
-        ----------
-        left, right : as for :func:`stereo`
-
-        Raises
-        ------
-        InputError
-            As for :func:`stereo`.
-        """
+        """Return the map of a pair, which is given as for :func:`stereo`, with the same result and errors."""
         views, geometry = (as_image(left, "left"), as_image(right, "right")), None
         if self.config.calibration is not None:
             rig = rectified_rig(self.config.calibration, *views)
@@ -171,8 +143,8 @@ class Matcher:
         if isinstance(self._method, FusionWithVolumes | Program):
             return
         top = self.config.max_disparity
-        top = min(top, _MAX_WARMUP_DISPARITY) if isinstance(top, int) and top > 0 else _MAX_WARMUP_DISPARITY
-        noise = np.random.default_rng(0).integers(0, 256, (*_WARMUP_SHAPE, 3), np.uint8)
+        top = min(top, 32) if isinstance(top, int) and top > 0 else 32
+        noise = np.random.default_rng(0).integers(0, 256, (32, 96, 3), np.uint8)
         for image in (noise[..., 0].copy(), noise):
             self._match(StereoPair(image, np.roll(image, -2, axis=1), 8), (0, top))
 
@@ -185,15 +157,12 @@ def matcher(
 ) -> Matcher:
     """Return what matches many pairs: the config is checked, and kernels are loaded or compiled, once and before.
 
+    ConfigError as for :func:`stereo`.
+
     Parameters
     ----------
     preset : as for :func:`stereo`; or a ``FuseConfig``
     max_disparity, overrides, **fields : as for :func:`stereo`. "auto" finds the range of every pair anew
-
-    Raises
-    ------
-    ConfigError
-        As for :func:`stereo`.
 
     Examples
     --------
@@ -213,13 +182,7 @@ def matcher(
 
 
 def with_network(config: FuseConfig) -> FuseConfig:
-    """Return the config with the arrays of the network that it names, and with other networks opened and checked.
-
-    Raises
-    ------
-    ConfigError
-        A network cannot be read or used, or was trained for other maps.
-    """
+    """Return the config with the networks that it names; ConfigError where one cannot be used, or is for other maps."""
     config = with_opened_networks(config, "cpu")
     if config.network_name is None:
         return config
