@@ -17,7 +17,7 @@ from depthcli.core.text import one_line, show_bytes
 from depthcli.io.formats.pictures import write_legend
 from depthcli.run.batch import Batch, Execution, SceneT
 from depthcli.run.console import aligned, run_table
-from depthcli.run.flags import flag_rows
+from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import LEGEND_FILE, refusal
 from depthcli.run.json_csv import Row, to_json
 from depthcli.run.presets import find_config, find_preset
@@ -89,6 +89,7 @@ def run_batch(
     if batch.palette is not None and len(failed) < len(rows):
         write_legend(options.output / LEGEND_FILE, batch.palette, batch.legend)
     evaluation = page_file = None
+    flags: Flags
     if options.evaluate or options.html:
         scores = importlib.import_module(_SCORES)
         evaluation, page_file, flags = scores.evaluated(batch, scenes, rows, options, source, conditions)

@@ -8,6 +8,7 @@ Examples:
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import zipfile
@@ -24,7 +25,7 @@ from depthcli.evaluation.protocols import load
 from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.formats.files import atomic_path, collected_warnings, remove_temporaries
 from depthcli.io.formats.images import image_size
-from depthcli.run.json_csv import Row, to_json
+from depthcli.run.json_csv import to_json
 from depthcli.run.report import read_report
 
 _MAX_NAMED = 12  # scenes that one message names, which keeps it within a few lines
@@ -86,7 +87,7 @@ def export(
 def _find_maps(
     run: Path, bench: Benchmark, splits: Sequence[str], seconds: float | None
 ) -> tuple[list[Entry], list[str]]:
-    """The maps of the benchmark's scenes, and what is wrong: a split of which one scene is there must be complete."""
+    """Return the maps of the benchmark's scenes, and what is wrong; a split that has one scene must be complete."""
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such folder")
     rows, files = read_report(run), load(bench.protocol).files
@@ -101,7 +102,13 @@ def _find_maps(
                 continue
             path, row = files.find(run, names), rows.get(names[0], {})
             if path is not None:
-                entries.append(_entry(scene, split, path, row, seconds))
+                measured = sum(row.get("seconds", {}).values()) if seconds is None else seconds
+                image = Path(row["source"]) if row.get("source") else None
+                size = (row["width"], row["height"]) if row.get("width") else None
+                if image is not None and os.path.isfile(image):
+                    with contextlib.suppress(InputError):
+                        size = image_size(image)[::-1]
+                entries.append(Entry(scene, split, path, measured or math.nan, image, size))
             elif row.get("error"):
                 problems.append(f"{scene}: the run failed there: {row['error']}")
             else:
@@ -113,21 +120,6 @@ def _find_maps(
         if split in begun
     ]
     return entries, problems
-
-
-def _entry(scene: str, split: str, path: Path, row: Row, seconds: float | None) -> Entry:
-    measured = sum(row.get("seconds", {}).values()) if seconds is None else seconds
-    image = Path(row["source"]) if row.get("source") else None
-    size = None
-    try:
-        if image is not None and os.path.isfile(image):
-            height, width = image_size(image)
-            size = (width, height)
-    except InputError:
-        pass
-    if size is None and isinstance(row.get("width"), int) and isinstance(row.get("height"), int):
-        size = (row["width"], row["height"])
-    return Entry(scene, split, path, measured or math.nan, image, size)
 
 
 def _write_archive(target: Path, maps: Iterable[dict[str, bytes]]) -> list[str]:

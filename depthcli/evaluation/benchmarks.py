@@ -10,9 +10,8 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,50 +22,31 @@ from depthcli.io.formats.disparity import KITTI_SCALE, encode_disparity_png, enc
 TRAINING, TEST = "training", "test"
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One map of a submission.
+class Entry(NamedTuple):
+    """One map of a submission."""
 
-    Attributes
-    ----------
-    scene : its name at the benchmark
-    split : ``TRAINING`` or ``TEST``
-    file : the map
-    seconds : run time, NaN where it is not known
-    image : the left image, or None where it is not known
-    size : (width, height) that the map must have, from the image or the run's report; None where neither is known
-    """
-
-    scene: str
-    split: str
+    scene: str  # its name at the benchmark
+    split: str  # ``TRAINING`` or ``TEST``
     file: Path
-    seconds: float = math.nan
-    image: Path | None = None
-    size: tuple[int, int] | None = None
+    seconds: float = math.nan  # run time, where it is known
+    image: Path | None = None  # the left image, where it is known
+    size: tuple[int, int] | None = None  # (width, height) of the image, where it or the run's report says it
 
 
-@dataclass(frozen=True)
-class Submission:
+class Submission(NamedTuple):
     """A submission: the method's name, whether maps may have holes, and (width, height) of the maps by scene."""
 
     method: str
-    sparse: bool = False
-    sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    sparse: bool
+    sizes: Mapping[str, tuple[int, int]]
 
 
 class Benchmark(ABC):
-    """One benchmark.
+    """One benchmark."""
 
-    Attributes
-    ----------
-    protocol : name of the evaluation protocol, which knows where a run holds its maps
-    scenes : split -> names of its scenes; a split is submitted whole or not at all
-    timed : every map wants its run time
-    """
-
-    protocol: ClassVar[str]
-    scenes: ClassVar[Mapping[str, tuple[str, ...]]]
-    timed: ClassVar[bool] = False
+    protocol: ClassVar[str]  # name of the evaluation protocol, which knows where a run holds its maps
+    scenes: ClassVar[Mapping[str, tuple[str, ...]]]  # of every split, which is submitted whole or not at all
+    timed: ClassVar[bool] = False  # every map needs its run time
 
     def check_name(self, method: str) -> str:
         """Return what is wrong with the name of a method, or an empty text."""
@@ -74,10 +54,9 @@ class Benchmark(ABC):
 
     def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
         """Return the reasons why a map, (H, W) in pixels, NaN = no value, cannot be submitted."""
-        found = []
-        size = (values.shape[1], values.shape[0])
-        if entry.size is not None and size != entry.size:
-            found.append(f"the map is {size[0]} x {size[1]}, the image {entry.size[0]} x {entry.size[1]}")
+        found, (height, width) = [], values.shape
+        if entry.size is not None and entry.size != (width, height):
+            found.append(f"the map is {width} x {height}, the image {entry.size[0]} x {entry.size[1]}")
         with np.errstate(invalid="ignore"):
             if (values < 0).any():
                 found.append(f"negative disparities, down to {np.nanmin(values):.4g}")
@@ -115,25 +94,22 @@ class MiddleburyV3Benchmark(Benchmark):
     def check_name(self, method: str) -> str:
         """Return what is wrong with the name as part of a file's name, in which ``_s`` marks sparse maps."""
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_+.-]{0,39}", method) or method.endswith("_s") or method == "GT":
-            return f"want letters, digits and _ + . - for file names, no _s at the end, not GT (got {method!r})"
+            return f"expected letters, digits and _ + . - for file names, no _s at the end, not GT (got {method!r})"
         return ""
 
     def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
         """Return also a reason for holes in a dense submission."""
-        found = super().problems(entry, values, submission)
-        holes = int(np.isnan(values).sum())
-        if holes and not submission.sparse:
-            found.append(f"{holes} pixels without a value; fill them, or submit sparse maps with --sparse")
-        return found
+        holes = 0 if submission.sparse else int(np.isnan(values).sum())
+        why = [f"{holes} pixels without a value; fill them, or submit sparse maps with --sparse"]
+        return super().problems(entry, values, submission) + why * bool(holes)
 
     def problems_together(self, submission: Submission) -> list[str]:
         """Return a reason where the maps have several resolutions."""
         found: dict[str, list[str]] = {}
         for scene, (width, _) in submission.sizes.items():
             found.setdefault(self.resolution(scene, width), []).append(scene)
-        if len(found) < 2:
-            return []
-        return ["maps of several resolutions: " + "; ".join(f"{r}: {', '.join(s)}" for r, s in sorted(found.items()))]
+        several = "; ".join(f"{r}: {', '.join(scenes)}" for r, scenes in sorted(found.items()))
+        return [f"maps of several resolutions: {several}"] if len(found) > 1 else []
 
     @classmethod
     def resolution(cls, scene: str, width: int) -> str:

@@ -207,7 +207,8 @@ class EvaluationReport:
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows of ``scores.csv``: every number of all results, then the means of every section."""
-        return [record for part in (*self.results, *self.sections) for record in part.records()]
+        made = [record for result in self.results for record in result.records()]
+        return made + [record for section in self.sections for record in section.records()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values; NaN where there is no number."""

@@ -91,10 +91,16 @@ def sparsifications(
         groups = _groups(values)
         for name, amount in amounts.items():
             (curve, auc), (lowest, optimal) = _curve(groups, amount), best[name]
-            drawn = tuple(curve.tolist()), tuple(lowest.tolist())
-            trapezoids = (float(np.trapezoid(line, dx=0.05)) for line in (curve, lowest))
             made[confidence, name] = Sparsification(
-                PERCENTAGES, *drawn, float(amount.mean()), auc, optimal, *trapezoids, pixels=int(amount.size)
+                PERCENTAGES,
+                errors=tuple(curve.tolist()),
+                best=tuple(lowest.tolist()),
+                mean=float(amount.mean()),
+                auc=auc,
+                optimal=optimal,
+                auc_5_100=float(np.trapezoid(curve, dx=0.05)),
+                optimal_5_100=float(np.trapezoid(lowest, dx=0.05)),
+                pixels=int(amount.size),
             )
     return made
 
@@ -195,7 +201,8 @@ class HiddenPixels(NamedTuple):
     @classmethod
     def of(cls, said: NDArray[np.bool_], true: NDArray[np.bool_]) -> HiddenPixels:
         """Count pixels (N,)."""
-        return cls(*(int(np.count_nonzero(pixels)) for pixels in (said & true, said, true)), said.size)
+        both, n_said, n_true = (int(np.count_nonzero(pixels)) for pixels in (said & true, said, true))
+        return cls(both, n_said, n_true, said.size)
 
     @classmethod
     def pooled(cls, parts: Iterable[HiddenPixels]) -> HiddenPixels:

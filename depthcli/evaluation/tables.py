@@ -177,7 +177,7 @@ def overview(report: EvaluationReport) -> list[Table]:
             test = _test(section, run) if len(report.runs) > 1 else ()
             n_scenes = _n_scenes(section, run, False, section.figure_regions[0])
             rows.append((*where, what, ", ".join(section.figure_regions), run, n_scenes, figure, *test))
-    header = ("data set", "protocol", "metric", "mean of", "run", "scenes", "figure")
+    header: tuple[str, ...] = ("data set", "protocol", "metric", "mean of", "run", "scenes", "figure")
     note = [MISSING] * any(section.incomplete for section in report.sections)
     if len(report.runs) > 1:
         header += TEST_COLUMNS

@@ -5,8 +5,9 @@ from __future__ import annotations
 import base64
 import math
 import zlib
+from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -86,7 +87,8 @@ def thinned(value: Any, factor: int) -> Any:
     return value | (pack_bytes(values) if value["bits"] == 8 else _packed(values, value["origin"], value["step"]))
 
 
-class Slice(NamedTuple):
+@dataclass(frozen=True)
+class Slice:
     """A plane of an array that is shown, ``array[index]``: an image itself, or a slice of a volume."""
 
     axis: int  # that it is perpendicular to, -1 for an image itself

@@ -219,7 +219,7 @@ class SceneView:
     ) -> Iterator[tuple[dict[str, Any], tuple[Any, ...]]]:
         """Pack the maps of a run, cut by cut; yield each cut's entry of the run, without errors, and its index."""
         for view, cut in zip(self.data["views"], (each.index for each in self._cuts), strict=True):
-            entry = {"values": pack(values[cut], *packed_range), "error": None, "wrong": None}
+            entry: dict[str, Any] = {"values": pack(values[cut], *packed_range), "error": None, "wrong": None}
             entry["status"] = None if status is None else pack_bytes(status[cut])
             entry["confidence"] = {}
             for name, plane in confidence.items():

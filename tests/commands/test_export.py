@@ -68,7 +68,7 @@ def test_middlebury_refuses_with_all_reasons(tmp_path: Path, capsys: pytest.Capt
     assert export(run, "middlebury-v3", tmp_path / "a.zip", "--method", "our name") == 2
     said = capsys.readouterr().err
     for reason in (
-        "--method: want letters",
+        "--method: expected letters",
         "1 of 15 training scenes are missing: Vintage",
         "Piano: 1 pixels without a value; fill them, or submit sparse maps with --sparse",
         "Pipes: the map is 1400 x 3, the image 700 x 3",
