@@ -26,7 +26,6 @@ from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.walk import discover_scenes
 from depthcli.run.records import Record, write_record
-from tests.scenes import DATA, needs_data
 
 SHAPE = (24, 32)
 TRUTH = np.linspace(4, 12, SHAPE[1], dtype=np.float32) * np.ones((SHAPE[0], 1), np.float32)
@@ -82,25 +81,16 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     perfect = run_of(tmp_path / "perfect", {"a": good, "b": good})
     wrong = run_of(tmp_path / "half", {"a": half, "b": half})
     report = evaluate_runs([perfect, wrong], truth, tmp_path / "out")
-    assert report.failed == []
-    assert report.warnings == []
-    text = text_of(report)
-    assert "perfect" in text
-    assert "mean of 6" in text
-    for row in rows(tmp_path / "out"):
-        if row["run"] == "perfect" and row["metric"] == "bad":
-            assert float(row["value"]) == 0
-    (row,) = [
-        r
-        for r in rows(tmp_path / "out")
-        if (r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]) == ("half", "a", "bad", "nonocc", "1.0")
-    ]
+    assert report.failed == report.warnings == []
+    assert "mean of 6" in text_of(report)
+    written = {(r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]): r for r in rows(tmp_path / "out")}
+    assert {float(r["value"]) for key, r in written.items() if key[0] == "perfect" and key[2] == "bad"} == {0}
+    row = written["half", "a", "bad", "nonocc", "1.0"]
     pixels = 24 * 24
     assert (row["pixels"], row["wrong"]) == (str(pixels), str(pixels // 2))
     assert float(row["value"]) == 50
     assert float(row["density"]) == pytest.approx(100 * (pixels - 1) / pixels)
-    assert row["convention"] == "missing counts as bad"
-    assert row["map"] == "a/disp_left.pfm"
+    assert (row["convention"], row["map"]) == ("missing counts as bad", "a/disp_left.pfm")
     document = json.loads((tmp_path / "out" / "scores.json").read_text())
     figures = {f["run"]: f for f in document["headlines"]}
     assert (figures["perfect"]["value"], figures["perfect"]["value_common"]) == (0, 0)
@@ -280,26 +270,6 @@ def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
         evaluate_runs([tmp_path], truth, tmp_path / "out")
 
 
-@needs_data
-def test_real_scenes_truth_is_zero_and_two_pixels_off_is_hundred(tmp_path: Path):
-    """One folder of every kind; the figures of every mask and threshold below two pixels."""
-    wanted = {"Venus": "middlebury-v2", "middlebury_v3/Piano": "middlebury-v3", "2012_000070_10": "kitti-2012"}
-    for scene in discover_scenes(DATA, patterns=list(wanted)):
-        disparity = scene.truth().disparity
-        write_pfm(tmp_path / "truth" / scene.name / "disp_left.pfm", disparity)
-        write_pfm(tmp_path / "shifted" / scene.name / "disp_left.pfm", disparity - np.float32(2.75))
-    for pattern, protocol in wanted.items():
-        runs = [tmp_path / "truth", tmp_path / "shifted"]
-        report = evaluate_runs(runs, DATA, tmp_path / "out", [pattern], protocol=protocol)
-        assert report.failed == []
-        right, shifted = report.results
-        assert right.protocol == protocol
-        assert all(s.value == 0 for s in right.scores if s.metric.unit == "%")
-        rates = [s for s in shifted.scores if s.metric.name in ("bad", "totbad", "out")]
-        assert any((s.metric.threshold or 9) <= 2 for s in rates)
-        assert all(s.value == 100 for s in rates if (s.metric.threshold or 9) <= 2)
-
-
 @pytest.mark.slow
 def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, truth: Path):
     rng = np.random.default_rng(0)
@@ -342,15 +312,10 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     for said in ("2, 1 missing*", "50.00*", "1 common", "*: scenes without a map count as wholly wrong"):
         assert said in text
         assert said in markdown
-    headlines = json.loads((tmp_path / "out" / "scores.json").read_text())["headlines"]
-    headline = next(h for h in headlines if h["run"] == "easy")
-    assert (headline["value"], headline["value_common"], headline["missing"]) == (50, 0, 1)
     written = {(r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]): r for r in rows(tmp_path / "out")}
-    assert written["easy", "b", "bad", "all", "1.0"]["value"] == "100.0"
-    assert "missing, counted as wholly wrong" in written["easy", "b", "bad", "all", "1.0"]["note"]
-    assert written["easy", "*mean", "bad", "all", "1.0"]["value"] == "50.0"
-    assert "1 missing" in written["easy", "*mean", "bad", "all", "1.0"]["note"]
-    assert written["easy", "*common mean", "bad", "all", "1.0"]["value"] == "0.0"
+    figures = {scene: written["easy", scene, "bad", "all", "1.0"] for scene in ("b", "*mean", "*common mean")}
+    assert [row["value"] for row in figures.values()] == ["100.0", "50.0", "0.0"]
+    assert "missing, counted as wholly wrong" in figures["b"]["note"] and "1 missing" in figures["*mean"]["note"]
     assert written["easy", "*mean", "avgerr", "all", ""]["value"] == ""
     # Ranks and comparisons are over what both have: a tie.
     (summary, *_) = report_tables(report)
@@ -400,10 +365,8 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
     shutil.copy(truth / "a" / "disp_left.png", tmp_path / "gt.png")
     plain = evaluate_runs([tmp_path / "m.pfm"], tmp_path / "gt.png", None, settings=Settings(scale=8, threshold=3))
     assert (bad(plain.results[0]), bad(plain.results[0], threshold=3)) == (100, 0)
-    assert (
-        "8-bit disparities need a scale"
-        in evaluate_runs([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed[0].error
-    )
+    (failed,) = evaluate_runs([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed
+    assert "8-bit disparities need a scale" in failed.error
     with pytest.raises(InputError, match="a single map needs a single scene"):
         evaluate_runs([tmp_path / "m.pfm"], truth, None)
     single = truth / "a" / "disp_left.png"
@@ -425,10 +388,6 @@ def test_formats_settings_and_comparison(tmp_path: Path, truth: Path, capsys: py
     assert r"\textbf{50.00}" in capsys.readouterr().out
     assert main([*command, "--format", "word"]) == 2
     assert "latex, markdown, csv" in capsys.readouterr().err
-    (comparison,) = evaluate_runs([one, two], truth, None).to_dict()["comparisons"]
-    assert (comparison["run"], comparison["against"], comparison["losses"]) == ("two", "one", 1)
-    report = evaluate_runs([one, two], truth, None)
-    assert [r.size for r in report.results] == [SHAPE[0] * SHAPE[1]] * 4
 
 
 def others(folder: Path, truth: Path, place: str) -> Path:
@@ -615,9 +574,6 @@ def test_a_table_for_a_paper(tmp_path: Path, truth: Path, capsys: pytest.Capture
     assert main([*command[:-1], "headline", "--columns", "nonocc,p (Holm)"]) == 0
     assert "Wilcoxon" in capsys.readouterr().out
     assert main([*command[:-1], "scenes", "--caption", "x"]) == 2
-    assert (
-        "--caption: is for one table; give --tables scenes-nonocc or scenes-all or scenes-disc"
-        in capsys.readouterr().err
-    )
+    assert "--caption: is for one table" in capsys.readouterr().err
     assert main([*command, "--columns", "z"]) == 2
     assert "no z in these tables, which have a, b, mean of 2" in capsys.readouterr().err

@@ -7,7 +7,7 @@ import csv
 import json
 import re
 import shutil
-from dataclasses import dataclass
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -20,13 +20,10 @@ from depthcli.cli import main
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import evaluate_runs
-from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.protocols import Presentation, Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
-from depthcli.evaluation.scores import MapResult, Metric, Score
+from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.formats.volumes import read_volume
-from depthcli.io.scenes import Scene
 from depthcli.io.scenes.volume_pair import RegistrationTruth
 from depthcli.io.walk import BrokenScene
 from depthcli.report.packing import pack, pack_bytes, slices, thinned, unpack
@@ -208,78 +205,42 @@ def test_packing(low: float, high: float):
     assert np.array_equal(unpack(pack_bytes(bits)), bits)
 
 
-INSIDE = np.zeros((4, 6, 8), bool)
-INSIDE[1:3, 2:, ::2] = True
-
-
-@dataclass
-class PointsTruth:
-    values: Any
-    looks_like: str = ""
-    size: int = 192
-
-    @property
-    def regions(self) -> dict[str, Any]:
-        return {"all": np.ones(self.values.shape, bool)}
-
-
-def on_grid(points: Any, truth: Any) -> Any:
-    full = np.full(INSIDE.shape, False if points.dtype == bool else np.nan)
-    full[INSIDE] = points
-    return full
-
-
-class Points(Protocol[Any, Any]):
-    """Errors at some voxels of a volume, a list of points."""
-
-    kind, files = Scene, MapFiles(("{scene}",), ())
-    presentation = Presentation("points", "mm", on_grid=on_grid)
-    headline = Metric("mean", "mm")
-
-    def truth(self, scene: Scene) -> Any:
-        return PointsTruth(np.zeros(np.count_nonzero(INSIDE)))
-
-    def read(self, path: Path, scene: Scene, truth: Any) -> Any:
-        raise NotImplementedError
-
-    def values(self, estimate: Any, truth: Any) -> Any:
-        return estimate
+class Shifted(RegistrationProtocol):
+    """Errors that are no difference of values and truth."""
 
     def error(self, estimate: Any, truth: Any) -> Any:
-        return np.abs(estimate) + 1
-
-    def wrong(self, estimate: Any, truth: Any) -> Any:
-        return np.abs(estimate) > 100
-
-    def scores(self, estimate: Any, truth: Any) -> list[Score]:
-        return [Score(self.headline, "all", float(np.mean(np.abs(estimate))), truth.size, 100.0)]
+        return estimate + 1
 
 
-class PointsWithoutGrid(Points):
-    presentation = Presentation("points", "mm")
+class WithoutGrid(Shifted):
+    presentation = replace(RegistrationProtocol.presentation, on_grid=lambda *_: None)
 
 
-@pytest.mark.parametrize("kind", [Points, PointsWithoutGrid])
-def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, kind: type[Points]):
-    judge, scene, page = kind(), BrokenScene(name="box", folder=tmp_path), Page()
-    truth = judge.truth(scene)
-    points = np.arange(truth.values.size, dtype=float) * 4
+@pytest.mark.parametrize("kind", [Shifted, WithoutGrid])
+def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, kind: type[RegistrationProtocol]):
+    judge, scene, page, grid = kind(), BrokenScene(name="box", folder=tmp_path), Page(), Grid((8, 6, 4), (1, 1, 1))
+    inside = np.zeros((4, 6, 8), bool)
+    inside[1:3, 2:, ::2] = True
+    points = np.arange(inside.sum(), dtype=np.float32) / 8
+    truth = registration_truth(points * 2, grid, None, inside)
     result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
     page.begin(tmp_path)
     page.begin_scene(judge, scene, truth)
     page.add_map(result, tmp_path / "box", points, truth, {"c": points})
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, "truth"), "{}", {})
     reader = read(tmp_path)
-    assert ("data-0" in reader.scripts) == (kind is Points)
+    assert ("data-0" in reader.scripts) == (kind is Shifted)
     assert "1 run, 1 scene of" in reader.text
-    if kind is Points:
-        data = json.loads(reader.scripts["data-0"])
-        assert [view["name"] for view in data["views"]] == [f"{k + 1} of {n}" for n in (4, 6, 8) for k in range(n)]
-        view = data["views"][2]
-        assert np.array_equal(unpack(view["region"]) > 0, INSIDE[2])
-        error = unpack(view["runs"]["run"]["error"])
-        assert np.allclose(error[INSIDE[2]], points[truth.values.size // 2 :] + 1, atol=0.01)
-        assert np.array_equal(unpack(view["runs"]["run"]["wrong"]), np.nan_to_num(error) > 101)
+    if kind is Shifted:
+        views = json.loads(reader.scripts["data-0"])["views"]
+        assert [view["name"].rpartition(", ")[2] for view in views] == [
+            f"{k + 1} of {n}" for n in (4, 6, 8) for k in range(n)
+        ]
+        full = np.full(inside.shape, np.nan)
+        full[inside] = points + 1
+        shown, view = grid.turned(full)[2], views[2]
+        assert np.array_equal(unpack(view["region"]) > 0, ~np.isnan(shown))
+        assert np.allclose(unpack(view["runs"]["run"]["error"]), shown, atol=0.01, equal_nan=True)
 
 
 def test_volumes_are_cut_across_every_axis():
