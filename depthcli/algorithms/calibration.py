@@ -49,16 +49,10 @@ _NOT_FOUND = "the photos do not determine the camera; take some with the board t
 
 @dataclass(frozen=True)
 class Corners:
-    """The corners of a board that an image shows.
+    """The corners of a board that an image shows."""
 
-    Attributes
-    ----------
-    ids : (N,) int, which corners of the board, row by row, ascending
-    pixels : (N, 2) float64, x and y
-    """
-
-    ids: NDArray[np.int64]
-    pixels: NDArray[np.float64]
+    ids: NDArray[np.int64]  # (N,) int, which corners of the board, row by row, ascending
+    pixels: NDArray[np.float64]  # (N, 2) float64, x and y
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -182,16 +176,10 @@ def _first_square_is_darker(grey: NDArray[np.uint8], grid: NDArray[np.float64]) 
 
 @dataclass(frozen=True)
 class CharucoBoard(Board):
-    """A chessboard with a marker in every light square, of which any part may be seen.
+    """A chessboard with a marker in every light square, of which any part may be seen."""
 
-    Attributes
-    ----------
-    marker : edge of a marker, meters
-    dictionary : name of OpenCV's dictionary of markers, without ``DICT_``
-    """
-
-    marker: float
-    dictionary: str
+    marker: float  # edge of a marker, meters
+    dictionary: str  # name of OpenCV's dictionary of markers, without ``DICT_``
 
     @property
     def words(self) -> str:
@@ -231,25 +219,17 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class CameraFit:
-    """A camera, and how well the photos agree with it.
+    """A camera, and how well the photos agree with it."""
 
-    Attributes
-    ----------
-    camera : what was found
-    focal_deviations : standard deviations of fx and fy, pixels; None for fisheye lenses, and where the tilt is below
-        ``MIN_TILT``: then the equations are nearly singular, and what they say of their errors is too little
-    errors : name of a photo -> root mean square of its reprojection errors, pixels; outliers are not among them
-    residuals : name -> (N, 2), pixels
-    tilt : largest angle between the board in two photos, degrees
-    outliers : name -> error, of the photos that were left out
-    """
-
-    camera: Camera
+    camera: Camera  # what was found
+    # standard deviations of fx and fy, pixels; None for fisheye lenses, and where the tilt is below ``MIN_TILT``: then
+    # the equations are nearly singular, and what they say of their errors is too little
     focal_deviations: tuple[float, float] | None
+    # name of a photo -> root mean square of its reprojection errors, pixels; outliers are not among them
     errors: dict[str, float]
-    residuals: dict[str, NDArray[np.float64]]
-    tilt: float
-    outliers: dict[str, float]
+    residuals: dict[str, NDArray[np.float64]]  # name -> (N, 2), pixels
+    tilt: float  # largest angle between the board in two photos, degrees
+    outliers: dict[str, float]  # name -> error, of the photos that were left out
 
     @property
     def error(self) -> float:
@@ -259,18 +239,12 @@ class CameraFit:
 
 @dataclass(frozen=True)
 class RigFit:
-    """Two cameras, and how well the pairs agree with them.
+    """Two cameras, and how well the pairs agree with them."""
 
-    Attributes
-    ----------
-    rig : what was found
-    errors : name of a pair -> the larger reprojection error of its views with one place of the board for both, pixels
-    outliers : name -> error, of the pairs that were left out
-    """
-
-    rig: Rig
+    rig: Rig  # what was found
+    # name of a pair -> the larger reprojection error of its views with one place of the board for both, pixels
     errors: dict[str, float]
-    outliers: dict[str, float]
+    outliers: dict[str, float]  # name -> error, of the pairs that were left out
 
 
 def fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: bool) -> CameraFit:

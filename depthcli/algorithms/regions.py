@@ -67,16 +67,10 @@ def consecutive(parent):
 
 @dataclass(frozen=True)
 class RegionPixels:
-    """The pixels of every region of a label map.
+    """The pixels of every region of a label map."""
 
-    Attributes
-    ----------
-    order : (P,) int64 flat pixel indices, region by region, raster order inside
-    starts : (n + 1,) int64 where each region begins in ``order``
-    """
-
-    order: NDArray[np.int64]
-    starts: NDArray[np.int64]
+    order: NDArray[np.int64]  # (P,) int64 flat pixel indices, region by region, raster order inside
+    starts: NDArray[np.int64]  # (n + 1,) int64 where each region begins in ``order``
 
     @classmethod
     def of(
@@ -147,20 +141,12 @@ def connected_components_of_labels(labels: NDArray[np.int32]) -> NDArray[np.int3
 
 @dataclass(frozen=True)
 class RegionGraph:
-    """The regions of a label map and their neighborhood.
+    """The regions of a label map and their neighborhood."""
 
-    Attributes
-    ----------
-    sizes : (N,) int64 pixels of every region
-    edges : (E, 2) int32 pairs i < j of 4-neighboring regions, sorted
-    boundary : (E,) int64 number of 4-neighbor pixel pairs along the common boundary
-    sums : (N, C) float64 sum of the colors of every region
-    """
-
-    sizes: NDArray[np.int64]
-    edges: NDArray[np.int32]
-    boundary: NDArray[np.int64]
-    sums: NDArray[np.float64]
+    sizes: NDArray[np.int64]  # (N,) int64 pixels of every region
+    edges: NDArray[np.int32]  # (E, 2) int32 pairs i < j of 4-neighboring regions, sorted
+    boundary: NDArray[np.int64]  # (E,) int64 number of 4-neighbor pixel pairs along the common boundary
+    sums: NDArray[np.float64]  # (N, C) float64 sum of the colors of every region
 
     @property
     def means(self) -> NDArray[np.float64]:

@@ -30,16 +30,10 @@ _BLOCK = 4 * LANES  # labels that are held in registers together
 
 @dataclass(frozen=True)
 class GaussianKernel:
-    """One Gaussian kernel, by which close points influence each other.
+    """One Gaussian kernel, by which close points influence each other."""
 
-    Attributes
-    ----------
-    features : (N, d) float32, 1 <= d <= 8, each divided by its standard deviation
-    weight : factor w_m of the kernel in the energy, >= 0
-    """
-
-    features: NDArray[np.float32]
-    weight: float
+    features: NDArray[np.float32]  # (N, d) float32, 1 <= d <= 8, each divided by its standard deviation
+    weight: float  # factor w_m of the kernel in the energy, >= 0
 
 
 def mean_field(

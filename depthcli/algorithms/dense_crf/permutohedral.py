@@ -27,23 +27,16 @@ class Lattice:
 
     Points are divided into bands of equal length. Every band has its own *slots*, one for each of its vertices, so that
     no two threads write to the same memory and the order of sums does not depend on the number of threads.
-
-    Attributes
-    ----------
-    slots : (N, d + 1) int32, the vertices of a point's simplex, as slots
-    weights : (N, d + 1) float32, their barycentric weights; sum 1
-    vertex : (T,) int32, vertex of every slot
-    first_slot : (B + 1,) int64, slots of band b are ``first_slot[b] .. first_slot[b + 1] - 1``
-    order, first : (T,) int32 and (V + 1,) int64, slots of vertex v are ``order[first[v] : first[v + 1]]``, ascending
-    neighbors : (d + 1, 2, V) int32, the two neighbors of a vertex along every axis; V where there is none
     """
 
-    slots: NDArray[np.int32]
-    weights: NDArray[np.float32]
-    vertex: NDArray[np.int32]
-    first_slot: NDArray[np.int64]
+    slots: NDArray[np.int32]  # (N, d + 1) int32, the vertices of a point's simplex, as slots
+    weights: NDArray[np.float32]  # (N, d + 1) float32, their barycentric weights; sum 1
+    vertex: NDArray[np.int32]  # (T,) int32, vertex of every slot
+    first_slot: NDArray[np.int64]  # (B + 1,) int64, slots of band b are ``first_slot[b] .. first_slot[b + 1] - 1``
+    # order, first: (T,) int32 and (V + 1,) int64, slots of vertex v are ``order[first[v] : first[v + 1]]``, ascending
     order: NDArray[np.int32]
     first: NDArray[np.int64]
+    # (d + 1, 2, V) int32, the two neighbors of a vertex along every axis; V where there is none
     neighbors: NDArray[np.int32]
 
     @classmethod

@@ -14,23 +14,16 @@ from depthcli.core.method import Method, method_of
 
 @dataclass(frozen=True)
 class KeyPoints:
-    """Key points of one image, strongest first.
+    """Key points of one image, strongest first."""
 
-    Attributes
-    ----------
-    x, y : (N,) float32 position, pixels; the center of the first pixel is (0, 0)
-    scale : (N,) float32 standard deviation of the blob's Gaussian, pixels
-    response : (N,) float32 strength, in a unit of the detector
-    sign : (N,) int8 +1 for dark blobs on light ground, -1 for the reverse, 0 where the detector does not distinguish
-    descriptors : (N, K) float32, rows of length 1
-    """
-
+    # x, y: (N,) float32 position, pixels; the center of the first pixel is (0, 0)
     x: NDArray[np.float32]
     y: NDArray[np.float32]
-    scale: NDArray[np.float32]
-    response: NDArray[np.float32]
+    scale: NDArray[np.float32]  # (N,) float32 standard deviation of the blob's Gaussian, pixels
+    response: NDArray[np.float32]  # (N,) float32 strength, in a unit of the detector
+    # (N,) int8 +1 for dark blobs on light ground, -1 for the reverse, 0 where the detector does not distinguish
     sign: NDArray[np.int8]
-    descriptors: NDArray[np.float32]
+    descriptors: NDArray[np.float32]  # (N, K) float32, rows of length 1
 
     def __len__(self) -> int:
         return len(self.x)

@@ -28,22 +28,15 @@ _SCALE_SAMPLES = 100  # residuals that the scale is estimated from
 
 @dataclass(frozen=True)
 class Surfaces:
-    """One surface for each of n segments, in the unit of the values it was fitted to.
+    """One surface for each of n segments, in the unit of the values it was fitted to."""
 
-    Attributes
-    ----------
-    coefficients : (n, 6) float64 of 1, x, y, x^2, xy, y^2, where x and y are pixels from ``center`` over ``unit``
-    center : (n, 2) float64, y and x, pixels
-    bounds : (n, 2) float32, smallest and largest value of the surface; values beyond them are clipped
-    scale : (n,) float32, robust standard deviation of the residuals; NaN where nothing was known
-    unit : length that x and y are divided by, pixels
-    """
-
+    # (n, 6) float64 of 1, x, y, x^2, xy, y^2, where x and y are pixels from ``center`` over ``unit``
     coefficients: NDArray[np.float64]
-    center: NDArray[np.float64]
+    center: NDArray[np.float64]  # (n, 2) float64, y and x, pixels
+    # (n, 2) float32, smallest and largest value of the surface; values beyond them are clipped
     bounds: NDArray[np.float32]
-    scale: NDArray[np.float32]
-    unit: float
+    scale: NDArray[np.float32]  # (n,) float32, robust standard deviation of the residuals; NaN where nothing was known
+    unit: float  # length that x and y are divided by, pixels
 
     def at(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return, at every pixel, the value of the surface of its label; (H, W) float32, NaN for negative labels."""

@@ -16,17 +16,12 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 
 @dataclass(frozen=True)
 class Samples:
-    """Values at M pixels of a map.
+    """Values at M pixels of a map."""
 
-    Attributes
-    ----------
-    rows, columns : (M,) int32
-    values : (M,) float32
-    """
-
+    # rows, columns: (M,) int32
     rows: NDArray[np.int32]
     columns: NDArray[np.int32]
-    values: NDArray[np.float32]
+    values: NDArray[np.float32]  # (M,) float32
 
     @classmethod
     def of(cls, values: NDArray[np.float32]) -> Samples:
@@ -80,19 +75,13 @@ class Samples:
 
 @dataclass(frozen=True)
 class SamplePlanes:
-    """Planes through samples, evaluated at P pixels; all (P,) float32.
+    """Planes through samples, evaluated at P pixels; all (P,) float32."""
 
-    Attributes
-    ----------
-    values : in the unit of the samples; NaN where there is no sample
-    sigma : standard deviation of the values: that of the plane at the pixel together with that of the surface from it
-    confidence : weighted share in [0, 1] of the neighboring samples that lie on the plane
-    averaged : weighted mean over these samples of the property that was given to be averaged; else 0
-    """
-
-    values: NDArray[np.float32]
+    values: NDArray[np.float32]  # in the unit of the samples; NaN where there is no sample
+    # standard deviation of the values: that of the plane at the pixel together with that of the surface from it
     sigma: NDArray[np.float32]
-    confidence: NDArray[np.float32]
+    confidence: NDArray[np.float32]  # weighted share in [0, 1] of the neighboring samples that lie on the plane
+    # weighted mean over these samples of the property that was given to be averaged; else 0
     averaged: NDArray[np.float32]
 
 

@@ -22,18 +22,11 @@ _REFITS = 5  # largest number of least squares after RANSAC
 
 @dataclass(frozen=True)
 class SegmentPlanes:
-    """Disparity planes ``d = a x + b y + c``.
+    """Disparity planes ``d = a x + b y + c``."""
 
-    Attributes
-    ----------
-    coefficients : (L, 3) float64 a, b, c
-    support : (L,) int64 pixels within the tolerance of the plane where it was fitted
-    center : (L, 2) float64 mean x and y of those pixels
-    """
-
-    coefficients: NDArray[np.float64]
-    support: NDArray[np.int64]
-    center: NDArray[np.float64]
+    coefficients: NDArray[np.float64]  # (L, 3) float64 a, b, c
+    support: NDArray[np.int64]  # (L,) int64 pixels within the tolerance of the plane where it was fitted
+    center: NDArray[np.float64]  # (L, 2) float64 mean x and y of those pixels
 
     def __len__(self) -> int:
         return len(self.support)

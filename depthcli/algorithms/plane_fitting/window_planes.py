@@ -25,19 +25,13 @@ _BLOCK = 64  # pixels of a row that are worked on together: a few vectors, and a
 
 @dataclass(frozen=True)
 class WindowPlanes:
-    """A plane for every pixel; all (H, W) float32.
+    """A plane for every pixel; all (H, W) float32."""
 
-    Attributes
-    ----------
-    value : disparity of the plane at the pixel, pixels; NaN where the disparity is unknown
-    slope_x, slope_y : pixels of disparity per pixel, to the right and downwards
-    scale : root of the mean weighted squared residual, pixels
-    """
-
-    value: NDArray[np.float32]
+    value: NDArray[np.float32]  # disparity of the plane at the pixel, pixels; NaN where the disparity is unknown
+    # slope_x, slope_y: pixels of disparity per pixel, to the right and downwards
     slope_x: NDArray[np.float32]
     slope_y: NDArray[np.float32]
-    scale: NDArray[np.float32]
+    scale: NDArray[np.float32]  # root of the mean weighted squared residual, pixels
 
     def every(self, stride: int) -> WindowPlanes:
         """Return the planes of every n-th pixel of every n-th row, n = ``stride``; slopes are per n pixels."""

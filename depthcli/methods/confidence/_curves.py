@@ -19,38 +19,24 @@ _FAR = np.float32(1e30)
 
 @dataclass(frozen=True)
 class CurveStatistics:
-    """Statistics of curves; arrays have the curves' shape and are float32 unless stated otherwise.
+    """Statistics of curves; arrays have the curves' shape and are float32 unless stated otherwise."""
 
-    Attributes
-    ----------
-    lowest : smallest cost, c1
-    second_lowest : next smallest cost anywhere, c2; c1 in a curve of one entry
-    second_minimum : second smallest local minimum, c2m. A local minimum is below its left neighbor and not above its
-        right one; beyond the ends of the curve costs count as infinite. In a curve without a second one: the largest
-        cost, which in a curve of one entry is c1
-    total : sum of the costs
-    curvature : c(d1 - 1) + c(d1 + 1) - 2 c1, mirrored at the ends
-    likelihood : of d1, 1 / sum of exp(-2 (c - c1) / s); s is the standard deviation of all valid cells
-    attainable_likelihood : of d1, 1 / sum of exp(-8 ((c - c1) / s)^2)
-    negative_entropy : sum of p log p, p = softmax(-4 c / s)
-    n_minima : number of local minima of the curve smoothed by (1, 2, 1) / 4
-    winner : int32, d1, the first one of equals
-    second_winner : int32, d2m, index of the second smallest local minimum; -1: there is none
-    eps : 1e-3 of the mean cost, which keeps denominators of ratios above zero
-    """
-
-    lowest: NDArray[np.float32]
-    second_lowest: NDArray[np.float32]
+    lowest: NDArray[np.float32]  # smallest cost, c1
+    second_lowest: NDArray[np.float32]  # next smallest cost anywhere, c2; c1 in a curve of one entry
+    # second smallest local minimum, c2m. A local minimum is below its left neighbor and not above its right one; beyond
+    # the ends of the curve costs count as infinite. In a curve without a second one: the largest cost, which in a curve
+    # of one entry is c1
     second_minimum: NDArray[np.float32]
-    total: NDArray[np.float32]
-    curvature: NDArray[np.float32]
+    total: NDArray[np.float32]  # sum of the costs
+    curvature: NDArray[np.float32]  # c(d1 - 1) + c(d1 + 1) - 2 c1, mirrored at the ends
+    # of d1, 1 / sum of exp(-2 (c - c1) / s); s is the standard deviation of all valid cells
     likelihood: NDArray[np.float32]
-    attainable_likelihood: NDArray[np.float32]
-    negative_entropy: NDArray[np.float32]
-    n_minima: NDArray[np.float32]
-    winner: NDArray[np.int32]
-    second_winner: NDArray[np.int32]
-    eps: float
+    attainable_likelihood: NDArray[np.float32]  # of d1, 1 / sum of exp(-8 ((c - c1) / s)^2)
+    negative_entropy: NDArray[np.float32]  # sum of p log p, p = softmax(-4 c / s)
+    n_minima: NDArray[np.float32]  # number of local minima of the curve smoothed by (1, 2, 1) / 4
+    winner: NDArray[np.int32]  # int32, d1, the first one of equals
+    second_winner: NDArray[np.int32]  # int32, d2m, index of the second smallest local minimum; -1: there is none
+    eps: float  # 1e-3 of the mean cost, which keeps denominators of ratios above zero
 
 
 class CostCurves:

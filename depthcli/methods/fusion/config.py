@@ -24,15 +24,10 @@ class FuseConfig(PairConfig, Fusion, RootConfig):
 
 @dataclass(frozen=True)
 class FusionWithVolumes(PairMatcher):
-    """Fusion with cost volumes that were made elsewhere.
+    """Fusion with cost volumes that were made elsewhere."""
 
-    Attributes
-    ----------
-    fusion : fuses the measures
-    read_volumes : returns file name -> (H, W, D) costs; called when a pair is matched
-    """
-
-    fusion: Fusion
+    fusion: Fusion  # fuses the measures
+    # returns file name -> (H, W, D) costs; called when a pair is matched
     read_volumes: Callable[[], Mapping[str, NDArray[Any]]]
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:

@@ -328,15 +328,8 @@ class Fusion(AdjustingMatcher):
 
 @dataclass(frozen=True)
 class FusedCosts:
-    """The fused costs, and how they were made.
+    """The fused costs, and how they were made."""
 
-    Attributes
-    ----------
-    volume : uint16 (H, W, D), at most 4080
-    weights : of the measures, (M, H, W) float32, sum 1 over M
-    ballot : the last vote
-    """
-
-    volume: CostVolume
-    weights: NDArray[np.float32]
-    ballot: Ballot
+    volume: CostVolume  # uint16 (H, W, D), at most 4080
+    weights: NDArray[np.float32]  # of the measures, (M, H, W) float32, sum 1 over M
+    ballot: Ballot  # the last vote

@@ -33,14 +33,9 @@ _SOFTNESS = 15.0  # of the supports by which maps are judged, grey levels
 
 
 class Support(ABC):
-    """Weighted sums over the pixels that vote for a pixel, for 16 disparities at a time.
+    """Weighted sums over the pixels that vote for a pixel, for 16 disparities at a time."""
 
-    Attributes
-    ----------
-    inverse_sum : (H, W) float32, 1 / (sum of the weights of a pixel's support)
-    """
-
-    inverse_sum: NDArray[np.float32]
+    inverse_sum: NDArray[np.float32]  # (H, W) float32, 1 / (sum of the weights of a pixel's support)
 
     @abstractmethod
     def sum(self, block: NDArray[np.float32]) -> None:
@@ -147,23 +142,15 @@ class Consensus(ConfigModel):
 
 @dataclass(frozen=True)
 class Ballot:
-    """Votes of M voters per pixel.
+    """Votes of M voters per pixel."""
 
-    Attributes
-    ----------
-    disparities : (M, H, W) int32, 0 .. n_disparities - 1
-    vote_weights : (M, H, W) float32 >= 0, how much each vote counts; their sum at a pixel is at most M. Rounded to
-        1/256 for counting, which keeps the sums of windows exact
-    n_disparities : number of disparities
-    tolerance : largest difference from the voter's own disparity at which a vote counts, pixels
-    support : the pixels that vote for each pixel, with their weights
-    """
-
-    disparities: NDArray[np.int32]
+    disparities: NDArray[np.int32]  # (M, H, W) int32, 0 .. n_disparities - 1
+    # (M, H, W) float32 >= 0, how much each vote counts; their sum at a pixel is at most M. Rounded to 1/256 for
+    # counting, which keeps the sums of windows exact
     vote_weights: NDArray[np.float32]
-    n_disparities: int
-    tolerance: int
-    support: Support
+    n_disparities: int  # number of disparities
+    tolerance: int  # largest difference from the voter's own disparity at which a vote counts, pixels
+    support: Support  # the pixels that vote for each pixel, with their weights
 
     def _blocks(self, fading: bool) -> Iterator[tuple[int, NDArray[np.float32]]]:
         voters, height, width = self.disparities.shape

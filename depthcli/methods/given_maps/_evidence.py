@@ -44,23 +44,15 @@ BYTES_PER_PIXEL = 400
 
 @dataclass(frozen=True)
 class Evidence(PairSupports):
-    """Costs of a pair, by which its maps are judged.
+    """Costs of a pair, by which its maps are judged."""
 
-    Attributes
-    ----------
-    pair : the images, the right one in the light of the left one
-    volume : (H, W, D) matching costs
-    optimized : (H, W, D) the costs with smoothness
-    left, right : (H, W) uint16, disparities of the smallest optimized costs of either view
-    reference : the map of the preset stereo fast, made of these costs
-    """
-
-    pair: StereoPair
-    volume: CostVolume
-    optimized: CostVolume
+    pair: StereoPair  # the images, the right one in the light of the left one
+    volume: CostVolume  # (H, W, D) matching costs
+    optimized: CostVolume  # (H, W, D) the costs with smoothness
+    # left, right: (H, W) uint16, disparities of the smallest optimized costs of either view
     left: NDArray[np.uint16]
     right: NDArray[np.uint16]
-    reference: DisparityMap
+    reference: DisparityMap  # the map of the preset stereo fast, made of these costs
 
     @classmethod
     def of(cls, pair: StereoPair, max_disparity: int, clock: Clock) -> Evidence:

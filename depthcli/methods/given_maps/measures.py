@@ -21,17 +21,11 @@ _MAX_DIFFERENCE = np.float32(16.0)  # pixels
 
 @dataclass(frozen=True)
 class Judged:
-    """A map and what was found out about it.
+    """A map and what was found out about it."""
 
-    Attributes
-    ----------
-    values : (H, W) float32 disparities without gaps, pixels
-    missing : (H, W) bool, where the map has no value
-    alone, others : planes of the map itself, and of its relation to others, float32 (F, H, W)
-    """
-
-    values: NDArray[np.float32]
-    missing: NDArray[np.bool_]
+    values: NDArray[np.float32]  # (H, W) float32 disparities without gaps, pixels
+    missing: NDArray[np.bool_]  # (H, W) bool, where the map has no value
+    # alone, others: planes of the map itself, and of its relation to others, float32 (F, H, W)
     alone: NDArray[np.float32]
     others: NDArray[np.float32]
 

@@ -41,20 +41,14 @@ _MAX_TILE_WIDTH = 128  # voxels
 
 @dataclass(frozen=True)
 class CurveMeasures:
-    """Measures of the cost curves of all measured voxels.
+    """Measures of the cost curves of all measured voxels."""
 
-    Attributes
-    ----------
-    maps : measure -> (z, y, x) float32, at every ``stride``-th voxel; those of ``COSTLY`` only if requested
-    displacement : (3, z, y, x) float32, expected displacement (z, y, x), mm
-    variance : (z, y, x) float32, of the displacement about its expectation, mm^2, summed over the axes
-    border : (z, y, x) bool, the cheapest displacement lies on the border of the search
-    """
-
+    # measure -> (z, y, x) float32, at every ``stride``-th voxel; those of ``COSTLY`` only if requested
     maps: dict[str, NDArray[np.float32]]
-    displacement: NDArray[np.float32]
+    displacement: NDArray[np.float32]  # (3, z, y, x) float32, expected displacement (z, y, x), mm
+    # (z, y, x) float32, of the displacement about its expectation, mm^2, summed over the axes
     variance: NDArray[np.float32]
-    border: NDArray[np.bool_]
+    border: NDArray[np.bool_]  # (z, y, x) bool, the cheapest displacement lies on the border of the search
 
 
 def displacements(shape: tuple[int, int, int], radius: int, span: SearchShape = "cube") -> NDArray[np.int64]:

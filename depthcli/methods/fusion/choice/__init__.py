@@ -22,26 +22,15 @@ from depthcli.methods.stereo.volume import CostVolume
 
 @dataclass(frozen=True)
 class Proposals(PairSupports):
-    """N maps to choose from, with the data that they are judged by.
+    """N maps to choose from, with the data that they are judged by."""
 
-    Attributes
-    ----------
-    kinds : names of the methods that made them
-    values : (N, H, W) float32 disparities without gaps, 0 .. D - 1
-    filled : (N, H, W) uint8: 0 measured, 1 filled, 2 filled where the right view does not see
-    weights : (N,) float32, weight of every map in the agreement of maps
-    pair : the images
-    volume : the fused costs
-    right : (H, W) uint16 disparities of the right view
-    """
-
-    kinds: tuple[str, ...]
-    values: NDArray[np.float32]
-    filled: NDArray[np.uint8]
-    weights: NDArray[np.float32]
-    pair: StereoPair
-    volume: CostVolume
-    right: NDArray[np.uint16]
+    kinds: tuple[str, ...]  # names of the methods that made them
+    values: NDArray[np.float32]  # (N, H, W) float32 disparities without gaps, 0 .. D - 1
+    filled: NDArray[np.uint8]  # (N, H, W) uint8: 0 measured, 1 filled, 2 filled where the right view does not see
+    weights: NDArray[np.float32]  # (N,) float32, weight of every map in the agreement of maps
+    pair: StereoPair  # the images
+    volume: CostVolume  # the fused costs
+    right: NDArray[np.uint16]  # (H, W) uint16 disparities of the right view
 
 
 @dataclass(frozen=True)

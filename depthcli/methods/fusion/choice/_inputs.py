@@ -74,18 +74,11 @@ def input_names(kinds: tuple[str, ...]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class NetworkInputs:
-    """Inputs of a pair's proposals, as planes; :meth:`rows` puts them side by side.
+    """Inputs of a pair's proposals, as planes; :meth:`rows` puts them side by side."""
 
-    Attributes
-    ----------
-    values : (N, P) float32, the proposals' disparities at P pixels
-    own : (len(PROPOSAL_PLANES), N, P) float32, planes of every proposal
-    shared : (len(PIXEL_PLANES), P) float32, planes of the pixel
-    """
-
-    values: NDArray[np.float32]
-    own: NDArray[np.float32]
-    shared: NDArray[np.float32]
+    values: NDArray[np.float32]  # (N, P) float32, the proposals' disparities at P pixels
+    own: NDArray[np.float32]  # (len(PROPOSAL_PLANES), N, P) float32, planes of every proposal
+    shared: NDArray[np.float32]  # (len(PIXEL_PLANES), P) float32, planes of the pixel
 
     @classmethod
     def of(cls, proposals: Proposals) -> NetworkInputs:

@@ -68,18 +68,11 @@ class LeastEnergyChoice(ChoiceMethod):
 
 @dataclass(frozen=True)
 class ScoredMap:
-    """A map without gaps, its slopes, and its cost at every pixel.
+    """A map without gaps, its slopes, and its cost at every pixel."""
 
-    Attributes
-    ----------
-    values : (H, W) float32 disparities, pixels
-    slopes : (2, H, W) float32 change to the next pixel of the row, of the column
-    cost : (H, W) float32
-    """
-
-    values: NDArray[np.float32]
-    slopes: NDArray[np.float32]
-    cost: NDArray[np.float32]
+    values: NDArray[np.float32]  # (H, W) float32 disparities, pixels
+    slopes: NDArray[np.float32]  # (2, H, W) float32 change to the next pixel of the row, of the column
+    cost: NDArray[np.float32]  # (H, W) float32
 
     def mixed(self, other: ScoredMap, chosen: NDArray[np.bool_]) -> ScoredMap:
         """Return ``other`` where ``chosen`` (H, W), this one elsewhere."""
@@ -96,15 +89,11 @@ class Smoothness:
 
     ``weight min(truncation, mean of |d_q - d_p - g_p| and |d_q - d_p - g_q|)`` for a pixel p and the next one q in
     its row or column: a slope costs nothing, so that smoothness may be strong.
-
-    Attributes
-    ----------
-    weights : of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W), float32
-    truncation : largest misfit that counts, pixels
     """
 
+    # of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W), float32
     weights: tuple[NDArray[np.float32], NDArray[np.float32]]
-    truncation: float
+    truncation: float  # largest misfit that counts, pixels
 
     @classmethod
     def of(

@@ -38,15 +38,10 @@ _N_BINS, _MIN_PER_BIN = 200, 20  # of the isotonic regression; chosen by hand
 
 
 class WorkingGrid(NamedTuple):
-    """A grid of cubic voxels over the fixed volume.
+    """A grid of cubic voxels over the fixed volume."""
 
-    Attributes
-    ----------
-    shape : number of voxels, (z, y, x)
-    step, start : side of a voxel and place of the first one's center, in voxels of the fixed volume
-    """
-
-    shape: tuple[int, int, int]
+    shape: tuple[int, int, int]  # number of voxels, (z, y, x)
+    # step, start: side of a voxel and place of the first one's center, in voxels of the fixed volume
     step: tuple[float, float, float]
     start: tuple[float, float, float]
 
