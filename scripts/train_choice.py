@@ -41,7 +41,7 @@ from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
 from depthcli.io.formats.networks import write_network
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
-from depthcli.methods.fusion.choice._inputs import NetworkInputs, input_names
+from depthcli.methods.fusion.choice.network import NetworkInputs, input_names
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.run.presets import find_config

@@ -40,10 +40,8 @@ from depthcli.core.result import Clock
 from depthcli.evaluation.curves import sparsification
 from depthcli.io.formats.networks import write_network
 from depthcli.methods.fusion.config import FuseConfig
-from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, judged_maps
-from depthcli.methods.given_maps._evidence import Evidence
-from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS
-from depthcli.methods.given_maps.measures import Judged
+from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, Judged, judged_maps
+from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS, Evidence
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 from depthcli.run.presets import find_config

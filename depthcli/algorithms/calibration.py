@@ -88,16 +88,8 @@ class Board(ABC):
     def _refined(
         self, grey: NDArray[np.uint8], corners: Corners, share: float
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the corners where edges in a window meet, and which of them another window agrees with.
-
-        Parameters
-        ----------
-        share : half of the window, of the smallest spacing of corners
-
-        Returns
-        -------
-        (N, 2) pixels; (N,) bool
-        """
+        # The corners where edges in a window meet, and which of them another window agrees with. Half the window is
+        # ``share`` of the smallest spacing of corners.
         places = np.full((self.rows * self.columns, 2), np.nan)
         places[corners.ids] = corners.pixels
         grid = places.reshape(self.rows, self.columns, 2)
@@ -138,8 +130,12 @@ class Chessboard(Board):
         (ax, ay), (bx, by) = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
         if ax * by - ay * bx < 0:  # seen from behind; boards are printed on one side
             grid = grid[::-1]
-        if (self.columns + self.rows) % 2:
-            grid = grid if _first_square_is_darker(grey, grid) else grid[::-1, ::-1]
+        if (self.columns + self.rows) % 2:  # the square between the first four corners is dark
+            centers = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
+            x, y = (centers[..., k].astype(np.float32) for k in (0, 1))
+            levels = cv2.remap(cv2.blur(grey, (3, 3)), x, y, cv2.INTER_LINEAR).astype(np.float64)
+            first = np.indices(levels.shape).sum(axis=0) % 2 == 0
+            grid = grid if levels[first].mean() < levels[~first].mean() else grid[::-1, ::-1]
         else:
             grid = max(self._turned(grid), key=lambda each: float(_direction(each) @ (1, 0.5)))
         return Corners(ids, grid.reshape(-1, 2))
@@ -159,19 +155,8 @@ class Chessboard(Board):
 
 
 def _direction(grid: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vector along the rows of a grid of corners."""
     vector = grid[:, -1].mean(axis=0) - grid[:, 0].mean(axis=0)
     return np.asarray(vector / np.linalg.norm(vector), np.float64)
-
-
-def _first_square_is_darker(grey: NDArray[np.uint8], grid: NDArray[np.float64]) -> bool:
-    """Return whether the square between the first four corners is darker than those beside it."""
-    centers = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
-    x, y = centers[..., 0].astype(np.float32), centers[..., 1].astype(np.float32)
-    levels = cv2.remap(cv2.blur(grey, (3, 3)), x, y, cv2.INTER_LINEAR).astype(np.float64)
-    row, column = np.indices(levels.shape)
-    first = (row + column) % 2 == 0
-    return bool(levels[first].mean() < levels[~first].mean())
 
 
 @dataclass(frozen=True)
@@ -185,14 +170,10 @@ class CharucoBoard(Board):
     def words(self) -> str:
         return f"a ChArUco board of {self.columns + 1} x {self.rows + 1} squares with markers of {self.dictionary}"
 
-    @cached_property
-    def board(self) -> cv2.aruco.CharucoBoard:
-        """The board as OpenCV takes it."""
-        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
-        return cv2.aruco.CharucoBoard((self.columns + 1, self.rows + 1), self.square, self.marker, markers)
-
     def find(self, grey: NDArray[np.uint8]) -> Corners | None:
-        pixels, ids, _, _ = cv2.aruco.CharucoDetector(self.board).detectBoard(grey)
+        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
+        board = cv2.aruco.CharucoBoard((self.columns + 1, self.rows + 1), self.square, self.marker, markers)
+        pixels, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
         if ids is None or len(ids) < MIN_CORNERS:
             return None
         numbers = np.asarray(ids, np.int64).ravel()
@@ -248,21 +229,11 @@ class RigFit:
 
 
 def fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: bool) -> CameraFit:
-    """Return the camera that took the photos, without those whose error is an outlier.
+    """Return the camera that took the photos of ``size`` (width, height), without those whose error is an outlier.
 
     A photo is one if its error is above 0.3 pixels, and above the median of all by 3 standard deviations, which are
     estimated from the median of absolute deviations. The worst one is left out and the camera found anew, until there
-    is none or half of the photos are left.
-
-    Parameters
-    ----------
-    photos : name -> corners
-    size : (width, height) of the photos
-
-    Raises
-    ------
-    InputError
-        Fewer than three photos, or they do not determine the camera.
+    is none or half of the photos are left. InputError: fewer than three photos, or they do not determine the camera.
     """
     with single_thread():  # OpenCV's solvers sum over threads as those come
         return _without_outliers(photos, lambda used: _fit_camera(board, used, size, fisheye))
@@ -272,15 +243,14 @@ def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], cameras: tu
     """Return the rig of two cameras, whose lenses are refined by the pairs, without those that are outliers.
 
     Outliers are found with the lenses as given, by the rule of :func:`fit_camera`: pairs of photos that do not belong
-    together, or between which the board was moved.
-
-    Raises
-    ------
-    InputError
-        Fewer than three pairs, or they do not determine the rig.
+    together, or between which the board was moved. InputError: fewer than three pairs, or they do not determine it.
     """
-    common = {name: _common(left, right) for name, (left, right) in pairs.items()}
-    usable = {name: pair for name, pair in common.items() if len(pair[0]) >= MIN_CORNERS}
+    usable = {}
+    for name, pair in pairs.items():
+        ids = np.intersect1d(pair[0].ids, pair[1].ids)
+        if len(ids) >= MIN_CORNERS:
+            left, right = (Corners(ids, view.pixels[np.isin(view.ids, ids)]) for view in pair)
+            usable[name] = left, right
     with single_thread():
         rough = _without_outliers(usable, lambda used: _fit_rig(board, used, cameras, False))
         fine = _fit_rig(board, {name: usable[name] for name in rough.errors}, cameras, True)
@@ -358,30 +328,16 @@ def _fit_rig(
         rig = Rig(found[0], found[1], np.asarray(parts[5], np.float64), np.asarray(parts[6], np.float64).ravel())
     except (cv2.error, InputError) as error:
         raise InputError("the pairs do not determine where the cameras stand") from error
-    errors = {name: max(_pair_errors(rig, *views)) for name, *views in zip(pairs, objects, left, right, strict=True)}
+    errors, zero = {}, np.zeros(3)
+    for name, points, in_left, in_right in zip(pairs, objects, left, right, strict=True):
+        # The board lies where the left view shows it.
+        points64 = points.astype(np.float64)
+        _, turn, shift = cv2.solvePnP(points64, rig.left.rays(in_left)[:, None], np.eye(3), np.zeros(5))
+        placed = points64 @ cv2.Rodrigues(turn)[0].T + shift.ravel()
+        moved = placed @ rig.rotation.T + rig.translation
+        seen_by = (rig.left, placed, in_left), (rig.right, moved, in_right)
+        errors[name] = max(_rms(_projected(camera, at, zero, zero) - seen) for camera, at, seen in seen_by)
     return RigFit(rig, errors, {})
-
-
-def _pair_errors(
-    rig: Rig, points: NDArray[np.float32], left: NDArray[np.float32], right: NDArray[np.float32]
-) -> tuple[float, float]:
-    """Return the errors of both views when the board lies where the left view shows it, in pixels."""
-    rays = rig.left.rays(left)
-    _, turn, shift = cv2.solvePnP(points.astype(np.float64), rays[:, None], np.eye(3), np.zeros(5))
-    placed = points.astype(np.float64) @ cv2.Rodrigues(turn)[0].T + shift.ravel()
-    in_right = placed @ rig.rotation.T + rig.translation
-    zero = np.zeros(3)
-    return (
-        _rms(_projected(rig.left, placed, zero, zero) - left),
-        _rms(_projected(rig.right, in_right, zero, zero) - right),
-    )
-
-
-def _common(left: Corners, right: Corners) -> tuple[Corners, Corners]:
-    """Return the corners that both views show."""
-    ids = np.intersect1d(left.ids, right.ids)
-    one, other = (Corners(ids, each.pixels[np.isin(each.ids, ids)]) for each in (left, right))
-    return one, other
 
 
 def _arrays(board: Board, views: Iterable[Corners]) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:

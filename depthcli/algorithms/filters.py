@@ -29,15 +29,9 @@ def discontinuity_mask(
 ) -> NDArray[np.bool_]:
     """Return the visible pixels near a depth discontinuity, as in the ``disc`` masks of Middlebury v2.
 
-    These are the pixels of ``nonocc`` whose 9 x 9 window contains an occluded pixel, or one whose disparity differs by
-    more than ``gap`` from that of a 4-neighbor.
-
-    Parameters
-    ----------
-    disparity : (H, W) float, pixels, finite
-    nonocc : (H, W) bool, visible in both views
-    known : (H, W) bool; only known pixels that are not visible count as occluded. None: all are known
-    gap : difference of disparity at a discontinuity, pixels
+    These are the pixels of ``nonocc`` (visible in both views) whose 9 x 9 window contains an occluded pixel, or one
+    whose disparity differs by more than ``gap`` from that of a 4-neighbor. Only ``known`` pixels that are not visible
+    count as occluded; None: all are known. Disparities are finite.
     """
     edge = ~nonocc if known is None else known & ~nonocc
     jump_x, jump_y = np.abs(np.diff(disparity, axis=1)) > gap, np.abs(np.diff(disparity, axis=0)) > gap
@@ -49,6 +43,10 @@ def discontinuity_mask(
     return near & nonocc
 
 
+_LOCK = threading.Lock()
+_USERS: list[int] = []  # who is inside; each entry is OpenCV's number of threads before the first one
+
+
 @contextlib.contextmanager
 def single_thread() -> Iterator[None]:
     """Let OpenCV use one thread within the context; several threads of Python may be inside at a time.
@@ -56,24 +54,16 @@ def single_thread() -> Iterator[None]:
     The fast global smoother, and the WLS filter that is based on it, divide images into as many stripes as there are
     threads and round differently at the ends of vectors: the last bits depend on the number of threads.
     """
-    with _SingleThread.lock:
-        if _SingleThread.users == 0:
-            _SingleThread.n_threads = cv2.getNumThreads()
-            cv2.setNumThreads(1)
-        _SingleThread.users += 1
+    with _LOCK:
+        _USERS.append(_USERS[0] if _USERS else cv2.getNumThreads())
+        cv2.setNumThreads(1)
     try:
         yield
     finally:
-        with _SingleThread.lock:
-            _SingleThread.users -= 1
-            if _SingleThread.users == 0:
-                cv2.setNumThreads(_SingleThread.n_threads)
-
-
-class _SingleThread:  # state of OpenCV, which all threads of Python share
-    lock = threading.Lock()
-    users = 0
-    n_threads = 0
+        with _LOCK:
+            before = _USERS.pop()
+            if not _USERS:
+                cv2.setNumThreads(before)
 
 
 def joint_bilateral_fill(
@@ -83,22 +73,10 @@ def joint_bilateral_fill(
     sigma_space: float = 5.0,
     sigma_color: float = 15.0,
 ) -> NDArray[np.float32]:
-    """Fill unknown values with ``sum w v / sum w`` over the known values in a window, from the edges of gaps inwards.
+    """Fill NaN with ``sum w v / sum w`` over the known values in a window, from the edges of gaps inwards.
 
-    ``w = exp(-|p - q|^2 / 2 sigma_space^2 - |I_p - I_q|^2 / 2 sigma_color^2)``. Filled values count as known in
-    the next round; pixels that no round can fill stay NaN.
-
-    Parameters
-    ----------
-    color : (H, W, 3) uint8
-    values : (H, W) float32, NaN = unknown
-    window : side of the window, pixels, odd
-    sigma_space : pixels
-    sigma_color : grey levels
-
-    Returns
-    -------
-    (H, W) float32
+    ``w = exp(-|p - q|^2 / 2 sigma_space^2 - |I_p - I_q|^2 / 2 sigma_color^2)`` for an (H, W, 3) image I. Filled values
+    count as known in the next round; pixels that no round can fill stay NaN.
     """
     reach = window // 2
     offsets = np.arange(-reach, reach + 1)

@@ -17,11 +17,7 @@ def binary_cut(
 ) -> NDArray[np.bool_]:
     """Return the labels x that minimize ``sum cost_of_true x + sum capacity (1 - x_p) x_q`` on a graph, (N,) bool.
 
-    Parameters
-    ----------
-    cost_of_true : (N,) cost of the label true minus cost of false
-    p, q : (E,) first and second node of every pair
-    capacity : (E,) costs >= 0 of the pair (false, true)
+    ``cost_of_true`` (N,) is above that of false; the (E,) pairs of nodes (p, q) have costs ``capacity`` >= 0.
     """
     graph: Any = maxflow.GraphFloat(len(cost_of_true), len(p))
     ids = graph.add_nodes(len(cost_of_true))
@@ -40,14 +36,9 @@ STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 def edge_ends(shape: tuple[int, int], step: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Return two pairs of slices: of the pixels that have a neighbor at the offset ``step``, and of these neighbors."""
-    height, width = shape
-    dy, dx = step
-    rows = slice(0, max(height - dy, 0)), slice(dy, height)
-    if dx >= 0:
-        columns = slice(0, max(width - dx, 0)), slice(dx, width)
-    else:
-        columns = slice(-dx, width), slice(0, max(width + dx, 0))
-    return (rows[0], columns[0]), (rows[1], columns[1])
+    (height, width), (dy, dx) = shape, step
+    left, right = slice(max(-dx, 0), max(width - max(dx, 0), 0)), slice(max(dx, 0), max(width + min(dx, 0), 0))
+    return (slice(0, max(height - dy, 0)), left), (slice(dy, height), right)
 
 
 def grid_cut(
@@ -55,32 +46,14 @@ def grid_cut(
 ) -> NDArray[np.bool_]:
     """Return the labels x that maximize ``sum gain_of_true x - sum weight |x_p - x_q|`` over pixels with 8 neighbors.
 
-    Parameters
-    ----------
-    gain_of_true : (H, W), finite; what the label true gains over false at a pixel
-    weights : one array for each of :data:`STEPS`: the weights >= 0 of its edges, of the shape of the first slices that
-        :func:`edge_ends` returns
-
-    Returns
-    -------
-    (H, W) bool
-
-    Raises
-    ------
-    ValueError
-        For other shapes, values that are not finite, or negative weights.
+    ``gain_of_true`` and the labels are (H, W). There is one array of weights >= 0 for each of :data:`STEPS`, of the
+    shape of the first slices that :func:`edge_ends` returns.
     """
-    if gain_of_true.ndim != 2 or not np.isfinite(gain_of_true).all():
-        raise ValueError(f"want finite gains (H, W), got {gain_of_true.shape}")
-    if len(weights) != len(STEPS):
-        raise ValueError(f"want weights for {len(STEPS)} steps, got {len(weights)}")
     shape = gain_of_true.shape[0], gain_of_true.shape[1]
     graph: Any = maxflow.GraphFloat(gain_of_true.size, len(STEPS) * gain_of_true.size)
     nodes = graph.add_grid_nodes(shape)
     for step, weight in zip(STEPS, weights, strict=True):
         start, end = edge_ends(shape, step)
-        if weight.shape != nodes[start].shape or not (np.isfinite(weight).all() and (weight >= 0).all()):
-            raise ValueError(f"want finite weights >= 0 of shape {nodes[start].shape}, got {weight.shape}")
         if weight.size:
             strength = np.ascontiguousarray(weight, np.float64).ravel()
             graph.add_edges(nodes[start].ravel(), nodes[end].ravel(), strength, strength)
@@ -99,42 +72,24 @@ def potts_energy(labels: ArrayLike, unary: ArrayLike, edges: ArrayLike, weights:
 
 
 def alpha_expansion(
-    unary: ArrayLike,
-    edges: ArrayLike,
-    weights: ArrayLike,
-    initial: ArrayLike | None = None,
-    max_sweeps: int = 20,
+    unary: ArrayLike, edges: ArrayLike, weights: ArrayLike, initial: ArrayLike | None = None, max_sweeps: int = 20
 ) -> tuple[NDArray[np.int32], float]:
-    """Return labels of small Potts energy on a graph, and the energy (Boykov, Veksler and Zabih, PAMI 2001).
+    """Return (N,) labels of small Potts energy on a graph, and the energy (Boykov, Veksler and Zabih, PAMI 2001).
 
     Parameters
     ----------
     unary : (N, L) finite costs of every label at every node
     edges : (E, 2) node indices, each edge once, no loops; E may be 0
     weights : (E,) costs >= 0 of an edge whose ends have different labels
-    initial : (N,) labels to start from; the cheapest label of every node where not given
+    initial : (N,) labels to start from, whose energy is never exceeded; default: the cheapest label of every node
     max_sweeps : largest number of passes over all labels; ends earlier when no move lowers the energy
-
-    Returns
-    -------
-    labels : (N,) int32; the same input gives the same labels
-    energy : of these labels; never above that of ``initial``
-
-    Raises
-    ------
-    ValueError
-        For shapes that do not fit, values that are not finite, negative weights, or no labels.
     """
     costs = np.ascontiguousarray(unary, dtype=np.float64)
     ends = np.ascontiguousarray(edges, dtype=np.int32).reshape(-1, 2)
     strength = np.ascontiguousarray(weights, dtype=np.float64)
-    _check(costs, ends, strength)
     nodes, label_count = costs.shape
     labels = np.argmin(costs, axis=1) if initial is None else np.array(initial)
     labels = labels.astype(np.int32)
-    if labels.shape != (nodes,) or (nodes and not 0 <= labels.min() <= labels.max() < label_count):
-        raise ValueError(f"want {nodes} initial labels in [0, {label_count})")
-
     energy = potts_energy(labels, costs, ends, strength)
     starts, other, weight = adjacency(nodes, ends, strength)
     total = np.bincount(ends.T.ravel(), np.tile(strength, 2), nodes)
@@ -158,19 +113,6 @@ def alpha_expansion(
                 labels, energy, since_change = moved, moved_energy, 0
                 keep = costs[np.arange(nodes), labels]
     return labels, potts_energy(labels, costs, ends, strength)
-
-
-def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArray[np.float64]) -> None:
-    if costs.ndim != 2 or costs.shape[1] == 0:
-        raise ValueError(f"want unary costs (N, L) with L > 0, got {costs.shape}")
-    if strength.shape != (len(ends),):
-        raise ValueError(f"want {len(ends)} weights, one per edge, got {strength.shape}")
-    if not (np.isfinite(costs).all() and np.isfinite(strength).all()):
-        raise ValueError("unary costs and weights must be finite")
-    if len(ends) and (strength.min() < 0 or ends.min() < 0 or ends.max() >= len(costs)):
-        raise ValueError("want weights >= 0 and edges between existing nodes")
-    if len(ends) and np.any(ends[:, 0] == ends[:, 1]):
-        raise ValueError("an edge must join two different nodes")
 
 
 @jit

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,12 +105,6 @@ def _counting_sort(labels, chosen, count):
 
 
 @jit
-def _join_all(parent, edges):
-    for e in range(len(edges)):
-        join(parent, edges[e, 0], edges[e, 1])
-
-
-@jit
 def _best_neighbors(edges, rank, selected):
     # The (N,) int32 neighbors of smallest rank of the selected regions, the first of equal ones; -1 where none.
     best = np.full(selected.size, -1, np.int32)
@@ -128,8 +121,8 @@ def _best_neighbors(edges, rank, selected):
 def connected_components(color: NDArray[np.uint8], max_distance: float) -> NDArray[np.int32]:
     """Return the labels of regions of an (H, W, C) image in which neighbors have similar colors.
 
-    4-neighbors whose Euclidean color distance is at most ``max_distance`` belong to the same region. Labels, (H, W)
-    int32, count from 0 in raster order of the regions' first pixels.
+    4-neighbors whose Euclidean color distance is at most ``max_distance`` belong to the same region. Labels count from
+    0 in raster order of the regions' first pixels.
     """
     return np.asarray(_components(np.ascontiguousarray(color), max_distance * max_distance), np.int32)
 
@@ -166,16 +159,8 @@ def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
     once = regions < neighbors
     pairs, boundary = regions[once] * count + neighbors[once], boundary[once]
     order = np.argsort(pairs)
-    return _graph(sizes.astype(np.int64), sums.astype(np.float64), pairs[order], boundary[order])
-
-
-def _graph(
-    sizes: NDArray[np.int64], sums: NDArray[np.float64], pairs: NDArray[np.int64], boundary: NDArray[np.int64]
-) -> RegionGraph:
-    # Pairs i < j are given as numbers i * N + j.
-    count = max(len(sizes), 1)
-    edges = np.stack([pairs // count, pairs % count], axis=1).astype(np.int32)
-    return RegionGraph(sizes, edges, boundary, sums)
+    edges = np.stack(np.divmod(pairs[order], max(count, 1)), axis=1).astype(np.int32)
+    return RegionGraph(sizes.astype(np.int64), edges, boundary[order], sums.astype(np.float64))
 
 
 def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> tuple[RegionGraph, NDArray[np.int32]]:
@@ -189,33 +174,26 @@ def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> t
     first, second = first[separate].astype(np.int64), second[separate]
     pairs, place = np.unique(np.minimum(first, second) * count + np.maximum(first, second), return_inverse=True)
     boundary = np.bincount(place, graph.boundary[separate], len(pairs)).astype(np.int64)
-    return _graph(sizes, sums, pairs, boundary), group
+    return RegionGraph(sizes, np.stack(np.divmod(pairs, count), axis=1).astype(np.int32), boundary, sums), group
 
 
-def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min_size: int) -> NDArray[np.int32]:
+def merge_small_regions(
+    labels: NDArray[np.int32], image: NDArray[Any], min_size: int, by_boundary: bool = False
+) -> NDArray[np.int32]:
     """Join every region of fewer than ``min_size`` pixels to the neighbor with the most similar mean color.
 
-    Regions join in rounds until all are large enough (or only one is left). Labels are (H, W) int32 as those of
-    :func:`connected_components`.
+    Regions join in rounds until all are large enough (or only one is left). ``by_boundary``: they join the neighbor of
+    the same color with the longest common boundary instead, if there is one. Labels are (H, W) int32 from 0 on.
     """
-
-    def color_distance(graph: RegionGraph) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        first, second = graph.edges.T
-        return graph.edges, np.square(graph.means[first] - graph.means[second]).sum(axis=1)
-
-    return _merge_small(labels, region_graph(labels, image), min_size, color_distance)
-
-
-def _merge_small(
-    labels: NDArray[np.int32],
-    graph: RegionGraph,
-    min_size: int,
-    rank: Callable[[RegionGraph], tuple[NDArray[np.int32], NDArray[np.float64]]],
-) -> NDArray[np.int32]:
-    # In rounds, small regions join along their edge of smallest rank; ``rank`` gives edges and their ranks.
+    graph = region_graph(labels, image)
     number = np.arange(len(graph.sizes), dtype=np.int32)
     while True:
-        target = _best_neighbors(*rank(graph), graph.sizes < min_size)
+        first, second = graph.edges.T
+        distance = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
+        edges, rank = graph.edges, distance
+        if by_boundary:
+            edges, rank = edges[distance == 0], -graph.boundary[distance == 0].astype(np.float64)
+        target = _best_neighbors(edges, rank, graph.sizes < min_size)
         source = np.flatnonzero(target >= 0)
         if len(source) == 0:
             return number[labels]
@@ -223,11 +201,13 @@ def _merge_small(
         number = group[number]
 
 
-def joined_regions(count: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
+@jit
+def joined_regions(count, edges):
     """Return the (count,) int32 groups of regions joined by ``edges`` (E, 2), numbered by their first members."""
-    parent = np.arange(count, dtype=np.int32)
-    _join_all(parent, edges)
-    return np.asarray(consecutive(parent), np.int32)
+    parent = np.arange(count).astype(np.int32)
+    for e in range(len(edges)):
+        join(parent, edges[e, 0], edges[e, 1])
+    return consecutive(parent)
 
 
 def merge_small_labels(pieces: NDArray[np.int32], parents: NDArray[np.int32], min_size: int) -> NDArray[np.int32]:
@@ -236,14 +216,7 @@ def merge_small_labels(pieces: NDArray[np.int32], parents: NDArray[np.int32], mi
     ``parents`` (H, W) is the label map whose regions were divided into the ``pieces`` (H, W); a piece that is the only
     one of its parent stays as it is.
     """
-
-    def boundary_inside_parents(graph: RegionGraph) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        first, second = graph.edges.T
-        inside = graph.means[first, 0] == graph.means[second, 0]
-        return graph.edges[inside], -graph.boundary[inside].astype(np.float64)
-
-    graph = region_graph(pieces, parents[..., None].astype(np.float64))
-    return _merge_small(pieces, graph, min_size, boundary_inside_parents)
+    return merge_small_regions(pieces, parents, min_size, by_boundary=True)
 
 
 def adjacency(
@@ -251,16 +224,8 @@ def adjacency(
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[Any]]:
     """Return the neighbors of the nodes 0 .. count - 1 of an undirected graph, ordered by node.
 
-    Parameters
-    ----------
-    edges : (E, 2) int32, each edge once
-    weights : (E,) a number for each edge, such as its cost or the length of a common boundary
-
-    Returns
-    -------
-    starts : (count + 1,) int64; the elements ``starts[n] .. starts[n + 1] - 1`` of the other arrays belong to node n
-    neighbors : (2 E,) int32
-    weights : (2 E,) of the edges to these neighbors
+    Given are edges (E, 2), each once, and a weight for each. Returned are (count + 1,) ``starts``, (2 E,) neighbors and
+    the weights of the edges to them, whose elements ``starts[n] .. starts[n + 1] - 1`` belong to node n.
     """
     source = edges.T.ravel()
     order = np.argsort(source, kind="stable")

@@ -13,13 +13,7 @@ from depthcli.kernels.jit import parallel_jit, prange
 
 
 def trilinear(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the trilinear samples, (N,) float32, of a volume; borders are repeated.
-
-    Parameters
-    ----------
-    volume : (Z, Y, X) float32
-    coordinates : (N, 3) z, y, x of the samples, voxels; the center of the first voxel is (0, 0, 0)
-    """
+    """Return trilinear samples of a (Z, Y, X) volume at (N, 3) coordinates z, y, x in voxels; borders are repeated."""
     top = np.array(volume.shape) - 1
     inside = np.clip(coordinates, 0, top)
     low = np.minimum(inside.astype(np.int64), np.maximum(top - 1, 0))
@@ -33,13 +27,7 @@ def trilinear(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> 
 
 
 def nearest(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the values of the nearest voxels, (N,) float32; NaN outside of the volume.
-
-    Parameters
-    ----------
-    volume : (Z, Y, X) float32
-    coordinates : (N, 3) z, y, x of the samples, voxels
-    """
+    """Return the values of a (Z, Y, X) volume nearest to (N, 3) coordinates z, y, x in voxels; NaN outside of it."""
     index = np.rint(coordinates).astype(np.int64)
     inside = np.all((index >= 0) & (index < np.array(volume.shape)), axis=1)
     sampled = np.full(len(coordinates), np.nan, np.float32)
@@ -48,13 +36,7 @@ def nearest(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> ND
 
 
 def block_means(volume: NDArray[Any], block: tuple[int, int, int]) -> NDArray[np.float32]:
-    """Return the mean of every block of voxels, (ceil(Z / z), ceil(Y / y), ceil(X / x)) float32.
-
-    Parameters
-    ----------
-    volume : (Z, Y, X)
-    block : size (z, y, x) of a block, voxels; the last ones along an axis may be smaller
-    """
+    """Return the mean of every block of (z, y, x) voxels of a volume; the last ones along an axis may be smaller."""
     if max(block) == 1:
         return volume.astype(np.float32, copy=False)
     starts = [np.arange(0, n, b) for n, b in zip(volume.shape, block, strict=True)]
@@ -69,13 +51,7 @@ def block_means(volume: NDArray[Any], block: tuple[int, int, int]) -> NDArray[np
 
 
 def shifted(volume: NDArray[Any], offset: Sequence[int]) -> NDArray[Any]:
-    """Return ``out[x] = volume[x + offset]`` along every axis, borders repeated.
-
-    Parameters
-    ----------
-    volume : (Z, Y, X)
-    offset : (z, y, x), voxels
-    """
+    """Return ``out[x] = volume[x + offset]`` along every axis, (z, y, x) voxels, borders repeated."""
     for axis, step in enumerate(offset):
         if step:
             index = np.clip(np.arange(volume.shape[axis]) + step, 0, volume.shape[axis] - 1)
@@ -84,17 +60,12 @@ def shifted(volume: NDArray[Any], offset: Sequence[int]) -> NDArray[Any]:
 
 
 def resample(
-    volume: NDArray[np.float32], shape: tuple[int, int, int], step: Sequence[float], start: Sequence[float]
+    volume: NDArray[np.float32], shape: Sequence[int], step: Sequence[float], start: Sequence[float]
 ) -> NDArray[np.float32]:
-    """Return trilinear samples on a regular grid, borders repeated; (Z', Y', X') float32.
+    """Return trilinear samples of a (Z, Y, X) volume on a regular grid of ``shape``, borders repeated; float32.
 
-    There is no anti-aliasing: where ``step`` is well above 1, the volume should be smoothed first.
-
-    Parameters
-    ----------
-    volume : (Z, Y, X) float32
-    shape : (Z', Y', X') of the result
-    step, start : distance of the samples and coordinate of the first one along z, y, x, voxels of ``volume``
+    ``step`` and ``start`` are the distance of the samples and the place of the first one along z, y, x, voxels. There
+    is no anti-aliasing: where ``step`` is well above 1, the volume should be smoothed first.
     """
     for axis in range(3):
         coordinates = start[axis] + step[axis] * np.arange(shape[axis], dtype=np.float64)
@@ -120,12 +91,10 @@ def gaussian(volume: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
         smooth = np.empty_like(volume)
         _along_first(padded, weights, smooth)
     planes = np.empty_like(volume)
-    for z in range(volume.shape[0]):
-        row = weights if volume.shape[2] > 1 else np.ones(1, np.float32)
-        column = weights if volume.shape[1] > 1 else np.ones(1, np.float32)
-        planes[z] = cv2.sepFilter2D(smooth[z], cv2.CV_32F, row, column, borderType=cv2.BORDER_REPLICATE).reshape(
-            planes[z].shape
-        )
+    row, column = (weights if n > 1 else np.ones(1, np.float32) for n in volume.shape[:0:-1])
+    for plane, source in zip(planes, smooth, strict=True):
+        filtered = cv2.sepFilter2D(source, cv2.CV_32F, row, column, borderType=cv2.BORDER_REPLICATE)
+        plane[:] = filtered.reshape(plane.shape)
     return planes
 
 

@@ -27,36 +27,22 @@ def trws(
 
     Parameters
     ----------
-    values : (N, K) float32, candidates of the N active pixels in raster order
-    unary : (N, K) float32 costs; inf: the pixel has neither this candidate nor any after it. The first is finite
-    active : (H, W) bool, N of them True
-    weights : (N, 4) float32 >= 0, of the pairs with the neighbor on the right, below left, below, and below right;
-        ignored where that neighbor is not active
+    values : (N, K) candidates of the N active pixels in raster order
+    unary : (N, K) costs; inf: the pixel has neither this candidate nor any after it. The first is finite
+    active : (H, W), N of them True
+    weights : (N, 4) >= 0, of the pairs with the neighbor on the right, below left, below, and below right; ignored
+        where that neighbor is not active
     truncation : difference of two values beyond which the cost of a pair no longer grows
     iterations : number of forward and backward passes
 
     Returns
     -------
-    labels : (N,) int32, index of the chosen candidate
+    labels : (N,) index of the chosen candidate
     lower_bound : no choice of candidates has a smaller energy, up to rounding
-
-    Raises
-    ------
-    ValueError
-        For shapes that do not fit, negative weights, or a pixel without a candidate.
     """
     count = int(np.count_nonzero(active))
-    if values.ndim != 2 or len(values) != count or unary.shape != values.shape or weights.shape != (count, 4):
-        raise ValueError(
-            f"want values and unary (N, K) and weights (N, 4) for N = {count} active pixels, "
-            f"got {values.shape}, {unary.shape}, {weights.shape}"
-        )
     if count == 0:
         return np.empty(0, np.int32), 0.0
-    if not (np.isfinite(unary[:, 0]).all() and np.isfinite(values[:, 0]).all()):
-        raise ValueError("every active pixel needs a candidate with a finite cost")
-    if not (weights >= 0).all():
-        raise ValueError("want weights >= 0")
     height, width = active.shape
     nodes = np.full((height + 2, width + 2), -1, np.int32)
     nodes[1:-1, 1:-1][active] = np.arange(count, dtype=np.int32)

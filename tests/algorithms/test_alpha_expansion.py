@@ -46,19 +46,3 @@ def test_starts_from_the_given_labels_and_leaves_inputs_alone():
     for array, copy in zip((unary, edges, weights), copies, strict=True):
         assert np.array_equal(array, copy)
     assert np.array_equal(initial, [0, 1, 2, 0, 1, 2])
-
-
-@pytest.mark.parametrize(
-    ("unary", "edges", "weights", "message"),
-    [
-        (np.zeros((2, 0)), [], [], "L > 0"),
-        (np.zeros((2, 2)), [[0, 1]], [], "weights"),
-        (np.full((2, 2), np.nan), [[0, 1]], [1.0], "finite"),
-        (np.zeros((2, 2)), [[0, 1]], [-1.0], ">= 0"),
-        (np.zeros((2, 2)), [[0, 2]], [1.0], "existing"),
-        (np.zeros((2, 2)), [[1, 1]], [1.0], "different"),
-    ],
-)
-def test_bad_problems_are_refused(unary, edges, weights, message):
-    with pytest.raises(ValueError, match=message):
-        alpha_expansion(unary, edges, weights)

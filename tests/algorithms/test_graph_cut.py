@@ -38,20 +38,3 @@ def test_no_labelling_is_better(shape, seed):
     assert _value(found, score, weights) == pytest.approx(best)
     for array, copy in zip((score, *weights), copies, strict=True):
         np.testing.assert_array_equal(array, copy)
-
-
-@pytest.mark.parametrize(
-    ("score", "change", "message"),
-    [
-        (np.full((3, 3), np.nan), None, "finite"),
-        (np.zeros(3), None, "finite gains"),
-        (np.zeros((3, 3)), -1.0, ">= 0"),
-        (np.zeros((3, 3)), np.nan, ">= 0"),
-    ],
-)
-def test_bad_problems_are_refused(score, change, message):
-    weights = list(_weights(np.random.default_rng(0), (3, 3)))
-    if change is not None:
-        weights[2] = np.full_like(weights[2], change)
-    with pytest.raises(ValueError, match=message):
-        grid_cut(score, tuple(weights))

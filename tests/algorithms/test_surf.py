@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.keypoints import surf
-from depthcli.algorithms.keypoints.surf import Surf, filter_sizes
+from depthcli.algorithms.keypoints.surf import Surf
 from tests.naive import segments as naive
 
 
@@ -22,10 +22,6 @@ def _blob(y, x, sigma, dark=False, shape=(81, 101)):
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     bump = 120 * np.exp(-((rows - y) ** 2 + (columns - x) ** 2) / (2 * sigma**2))
     return np.rint(200 - bump if dark else 40 + bump).astype(np.uint8)
-
-
-def test_filter_sizes_are_those_of_the_paper():
-    assert [filter_sizes(o) for o in range(3)] == [[9, 15, 21, 27], [15, 27, 39, 51], [27, 51, 75, 99]]
 
 
 @pytest.mark.parametrize(("size", "step"), [(9, 1), (15, 1), (27, 2)])

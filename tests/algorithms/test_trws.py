@@ -90,14 +90,3 @@ def test_the_bound_holds_and_the_answer_is_the_same_at_any_number_of_threads():
     assert lower_bound == other_bound <= energy
     first = np.where(np.isfinite(unary), unary, np.inf).argmin(axis=1)
     assert energy < energy_of(first, values, unary, pairs, 4.0)
-
-
-def test_bad_problems():
-    active = np.ones((2, 2), bool)
-    values, unary, weights = random_problem(np.random.default_rng(0), active)
-    with pytest.raises(ValueError, match="active pixels"):
-        trws(values[:3], unary[:3], active, weights[:3], 1.0)
-    with pytest.raises(ValueError, match="candidate"):
-        trws(values, np.full_like(unary, np.inf), active, weights, 1.0)
-    with pytest.raises(ValueError, match="weights >= 0"):
-        trws(values, unary, active, -weights - 1, 1.0)

@@ -37,37 +37,14 @@ class GaussianKernel:
 
 
 def mean_field(
-    unary: NDArray[np.float32],
-    kernels: Sequence[GaussianKernel],
-    truncation: int,
-    iterations: int = 5,
+    unary: NDArray[np.float32], kernels: Sequence[GaussianKernel], truncation: int, iterations: int = 5
 ) -> NDArray[np.float32]:
-    """Return approximate marginals of every label at every point.
+    """Return approximate marginals (N, L) of every label at every point: the same bytes at any number of threads.
 
-    Parameters
-    ----------
-    unary : (N, L) float32 energies, finite
-    kernels : one or more
-    truncation : T >= 1, labels; 1 is Potts's model
-    iterations : number of steps from softmax(-unary), which 0 steps return
-
-    Returns
-    -------
-    (N, L) float32, each row sums to 1; the same bytes at any number of threads
-
-    Raises
-    ------
-    ValueError
-        For shapes that do not fit, values that are not finite, or features too many or too far apart for the lattice.
+    Energies ``unary`` (N, L) are finite. T = 1 is Potts's model. Steps begin at softmax(-unary), which 0 steps return.
+    ValueError: features are not finite, or too many or too far apart for the lattice.
     """
-    if unary.ndim != 2 or unary.shape[1] == 0 or unary.dtype != np.float32:
-        raise ValueError(f"want unary energies (N, L) float32 with L > 0, got {unary.shape} {unary.dtype}")
     count, labels = unary.shape
-    for kernel in kernels:
-        if kernel.features.ndim != 2 or len(kernel.features) != count or kernel.features.dtype != np.float32:
-            raise ValueError(f"want features ({count}, d) float32, got {kernel.features.shape} {kernel.features.dtype}")
-    if not (np.isfinite(unary.min(initial=0)) and np.isfinite(unary.max(initial=0))):
-        raise ValueError("unary energies must be finite")
     q: NDArray[np.float32] = memory.empty((count, labels), np.float32)
     joined = _JoinedLattices.of([kernel for kernel in kernels if kernel.weight > 0 and iterations], count)
     corners, slots, weights = joined.slots.shape[1], joined.slots.reshape(-1), joined.weights.reshape(-1)
@@ -90,20 +67,15 @@ def mean_field(
 @dataclass(frozen=True)
 class _JoinedLattices:
     # The lattices of all kernels side by side, for one pass over the points.
-    #
-    # slots, weights: (N, C), columns are the corners of all lattices. The weights include the normalization and the
-    #     square root of the kernel's weight, so that spreading and reading with the same weights and adding all
-    #     columns gives the message
-    # own: (N,), a point's message to itself
-    # vertex: (T,) row of every slot in arrays of all vertices, where each lattice is followed by a row of zeros
-    # bands: (B, 2 K), row b holds the slots of band b in each of the K lattices, as first and last + 1
 
     lattices: tuple[Lattice, ...]
-    slots: NDArray[np.int32]
+    slots: NDArray[np.int32]  # (N, C), columns are the corners of all lattices
+    # (N, C), with the normalization and the square root of the kernel's weight: spreading and reading with the same
+    # weights and adding all columns gives the message
     weights: NDArray[np.float32]
-    own: NDArray[np.float32]
-    vertex: NDArray[np.int32]
-    bands: NDArray[np.int64]
+    own: NDArray[np.float32]  # (N,), a point's message to itself
+    vertex: NDArray[np.int32]  # (T,) row of every slot in arrays of all vertices; a row of zeros follows each lattice
+    bands: NDArray[np.int64]  # (B, 2 K), the slots of band b in each of the K lattices, as first and last + 1
 
     @classmethod
     def of(cls, kernels: Sequence[GaussianKernel], count: int) -> _JoinedLattices:

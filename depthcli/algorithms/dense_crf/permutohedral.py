@@ -17,7 +17,6 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import LANES, load, splat, store
 
 BAND = 16384  # points that one thread processes with one table of vertices, which fits into the cache
-_MAX_DIMENSIONS = 8  # of any features here; the remainder of a vertex must fit into 4 bits of its key
 _TILE = 64  # points whose simplices are computed together: their coordinates stay in the first-level cache
 
 
@@ -41,33 +40,27 @@ class Lattice:
 
     @classmethod
     def of(cls, features: NDArray[np.float32]) -> Lattice:
-        """Return the lattice around the points whose coordinates are ``features``.
+        """Return the lattice around points with ``features`` (N, d), d <= 8, in the Gaussian's standard deviations.
 
-        Parameters
-        ----------
-        features : (N, d) float32, finite, 1 <= d <= 8, in units of the Gaussian's standard deviation
-
-        Raises
-        ------
-        ValueError
-            For other shapes, values that are not finite, or features that span more lattice cells than 63 bits can
-            number (more than some hundred standard deviations along each of six axes).
+        ValueError: features are not finite, or span more lattice cells than 63 bits can number (more than some hundred
+        standard deviations along each of six axes).
         """
         count, d = features.shape
-        if not 1 <= d <= _MAX_DIMENSIONS:
-            raise ValueError(f"want 1 to {_MAX_DIMENSIONS} features per point, got {d}")
         bands = -(-count // BAND)
         low, high = (features.min(axis=0), features.max(axis=0)) if count else np.zeros((2, d), np.float32)
         if not (np.isfinite(low) & np.isfinite(high)).all():
             raise ValueError("features must be finite")
-        shifts = _bits(low.astype(np.float64), high.astype(np.float64))
+        # With these, splatting, blurring and slicing together are a Gaussian of standard deviation 1 (section 3).
+        i = np.arange(d)
+        scales = np.sqrt(2.0 / 3.0) * (d + 1) / np.sqrt((i + 1.0) * (i + 2.0))
+        shifts = _bits(low * scales, high * scales)
         slots: NDArray[np.int32] = memory.empty((count, d + 1), np.int32)
         weights: NDArray[np.float32] = memory.empty((count, d + 1), np.float32)
         sizes = np.zeros(bands, np.int64)
         capacity = 8192
         while True:  # a band with more vertices than there is room for gives their number, and all begin again
             keys = np.empty((max(bands, 1), capacity), np.uint64)
-            embed(features, _scales(d), shifts, BAND, slots, weights, keys, sizes)
+            embed(features, scales, shifts, BAND, slots, weights, keys, sizes)
             if bands == 0 or sizes.max() <= capacity:
                 break
             capacity = int(sizes.max()) + 16
@@ -106,10 +99,8 @@ class Lattice:
     def filter(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return (N, C) float32 ``values`` blurred by a Gaussian whose value at distance 0 is about ``1 + 2^-d``."""
         width = -(-values.shape[1] // LANES) * LANES
-        partial, near, far = (
-            memory.empty((rows * width,), np.float32)
-            for rows in (self.vertex.size, self.vertices + 1, self.vertices + 1)
-        )
+        sizes = (self.vertex.size, self.vertices + 1, self.vertices + 1)
+        partial, near, far = (memory.empty((rows * width,), np.float32) for rows in sizes)
         result = np.empty(values.shape, np.float32)
         spread(values, self.slots, self.weights, self.first_slot, BAND, partial.reshape(-1, width))
         blur(self, width, partial, near, far)
@@ -120,15 +111,9 @@ class Lattice:
 def blur(
     lattice: Lattice, width: int, partial: NDArray[np.float32], near: NDArray[np.float32], far: NDArray[np.float32]
 ) -> None:
-    """Add up the values in slots by vertex, blur them, and write them to ``near``.
+    """Add up the T rows of values in slots by vertex, blur them, and write them to the V + 1 rows of ``near``.
 
-    Parameters
-    ----------
-    lattice : with T slots and V vertices
-    width : number of values per row, a multiple of the number of lanes
-    partial : T rows, the values in slots
-    near : V + 1 rows, of which the last becomes 0, the values of no vertex
-    far : V + 1 rows of scratch memory
+    The last row becomes 0, the values of no vertex. ``far`` is scratch memory of the same size.
     """
     steps = len(lattice.neighbors)
     source, target = (near, far) if steps % 2 == 0 else (far, near)
@@ -140,18 +125,10 @@ def blur(
         source, target = target, source
 
 
-def _scales(d: int) -> NDArray[np.float64]:
-    # Makes splatting, blurring and slicing together a Gaussian of standard deviation 1 (Adams et al., section 3).
-    i = np.arange(d)
-    scales: NDArray[np.float64] = np.sqrt(2.0 / 3.0) * (d + 1) / np.sqrt((i + 1.0) * (i + 2.0))
-    return scales
-
-
 def _bits(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int64]:
     # (d, 2) int64: offset and bit position of every coordinate in a vertex's key. A vertex is (d + 1) q + r, with the
-    # same r in all coordinates, which sum to 0: it is determined by r and q of the first d coordinates.
+    # same r in all coordinates, which sum to 0: it is determined by r and q of the first d coordinates. r takes 4 bits.
     d = low.size
-    low, high = low * _scales(d), high * _scales(d)
     shifts = np.empty((d, 2), np.int64)
     at = 4
     for i in range(d):

@@ -28,7 +28,7 @@ class Surf(Detector):
         grey = np.ascontiguousarray(image, dtype=np.float32) / np.float32(255)
         # Zero mean keeps the sums small, so that differences of them stay exact enough.
         integral = np.ascontiguousarray(cv2.integral(grey - grey.mean(), sdepth=cv2.CV_64F))
-        points = np.concatenate([self._octave(integral, octave) for octave in range(self.octaves)])
+        points = np.concatenate([self._octave(integral, k) for k in range(self.octaves)])
         points = points[np.lexsort((points[:, 2], points[:, 0], points[:, 1], -points[:, 3]))]
         descriptors = np.zeros((len(points), 64), np.float32)
         _describe(integral, points, descriptors)
@@ -38,7 +38,7 @@ class Surf(Detector):
     def _octave(self, integral: NDArray[np.float64], octave: int) -> NDArray[np.float32]:
         # Key points (N, 5) float32 of one octave: x, y, scale, response, sign.
         step = 1 << octave
-        sizes = filter_sizes(octave)
+        sizes = [3 * ((2 << octave) * (layer + 1) + 1) for layer in range(_LAYERS)]  # 9, 15, 21, 27 in octave 0
         height, width = integral.shape[0] - 1, integral.shape[1] - 1
         if min(height, width) < sizes[-1]:
             return np.zeros((0, 5), np.float32)
@@ -46,13 +46,7 @@ class Surf(Detector):
         signs = np.zeros(responses.shape, np.int8)
         for layer, size in enumerate(sizes):
             _hessian(integral, step, size, responses[layer], signs[layer])
-        maxima = _maxima(responses, signs, step, sizes[0], sizes[1] - sizes[0], self.threshold)
-        return np.asarray(maxima, np.float32)
-
-
-def filter_sizes(octave: int) -> list[int]:
-    """Return the side lengths of an octave's box filters: 9, 15, 21, 27 in octave 0; the step doubles per octave."""
-    return [3 * ((2 << octave) * (layer + 1) + 1) for layer in range(_LAYERS)]
+        return np.asarray(_maxima(responses, signs, step, sizes[0], sizes[1] - sizes[0], self.threshold))
 
 
 @jit

@@ -27,12 +27,9 @@ def huber_weight(residual, limit):
 
 @jit
 def plane_slopes(xx, xy, yy, xd, yd, determinant):
-    """Return the slopes (a, b) of ``d = a x + b y + c`` by Cramer's rule.
+    """Return the slopes (a, b) of ``d = a x + b y + c`` by Cramer's rule, from second moments about the means.
 
-    Parameters
-    ----------
-    xx, xy, yy, xd, yd : second moments about the means (sums or means alike)
-    determinant : ``xx * yy - xy * xy``; the caller makes sure that it is not 0
+    The caller makes sure that the determinant, ``xx * yy - xy * xy``, is not 0.
     """
     return (xd * yy - yd * xy) / determinant, (yd * xx - xd * xy) / determinant
 

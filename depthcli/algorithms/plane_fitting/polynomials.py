@@ -8,13 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.plane_fitting.least_squares import (
-    MAD_TO_SIGMA,
-    huber_weight,
-    plane_moments,
-    smallest,
-    solve_cholesky,
-)
+from depthcli.algorithms.plane_fitting import least_squares
+from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA, huber_weight, smallest
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
@@ -82,10 +77,9 @@ def fit_polynomials(
 
     Parameters
     ----------
-    values : (H, W) float32, NaN = unknown
-    labels : (H, W) int32, 0 .. n - 1; -1: in no segment
-    start : n initial surfaces, or None; a segment with fewer than 30 known pixels keeps an initial surface that was
-        already fitted
+    values : (H, W), NaN = unknown
+    labels : (H, W), 0 .. n - 1; -1: in no segment
+    start : n initial surfaces, or None; a segment with fewer than 30 known pixels keeps one that was already fitted
     degree : largest degree; at most 1 in segments of fewer than 100 known pixels, 0 in those of fewer than 30
     huber : a residual of u > huber scales has the weight huber / u; inf: plain least squares
     iterations, warm_iterations : largest number of reweightings of a new surface, and of an initial one
@@ -155,7 +149,7 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
         for k in range(n):
             weights[k] = huber_weight(residuals[k], limit)
         _normal_equations(z, u, v, weights, terms, normal, right)
-        if not solve_cholesky(normal, right, terms, new):  # the pixels lie on a line
+        if not least_squares.solve_cholesky(normal, right, terms, new):  # the pixels lie on a line
             terms = 3 if terms == 6 else 1
             beta[terms:] = 0
             continue
@@ -172,7 +166,7 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
 @jit
 def _normal_equations(z, u, v, weights, terms, normal, right):
     # Lower half of sum w b b' and sum w b z over the pixels' basis b = (1, u, v, u^2, uv, v^2).
-    w0, wu, wv, wz, wuu, wuv, wvv, wuz, wvz = plane_moments(u, v, z, weights)
+    w0, wu, wv, wz, wuu, wuv, wvv, wuz, wvz = least_squares.plane_moments(u, v, z, weights)
     normal[0, 0], normal[1, 0], normal[2, 0] = w0, wu, wv
     normal[1, 1], normal[2, 1], normal[2, 2] = wuu, wuv, wvv
     right[0], right[1], right[2] = wz, wuz, wvz

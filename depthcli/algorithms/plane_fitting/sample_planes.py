@@ -13,6 +13,9 @@ from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
+Pixels = tuple[NDArray[np.int32], NDArray[np.int32]]
+"""Rows and columns of P pixels, (P,) each."""
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -39,25 +42,11 @@ class Samples:
         blank[self.rows, self.columns] = 0
         return np.asarray(cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
 
-    def nearest(
-        self,
-        at: tuple[NDArray[np.int32], NDArray[np.int32]],
-        count: int,
-        shape: tuple[int, int],
-        skip_own: bool = False,
-    ) -> NDArray[np.int32]:
-        """Return the indices of the K samples nearest to each pixel, nearest first; ties in the order of the samples.
+    def nearest(self, at: Pixels, count: int, shape: tuple[int, int], skip_own: bool = False) -> NDArray[np.int32]:
+        """Return the (P, count) indices of the samples nearest to each pixel of a map of ``shape``, nearest first.
 
-        Parameters
-        ----------
-        at : (P,) int32 rows and columns of the pixels
-        count : number K of samples per pixel
-        shape : (H, W) of the map
-        skip_own : leave out a sample that lies on the pixel itself
-
-        Returns
-        -------
-        (P, K) int32; -1 in the last columns where there are fewer than K samples
+        Ties are in the order of the samples; -1 stands in the last columns where there are fewer. ``skip_own`` leaves
+        out a sample that lies on the pixel itself.
         """
         height, width = shape
         # Cells that hold about two samples each.
@@ -67,9 +56,8 @@ class Samples:
         order = np.argsort(cell, kind="stable").astype(np.int32)
         first = np.searchsorted(cell[order], np.arange(across * down + 1))
         nearest = np.full((at[0].size, count), -1, np.int32)
-        _nearest(
-            self.rows[order], self.columns[order], order, first, side, across, down, at[0], at[1], skip_own, nearest
-        )
+        grid = order, first, side, across, down
+        _nearest(self.rows[order], self.columns[order], *grid, *at, skip_own, nearest)
         return nearest
 
 
@@ -105,7 +93,7 @@ class SamplePlaneFit(ConfigModel):
         samples: Samples,
         image: NDArray[np.uint8],
         noise: float,
-        at: tuple[NDArray[np.int32], NDArray[np.int32]],
+        at: Pixels,
         skip_own: bool = False,
         to_average: NDArray[np.float32] | None = None,
     ) -> SamplePlanes:
@@ -113,23 +101,18 @@ class SamplePlaneFit(ConfigModel):
 
         Parameters
         ----------
-        samples : M samples
         image : (H, W, 3) uint8
         noise : standard deviation of good samples, in the unit of their values
-        at : (P,) int32 rows and columns of the pixels
         skip_own : leave out a sample on the pixel itself
-        to_average : (M,) float32, a property of the samples, of which the result holds means
+        to_average : a property of the M samples, of which the result holds means
         """
         shape = image.shape[0], image.shape[1]
         nearest = samples.nearest(at, self.neighbors, shape, skip_own)
         values, sigma = (np.full(at[0].size, np.nan, np.float32) for _ in range(2))
         confidence, averaged = (np.zeros(at[0].size, np.float32) for _ in range(2))
         marks = np.zeros(samples.values.size, np.float32) if to_average is None else to_average
-        scales = (
-            np.float32(max(noise, 1e-9)),
-            np.float32(1.0 / (2.0 * self.color_scale**2)),
-            np.float32(self.slope / shape[1]),
-        )
+        color_rate, slope = 1.0 / (2.0 * self.color_scale**2), self.slope / shape[1]
+        scales = (np.float32(max(noise, 1e-9)), np.float32(color_rate), np.float32(slope))
         given = (nearest, samples.rows, samples.columns, samples.values, image, *at, *scales, self.steps, marks)
         _fit(*given, values, sigma, confidence, averaged)
         return SamplePlanes(values, sigma, confidence, averaged)

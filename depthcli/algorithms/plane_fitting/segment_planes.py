@@ -46,19 +46,14 @@ class SegmentPlanes:
         """Return at most ``max_planes`` planes without near-duplicates, the best supported ones first.
 
         A plane is a near-duplicate of a better supported one if their slopes differ by at most ``slope_tolerance`` and
-        their disparities at its own center by at most ``offset_tolerance`` pixels.
-
-        Returns
-        -------
-        planes : SegmentPlanes
-        representative : (L,) int32, for every plane the index in ``planes`` of the one that replaces it; -1 for none
+        their disparities at its own center by at most ``offset_tolerance`` pixels. The second result is, for every
+        plane, the index of the returned one that replaces it; -1 for none.
         """
         order = np.argsort(-self.support, kind="stable")
         by_support = self[order]
         representative = np.full(len(self), -1, np.int32)
-        kept = _distinct(
-            by_support.coefficients, by_support.center, slope_tolerance, offset_tolerance, max_planes, representative
-        )
+        limits = slope_tolerance, offset_tolerance, max_planes
+        kept = _distinct(by_support.coefficients, by_support.center, *limits, representative)
         return by_support[kept], representative[np.argsort(order)]
 
     def at(self, choice: NDArray[np.int32], max_disparity: float) -> NDArray[np.float32]:
@@ -88,33 +83,19 @@ class SegmentPlaneFit(ConfigModel):
     def __call__(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
         """Fit one plane to each of the segments ``chosen`` (K,), none of which is empty.
 
-        Where no three pixels define a plane with an allowed slope, that is the flat plane at the median disparity.
-
-        Parameters
-        ----------
-        values : (H, W) float32 disparities, pixels
-        members : the pixels of every segment that its plane is fitted to
+        Where no three of the ``members`` define a plane with an allowed slope, that is the flat plane at the median of
+        the ``values`` (H, W).
         """
-        return self._planes(values, members, chosen, self.trials, self.max_slope, self.flatness)
+        planes = SegmentPlanes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
+        segments = (members.order, members.starts, np.asarray(chosen, np.int64))
+        limits = (self.tolerance, self.trials, self.max_slope, self.flatness, self.seed)
+        _fit(values.ravel(), values.shape[1], *segments, *limits, planes.coefficients, planes.support, planes.center)
+        return planes
 
     def constant(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
         """Return, for each of the segments ``chosen`` (K,), the flat plane at its median disparity."""
-        return self._planes(values, members, chosen, 0, 0.0, 0.0)
-
-    def _planes(
-        self,
-        values: NDArray[np.float32],
-        members: RegionPixels,
-        chosen: NDArray[np.int64],
-        trials: int,
-        max_slope: float,
-        flatness: float,
-    ) -> SegmentPlanes:
-        planes = SegmentPlanes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
-        segments = (members.order, members.starts, np.asarray(chosen, np.int64))
-        limits = (self.tolerance, trials, max_slope, flatness, self.seed)
-        _fit(values.ravel(), values.shape[1], *segments, *limits, planes.coefficients, planes.support, planes.center)
-        return planes
+        flat: dict[str, Any] = {"trials": 0, "max_slope": 0.0, "flatness": 0.0}
+        return self.model_copy(update=flat)(values, members, chosen)
 
 
 @parallel_jit

@@ -48,13 +48,8 @@ def window_planes(
 ) -> WindowPlanes:
     """Fit a plane to the window of every pixel, by three reweighted least squares with Tukey's biweight.
 
-    Parameters
-    ----------
-    disparity : (H, W) float32, pixels, NaN = unknown
-    trust : (H, W) float32 >= 0, weight of every pixel; unknown ones have none
-    noise : standard deviation of the disparity, pixels
-    previous, changed : planes of an earlier map, and (H, W) bool: the pixels whose disparity or trust has changed
-        since; planes whose windows contain none of these are copied
+    ``trust`` are the weights of the pixels, ``noise`` is the standard deviation of the disparity, pixels. With the
+    planes of an earlier map, those whose windows contain no pixel whose disparity or trust has ``changed`` are copied.
     """
     known = ~np.isnan(disparity)
     padded = np.pad(np.where(known, disparity, np.float32(0)), RADIUS)

@@ -52,18 +52,11 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
     (differences of the channels sum to at most 75) and whose disparity is close (difference at most 1 + 0.15 distance).
     It is fitted once more to the samples within one pixel of disparity of it, with weights ``1 - residual^2``. Slopes
     that noise can explain are reduced: a slope g is multiplied by ``g^2 / (g^2 + 4 (variance + 0.01) / spread)``, with
-    the variance of the residuals and the spread ``radius^2 / 3`` of positions in the window.
+    the variance of the residuals and the spread ``radius^2 / 3`` of positions in the window. ``radius`` is half the
+    window's side, at least 4 pixels.
 
-    Parameters
-    ----------
-    values : (H, W) float32 disparities, pixels, NaN = no value
-    image : (H, W, 3) uint8
-    radius : half side of the window, at least 4 pixels
-
-    Returns
-    -------
-    (2, H, W) float32
-        Along the row and along the column, within -1 .. 1; 0 where fewer than 6 pixels agree, or without a value.
+    Returns slopes along the row and along the column, (2, H, W) float32 within -1 .. 1; 0 where fewer than 6 pixels
+    agree, or ``values`` are NaN.
     """
     height, width = values.shape
     result = np.zeros((2, height, width + -width % SHORT_LANES), np.float32)
@@ -78,11 +71,8 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
 def window_sampling(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
     """Return how the window of :func:`slopes` is sampled; the kernels of devices use the same numbers.
 
-    Returns
-    -------
-    step : distance of neighboring samples, pixels
-    limits : (9, 9) float32, the largest difference of disparity from the center, by the sample's row and column
-    inverse_spread : one over the spread of positions in the window, 1 / square pixels
+    That are the distance of neighboring samples in pixels, the largest difference of disparity from the center by the
+    sample's row and column (9, 9), and one over the spread of positions in the window.
     """
     step = max(1, radius // _STEPS)
     offsets = np.arange(-_STEPS, _STEPS + 1) * step
@@ -139,11 +129,8 @@ def _fit(values, valid, planes, step, limits, spread, result):
 def color_differences(colors: Any, at: int, plane_size: int, red: Any, green: Any, blue: Any) -> Any:
     """Return the sums over the channels of the differences of two runs of pixels, as two vectors of float32.
 
-    Parameters
-    ----------
-    colors : flat uint8, three planes of ``plane_size`` pixels, as of :func:`color_planes`
-    at : where one run of SHORT_LANES pixels begins in a plane
-    red, green, blue : vectors of int16, the colors of the other run
+    One run of SHORT_LANES pixels begins at ``at`` in each plane of the flat ``colors`` (see :func:`color_planes`); the
+    colors of the other one are vectors of int16.
     """
     return halves(
         absolute_difference(load_shorts(colors, at), red)

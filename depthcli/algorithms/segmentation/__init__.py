@@ -21,11 +21,7 @@ class Segmenter(Method):
     def layers(self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None = None) -> list[NDArray[np.int32]]:
         """Return partitions from fine to coarse; only one if the method has no levels.
 
-        Parameters
-        ----------
-        image : (H, W, 3) RGB
-        depth : (H, W) float32 depth, disparity or inverse depth, NaN = unknown, or None; ignored by methods that do not
-            use it
+        ``depth`` (depth, disparity or inverse depth, NaN = unknown) is ignored by methods that do not use it.
         """
         return [self(image)]
 

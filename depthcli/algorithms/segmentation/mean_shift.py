@@ -36,15 +36,7 @@ class MeanShift(Segmenter):
 def mode_colors(image: NDArray[np.uint8], spatial_radius: float, color_radius: float) -> NDArray[np.uint8]:
     """Return the color of every pixel's mode, as ``cv2.pyrMeanShiftFiltering`` with ``maxLevel=0``, but much faster.
 
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-    spatial_radius : half side of the square window, pixels; at least 1
-    color_radius : largest Euclidean distance of colors inside the window, grey levels
-
-    Returns
-    -------
-    (H, W, 3) uint8
+    The spatial radius is half the side of a square window, at least 1 pixel; colors are compared by Euclidean distance.
     """
     planes = np.pad(image.transpose(2, 0, 1), ((0, 0), (0, 0), (0, _LANES)))
     modes = np.empty(image.shape, np.uint8)

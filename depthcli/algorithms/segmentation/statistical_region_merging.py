@@ -53,7 +53,12 @@ class StatisticalRegionMerging(Segmenter):
         smooth = np.asarray(cv2.GaussianBlur(image, (3, 3), self.smoothing) if self.smoothing else image, np.uint8)
         guide = _depth_levels(depth) if depth is not None and self.depth_guidance else np.empty((0, 0), np.int16)
         labels = np.empty((len(complexities), *image.shape[:2]), np.int32)
-        pairs, sums = _sorted_pairs(smooth, guide), _pixel_sums(smooth, guide)
+        sums = np.zeros((*image.shape[:2], 8), np.int32)  # a region's sums share a cache line
+        sums[..., _SIZE] = 1
+        sums[..., _COLOR : _COLOR + 3] = smooth
+        if guide.size:
+            sums[..., _KNOWN], sums[..., _DEPTH] = guide >= 0, np.maximum(guide, 0)
+        pairs, sums = _sorted_pairs(smooth, guide), sums.reshape(-1, 8)
         _merge(pairs, sums, guide.size > 0, np.array(complexities), self.depth_guidance, self.min_size, labels)
         return list(labels)
 
@@ -82,15 +87,6 @@ def _sorted_pairs(image: NDArray[np.uint8], depth: NDArray[np.int16]) -> NDArray
         keys[first][..., step] = key
     order = np.argsort(keys.ravel(), kind="stable").astype(np.int32)
     return order[sum(image.shape[:2]) :]
-
-
-def _pixel_sums(image: NDArray[np.uint8], depth: NDArray[np.int16]) -> NDArray[np.int32]:
-    sums = np.zeros((*image.shape[:2], 8), np.int32)  # a region's sums share a cache line
-    sums[..., _SIZE] = 1
-    sums[..., _COLOR : _COLOR + 3] = image
-    if depth.size:
-        sums[..., _KNOWN], sums[..., _DEPTH] = depth >= 0, np.maximum(depth, 0)
-    return sums.reshape(-1, 8)
 
 
 @jit

@@ -1,17 +1,13 @@
 """Confidence of the best match of a cost curve; larger values are surer in every measure.
 
-In: a cost volume (H, W, D) of stereo, to :func:`confidence_maps`; or curves over any search space, to
-:class:`CostCurves`. Out: one float32 per curve, (H, W) for a volume. One pass over all curves computes their statistics
-(``_curves``), and most measures are a short formula of these (the table ``MEASURES`` in ``_measures``). Others look at
-further pixels: ``apkr`` and ``da`` need one curve per pixel, costs (H, W, K) over any search space; ``lrc``, ``lrd``
-and ``dap`` need a stereo volume.
+:func:`confidence_maps` takes a cost volume (H, W, D) of stereo, :class:`CostCurves` curves over any search space; there
+is one float32 per curve. One pass over all curves computes their statistics (``_curves``), and most measures are a
+short formula of these (the table ``MEASURES``). ``apkr`` and ``da`` need one curve per pixel, costs (H, W, K); ``lrc``,
+``lrd`` and ``dap`` a stereo volume.
 
-A curve has costs ``c``:
-
-- ``c1`` is the smallest cost, at ``d1``;
-- ``c2`` is the next smallest cost anywhere;
-- ``c2m`` is the second smallest local minimum, at ``d2m``; in a curve without one, the largest cost;
-- ``s`` is the standard deviation of all costs of the volume.
+A curve has costs ``c``: ``c1`` is the smallest one, at ``d1``; ``c2`` the next smallest one anywhere; ``c2m`` the
+second smallest local minimum, at ``d2m``, and in a curve without one the largest cost; ``s`` is the standard deviation
+of all costs of the volume.
 
 Sources: Hu and Mordohai, "A quantitative evaluation of confidence measures for stereo vision", TPAMI 2012; ``apkr``:
 Kim et al. 2014. A ratio of two costs has 1e-3 of the mean cost added to both of them; where only the denominator could
@@ -62,14 +58,9 @@ def measure(name: str) -> Callable[[CostCurves], Map]:
 
 
 def measure_name(name: str, *others: str) -> str:
-    """Return the name of the measure, or of ``others``, that ``name`` stands for in any case.
+    """Return the measure, or the one of ``others``, that ``name`` stands for in any case; ValueError if none does.
 
-    Raises
-    ------
-    ValueError
-        It is neither a measure nor in ``others``.
-    ConfigError
-        It is a plug-in's measure that cannot be loaded.
+    ConfigError: it is a plug-in's measure that cannot be loaded.
     """
     if name.lower() in MEASURES or name.lower() in others:
         return name.lower()
@@ -85,21 +76,10 @@ MeasureName = Annotated[str, AfterValidator(measure_name)]
 
 
 def confidence_maps(costs: NDArray[Any], names: Iterable[str]) -> dict[str, Map]:
-    """Compute measures of a stereo cost volume, all of them together.
+    """Compute measures of a stereo cost volume, name -> (H, W) float32, larger is surer, in the order of ``names``.
 
-    Parameters
-    ----------
-    costs : (H, W, D) uint8, uint16 or float32, finite, lower is better; cells with d > x are left out
-    names : of measures
-
-    Returns
-    -------
-    name -> (H, W) float32, larger is surer, in the order of ``names``
-
-    Raises
-    ------
-    ValueError
-        A name is unknown, or the costs are no volume.
+    ``costs`` are (H, W, D) uint8, uint16 or float32, finite, lower is better; cells with d > x are left out.
+    ValueError: a name is unknown, or the costs are no volume.
     """
     if costs.ndim != 3 or 0 in costs.shape:
         raise ValueError(f"expected costs (H, W, D), got {costs.shape}")

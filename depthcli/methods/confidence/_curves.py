@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -46,21 +46,15 @@ class CostCurves:
     ----------
     costs : (..., K) uint8, uint16 or float32, finite, lower is better
     valid : (...) integers in 1 .. K; only the first ``valid`` entries of a curve count. Default: all
-
-    Raises
-    ------
-    ValueError
-        A curve is empty, or a count lies outside 1 .. K.
     """
 
     def __init__(self, costs: NDArray[Any], valid: NDArray[Any] | None = None) -> None:
         if costs.ndim < 2 or costs.shape[-1] < 1:
-            raise ValueError(f"want costs (..., K) with K >= 1, got {costs.shape}")
+            raise ValueError(f"expected costs (..., K) with K >= 1, got {costs.shape}")
         self.costs = costs
-        shape, n_entries = costs.shape[:-1], costs.shape[-1]
-        self.valid = np.broadcast_to(n_entries if valid is None else valid, shape).astype(np.int32)
-        if self.valid.size and (self.valid.min() < 1 or self.valid.max() > n_entries):
-            raise ValueError(f"valid entries must lie in 1 .. {n_entries}")
+        self.valid = np.broadcast_to(costs.shape[-1] if valid is None else valid, costs.shape[:-1]).astype(np.int32)
+        if self.valid.size and not 1 <= self.valid.min() <= self.valid.max() <= costs.shape[-1]:
+            raise ValueError(f"valid entries must lie in 1 .. {costs.shape[-1]}")
 
     @cached_property
     def statistics(self) -> CurveStatistics:
@@ -78,16 +72,14 @@ class CostCurves:
         winner, second = (np.empty(rows.shape[:2], np.int32) for _ in range(2))
         _measure_curves(rows, counts, np.float32(1.0 / deviation), planes, winner, second)
         eps = float(np.float32(1e-3 * abs(mean) or 1e-3))
-        names = [field.name for field in fields(CurveStatistics)]
-        arrays = (array.reshape(shape) for array in (*planes, winner, second))
-        return CurveStatistics(**dict(zip(names, (*arrays, eps), strict=True)))
+        known: Any = [*(array.reshape(shape) for array in (*planes, winner, second)), eps]
+        return CurveStatistics(*known)
 
     @cached_property
     def stereo_winners(self) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-        """The disparities of least cost of the left and of the right view, (H, W) each.
+        """The disparities of least cost of the left and of the right view of a stereo volume, (H, W) each.
 
-        Only of a stereo volume (H, W, D): entry d of the curve at column x is the match at column x - d of the right
-        view. Entries with d > x are left out, whatever ``valid`` says; ``lrc``, ``lrd`` and ``dap`` need these maps.
+        Entries with d > x are left out, whatever ``valid`` says.
         """
         return winners(self.costs)
 
@@ -126,16 +118,8 @@ def _moments(costs, valid, sums):
 
 @parallel_jit
 def _measure_curves(costs, valid, rate, planes, winner, second):
-    """Write the statistics of all curves.
-
-    Parameters
-    ----------
-    costs : (R, C, K) any real dtype; valid : (R, C) entries that count, 1 .. K
-    rate : 1 / standard deviation of all costs
-    planes : (9, R, C) float32, in the order of the fields of CurveStatistics
-    winner : (R, C) int32, index of the smallest cost
-    second : (R, C) int32, index of the second smallest local minimum, -1 where there is none
-    """
+    # Write the statistics of (R, C, K) curves; ``rate`` is 1 / standard deviation of all costs, and ``planes``
+    # (9, R, C) are in the order of the fields of CurveStatistics.
     rows, columns, n_entries = costs.shape
     padded = (n_entries + 15) // 16 * 16
     for r in prange(rows):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import left_right_difference
-from depthcli.methods.confidence._curves import CostCurves
+from depthcli.methods.confidence._curves import CostCurves, CurveStatistics
 
 Map = NDArray[np.float32]
 """One value per curve, in the shape of the curves."""
@@ -17,36 +17,21 @@ Map = NDArray[np.float32]
 _PEAK_RADIUS, _AGREEMENT_RADIUS, _MUTUAL_RADIUS = 2, 12, 6  # half the side of the windows, pixels
 
 
-def _ratio(numerator: Map, denominator: Map, eps: float) -> Map:
-    return numerator * (np.float32(1) / (denominator + eps))
+def _ratio(numerator: Callable[[CurveStatistics], Map], denominator: str) -> Callable[[CostCurves], Map]:
+    def ratio(curves: CostCurves) -> Map:
+        known = curves.statistics
+        result: Map = numerator(known) * (np.float32(1) / (getattr(known, denominator) + known.eps))
+        return result
 
-
-def _peak_ratio(curves: CostCurves) -> Map:
-    known = curves.statistics
-    return _ratio(known.second_minimum + known.eps, known.lowest, known.eps)
-
-
-def _naive_peak_ratio(curves: CostCurves) -> Map:
-    known = curves.statistics
-    return _ratio(known.second_lowest + known.eps, known.lowest, known.eps)
+    return ratio
 
 
 def _average_peak_ratio(curves: CostCurves) -> Map:
     known = curves.statistics
     out = np.empty(known.winner.shape, np.float32)
-    eps = np.float32(known.eps)
-    _fill_peak_ratio(curves.costs, curves.valid, known.winner, known.second_winner, eps, _PEAK_RADIUS, out)
+    winners = known.winner, known.second_winner
+    _fill_peak_ratio(curves.costs, curves.valid, *winners, np.float32(known.eps), _PEAK_RADIUS, out)
     return out
-
-
-def _winner_margin(curves: CostCurves) -> Map:
-    known = curves.statistics
-    return _ratio(known.second_minimum - known.lowest, known.total, known.eps)
-
-
-def _naive_winner_margin(curves: CostCurves) -> Map:
-    known = curves.statistics
-    return _ratio(known.second_lowest - known.lowest, known.total, known.eps)
 
 
 def _left_right_difference(curves: CostCurves) -> Map:
@@ -127,10 +112,16 @@ MEASURES: dict[str, tuple[str, Callable[[CostCurves], Map]]] = {
         "Number of inflections (Hu and Mordohai's name): -(number of local minima of the smoothed curve); <= -1.",
         lambda curves: -curves.statistics.n_minima,
     ),
-    "pkr": ("Peak ratio: c2m / c1; >= 1.", _peak_ratio),
-    "pkrn": ("Naive peak ratio: c2 / c1; >= 1.", _naive_peak_ratio),
-    "wmn": ("Winner margin: (c2m - c1) / sum of c; 0 .. 1.", _winner_margin),
-    "wmnn": ("Naive winner margin: (c2 - c1) / sum of c; 0 .. 1.", _naive_winner_margin),
+    "pkr": ("Peak ratio: c2m / c1; >= 1.", _ratio(lambda s: s.second_minimum + s.eps, "lowest")),
+    "pkrn": ("Naive peak ratio: c2 / c1; >= 1.", _ratio(lambda s: s.second_lowest + s.eps, "lowest")),
+    "wmn": (
+        "Winner margin: (c2m - c1) / sum of c; 0 .. 1.",
+        _ratio(lambda s: s.second_minimum - s.lowest, "total"),
+    ),
+    "wmnn": (
+        "Naive winner margin: (c2 - c1) / sum of c; 0 .. 1.",
+        _ratio(lambda s: s.second_lowest - s.lowest, "total"),
+    ),
 }
 """Name -> (full name, formula and range for costs >= 0, in the letters of the package's docstring; function)."""
 

@@ -17,19 +17,10 @@ _MIN_SCORE = np.float32(1e-4)  # changes no weight visibly, and gives pixels wit
 
 
 def normalize_costs(volume: CostVolume, scale: float | None, outside: float | None = None) -> CostVolume:
-    """Bring costs of any measure to [0, 1]: ``1 - exp(-C / scale)`` (the form of Mei et al. 2011).
+    """Bring costs of any measure to [0, 1]: ``1 - exp(-C / scale)`` (the form of Mei et al. 2011); uint8, scale 255.
 
-    Parameters
-    ----------
-    volume : (H, W, D); if any cost is below zero, all are shifted so that the smallest one is zero
-    scale : cost that becomes 1 - 1/e, in units of the measure; None: the median cost, so that every
-        measure has half of its costs above 1 - 1/e
-    outside : cost in [0, 1] of cells outside the right image; None: the mean of the cells inside
-
-    Returns
-    -------
-    CostVolume
-        uint8, ``scale`` 255.
+    If any cost is below zero, all are shifted so that the smallest one is zero. ``scale`` is in units of the measure;
+    None: the median cost. Cells outside the right image get the cost ``outside``; None: the mean of those inside.
     """
     costs = volume.costs
     out: NDArray[np.uint8] = memory.empty(costs.shape, np.uint8)
@@ -54,19 +45,10 @@ def normalize_costs(volume: CostVolume, scale: float | None, outside: float | No
 
 
 def normalize_confidences(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32]:
-    """Bring confidences of several measures to one scale in [0, 1].
+    """Bring (M, H, W) confidences of the kind ``name`` of M cost measures to one scale in [0, 1].
 
     ``lrc`` is in pixels for every measure and becomes 1 / (1 + |difference|). Any other becomes its rank
     among all measures and pixels together: ranks within a measure would lose which measure is better.
-
-    Parameters
-    ----------
-    confidence : (M, H, W) float32
-    name : the confidence measure that made them
-
-    Returns
-    -------
-    (M, H, W) float32 in [0, 1]
     """
     if name == "lrc":
         trust: NDArray[np.float32] = (1.0 / (1.0 - confidence)).astype(np.float32)
@@ -78,17 +60,10 @@ def normalize_confidences(confidence: NDArray[np.float32], name: str) -> NDArray
 
 
 def measure_weights(mode: str, ballot: Ballot, exponent: float) -> NDArray[np.float32]:
-    """Compute the weights of M measures at every pixel.
+    """Compute the weights of M measures at every pixel, (M, H, W) float32, sum 1 over the measures.
 
-    Parameters
-    ----------
-    mode : ``weights`` of the config of fusion
-    ballot : one voter per measure
-    exponent : power of the shares (mode ``consensus``) or vote weights (mode ``confidence``)
-
-    Returns
-    -------
-    (M, H, W) float32, sum 1 over the measures
+    The ballot has one voter per measure. ``exponent`` is a power of the shares (mode ``consensus``) or of the vote
+    weights (mode ``confidence``).
     """
     if mode in ("equal", "vote"):
         return np.full(ballot.vote_weights.shape, 1.0 / ballot.vote_weights.shape[0], np.float32)
@@ -103,17 +78,9 @@ def measure_weights(mode: str, ballot: Ballot, exponent: float) -> NDArray[np.fl
 
 
 def blend(volumes: list[CostVolume], weights: NDArray[np.float32]) -> CostVolume:
-    """Compute the weighted mean of volumes of one scale.
+    """Compute the mean of M uint8 volumes of one scale, of that scale, by weights (M, H, W) whose sums are 1.
 
-    Parameters
-    ----------
-    volumes : M uint8 (H, W, D) volumes
-    weights : (M, H, W) float32, summing to 1 over M
-
-    Returns
-    -------
-    CostVolume
-        uint8, of the same scale. Weights are rounded to 1/256, the largest one takes what is left over.
+    Weights are rounded to 1/256, the largest one takes what is left over.
     """
     out: NDArray[np.uint8] = memory.empty(volumes[0].costs.shape, np.uint8)
     _blend(tuple(volume.costs for volume in volumes), weights, out)

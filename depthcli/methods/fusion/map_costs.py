@@ -17,91 +17,50 @@ NEIGHBORS = (((_ALL, _BUT_LAST), (_ALL, _BUT_FIRST)), ((_BUT_LAST, _ALL), (_BUT_
 """Pixels and the next ones in their rows; pixels and the next ones in their columns."""
 
 
-def misfit(
-    here: NDArray[np.float32],
-    there: NDArray[np.float32],
-    slope_here: NDArray[np.float32],
-    slope_there: NDArray[np.float32],
-    truncation: float,
-) -> NDArray[np.float32]:
-    """Return the mean difference of two neighbors from the disparity that the slope of the other predicts, pixels.
+Map = NDArray[np.float32]
 
-    Parameters
-    ----------
-    here, there : disparities of pixels and of the next ones, pixels
-    slope_here, slope_there : slopes of the map at these pixels, change of disparity to the next pixel
-    truncation : largest result, pixels
-    """
+
+def misfit(here: Map, there: Map, slope_here: Map, slope_there: Map, truncation: float) -> Map:
+    """Return the mean difference of two neighbors from the disparity that the slope of the other predicts, pixels."""
     step = there - here
     mean = np.float32(0.5) * (np.abs(step - slope_here) + np.abs(step - slope_there))
-    cost: NDArray[np.float32] = np.minimum(np.float32(truncation), mean)
-    return cost
+    return np.asarray(np.minimum(np.float32(truncation), mean))
 
 
-def matching_costs(
-    maps: NDArray[np.float32], volume: CostVolume, truncation: float, support: ColorSupport
-) -> NDArray[np.float32]:
-    """Compute the mean over the support of the cost along every map; (N, H, W) float32, in units of the measure.
+def matching_costs(maps: Map, volume: CostVolume, truncation: float, support: ColorSupport) -> Map:
+    """Compute the mean over the support of the cost along every map (N, H, W), in units of the measure.
 
-    Parameters
-    ----------
-    maps : (N, H, W) disparities 0 .. D - 1
-    truncation : largest cost of a pixel, also of those whose match lies outside the right image
+    A pixel costs ``truncation`` at most, and if its match lies outside the right image.
     """
     return _smoothed(maps, support, _along, volume.costs, np.float32(1.0 / volume.scale), np.float32(truncation))
 
 
-def disagreements(
-    maps: NDArray[np.float32], weights: NDArray[np.float32], support: ColorSupport
-) -> NDArray[np.float32]:
-    """Compute the mean over the support of the weighted share of the other maps that disagree; (N, H, W) float32.
+def disagreements(maps: Map, weights: NDArray[np.float32], support: ColorSupport) -> Map:
+    """Compute the mean over the support of the weighted share of the other maps (N, H, W) that disagree.
 
     Maps within half a pixel agree; from there to one and a half their agreement fades.
-
-    Parameters
-    ----------
-    maps : (N, H, W) disparities, pixels
-    weights : (N,) weight of every map
     """
     return _smoothed(maps, support, _disagree, weights, weights.sum() - weights)
 
 
-def agreement(
-    values: NDArray[np.float32], maps: NDArray[np.float32], weights: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Compute the weighted share of maps that agree with ``values``, (H, W) float32 in [0, 1].
-
-    Maps within half a pixel agree; from there to one and a half their agreement fades.
-
-    Parameters
-    ----------
-    values : (H, W) disparities, pixels
-    maps : (N, H, W) disparities, pixels
-    weights : (N,) weight of every map
-    """
+def agreement(values: Map, maps: Map, weights: NDArray[np.float32]) -> Map:
+    """Compute the weighted share, 0 .. 1, of maps (N, H, W) that agree with ``values`` (H, W), as in disagreements."""
     total = np.zeros(values.shape, np.float32)
     for one, weight in zip(maps, weights, strict=True):
         total += weight * np.clip(np.float32(1.5) - np.abs(one - values), 0, 1)
     return total / np.float32(weights.sum())
 
 
-def contradictions(
-    maps: NDArray[np.float32], right: NDArray[Any], hidden: float, support: ColorSupport
-) -> NDArray[np.float32]:
-    """Compute the mean over the support of how far the right view contradicts every map; (N, H, W) float32 in [0, 1].
+def contradictions(maps: Map, right: NDArray[Any], hidden: float, support: ColorSupport) -> Map:
+    """Compute the mean over the support of how far the right view contradicts every map; (N, H, W) in [0, 1].
 
     A disparity larger than that of its match in the right view is a contradiction, since the right view could not have
-    missed the nearer point: 1, fading between one and two pixels. A smaller one, or a match outside, is hidden.
-
-    Parameters
-    ----------
-    right : (H, W) disparities of the right view
-    hidden : contradiction counted for a hidden pixel
+    missed the nearer point: 1, fading between one and two pixels. A smaller one, or a match outside, is ``hidden``.
     """
     return _smoothed(maps, support, _contradict, right, np.float32(hidden))
 
 
-def _smoothed(maps: NDArray[np.float32], support: ColorSupport, fill: Any, *inputs: Any) -> NDArray[np.float32]:
+def _smoothed(maps: Map, support: ColorSupport, fill: Any, *inputs: Any) -> Map:
     count, height, width = maps.shape
     out = np.empty(maps.shape, np.float32)
     block = memory.empty((height, width, BLOCK_DEPTH), np.float32)

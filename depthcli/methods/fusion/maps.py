@@ -91,19 +91,11 @@ class MapFusion(ConfigModel):
     def __call__(
         self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap], clock: Clock
     ) -> tuple[DisparityMap, dict[str, NDArray[np.float32]]]:
-        """Mix maps: fill their gaps, add their median and planes, choose one at every pixel, refine.
+        """Mix ``maps``, the own one, those of ``matchers`` and those of ``optimizations``, and refine the mix.
 
-        Parameters
-        ----------
-        volume : the fused costs
-        right : (H, W) disparities of the right view
-        maps : the own one, those of ``matchers``, those of ``optimizations``
-
-        Returns
-        -------
-        map
-        confidences : (H, W) float32 in [0, 1]: ``agreement``, the weighted share of the proposals that agree with the
-            map, and, where the choice knows it, ``probability`` of the chosen one to be right
+        Their gaps are filled; their median and planes are proposed, too. ``right`` (H, W) are disparities of the right
+        view. The confidences are ``agreement``, the weighted share of the proposals that agree with the map, and, where
+        the choice knows it, ``probability`` of the chosen one to be right; both in [0, 1].
         """
         clock.start("proposals")
         proposals = self._proposals(pair, volume, right, maps)
@@ -117,14 +109,11 @@ class MapFusion(ConfigModel):
             confidences["probability"] = chosen.probability
         return disparity, confidences
 
-    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Estimate the peak working memory of the matchers for images of ``shape``, bytes."""
-        return max((source.matcher.peak_bytes(shape, max_disparity) for source in self.matchers), default=0)
-
-    def bytes_beside(self, shape: tuple[int, int]) -> int:
-        """Estimate the memory that mixing needs beside the fused costs, bytes."""
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int, fused: int) -> int:
+        """Estimate the peak working memory of the matchers, and of mixing beside ``fused`` bytes of costs, bytes."""
         count = len(self.kinds)
-        return shape[0] * shape[1] * (9 * count + self.choice.bytes_per_pixel(count))
+        mixing = fused + shape[0] * shape[1] * (9 * count + self.choice.bytes_per_pixel(count))
+        return max([mixing, *(source.matcher.peak_bytes(shape, max_disparity) for source in self.matchers)])
 
     def _proposals(
         self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, LiteralString, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from depthcli.methods.fusion.blend import (
     normalize_costs,
 )
 from depthcli.methods.fusion.maps import MapFusion
-from depthcli.methods.fusion.votes import Ballot, Consensus
+from depthcli.methods.fusion.votes import Ballot, ColorSupport, Consensus, Support, WindowSupport
 from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
 from depthcli.methods.stereo.aggregation import Aggregation
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
@@ -39,7 +39,7 @@ from depthcli.methods.stereo.segments.steps import SegmentSteps
 from depthcli.methods.stereo.stages import finish
 from depthcli.methods.stereo.volume import CostVolume, StereoResult
 
-_NEEDS_MAPS = {
+_NEEDS_MAPS: dict[str, LiteralString] = {
     "agreement": "'agreement' is that of several maps; want 'maps'",
     "probability": "'probability' is known where a network chooses among maps; want 'maps' with 'choice: network'",
 }
@@ -84,18 +84,15 @@ class FusedMeasure(ConfigModel):
             raise InputError(f"{self.volume}: no such volume")
         costs = volumes[self.volume]
         if costs.ndim != 3 or costs.shape[:2] != pair.shape or costs.shape[2] < n_disparities:
-            height, width = pair.shape
-            raise InputError(
-                f"{self.volume}: want shape ({height}, {width}, {n_disparities} or more), got {costs.shape}"
-            )
+            expected = f"({pair.shape[0]}, {pair.shape[1]}, {n_disparities} or more)"
+            raise InputError(f"{self.volume}: expected shape {expected}, got {costs.shape}")
+        costs = costs[:, :, :n_disparities]
         if costs.dtype not in (np.uint8, np.uint16):
-            if costs.dtype.kind not in "fiub":
-                raise InputError(f"{self.volume}: want numbers, got {costs.dtype}")
             with np.errstate(over="ignore"):
                 costs = costs.astype(np.float32)
-            if not np.isfinite(costs[:, :, :n_disparities]).all():
+            if not np.isfinite(costs).all():
                 raise InputError(f"{self.volume}: holds NaN or infinite costs")
-        return CostVolume(np.ascontiguousarray(costs[:, :, :n_disparities]))
+        return CostVolume(np.ascontiguousarray(costs))
 
 
 class Fusion(AdjustingMatcher):
@@ -149,20 +146,17 @@ class Fusion(AdjustingMatcher):
 
     @model_validator(mode="after")
     def _fields_fit_together(self) -> Fusion:
-        errors: list[InitErrorDetails] = []
+        wrong: list[tuple[str, LiteralString]] = []
         made = () if self.maps is None else ("agreement", *self.maps.choice.confidences)
-        for name in self.confidence:
-            if name in _NEEDS_MAPS and name not in made:
-                wrong = PydanticCustomError("in_vain", _NEEDS_MAPS[name])
-                errors.append({"type": wrong, "loc": ("confidence",), "input": list(self.confidence)})
+        wrong += [("confidence", text) for name, text in _NEEDS_MAPS.items() if name in {*self.confidence} - {*made}]
         if self.segments is not None:
             # Further rounds of the vote are those of the optimized map.
             ignored = ("refinement", "maps", "confidence", *(("optimization",) if self.consensus.rounds == 0 else ()))
-            wrong = PydanticCustomError("in_vain", "has no effect beside 'segments', which has its own; leave it out")
             for name in ignored:
                 if getattr(self, name) != type(self).model_fields[name].get_default(call_default_factory=True):
-                    errors.append({"type": wrong, "loc": (name,), "input": None})
-        if errors:
+                    wrong.append((name, "has no effect beside 'segments', which has its own; leave it out"))
+        if wrong:
+            errors = [InitErrorDetails(type=PydanticCustomError("in_vain", t), loc=(n,), input=None) for n, t in wrong]
             raise ValidationError.from_exception_data("Fusion", errors)
         return self
 
@@ -172,13 +166,7 @@ class Fusion(AdjustingMatcher):
         return None if self.maps is None else self.maps.choice.network_name
 
     def with_network(self, trained: TrainedNetwork) -> Self:
-        """Return a copy whose choice among the maps is made by ``trained``.
-
-        Raises
-        ------
-        InputError
-            The network was trained for other maps.
-        """
+        """Return a copy whose choice among the maps is made by ``trained``; InputError if it is for other maps."""
         assert self.maps is not None
         choice = self.maps.choice.with_network(trained, self.maps.kinds)
         return self.model_copy(update={"maps": self.maps.model_copy(update={"choice": choice})})
@@ -188,14 +176,8 @@ class Fusion(AdjustingMatcher):
     ) -> StereoResult:
         """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive.
 
-        Parameters
-        ----------
-        volumes : file name -> (H, W, D) costs for the measures that name a volume; further disparities are cut off
-
-        Raises
-        ------
-        InputError
-            A volume is missing, has another shape, or holds other than finite numbers.
+        ``volumes`` are file name -> (H, W, D) costs for the measures that name a volume; further disparities are cut
+        off. InputError: one is missing, has another shape, or holds NaN or infinite costs.
         """
         clock = Clock()
         pair = adjusted(pair, max_disparity, self.adjust, clock)
@@ -243,15 +225,11 @@ class Fusion(AdjustingMatcher):
            only one.
         6. Rounds, timed with ``votes``: the map that ``optimization`` finds in these costs votes instead of the
            measures, and the cost of step 5 is replaced by that of its votes.
-
-        Parameters
-        ----------
-        max_disparity : last disparity, pixels
-        volumes : file name -> (H, W, D) costs, as in :meth:`__call__`
         """
         clock = clock or Clock()
         clock.start("cost")
-        n_disparities, tolerance = max_disparity + 1, self.consensus.tolerance
+        vote, n_disparities = self.consensus, max_disparity + 1
+        window, tolerance = vote.window, vote.tolerance
         parts = [
             normalize_costs(measure.costs(pair, n_disparities, volumes), measure.scale, self.outside)
             for measure in self.measures
@@ -263,24 +241,40 @@ class Fusion(AdjustingMatcher):
         light = light_weights([measure.cost for measure in self.measures], pair)
         if light is not None:
             vote_weights *= light
-        ballot = Ballot(disparities, vote_weights, n_disparities, tolerance, self.consensus.support_in(pair))
+        support: Support = (
+            WindowSupport(pair.shape, window)
+            if vote.support == "window"
+            else ColorSupport(pair.color8[0], max(1, window // 2), vote.softness)
+        )
+        ballot = Ballot(disparities, vote_weights, n_disparities, tolerance, support)
         weights = measure_weights(self.weights, ballot, self.exponent)
         if light is not None:
             weights = weights * light
             weights /= weights.sum(axis=0, keepdims=True)
         clock.start("aggregation")
-        blended = None if self.weights == "vote" else self._aggregated_mean(parts, weights, pair)
+        if self.weights == "vote":
+            blended = None
+        elif self.blend == "before":
+            blended = blend(parts, weights)
+            parts.clear()  # what follows needs room for volumes of its own
+            if self.aggregation is not None:
+                blended = self.aggregation(blended, pair)
+            else:
+                blended = CostVolume(blended.costs.astype(np.uint16) * np.uint16(16), blended.scale * 16)
+        else:
+            total = np.zeros(parts[0].costs.shape, np.float32)
+            for part, weight in zip(parts, weights, strict=True):
+                add_weighted(total, part if self.aggregation is None else self.aggregation(part, pair), weight)
+            blended = CostVolume((total * np.float32(16 * UNIT) + np.float32(0.5)).astype(np.uint16), 16.0 * UNIT)
         clock.start("votes")
         if blended is None:
             volume = ballot.costs(None, 1.0, _MAX_VOTED_COST)
-        elif self.consensus.vote_cost:
-            volume = ballot.costs(blended, self.consensus.vote_cost, _MAX_VOTED_COST)
         else:
-            volume = blended
-        for _ in range(self.consensus.rounds):
+            volume = ballot.costs(blended, vote.vote_cost, _MAX_VOTED_COST) if vote.vote_cost else blended
+        for _ in range(vote.rounds):
             disparities, vote_weights = self._voters([self.optimization(volume, pair)])
-            ballot = Ballot(disparities, vote_weights, n_disparities, tolerance, ballot.support)
-            volume = ballot.costs(blended, self.consensus.map_vote_cost, _MAX_VOTED_COST)
+            ballot = Ballot(disparities, vote_weights, n_disparities, tolerance, support)
+            volume = ballot.costs(blended, vote.map_vote_cost, _MAX_VOTED_COST)
         return FusedCosts(volume, weights, ballot)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
@@ -291,9 +285,7 @@ class Fusion(AdjustingMatcher):
         beside = max(0 if measure.cost is None else measure.cost.pixel_bytes() for measure in self.measures)
         per_pixel = 2 * 16 * 4 + 24 * len(self.measures) + beside
         need = pixels * (max_disparity + 1) * per_cell + pixels * per_pixel + (32 << 20)
-        if self.maps is None:
-            return need
-        return max(need + self.maps.bytes_beside(shape), self.maps.peak_bytes(shape, max_disparity))
+        return need if self.maps is None else self.maps.peak_bytes(shape, max_disparity, need)
 
     def _voters(self, volumes: Iterable[CostVolume]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         # (M, H, W) disparities of every volume, int32, and the weights of these votes, float32
@@ -309,21 +301,9 @@ class Fusion(AdjustingMatcher):
                 trust.append(confidence_maps(volume.costs, [self.vote_confidence])[self.vote_confidence])
             del volume  # before the next one is made
         weights = np.stack(trust)
-        return np.stack(chosen), weights if self.vote_confidence is None else normalize_confidences(
-            weights, self.vote_confidence
-        )
-
-    def _aggregated_mean(self, parts: list[CostVolume], weights: NDArray[np.float32], pair: StereoPair) -> CostVolume:
-        if self.blend == "before":
-            fused = blend(parts, weights)
-            parts.clear()  # what follows needs room for volumes of its own
-            if self.aggregation is not None:
-                return self.aggregation(fused, pair)
-            return CostVolume(fused.costs.astype(np.uint16) * np.uint16(16), fused.scale * 16)
-        total = np.zeros(parts[0].costs.shape, np.float32)
-        for part, weight in zip(parts, weights, strict=True):
-            add_weighted(total, part if self.aggregation is None else self.aggregation(part, pair), weight)
-        return CostVolume((total * np.float32(16 * UNIT) + np.float32(0.5)).astype(np.uint16), 16.0 * UNIT)
+        if self.vote_confidence is not None:
+            weights = normalize_confidences(weights, self.vote_confidence)
+        return np.stack(chosen), weights
 
 
 @dataclass(frozen=True)

@@ -41,9 +41,8 @@ class Support(ABC):
     def sum(self, block: NDArray[np.float32]) -> None:
         """Replace (H, W, 16) float32 ``block`` by its sums over every pixel's support."""
 
-    def _normalize(self, shape: tuple[int, int]) -> None:
+    def _normalize(self, shape: tuple[int, ...]) -> None:
         ones = np.ones((*shape, BLOCK_DEPTH), np.float32)
-        self.inverse_sum = np.ones(shape, np.float32)
         self.sum(ones)
         self.inverse_sum = np.float32(1.0) / ones[:, :, 0]
 
@@ -52,13 +51,7 @@ class ColorSupport(Support):
     """Weights that fall with the distance and with the color change along the way (row first, then column).
 
     From one pixel to the next a vote is multiplied by exp(-1 / reach - color step / softness). Sums are made by
-    recursive filters, whose time does not depend on the reach.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-    reach : distance at which a vote has decayed to 1/e without any color change, pixels
-    softness : color change that does the same, grey levels, largest over the channels
+    recursive filters, whose time does not depend on the reach (pixels). Color steps are the largest over the channels.
     """
 
     def __init__(self, image: NDArray[np.uint8], reach: float, softness: float) -> None:
@@ -68,7 +61,7 @@ class ColorSupport(Support):
         self._down = np.zeros(shape, np.float32)
         self._across[:, 1:] = _decay(smooth[:, 1:] - smooth[:, :-1], reach, softness)
         self._down[1:] = _decay(smooth[1:] - smooth[:-1], reach, softness)
-        self._normalize((shape[0], shape[1]))
+        self._normalize(shape)
 
     def sum(self, block: NDArray[np.float32]) -> None:
         _recurse_rows(block, self._across)
@@ -76,13 +69,13 @@ class ColorSupport(Support):
 
 
 class PairSupports:
-    """The supports by which maps of ``pair`` are judged: a wide one, and a narrow one where outlines matter."""
+    """The supports by which maps of ``pair`` are judged; networks are trained with them."""
 
     pair: StereoPair
 
     @cached_property
     def wide(self) -> ColorSupport:
-        """The wide support that costs are averaged over; networks are trained with it."""
+        """The wide support that costs are averaged over."""
         return ColorSupport(self.pair.color8[0], 8.0, _SOFTNESS)
 
     @cached_property
@@ -92,13 +85,7 @@ class PairSupports:
 
 
 class WindowSupport(Support):
-    """Equal weights of all pixels of a square window, clipped at the image border.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    window : side, odd, pixels
-    """
+    """Equal weights of all pixels of a square window, clipped at the image border."""
 
     def __init__(self, shape: tuple[int, int], window: int) -> None:
         self._size = (window, window)
@@ -133,12 +120,6 @@ class Consensus(ConfigModel):
         0.2, gt=0, le=1e3, description="cost of a disparity without votes in further rounds, units of one measure"
     )
 
-    def support_in(self, pair: StereoPair) -> Support:
-        """Return the support of every pixel of a pair."""
-        if self.support == "window":
-            return WindowSupport(pair.shape, self.window)
-        return ColorSupport(pair.color8[0], max(1, self.window // 2), self.softness)
-
 
 @dataclass(frozen=True)
 class Ballot:
@@ -162,25 +143,18 @@ class Ballot:
             yield first, block
 
     def shares(self, disparities: NDArray[np.int32]) -> NDArray[np.float32]:
-        """Return the shares of (N, H, W) ``disparities``, (N, H, W) float32 in [0, 1].
-
-        Votes count in full up to the tolerance.
-        """
+        """Return the shares in [0, 1] of (N, H, W) ``disparities``; votes count in full up to the tolerance."""
         shares = np.zeros(disparities.shape, np.float32)
         for first, block in self._blocks(fading=False):
             _look_up(block, self.support.inverse_sum, disparities, first, shares)
         return np.minimum(shares, np.float32(1.0))
 
     def costs(self, base: CostVolume | None, strength: float, largest: int) -> CostVolume:
-        """Return costs plus ``strength * (1 - share)`` of every disparity.
+        """Return costs plus ``strength * (1 - share)`` of every disparity: uint16 fixed point, at most ``largest``.
 
-        Parameters
-        ----------
-        base : (H, W, D) uint16 costs, at most ``base.scale``; votes then count in full up to the tolerance. None: the
-            votes alone; they fade linearly with the difference from the voter's disparity, to 0 one pixel beyond the
-            tolerance, since nothing else tells neighboring disparities apart
-        strength : cost of a disparity that no vote is for, in units of ``base.scale``
-        largest : largest cost of the result, which is uint16 fixed point
+        ``strength`` is in units of ``base.scale``, and with ``base`` votes count in full up to the tolerance. Without
+        it, there are the votes alone; they fade linearly with the difference from the voter's disparity, to 0 one
+        pixel beyond the tolerance, since nothing else tells neighboring disparities apart.
         """
         shape = (*self.disparities.shape[1:], self.n_disparities)
         out: NDArray[np.uint16] = memory.empty(shape, np.uint16)

@@ -1,18 +1,19 @@
 """Disparity maps that any program made: how likely every pixel is to be right, what is hidden, the best of several.
 
 In: a pair and maps of its left view. Out: a :class:`MapJudgment` of the first one, to which the others are witnesses;
-or, of :mod:`.fusion`, one map. :class:`MapJudge` computes the costs of the pair (``_evidence``, those of the preset
+or, of :mod:`.fusion`, one map. :class:`MapJudge` computes the costs of the pair (``Evidence``, those of the preset
 ``stereo fast``), planes of what they, the map's shape and the other maps say of every pixel (``_planes``), and has a
-small network weigh them (``algorithms.pixel_network``). Single planes are measures of their own (``measures``).
+small network weigh them (``algorithms.pixel_network``). Single planes are measures of their own.
 `scripts/train_confidence.py` trains the network on tuning scenes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Self
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, PrivateAttr
@@ -24,36 +25,99 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import ConfigModel
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock, Result
-from depthcli.methods.given_maps._evidence import BYTES_PER_CELL, BYTES_PER_PIXEL, Evidence
-from depthcli.methods.given_maps._planes import (
-    ALONE,
-    INPUTS,
-    ONE_VIEW,
-    alone_planes,
-    one_view_planes,
-    other_planes,
-    pixel_planes,
-)
-from depthcli.methods.given_maps.measures import Judged, map_measures, measure_name, measured, measured_in_one_view
+from depthcli.methods.given_maps import _planes
+from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS, Evidence
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 
-__all__ = [
-    "HIDDEN",
-    "RIGHT_NAMES",
-    "THRESHOLDS",
-    "MapJudge",
-    "MapJudgment",
-    "Networks",
-    "judged_maps",
-    "map_measures",
-    "odds_of",
-]
-
+Plane = NDArray[np.float32]
 THRESHOLDS = (0.5, 1.0, 2.0, 4.0)
 """Pixels; the first layer of the network has a row of offsets for each."""
 HIDDEN = "hidden"
 """Name of the offsets of the network that says what is hidden."""
 RIGHT_NAMES = tuple(f"within {threshold:g}" for threshold in THRESHOLDS)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A map and what was found out about it."""
+
+    values: NDArray[np.float32]  # (H, W) float32 disparities without gaps, pixels
+    missing: NDArray[np.bool_]  # (H, W) bool, where the map has no value
+    # alone, others: planes of the map itself, and of its relation to others, float32 (F, H, W)
+    alone: NDArray[np.float32]
+    others: NDArray[np.float32]
+
+    def plane(self, name: str) -> Plane:
+        """Return one of the planes."""
+        plane: Plane = self.alone[ALONE.index(name)] if name in ALONE else self.others[OTHERS.index(name)]
+        return plane
+
+
+_MAX_DIFFERENCE = np.float32(16.0)  # pixels
+
+
+def _left_right(judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
+    other = evidence.right.astype(np.float32) if right is None else right
+    columns = np.rint(np.arange(judged.values.shape[1], dtype=np.float32) - judged.values).astype(np.int64)
+    match = np.take_along_axis(other, columns.clip(0), axis=1)
+    difference = np.where((columns < 0) | ~np.isfinite(match), _MAX_DIFFERENCE, np.abs(judged.values - match))
+    return np.asarray(-np.minimum(difference, _MAX_DIFFERENCE), np.float32)
+
+
+def _gradient(judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
+    left, other = (cv2.Sobel(image, cv2.CV_32F, 1, 0) / 8 for image in evidence.grey)
+    height, width = judged.values.shape
+    rows = np.broadcast_to(np.arange(height, dtype=np.float32)[:, None], judged.values.shape)
+    columns = np.arange(width, dtype=np.float32) - judged.values
+    warped = cv2.remap(other, columns, np.ascontiguousarray(rows), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(-np.abs(left - warped), np.float32)
+
+
+def _agreement(judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
+    if judged.plane("maps").any():
+        return np.asarray(1 - judged.plane("disagreement_narrow"), np.float32)
+    return np.asarray(1 - judged.plane("other_reference_narrow"), np.float32)
+
+
+_MEASURES: dict[str, tuple[str, Callable[[Judged, Evidence, Plane | None], Plane] | tuple[str, int]]] = {
+    "left_right": (
+        "-|difference from the map of the right view at the match|, pixels; without such a map, from that of the costs",
+        _left_right,
+    ),
+    "census": ("-mean census difference over pixels of similar color, 1 from 30 of 48 on", ("cost_narrow", -1)),
+    "zncc": ("-(1 - correlation of 7 x 7 pixels with the warped right image)", ("decorrelation", -1)),
+    "gradient": ("-|difference of the gradients along the row|, grey levels", _gradient),
+    "rank": ("-share of the disparities whose costs, with smoothness, are smaller", ("rank", -1)),
+    "margin": ("log(smallest cost elsewhere / cost), with smoothness", ("margin", 1)),
+    "smoothness": ("-standard deviation of the map in 11 x 11 pixels", ("deviation_of_map_11", -1)),
+    "texture": ("standard deviation of 5 x 5 pixels of the left image, at most 40 levels", ("deviation_5", 1)),
+    "discontinuity": ("distance to the next step of the map, at most 30 pixels", ("edge_distance", 1)),
+    "border": ("distance to the border of the image, at most 20 pixels", ("border_distance", 1)),
+    "agreement": (
+        "share of the witnesses that agree, over pixels of similar color; without any, agreement with stereo fast",
+        _agreement,
+    ),
+}
+"""Name -> (description, function or plane and sign); those with a plane of ``ONE_VIEW`` need no right image."""
+
+
+def map_measures() -> dict[str, str]:
+    """Return the name of every measure and one line about it."""
+    return {name: line for name, (line, _) in _MEASURES.items()}
+
+
+def measure_name(name: str) -> str:
+    """Return the name; ValueError where there is no such measure."""
+    if name not in _MEASURES:
+        raise ValueError(f"no measure called {name!r}; one of: {', '.join(_MEASURES)}")
+    return name
+
+
+def measured(name: str, judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
+    """Return a measure, NaN where the map has no value; ``right`` is the right view's map by the same program."""
+    source = _MEASURES[name][1]
+    values = source[1] * judged.plane(source[0]) if isinstance(source, tuple) else source(judged, evidence, right)
+    return np.where(judged.missing, np.float32(np.nan), values).astype(np.float32)
 
 
 @dataclass(kw_only=True)
@@ -74,13 +138,7 @@ class MapJudgment(Result):
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """The networks that judge: of being right, of being hidden, and of being right where there is no right image.
-
-    Raises
-    ------
-    InputError
-        They were trained for other inputs.
-    """
+    """The networks that judge: of being right, of being hidden, and of being right where there is no right image."""
 
     right: TrainedNetwork
     hidden: TrainedNetwork
@@ -128,7 +186,8 @@ class UsesNetworks(ConfigModel):
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int, count: int) -> int:
         """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes."""
-        per_pixel = (max_disparity + 1) * BYTES_PER_CELL + BYTES_PER_PIXEL + 4 * count * (len(INPUTS) + 4)
+        # Of the costs: raw ones, two sums of paths, optimized ones.
+        per_pixel = 7 * (max_disparity + 1) + 400 + 4 * count * (len(INPUTS) + 4)
         return shape[0] * shape[1] * per_pixel + (64 << 20)
 
 
@@ -146,18 +205,10 @@ class MapJudge(UsesNetworks):
         max_disparity: int,
         right: NDArray[np.float32] | None = None,
     ) -> MapJudgment:
-        """Judge the first of the maps of a pair; the others are witnesses.
+        """Judge the first of the maps of a pair, (H, W) float32, pixels, NaN = no value; the others are witnesses.
 
-        Parameters
-        ----------
-        maps : (H, W) float32 disparities each, pixels from 0 on, NaN = no value
-        max_disparity : largest disparity whose costs are computed, pixels
-        right : (H, W) float32 disparities of the right view by the same program, NaN = no value; for ``left_right``
-
-        Raises
-        ------
-        ValueError
-            There is no map, or one has not the size of the images.
+        Costs are computed up to ``max_disparity``. ``right`` is the map of the right view by the same program, for
+        ``left_right``. ValueError: there is no map, or one has not the size of the images.
         """
         networks, clock = self.networks, Clock()
         evidence = Evidence.of(pair, max_disparity, clock)
@@ -165,65 +216,54 @@ class MapJudge(UsesNetworks):
         judged = judged_maps(evidence, maps)
         clock.start("network")
         odds = odds_of(networks, judged[0], self.within)
-        probability = np.where(judged[0].missing, np.float32(0), _logistic(odds))
-        status = status_of(networks, judged[0], probability)
+        probability = _likely(odds, judged[0].missing)
+        offset = networks.hidden.layers[0][1][0]
+        hidden = log_odds(networks.hidden, offset, judged[0].alone, judged[0].others[:0]) > 0
+        status = with_reasons(judged[0].values, judged[0].missing, probability, hidden)
         confidence = {name: measured(name, judged[0], evidence, right) for name in self.measures}
         return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
 
     def by_one_view(self, left: Image, values: NDArray[np.float32], max_disparity: int) -> MapJudgment:
         """Judge a map by its shape and the left image, where there is no right image: far less is known then.
 
-        Nothing is said about what is hidden; measures that want the right image are left out.
-
-        Parameters
-        ----------
-        values : (H, W) float32 disparities, pixels from 0 on, NaN = no value
-        max_disparity : largest disparity, pixels
-
-        Raises
-        ------
-        ValueError
-            The map has not the size of the image.
+        Nothing is said about what is hidden; measures that need the right image are left out. ValueError: the map has
+        not the size of the image.
         """
-        network = self.networks.one_view
+        network, clock = self.networks.one_view, Clock()
         if values.shape != left.shape[:2]:
-            raise ValueError(f"want a map of the image's size {left.shape[:2]}, got {values.shape}")
-        clock = Clock()
+            raise ValueError(f"expected a map of the image's size {left.shape[:2]}, got {values.shape}")
         clock.start("planes")
         whole, missing = without_gaps(values, max_disparity)
         grey = StereoPair(left, left).grey8[0].astype(np.float32)
-        planes = one_view_planes(whole, grey, max_disparity)
+        planes = _planes.one_view_planes(whole, grey, max_disparity)
         clock.start("network")
-        odds = log_odds(network, offsets(network, self.within), planes, planes[:0])
-        probability = np.where(missing, np.float32(0), _logistic(odds))
+        probability = _likely(log_odds(network, offsets(network, self.within), planes, planes[:0]), missing)
         status = np.where(probability < 0.5, Status.MISMATCH, Status.MEASURED)
         status = np.where(missing, Status.NO_DATA, status).astype(np.uint8)
-        found = {name: measured_in_one_view(name, planes, missing) for name in self.measures}
-        confidence = {name: values for name, values in found.items() if values is not None}
+        confidence = {}
+        for name in self.measures:
+            source = _MEASURES[name][1]
+            if isinstance(source, tuple) and source[0] in ONE_VIEW:
+                plane = source[1] * planes[ONE_VIEW.index(source[0])]
+                confidence[name] = np.where(missing, np.float32(np.nan), plane).astype(np.float32)
         return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
 
 
 def judged_maps(evidence: Evidence, maps: Sequence[NDArray[np.float32]], known: Sequence[Judged] = ()) -> list[Judged]:
-    """Return the maps of a pair with their planes; gaps are filled from the background, and known as gaps.
+    """Return the maps of a pair with their planes, after ``known`` ones, whose own planes are there already.
 
-    Parameters
-    ----------
-    known : further maps, first of all, whose own planes are there already
-
-    Raises
-    ------
-    ValueError
-        There is no map, or one has not the size of the images.
+    Gaps are filled from the background. ValueError: there is no map, or one has not the size of the images.
     """
     shape, largest = evidence.pair.shape, evidence.volume.n_disparities - 1
     if not (maps or known) or any(one.shape != shape for one in maps):
-        raise ValueError(f"want maps of the images' size {shape}, got {[one.shape for one in maps]}")
+        raise ValueError(f"expected maps of the images' size {shape}, got {[one.shape for one in maps]}")
     parts = [(one.values, one.missing, one.alone) for one in known]
-    shared = pixel_planes(evidence)
+    shared = _planes.pixel_planes(evidence)
     for one in maps:
         whole, missing = without_gaps(one, largest)
-        parts.append((whole, missing, alone_planes(whole, missing, evidence, shared)))
-    others = other_planes(np.stack([values for values, _, _ in parts]), [alone for _, _, alone in parts], evidence)
+        parts.append((whole, missing, _planes.alone_planes(whole, missing, evidence, shared)))
+    values, _, alone = zip(*parts, strict=True)
+    others = _planes.other_planes(np.stack(values), alone, evidence)
     return [Judged(*part, other) for part, other in zip(parts, others, strict=True)]
 
 
@@ -239,17 +279,8 @@ def odds_of(networks: Networks, judged: Judged, within: float) -> NDArray[np.flo
     return log_odds(networks.right, offsets(networks.right, within), judged.alone, judged.others)
 
 
-def status_of(networks: Networks, judged: Judged, probability: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the status of a map, as that of a :class:`MapJudgment`."""
-    hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], judged.alone, judged.others[:0]) > 0
-    return with_reasons(judged.values, judged.missing, probability, hidden)
-
-
 def with_reasons(
-    values: NDArray[np.float32],
-    missing: NDArray[np.bool_],
-    probability: NDArray[np.float32],
-    hidden: NDArray[np.bool_],
+    values: Plane, missing: NDArray[np.bool_], probability: Plane, hidden: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
     """Return the status (H, W) of values without gaps, by what is hidden in the right view and what is likely right."""
     outside = np.arange(values.shape[1], dtype=np.float32) - values < -0.5
@@ -258,6 +289,5 @@ def with_reasons(
     return np.where(missing, Status.NO_DATA, status).astype(np.uint8)
 
 
-def _logistic(odds: NDArray[np.float32]) -> NDArray[np.float32]:
-    share: NDArray[np.float32] = np.float32(1) / (np.float32(1) + np.exp(-odds.clip(-30, 30)))
-    return share
+def _likely(odds: Plane, missing: NDArray[np.bool_]) -> Plane:
+    return np.where(missing, np.float32(0), np.float32(1) / (np.float32(1) + np.exp(-odds.clip(-30, 30))))

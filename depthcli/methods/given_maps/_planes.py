@@ -1,7 +1,10 @@
-"""Planes: what the images, the map itself and other maps say about every pixel of a disparity map."""
+"""What the images, the map itself and other maps say about every pixel of a disparity map: evidence, then planes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -10,11 +13,71 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import local_moments
 from depthcli.core import memory
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap
+from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.fusion.choice._inputs import correlation
+from depthcli.kernels.winners import winners
+from depthcli.methods.fusion.choice.network import correlation
 from depthcli.methods.fusion.map_costs import cost_between, disagreements, nearest_matches
-from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE
-from depthcli.methods.given_maps._evidence import Evidence
+from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, PairSupports
+from depthcli.methods.stereo.adjustment import adjusted
+from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.optimization.scanline import Scanline
+from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
+from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
+from depthcli.methods.stereo.refinement.median import Median
+from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
+from depthcli.methods.stereo.refinement.subpixel import Subpixel
+from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
+from depthcli.methods.stereo.stages import refined
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext
+
+# Those of the preset stereo fast; networks are trained with them.
+_COST = Census(window=(7, 7))
+_OPTIMIZATION = Scanline(p1=25, p2=120, paths=8, edge_threshold=15, edge_divisor=6)
+_REFINEMENT = (
+    LeftRightCheck(),
+    SpeckleFilter(size=50),
+    Subpixel(),
+    SurfaceFill(rows=4, reach=20),
+    BackgroundFill(),
+    Median(window=5),
+)
+
+
+@dataclass(frozen=True)
+class Evidence(PairSupports):
+    """Costs of a pair, by which its maps are judged."""
+
+    pair: StereoPair  # the images, the right one in the light of the left one
+    volume: CostVolume  # (H, W, D) matching costs
+    optimized: CostVolume  # (H, W, D) the costs with smoothness
+    # left, right: (H, W) uint16, disparities of the smallest optimized costs of either view
+    left: NDArray[np.uint16]
+    right: NDArray[np.uint16]
+    reference: DisparityMap  # the map of the preset stereo fast, made of these costs
+
+    @classmethod
+    def of(cls, pair: StereoPair, max_disparity: int, clock: Clock) -> Evidence:
+        """Compute the costs of disparities 0 .. ``max_disparity``; ``clock`` books the stages."""
+        pair = adjusted(pair, max_disparity, ("noise", "rows", "light"), clock)
+        clock.start("cost")
+        volume = _COST(pair, max_disparity + 1)
+        clock.start("optimization")
+        optimized = _OPTIMIZATION(volume, pair)
+        left, right = winners(optimized.costs)
+        clock.start("refinement")
+        raw = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
+        reference = refined(raw, _REFINEMENT, RefinementContext(pair, optimized, right))
+        return cls(pair, volume, optimized, left, right, reference)
+
+    @cached_property
+    def grey(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Both images, grey levels 0 .. 255 as float32."""
+        left, right = (image.astype(np.float32) for image in self.pair.grey8)
+        return left, right
+
 
 SHAPE = (
     *(f"deviation_of_map_{side}" for side in (5, 11, 21, 41)),
@@ -23,15 +86,9 @@ SHAPE = (
 )
 """Planes of a map's shape: standard deviations of windows, differences from means and medians of windows, distance to
 the next step, steps to the largest disparity beside a pixel and to the smallest around, share of the range."""
-
-
 IMAGE = ("deviation_5", "deviation_13", "deviation_31", "gradient", "border_distance")
-
-
 ONE_VIEW = (*SHAPE, *IMAGE)
 """Planes of a map and the left image alone."""
-
-
 AVERAGED = (
     *("cost", "far_cost", "contradiction", "hidden", "excess", "winner_difference", "other_winner"),
     *("right_difference", "missing", "color_difference", "margin"),
@@ -78,13 +135,11 @@ INPUTS = (*ALONE, *OTHERS)
 """Inputs of the network, in their order."""
 
 _WINDOW = 7
-
 _MAX_DEVIATION = np.float32(40.0)  # grey levels
 
 
 def shape_planes(values: NDArray[np.float32], max_disparity: int) -> dict[str, NDArray[Any]]:
     """Return the planes ``SHAPE`` of a map without gaps, (H, W) float32 each."""
-    height, width = values.shape
     plane: dict[str, NDArray[Any]] = {}
     for side in (5, 11, 21, 41):
         plane[f"deviation_of_map_{side}"] = np.minimum(np.sqrt(local_moments(values, side)[1]), 10)
@@ -94,11 +149,11 @@ def shape_planes(values: NDArray[np.float32], max_disparity: int) -> dict[str, N
     top = np.float32(max(max_disparity, 1))
     coarse = cv2.medianBlur((values * (255 / top)).astype(np.uint8), 21).astype(np.float32) * (top / 255)
     plane["above_median_21"] = np.clip(values - coarse, -8, 8)
-    edges = np.zeros((height, width), np.uint8)
+    edges = np.zeros(values.shape, np.uint8)
     edges[:, 1:] |= np.abs(np.diff(values, axis=1)) > 1
     edges[1:] |= np.abs(np.diff(values, axis=0)) > 1
-    far = np.full((height, width), 30, np.float32)
-    plane["edge_distance"] = np.minimum(cv2.distanceTransform(1 - edges, cv2.DIST_L2, 3), 30) if edges.any() else far
+    far = cv2.distanceTransform(1 - edges, cv2.DIST_L2, 3) if edges.any() else np.full(values.shape, 30, np.float32)
+    plane["edge_distance"] = np.minimum(far, 30)
     line = np.ones((1, 15), np.uint8)
     plane["step_right"] = np.minimum(cv2.dilate(values, line, anchor=(0, 0)) - values, 12)
     plane["step_left"] = np.minimum(cv2.dilate(values, line, anchor=(14, 0)) - values, 12)
@@ -158,15 +213,13 @@ def alone_planes(
         _spread(array, support.inverse_sum, out[k * len(AVERAGED) : (k + 1) * len(AVERAGED)])
     grey = evidence.grey[0]
     plane["decorrelation"][:] = 1 - correlation(grey, local_moments(grey, _WINDOW), warped)
-    for name, array in shape_planes(values, evidence.volume.n_disparities - 1).items():
-        plane[name][:] = array
-    for name, array in shared.items():
+    for name, array in (shape_planes(values, evidence.volume.n_disparities - 1) | shared).items():
         plane[name][:] = array
     return out
 
 
 def other_planes(
-    maps: NDArray[np.float32], alone: list[NDArray[np.float32]], evidence: Evidence
+    maps: NDArray[np.float32], alone: Sequence[NDArray[np.float32]], evidence: Evidence
 ) -> NDArray[np.float32]:
     """Return the planes ``OTHERS`` of every map, (N, len(OTHERS), H, W) float32; all 0 where there is one map."""
     count, height, width = maps.shape
@@ -180,12 +233,8 @@ def other_planes(
     _relate(maps, *(out[:, index[name]] for name in ("nearest_map", "middle_map", "farthest_map", "above_middle")))
     for name in OTHERS:
         if name.endswith("_relative"):
-            k = ALONE.index(name.removesuffix("_relative"))
-            low = alone[0][k].copy()
-            for one in alone[1:]:
-                np.minimum(low, one[k], out=low)
-            for n in range(count):
-                np.subtract(alone[n][k], low, out=out[n, index[name]])
+            compared = [planes[ALONE.index(name.removesuffix("_relative"))] for planes in alone]
+            out[:, index[name]] = compared - np.minimum.reduce(compared)
     out[:, index["maps"]] = np.log2(np.float32(count))
     return out
 
@@ -339,18 +388,14 @@ def _relate(maps, nearest, middle, farthest, above):
                     farthest[n, y, x] = ordered[count - 2]
 
 
-def hidden_by_map(values: NDArray[np.float32], margin: float = 1.0) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) whose match a nearer pixel of the same map covers, by more than ``margin`` pixels."""
-    out = np.empty(values.shape, np.bool_)
-    _cover(values, np.float32(margin), out)
-    return out
-
-
 @parallel_jit
-def _cover(values, margin, out):
+def hidden_by_map(values):
+    """Return the pixels (H, W) whose match a nearer pixel of the same map covers, by more than one pixel."""
     height, width = values.shape
+    out = np.empty((height, width), np.bool_)
     for y in prange(height):
         nearest = nearest_matches(values[y])
         for x in range(width):
             u = int(np.floor(np.float32(x) - values[y, x] + np.float32(0.5)))
-            out[y, x] = u >= 0 and nearest[u] - values[y, x] > margin
+            out[y, x] = u >= 0 and nearest[u] - values[y, x] > np.float32(1)
+    return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -51,15 +52,11 @@ class CurveMeasures:
     border: NDArray[np.bool_]  # (z, y, x) bool, the cheapest displacement lies on the border of the search
 
 
-def displacements(shape: tuple[int, int, int], radius: int, span: SearchShape = "cube") -> NDArray[np.int64]:
+def displacements(shape: Sequence[int], radius: int, span: SearchShape = "cube") -> NDArray[np.int64]:
     """Return (K, 3) displacements (z, y, x) in voxels, by length, zero first; none along axes of one voxel."""
     sides = [np.arange(-radius, radius + 1) if size > 1 else np.zeros(1, np.int64) for size in shape]
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
-    moving = np.count_nonzero(grid, axis=1)
-    if span == "planes":
-        grid = grid[moving <= 2]
-    elif span == "axes":
-        grid = grid[moving <= 1]
+    grid = grid[np.count_nonzero(grid, axis=1) <= {"cube": 3, "planes": 2, "axes": 1}[span]]
     return np.ascontiguousarray(grid[np.argsort((grid**2).sum(axis=1), kind="stable")], np.int64)
 
 
@@ -75,34 +72,21 @@ def search(
     stride: int = 1,
     tile: tuple[int, int, int] | None = None,
 ) -> CurveMeasures:
-    """Compare every voxel with those around its place in the other volume.
+    """Compare every voxel with those around its place in the other volume, given channels (C, Z, Y, X) of both.
 
     Costs are means of |fixed - warped| over channels and a (2 h + 1)^3 window, on a scale of 0 to 1; outside
     the volume its border goes on. Among equally cheap displacements the shortest wins.
 
     Parameters
     ----------
-    fixed, warped : (C, Z, Y, X) uint8 channels of a feature
-    spacing : mm a voxel
-    radius : largest displacement along an axis, voxels
-    half_window : h, voxels
+    spacing : mm a voxel; ``radius``, ``half_window`` and ``stride`` are voxels
     sharpness : 0.5 / k, k of the likelihoods of ``eshift`` and ``vshift`` in deviations of the curve
     span : which displacements: all, those in the three planes, or on the three axes
     costly : compute the measures of ``COSTLY`` too
     stride : measure every ``stride``-th voxel along each axis, from the first one on; at most 2 half_window + 1
     tile : places measured at once; changes time and memory, never the result
-
-    Raises
-    ------
-    ValueError
-        The arrays do not fit each other.
     """
-    if fixed.ndim != 4 or fixed.shape != warped.shape or fixed.dtype != np.uint8 or warped.dtype != np.uint8:
-        raise ValueError(f"want two uint8 arrays (C, Z, Y, X), got {fixed.shape} {fixed.dtype}, {warped.shape}")
-    channels = fixed.shape[0]
-    shape = (fixed.shape[1], fixed.shape[2], fixed.shape[3])
-    if not 1 <= stride <= 2 * half_window + 1:
-        raise ValueError(f"want a stride from 1 to the window's {2 * half_window + 1} voxels, got {stride}")
+    channels, *shape = fixed.shape
     offsets = displacements(shape, radius, span)
     steps = np.array([stride if size > 1 else 1 for size in shape], np.int64)
     measured = tuple(-(-n // int(step)) for n, step in zip(shape, steps, strict=True))
@@ -115,7 +99,19 @@ def search(
     lengths = (np.linalg.norm(offsets, axis=1) * spacing).astype(np.float32)
     edge = np.abs(offsets).max(axis=1) == radius
     neighbors = np.flatnonzero((offsets**2).sum(axis=1) == 1)
-    before, after = _around(offsets)
+    # Indices (K, 13) of the neighbors of each displacement that come before and after it; -1: not searched.
+    place = {tuple(offset): k for k, offset in enumerate(offsets.tolist())}
+    ahead = [step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]
+    before, after = (
+        np.array(
+            [
+                [place.get((z + s * (c - 1), y + s * (b - 1), x + s * (a - 1)), -1) for c, b, a in ahead]
+                for z, y, x in offsets.tolist()
+            ],
+            np.int64,
+        )
+        for s in (-1, 1)
+    )
     size = np.array(tile or _tile(measured, len(offsets)), np.int64)
     grid = np.stack(np.meshgrid(*(np.arange(0, n, s) for n, s in zip(measured, size, strict=True)), indexing="ij"), -1)
     tiles = np.ascontiguousarray(grid.reshape(-1, 3), np.int64)
@@ -134,18 +130,6 @@ def search(
     variance = np.maximum(planes["square"] - planes["vshift"] ** 2, 0)
     maps = {name: planes[name] for name in MEASURES if costly or name not in COSTLY}
     return CurveMeasures(maps, displacement, variance, planes["border"] > 0)
-
-
-def _around(offsets: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    # (K, 13) indices of the neighbors of each displacement that come before and after it; -1: not searched.
-    place = {tuple(offset): k for k, offset in enumerate(offsets.tolist())}
-    steps = [step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]
-    before, after = (np.full((len(offsets), len(steps)), -1, np.int64) for _ in range(2))
-    for k, (z, y, x) in enumerate(offsets.tolist()):
-        for j, (c, b, a) in enumerate(steps):
-            after[k, j] = place.get((z + c - 1, y + b - 1, x + a - 1), -1)
-            before[k, j] = place.get((z - c + 1, y - b + 1, x - a + 1), -1)
-    return before, after
 
 
 def search_bytes(

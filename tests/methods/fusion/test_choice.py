@@ -17,8 +17,15 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.networks import TrainedNetwork
 from depthcli.evaluation.curves import sparsification
 from depthcli.io.formats.networks import read_network, write_network
-from depthcli.methods.fusion.choice._inputs import PIXEL_PLANES, PROPOSAL_PLANES, RELATIVE, NetworkInputs, input_names
-from depthcli.methods.fusion.choice.network import NetworkChoice, log_odds_of
+from depthcli.methods.fusion.choice.network import (
+    PIXEL_PLANES,
+    PROPOSAL_PLANES,
+    RELATIVE,
+    NetworkChoice,
+    NetworkInputs,
+    input_names,
+    log_odds_of,
+)
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.map_costs import matching_costs
 from depthcli.methods.fusion.votes import ColorSupport

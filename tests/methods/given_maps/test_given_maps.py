@@ -13,8 +13,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
 from depthcli.methods.given_maps import judged_maps, map_measures, odds_of, offsets
-from depthcli.methods.given_maps._evidence import _COST, _OPTIMIZATION, _REFINEMENT, Evidence
-from depthcli.methods.given_maps._planes import OTHERS
+from depthcli.methods.given_maps._planes import _COST, _OPTIMIZATION, _REFINEMENT, OTHERS, Evidence
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.run.presets import find_config

@@ -1,7 +1,7 @@
 """Choice: which of several maps is right at a pixel. One file per method.
 
 In: :class:`Proposals`, N maps (N, H, W) with the images and the fused costs. Out: a :class:`ChosenMap` (H, W).
-``energy`` cuts graphs and takes any maps; ``network`` was trained for certain maps, on the inputs of ``_inputs``.
+``energy`` cuts graphs and takes any maps; ``network`` was trained for certain maps.
 """
 
 from __future__ import annotations
@@ -53,13 +53,7 @@ class ChoiceMethod(Method):
         return None
 
     def with_network(self, trained: TrainedNetwork, maps: tuple[str, ...]) -> Self:
-        """Return a copy that chooses by ``trained`` among ``maps``.
-
-        Raises
-        ------
-        InputError
-            The network was trained for other maps or other inputs.
-        """
+        """Return a copy that chooses by ``trained`` among ``maps``; InputError if it is for other maps or inputs."""
         raise NotImplementedError(f"{self.method_name()} needs no network")
 
     @abstractmethod

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,18 +57,16 @@ class LeastEnergyChoice(ChoiceMethod):
         start = int(weights.argmax())
         current = ScoredMap(maps[start], slopes(maps[start], image), costs[start])
         for k, (values, cost) in enumerate(zip(maps, costs, strict=True)):
-            if k == start:
-                continue
-            proposal = ScoredMap(values, slopes(values, image), cost)
-            current = smoothness.move(current, proposal, _MIN_DIFFERENCE)
+            if k != start:
+                proposal = ScoredMap(values, slopes(values, image), cost)
+                current = smoothness.move(current, proposal, _MIN_DIFFERENCE)
         return ChosenMap(current.values)
 
     def bytes_per_pixel(self, count: int) -> int:
         return 12 * count + 1000
 
 
-@dataclass(frozen=True)
-class ScoredMap:
+class ScoredMap(NamedTuple):
     """A map without gaps, its slopes, and its cost at every pixel."""
 
     values: NDArray[np.float32]  # (H, W) float32 disparities, pixels
@@ -76,11 +75,7 @@ class ScoredMap:
 
     def mixed(self, other: ScoredMap, chosen: NDArray[np.bool_]) -> ScoredMap:
         """Return ``other`` where ``chosen`` (H, W), this one elsewhere."""
-        return ScoredMap(
-            np.where(chosen, other.values, self.values),
-            np.where(chosen, other.slopes, self.slopes),
-            np.where(chosen, other.cost, self.cost),
-        )
+        return ScoredMap(*(np.where(chosen, b, a) for a, b in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -121,11 +116,8 @@ class Smoothness:
         """Return the mix of two maps of least energy; ``current`` itself where no mix is better.
 
         One minimum cut (fusion moves: Lempitsky et al., PAMI 2010). Pairs that it cannot represent cost more when
-        exactly one of the two switches; so the energy is compared at the end.
-
-        Parameters
-        ----------
-        min_difference : where the two differ by less, ``current`` stays, pixels
+        exactly one of the two switches; so the energy is compared at the end. Where the two differ by less than
+        ``min_difference`` pixels, ``current`` stays.
         """
         shape = current.values.shape
         apart = np.abs(proposal.values - current.values) >= min_difference

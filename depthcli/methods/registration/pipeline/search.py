@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -106,18 +105,24 @@ class RegistrationSearch(RegistrationPipeline):
         return self.max_voxels
 
     def __call__(self, pair: RegisteredPair) -> RegistrationResult:
-        """Search around every voxel, and express the measures of its cost curve in mm.
+        """Search around every voxel, and express the measures of its cost curve in mm, on the working grid.
 
-        Returns
-        -------
-        Maps on the working grid. ``figures``: ``border``, the share of voxels of interest whose cheapest
-        displacement lies on the border of the coarsest search; ``iso``, mm; ``mean_error``, mm.
+        ``figures``: ``border``, the share of voxels of interest whose cheapest displacement lies on the border of the
+        coarsest search; ``iso``, mm; ``mean_error``, mm.
         """
         clock = Clock()
         clock.start("resample")
         grid = self.grid(pair.shape, pair.spacing)
         iso = grid.step[2] * pair.spacing[2]
-        fixed, warped = (resample(volume, *grid) for volume in self._intensities(pair))
+        # Features do not depend on the unit of intensities, but the squares of very large or very small ones leave the
+        # range of float32: these are scaled, by a power of two, which rounds nothing.
+        extremes = np.array([extreme(volume) for volume in (pair.fixed, pair.warped) for extreme in (np.min, np.max)])
+        bounds = self.intensity_range or (_CT_RANGE if extremes.min() < _CT_BELOW else (-np.inf, np.inf))
+        exponent = math.frexp(np.abs(extremes.clip(*bounds)).max())[1]
+        scale = 0 if abs(exponent) <= _MAX_EXPONENT else -exponent
+        low, high = (np.float32(bound) for bound in bounds)
+        volumes = (volume.clip(low, high) for volume in (pair.fixed, pair.warped))
+        fixed, warped = (resample(np.ldexp(volume, scale), *grid) for volume in volumes)
         inside = np.ones(fixed.shape, np.bool_)
         if pair.mask is not None:
             inside = resample(pair.mask.astype(np.float32), *grid) >= 0.5
@@ -147,16 +152,6 @@ class RegistrationSearch(RegistrationPipeline):
             figures=figures,
         )
 
-    def _intensities(self, pair: RegisteredPair) -> Iterator[NDArray[np.float32]]:
-        # Both volumes, clamped. Features do not depend on the unit of intensities, but the squares of very large or
-        # very small ones leave the range of float32: these are scaled, by a power of two, which rounds nothing.
-        extremes = np.array([extreme(volume) for volume in (pair.fixed, pair.warped) for extreme in (np.min, np.max)])
-        bounds = self.intensity_range or (_CT_RANGE if extremes.min() < _CT_BELOW else None)
-        exponent = math.frexp(np.abs(extremes if bounds is None else extremes.clip(*bounds)).max())[1]
-        for volume in (pair.fixed, pair.warped):
-            clamped = volume if bounds is None else np.clip(volume, np.float32(bounds[0]), np.float32(bounds[1]))
-            yield clamped if abs(exponent) <= _MAX_EXPONENT else np.ldexp(clamped, -exponent)
-
     def _searches(
         self, fixed: NDArray[np.float32], warped: NDArray[np.float32], iso: float, clock: Clock
     ) -> tuple[list[CurveMeasures], list[CurveMeasures]]:
@@ -164,10 +159,15 @@ class RegistrationSearch(RegistrationPipeline):
         fine: list[CurveMeasures] = []
         coarse: list[CurveMeasures] = []
         shape = _every_nth(fixed, self.stride).shape
+        volumes = [fixed, warped]
         for level in range(self.levels):
+            clock.start("features")
+            if level:
+                smooth = [gaussian(volume, _PYRAMID_SIGMA) for volume in volumes]
+                volumes = [np.ascontiguousarray(each[:: 2 if len(each) > 1 else 1, ::2, ::2]) for each in smooth]
             for feature in self.features if level == 0 else self.features[:1]:
                 clock.start("features")
-                channels = feature(*(_halved(volume, level) for volume in (fixed, warped)))
+                channels = feature(*volumes)
                 clock.start("search")
                 half = self.half_window if level == 0 else min(self.half_window, 2)
                 curves = search(
@@ -180,14 +180,14 @@ class RegistrationSearch(RegistrationPipeline):
                     costly=self.measure in COSTLY,
                     stride=min(self.stride, 2 * half + 1),
                 )
-                (fine if level == 0 else coarse).append(_enlarged(curves, shape, level))
+                if level == 0:
+                    fine.append(curves)
+                else:
+                    coarse.append(_enlarged(curves, shape, level))
         return fine, coarse
 
     def grid(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> WorkingGrid:
-        """Return the working grid of a volume of ``shape`` (z, y, x) voxels of ``spacing`` mm.
-
-        The outer faces of its first voxels are those of the volume. An axis of one voxel stays as it is.
-        """
+        """Return the working grid of a volume, whose first voxels have its outer faces; an axis of one voxel stays."""
         axes = [a for a in range(3) if shape[a] > 1] or [2]
         iso = self.iso
         if iso is None:
@@ -199,7 +199,6 @@ class RegistrationSearch(RegistrationPipeline):
         return WorkingGrid((nz, ny, nx), (z, y, x), ((z - 1) / 2, (y - 1) / 2, (x - 1) / 2))
 
     def peak_bytes(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> int:
-        """Estimate the peak working memory beside the two volumes, bytes."""
         sizes = self.grid(shape, spacing).shape
         voxels = math.prod(sizes)
         measured = math.prod(-(-n // self.stride) if n > 1 else 1 for n in sizes)
@@ -237,21 +236,11 @@ def _every_nth(volume: NDArray[Any], stride: int) -> NDArray[Any]:
     return volume[tuple(slice(None, None, stride if n > 1 else 1) for n in volume.shape)]
 
 
-def _halved(volume: NDArray[np.float32], times: int) -> NDArray[np.float32]:
-    for _ in range(times):
-        smooth = gaussian(volume, _PYRAMID_SIGMA)
-        volume = np.ascontiguousarray(smooth[:: 2 if volume.shape[0] > 1 else 1, ::2, ::2])
-    return volume
-
-
 def _enlarged(curves: CurveMeasures, shape: tuple[int, ...], times: int) -> CurveMeasures:
-    if times == 0:
-        return curves
-    whole = (shape[0], shape[1], shape[2])
     step = [1 / 2**times if n > 1 else 1.0 for n in shape]
 
     def enlarge(values: NDArray[np.float32]) -> NDArray[np.float32]:
-        return resample(values, whole, step, (0.0, 0.0, 0.0))
+        return resample(values, shape, step, (0.0, 0.0, 0.0))
 
     return CurveMeasures(
         {name: enlarge(values) for name, values in curves.maps.items()},
@@ -276,12 +265,7 @@ def expected_error(searches: list[CurveMeasures], measure: str, iso: float, sigm
     """Average a measure in mm over searches and surroundings, weighted by the inverse variance of the displacement.
 
     An error is smooth where a registration is, and the curves of places without texture, or of a feature that is blind
-    to it, say little.
-
-    Parameters
-    ----------
-    iso : side of a working voxel, mm
-    sigma : of the Gaussian of the surroundings, measured places
+    to it, say little. The surroundings are a Gaussian of ``sigma`` measured places; ``iso`` is a voxel's side, mm.
     """
     error = np.zeros_like(searches[0].variance)
     total = np.zeros_like(error)
@@ -295,17 +279,11 @@ def expected_error(searches: list[CurveMeasures], measure: str, iso: float, sigm
 
 
 def monotone(score: NDArray[np.float32], error: NDArray[np.float32], fitted: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the mean of ``error`` given ``score``, which never falls as the score rises: (Z, Y, X) float32, mm.
+    """Return the mean of ``error`` (mm) given ``score`` (any unit), which never falls as the score rises.
 
     Means of at most 200 bins of equally many ``fitted`` voxels, pooled where they fall (isotonic regression by
     pool-adjacent-violators). Between bins the result rises strictly wherever the score does, so that no order is
     lost; below the first bin it falls to 0 and above the last it goes on at the mean slope.
-
-    Parameters
-    ----------
-    score : (Z, Y, X) float32, larger where an error is more likely, any unit
-    error : (Z, Y, X) float32, mm
-    fitted : (Z, Y, X) bool, the voxels that the means are taken over
     """
     x, y = score[fitted].astype(np.float64), error[fitted].astype(np.float64)
     order = np.argsort(x, kind="stable")
