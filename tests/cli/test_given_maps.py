@@ -210,16 +210,8 @@ def test_witnesses_right_maps_and_evaluation(
     for name in names:
         (rights / name).mkdir(parents=True)
         shutil.copy(scenes / name / "disp_right.pfm", rights / name)
-    words = (
-        "--witness",
-        f"truth={scenes}",
-        "--right-maps",
-        rights,
-        "--measure",
-        "agreement",
-        "--measure",
-        "left_right",
-    )
+    measures = ("--measure", "agreement", "--measure", "left_right")
+    words = ("--witness", f"truth={scenes}", "--right-maps", rights, *measures)
     assert run("confidence", "-i", scenes, "--maps", maps, "-o", tmp_path / "out", *words, "--evaluate", "--html") == 0
     assert (tmp_path / "out" / "evaluation" / "report.html").is_file()
     agreement = read_pfm(tmp_path / "out" / names[0] / "confidence_agreement.pfm")
