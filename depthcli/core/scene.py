@@ -11,19 +11,13 @@ from pathlib import Path
 
 @dataclass
 class ComputedScene:
-    """A scene that is computed.
-
-    Attributes
-    ----------
-    name : its name
-    memory : bytes that a program may take, with all processes that it starts; None: all
-    used : columns of the report about its programs: their processor time, seconds, and the largest memory of one, bytes
-    originals : what was read from files of its own as they are, and these files; None: nothing was
-    """
+    """A scene that is computed."""
 
     name: str = "scene"
-    memory: int | None = None
+    memory: int | None = None  # bytes that a program may take, with all processes that it starts; None: all
+    # Columns of the report about its programs: their processor time, seconds, and the largest memory of one, bytes.
     used: dict[str, float] = field(default_factory=dict)
+    # What was read from files of its own as they are, and these files; None: nothing was.
     originals: tuple[object, tuple[Path, ...]] | None = None
 
 

@@ -149,13 +149,9 @@ class Device:
     def launch(self, kernels: Kernels, name: str, size: Sequence[int], group: Sequence[int], *arguments: Any) -> None:
         """Enqueue a kernel and return at once; its first launch compiles it.
 
-        Parameters
-        ----------
-        kernels : the text that contains it
-        name : of the kernel in this text
-        size : number of threads along up to three dimensions, the fastest first; rounded up to whole groups
-        group : number of threads of a group along the same dimensions
-        arguments : arrays of this device; int (passed as 32 bits), float (as 32 bits) or NumPy scalars
+        ``size`` is the number of threads along up to three dimensions, the fastest first, rounded up to whole groups;
+        ``group`` that of a group. Arguments are arrays of this device, int (passed as 32 bits), float (as 32 bits) or
+        NumPy scalars.
         """
         kernel = self._kernels.get((kernels, name))
         if kernel is None:
@@ -174,9 +170,8 @@ class Device:
         events, self._events = self._events, []
         self._guarded(self._driver.wait)
         if self.launches is not None:
-            self.launches += [
-                Launch(name, self._guarded(self._driver.seconds, event), nbytes) for name, event, nbytes in events
-            ]
+            for name, event, nbytes in events:
+                self.launches.append(Launch(name, self._guarded(self._driver.seconds, event), nbytes))
 
     def measure_bandwidth(self) -> float:
         """Measure the bandwidth of the device's memory by copying a large array: bytes read and written per second."""

@@ -175,7 +175,7 @@ def two_devices(monkeypatch):
     monkeypatch.setattr(depthcli.device.cuda, "why_no_device", lambda: "nothing there")
 
 
-def test_what_names_mean(two_devices):
+def test_what_names_mean(two_devices, monkeypatch):
     assert find_device("cpu") is None
     assert find_device("auto") == GPU
     assert find_device("opencl") == GPU
@@ -187,11 +187,8 @@ def test_what_names_mean(two_devices):
     for name in ("gpu", "opencl:", "opencl:x", "cuda:-1"):
         with pytest.raises(ConfigError, match="want cpu, auto"):
             find_device(name)
-
-
-def test_auto_without_a_card_is_the_processor(two_devices, monkeypatch):
     monkeypatch.setattr(depthcli.device.opencl, "list_devices", lambda: [SLOW])
-    assert find_device("auto") is None
+    assert find_device("auto") is None  # without a card the processor
 
 
 def test_no_device_is_one_line_before_anything_is_written(tmp_path, capsys, made_scenes, monkeypatch):
@@ -229,25 +226,22 @@ def small_device(monkeypatch):
     return device
 
 
-def test_what_does_not_fit_on_the_device_fails_before_it_starts(tmp_path, capsys, made_scenes, small_device):
-    output = tmp_path / "run"
-    code = main(
-        ["stereo", "fast", "-i", str(made_scenes), "-o", str(output), "--scenes", "planes_0", "--device", "auto"]
-    )
-    assert code == 3
-    assert "planes_0: needs about" in (said := capsys.readouterr().err)
-    assert "on opencl:1 (a small card), which has 1 MiB" in said
-    assert "device: opencl:1\n" in (output / "run.yaml").read_text()
-
-
-def test_a_driver_that_fails_costs_the_scene(tmp_path, capsys, made_scenes, small_device):
-    small_device.info = DeviceInfo("opencl:1", "a card", 1 << 33, True, "somebody's")
-    output = tmp_path / "run"
-    code = main(
-        ["stereo", "fast", "-i", str(made_scenes), "-o", str(output), "--scenes", "planes_0", "--device", "auto"]
-    )
-    assert code == 3
-    assert "planes_0: opencl:1 (a card) failed: the driver is gone" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("memory", "messages"),
+    [
+        (1 << 20, ("planes_0: needs about", "on opencl:1 (a card), which has 1 MiB")),
+        (1 << 33, ("planes_0: opencl:1 (a card) failed: the driver is gone",)),
+    ],
+)
+def test_too_little_memory_or_a_driver_that_fails_costs_the_scene(
+    tmp_path, capsys, made_scenes, small_device, memory, messages
+):
+    small_device.info = DeviceInfo("opencl:1", "a card", memory, True, "somebody's")
+    scene = ["-i", str(made_scenes), "-o", str(tmp_path / "run"), "--scenes", "planes_0"]
+    assert main(["stereo", "fast", *scene, "--device", "auto"]) == 3
+    said = capsys.readouterr().err
+    assert all(message in said for message in messages)
+    assert "device: opencl:1\n" in (tmp_path / "run" / "run.yaml").read_text()
 
 
 def test_a_pipeline_without_kernels_says_that_it_ran_on_the_processor(tmp_path, made_scenes, small_device):

@@ -16,6 +16,9 @@ from depthcli.kernels import cache
 
 ROOT = Path(__file__).parents[2]
 
+NOWHERE = "/proc/none"  # nobody can make a folder there, not even root
+needs_proc = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a place that cannot be written")
+
 KERNEL = """
 import numpy as np
 from depthcli.kernels.jit import jit
@@ -75,29 +78,21 @@ def test_compiled_once_and_kept_in_the_users_cache(tmp_path: Path):
     assert use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache")) == (0, 0, False, folder, "")
 
 
-@pytest.mark.slow
-def test_the_users_choice_is_respected(tmp_path: Path):
-    assert use(tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "mine"))[3] == str(tmp_path / "mine")
-    assert len(compiled(tmp_path)) == 4
-
-
+@needs_proc
 @pytest.mark.slow
 def test_without_a_home_that_can_be_written_a_temporary_folder_serves(tmp_path: Path):
-    home = "/proc/no-such-home"  # nobody can make a folder there, not even root
-    if not Path("/proc").is_dir():
-        pytest.skip("needs /proc as a place that cannot be written")
+    home = NOWHERE
     first = use(tmp_path, HOME=home, XDG_CACHE_HOME=home)
     assert Path(first[3]).parent.parent == tmp_path
     assert use(tmp_path, HOME=home, XDG_CACHE_HOME=home) == (0, 0, False, first[3], "")
 
 
+@needs_proc
 @pytest.mark.slow
 @pytest.mark.parametrize("variable", ["NUMBA_CACHE_DIR", "TMPDIR"])
 def test_where_no_folder_can_be_written_kernels_are_compiled_in_memory_and_that_is_said_once(tmp_path, variable):
-    nowhere = "/proc/no-such-folder"
-    if not Path("/proc").is_dir():
-        pytest.skip("needs /proc as a place that cannot be written")
-    before = "import tempfile; tempfile._candidate_tempdir_list = lambda: ['/proc/no-such-folder']\n"
+    nowhere = NOWHERE
+    before = "import tempfile; tempfile._candidate_tempdir_list = lambda: ['/proc/none']\n"
     kernels, _, _, folder, messages = use(tmp_path, before, HOME=nowhere, XDG_CACHE_HOME=nowhere, **{variable: nowhere})
     assert (kernels, folder) == (2, "None")
     assert messages.count("no folder for compiled kernels can be written") == len(messages.splitlines()) == 1

@@ -55,11 +55,18 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
     InputError
         The memory that may be used, here or on the device, does not suffice.
     """
+    clock = Clock()
+
+    def prepare() -> tuple[StereoPair, PairMatcher]:
+        # The whole images adjusted, and the matcher without this step.
+        if not isinstance(matcher, AdjustingMatcher):
+            return pair, matcher
+        return adjusted(pair, max_disparity, matcher.adjust, clock), matcher.model_copy(update={"adjust": ()})
+
     need, has_tiles = _needs(matcher, pair.shape, max_disparity, limits)
     tile_memory = min(limits.memory, limits.tile_memory)
     if has_tiles and (need > tile_memory or limits.tiles == "always"):
-        clock = Clock()
-        prepared, rest = _prepared(matcher, pair, max_disparity, clock)
+        prepared, rest = prepare()
         held = 0 if prepared is pair else pair.right.nbytes + pair.shape[0] * pair.shape[1]
         return match_in_tiles(rest, prepared, max_disparity, Memory(tile_memory, PROCESS_BYTES + held), clock)
     if need > limits.memory:
@@ -76,19 +83,9 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
             f"needs about {show_bytes(device_need)} on {device.address} ({device.name}), which has "
             f"{show_bytes(device.memory)}; see device, max_disparity"
         )
-    clock = Clock()
-    prepared, rest = _prepared(matcher, pair, max_disparity, clock)
+    prepared, rest = prepare()
     result: StereoResult = run_stage(rest, DevicePair(limits.device, prepared), max_disparity, clock)
     return result
-
-
-def _prepared(
-    matcher: PairMatcher, pair: StereoPair, max_disparity: int, clock: Clock
-) -> tuple[StereoPair, PairMatcher]:
-    """Adjust the whole images; return the new pair, and the matcher without this step."""
-    if not isinstance(matcher, AdjustingMatcher):
-        return pair, matcher
-    return adjusted(pair, max_disparity, matcher.adjust, clock), matcher.model_copy(update={"adjust": ()})
 
 
 def host_bytes(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> int:

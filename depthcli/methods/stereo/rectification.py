@@ -84,18 +84,9 @@ def rectify_uncalibrated(left: Points, right: Points, size: tuple[int, int]) -> 
 
     The homographies are those of two turned pin-hole cameras of one focal length, so that the images keep their
     shape (quasi-Euclidean rectification, Fusiello and Irsara, ICPR 2008); only matches that a fundamental matrix
-    explains count (MAGSAC). Afterwards the right view is moved along the rows so that disparities
-    begin a little above 0.
-
-    Parameters
-    ----------
-    left, right : matched pixels, some of them wrong
-    size : (width, height) of both views
-
-    Raises
-    ------
-    InputError
-        Too few matches, or half of them stay more than a pixel apart.
+    explains count (MAGSAC). Afterwards the right view is moved along the rows so that disparities begin a little above
+    0. ``size`` is the (width, height) of both views. InputError where matches are too few, or half of them stay more
+    than a pixel apart.
     """
     if len(left) < _MIN_MATCHES:
         raise InputError(f"only {len(left)} key points match, at least {_MIN_MATCHES} are needed to rectify a pair")
@@ -103,14 +94,13 @@ def rectify_uncalibrated(left: Points, right: Points, size: tuple[int, int]) -> 
     chosen = np.zeros(len(left), bool) if inside is None else inside.ravel() > 0
     if chosen.sum() < _MIN_MATCHES:
         raise InputError(f"no geometry of two views explains the {len(left)} matched key points")
-    best: tuple[float, RectifyingHomographies] | None = None
-    for focal in _FIRST_FOCALS:
-        found = _fitted(left[chosen], right[chosen], size, focal * max(size))
-        error = row_error(*found.points(left, right))
-        if best is None or error < 0.9 * best[0]:
-            best = (error, found)
-    assert best is not None
-    error, found = best
+    starts = [_fitted(left[chosen], right[chosen], size, focal * max(size)) for focal in _FIRST_FOCALS]
+    found = starts[0]
+    error = row_error(*found.points(left, right))
+    for other in starts[1:]:
+        other_error = row_error(*other.points(left, right))
+        if other_error < 0.9 * error:
+            error, found = other_error, other
     if not error <= _MAX_ROW_ERROR:
         raise InputError(
             f"the rows of half of the {len(left)} matched key points stay more than {error:.1f} px apart, at most "
@@ -150,9 +140,10 @@ def _fitted(left: Points, right: Points, size: tuple[int, int], focal: float) ->
     shift = middle - _moved(one, middle)
     ours, theirs = _moved(one, left), _moved(other, right)
     first = float(np.quantile(ours[:, 0] - theirs[:, 0], 0.01)) - _MIN_DISPARITY_SHARE * size[0]
-    return RectifyingHomographies(
-        _shift(shift[0, 0], shift[0, 1]) @ one, _shift(shift[0, 0] + first, shift[0, 1]) @ other, size
-    )
+    to_left, to_right = np.eye(3), np.eye(3)
+    to_left[:2, 2] = shift[0]
+    to_right[:2, 2] = shift[0] + (first, 0)
+    return RectifyingHomographies(to_left @ one, to_right @ other, size)
 
 
 def _turned(
@@ -164,10 +155,6 @@ def _turned(
     one = np.asarray(cv2.Rodrigues(np.array([0.0, values[0], values[1]]))[0], np.float64)
     other = np.asarray(cv2.Rodrigues(values[2:5].copy())[0], np.float64)
     return camera @ one @ inverse, camera @ other @ inverse
-
-
-def _shift(x: float, y: float) -> NDArray[np.float64]:
-    return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
 
 
 def _moved(homography: NDArray[np.float64], points: Points) -> Points:

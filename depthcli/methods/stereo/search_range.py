@@ -50,11 +50,10 @@ class SearchRange:
         if self.min_disparity >= width:
             raise InputError(f"the smallest disparity is {self.min_disparity}, but the images are {width} pixels wide")
         before, behind = max(self.min_disparity, 0), max(-self.min_disparity, 0)
-        left, right = pair.left[:, before:], pair.right[:, : width - before]
+        left, right = pair.left[:, before:].copy(), pair.right[:, : width - before].copy()
         if behind:
             left = cast(Image, cv2.copyMakeBorder(left, 0, 0, behind, 0, cv2.BORDER_REPLICATE))
             right = cast(Image, cv2.copyMakeBorder(right, 0, 0, 0, behind, cv2.BORDER_REPLICATE))
-        left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
         return StereoPair(left, right, pair.bits)
 
     def restore(self, result: StereoResult, width: int) -> StereoResult:

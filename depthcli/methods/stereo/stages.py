@@ -84,10 +84,6 @@ class CostStages(ConfigModel):
         bytes_per_cell = 18 if intersects else 10 if self.aggregation is not None else 7
         return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + 100)
 
-    def need_whole_volume(self) -> bool:
-        """Return whether a refinement step looks at costs: then tiles are matched as pairs of their own."""
-        return any(step.needs_costs for step in self.refinement)
-
     def halo(self) -> int | None:
         """Return how many pixels around a pixel its optimized costs depend on; None: on the whole image."""
         if not isinstance(self.optimization, WinnerTakesAll):

@@ -38,18 +38,12 @@ def errors(values, truth):
 
 @pytest.mark.parametrize(
     ("peer", "golden"),
-    [
-        pytest.param(OpencvSgbm(), 11.2, id="sgbm"),
-        pytest.param(OpencvSgbm(mode="3way", wls={}), 9.2, id="sgbm-wls"),
-        pytest.param(OpencvBm(), 15.0, id="bm"),
-    ],
+    [(OpencvSgbm(), 11.2), (OpencvSgbm(mode="3way", wls={}), 9.2), (OpencvBm(), 15.0)],
+    ids=("sgbm", "sgbm-wls", "bm"),
 )
 def test_peers_have_their_known_error(peer, golden):
     """Both ways: a peer that we run worse than it is would make our own figures look good."""
-    rated = [
-        errors(peer(pair, max_disparity).disparity.values, truth)
-        for pair, truth, max_disparity in real_scenes().values()
-    ]
+    rated = [errors(peer(pair, top).disparity.values, truth) for pair, truth, top in real_scenes().values()]
     assert np.mean(rated) == pytest.approx(golden, abs=0.4)
 
 

@@ -48,23 +48,14 @@ def random_pair(height, width, color, dtype=np.uint8):
 @sizes
 @pytest.mark.parametrize("color", [False, True])
 def test_absolute_difference(height, width, disparities, color):
-    pair, cost = random_pair(height, width, color), AbsoluteDifference()
-    channels = 3 if color else 1
-    limit = min(60 * channels, 255)
-    expected = naive.absolute_difference(pair.left, pair.right, disparities, limit, 20 * channels)
-    volume = cost(pair, disparities)
+    pair, channels = random_pair(height, width, color), 3 if color else 1
+    limits = min(60 * channels, 255), 20 * channels
+    volume = AbsoluteDifference()(pair, disparities)
     assert volume.scale == channels
-    np.testing.assert_array_equal(volume.costs, expected)
-
-
-@sizes
-@pytest.mark.parametrize("color", [False, True])
-def test_tolerant_absolute_difference(height, width, disparities, color):
-    pair, cost = random_pair(height, width, color), AbsoluteDifference(sampling="tolerant")
-    channels = 3 if color else 1
+    np.testing.assert_array_equal(volume.costs, naive.absolute_difference(pair.left, pair.right, disparities, *limits))
     left, right = (image.reshape(height, width, channels) for image in (pair.left, pair.right))
-    expected = naive.tolerant_difference(left, right, disparities, min(60 * channels, 255), 20 * channels)
-    np.testing.assert_array_equal(cost(pair, disparities).costs, expected)
+    tolerant = AbsoluteDifference(sampling="tolerant")(pair, disparities)
+    np.testing.assert_array_equal(tolerant.costs, naive.tolerant_difference(left, right, disparities, *limits))
 
 
 @sizes
@@ -87,20 +78,19 @@ def test_tolerant_costs_do_not_see_half_a_pixel(cost):
 
 @sizes
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_census(height, width, disparities, dtype):
+@pytest.mark.parametrize(
+    ("cost", "reference", "window"),
+    [
+        (Census, naive.census, (9, 7)),
+        (Census, naive.census, (1, 3)),
+        (Rank, naive.rank, (9, 9)),
+        (Rank, naive.rank, (3, 1)),
+    ],
+)
+def test_census_and_rank(height, width, disparities, dtype, cost, reference, window):
     pair = random_pair(height, width, False, dtype)
-    for window in ((9, 7), (1, 3)):
-        expected = naive.census(pair.left, pair.right, disparities, window, 16)
-        np.testing.assert_array_equal(Census(window=window)(pair, disparities).costs, expected)
-
-
-@sizes
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_rank(height, width, disparities, dtype):
-    pair = random_pair(height, width, False, dtype)
-    for window in ((9, 9), (3, 1)):
-        expected = naive.rank(pair.left, pair.right, disparities, window, 16)
-        np.testing.assert_array_equal(Rank(window=window)(pair, disparities).costs, expected)
+    expected = reference(pair.left, pair.right, disparities, window, 16)
+    np.testing.assert_array_equal(cost(window=window)(pair, disparities).costs, expected)
 
 
 @pytest.mark.slow
@@ -247,25 +237,21 @@ def test_left_right_check(height, width, disparities, tolerance):
 
 
 @sizes
-def test_background_fill(height, width, disparities):
+@pytest.mark.parametrize(
+    ("step", "reference"),
+    [
+        (BackgroundFill(), lambda values, costs: naive.background_fill(values)),
+        (Median(window=3), lambda values, costs: naive.median(values, 3)),
+        (Median(window=5), lambda values, costs: naive.median(values, 5)),
+        (Subpixel(), lambda values, costs: naive.subpixel(costs, values)),
+        (DiscontinuityAdjustment(), naive.discontinuity_adjustment),
+    ],
+    ids=lambda each: each.method_name() if hasattr(each, "method_name") else "",
+)
+def test_steps_without_parameters(height, width, disparities, step, reference):
     disparity, evidence = holes(height, width, disparities)
-    result = BackgroundFill()(disparity, evidence)
-    np.testing.assert_array_equal(result.values, naive.background_fill(disparity.values))
-
-
-@sizes
-@pytest.mark.parametrize("window", [3, 5])
-def test_median(height, width, disparities, window):
-    disparity, evidence = holes(height, width, disparities)
-    result = Median(window=window)(disparity, evidence)
-    np.testing.assert_array_equal(result.values, naive.median(disparity.values, window))
-
-
-@sizes
-def test_subpixel(height, width, disparities):
-    disparity, evidence = holes(height, width, disparities)
-    result = Subpixel()(disparity, evidence)
-    np.testing.assert_allclose(result.values, naive.subpixel(evidence.volume.costs, disparity.values), rtol=1e-6)
+    expected = reference(disparity.values, evidence.volume.costs)
+    np.testing.assert_allclose(step(disparity, evidence).values, expected, rtol=1e-6)
 
 
 @sizes
@@ -289,15 +275,6 @@ def test_interpolation(height, width, disparities):
     decided = ~np.isnan(expected)
     np.testing.assert_array_equal(result[decided], expected[decided])
     assert not np.any(np.isnan(result) & decided)
-
-
-@sizes
-def test_discontinuity_adjustment(height, width, disparities):
-    disparity, evidence = holes(height, width, disparities)
-    result = DiscontinuityAdjustment()(disparity, evidence)
-    np.testing.assert_array_equal(
-        result.values, naive.discontinuity_adjustment(disparity.values, evidence.volume.costs)
-    )
 
 
 @sizes

@@ -77,8 +77,10 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
     while n_pixels > _MAX_PIXELS * factor**2 or n_pixels * max_disparity > _MAX_COSTS * factor**3:
         factor *= 2
     height, width = (-(-side // factor) for side in pair.shape)
-    small = (cast(Image, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)) for image in pair.clamped)
-    reduced = StereoPair(*StereoPair(*small, pair.bits).color8)
+    left, right = (
+        cast(Image, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)) for image in pair.clamped
+    )
+    reduced = StereoPair(*StereoPair(left, right, pair.bits).color8)
     correction = previous = IDENTITY
     disparity = None
     max_matches = 0

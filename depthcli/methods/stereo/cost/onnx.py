@@ -73,7 +73,8 @@ class NetworkCost(Network, CostMeasure):
             views.append(np.pad(features.transpose(1, 0, 2), ((0, 0), (0, -len(features) % 4), (0, 0))))
         costs = memory.empty((*pair.shape, n_disparities), np.uint8)
         scale = self.LEVELS / self.truncation
-        _compare(*views, self.distance == "dot", np.float32(scale), np.float32(self.LEVELS), costs)
+        left, right = views
+        _compare(left, right, self.distance == "dot", np.float32(scale), np.float32(self.LEVELS), costs)
         fill_outside(costs, np.uint8(round(self.outside * self.LEVELS)))
         return CostVolume(costs, scale)
 

@@ -30,8 +30,6 @@ class Wls(ConfigModel):
 
 def opencv_disparities(max_disparity: int) -> int:
     """Return OpenCV's number of disparities for 0 .. ``max_disparity``: a multiple of 16."""
-    if max_disparity < 0:
-        raise ValueError(f"max_disparity must be >= 0, got {max_disparity}")
     return (max_disparity // 16 + 1) * 16
 
 
@@ -44,16 +42,10 @@ def match(
     wls: Wls | None,
     fill: bool,
 ) -> StereoResult:
-    """Run ``matcher`` on the padded pair.
+    """Run ``matcher``, cv2.StereoSGBM or cv2.StereoBM, on a pair of (H, W) or (H, W, 3) uint8, padded.
 
     The matchers give no value in the first ``opencv_disparities`` columns, so the pair is padded on the left by
-    repeating its border, and the result is cropped.
-
-    Parameters
-    ----------
-    matcher : cv2.StereoSGBM or cv2.StereoBM
-    left, right : (H, W) or (H, W, 3) uint8
-    margin : padding on every side beside that, pixels
+    repeating its border, by ``margin`` pixels more on every side, and the result is cropped.
     """
     height, width = left.shape[:2]
     lead = opencv_disparities(max_disparity) + margin

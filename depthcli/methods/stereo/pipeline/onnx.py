@@ -114,8 +114,8 @@ class NetworkPipeline(Network, StereoPipeline):
         values = network(pair)
         if not self.left_right_check:
             return StereoResult(_in_range(values, np.zeros(pair.shape, np.uint8), max_disparity), seconds=clock.seconds)
-        mirrored = (cast(Image, np.ascontiguousarray(image[:, ::-1])) for image in (pair.right, pair.left))
-        right = network(StereoPair(*mirrored, pair.bits))[:, ::-1]
+        first, second = (cast(Image, np.ascontiguousarray(image[:, ::-1])) for image in (pair.right, pair.left))
+        right = network(StereoPair(first, second, pair.bits))[:, ::-1]
         clock.start("left_right_check")
         known, known_right = (np.nan_to_num(np.maximum(view, 0), nan=0, posinf=0) for view in (values, right))
         difference = left_right_difference(known, known_right)

@@ -59,7 +59,9 @@ def match_in_tiles(
     largest candidate, without pictures and tables. ``figures`` has ``tiles``, their number, ``levels``, the number of
     sizes that were matched, and ``exact``: 1 where the map is that of the whole pair. InputError where nothing fits.
     """
-    stages = matcher if isinstance(matcher, CostStages) and not matcher.need_whole_volume() else None
+    stages = matcher if isinstance(matcher, CostStages) else None
+    if stages is not None and any(step.needs_costs for step in stages.refinement):
+        stages = None  # the steps look at costs: tiles are matched as pairs of their own
     halo = None if stages is None else stages.halo()
     prior = None
     if halo is None:
