@@ -26,30 +26,17 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class KinectSample:
-    """A simulated frame and what is known about it. Every mask is (H, W) bool and keeps to pixels with known truth.
+    """A simulated frame and what is known about it. Every mask keeps to pixels with known truth."""
 
-    Attributes
-    ----------
-    color : (H, W, 3) uint8 RGB
-    disparity : (H, W) float32, what the sensor measured; pixels, NaN = unknown
-    truth : (H, W) float32 true disparity; pixels, NaN = unknown
-    occluded : in the shadow of something nearer, without a measurement
-    specular : in a disc without a measurement, and not in shadow
-    mismatch : measured, but the value of the surface in front
-    measured : measured rightly, up to noise
-    intrinsics : of the camera, or None where it has none
-    pose : (4, 4) float64, from the camera's coordinates to the world's, meters; or None where the camera has none
-    """
-
-    color: NDArray[np.uint8]
-    disparity: Disparity
+    color: NDArray[np.uint8]  # (H, W, 3) RGB
+    disparity: Disparity  # what the sensor measured
     truth: Disparity
-    occluded: Mask
-    specular: Mask
-    mismatch: Mask
-    measured: Mask
+    occluded: Mask  # in the shadow of something nearer, without a measurement
+    specular: Mask  # in a disc without a measurement, and not in shadow
+    mismatch: Mask  # measured, but the value of the surface in front
+    measured: Mask  # measured rightly, up to noise
     intrinsics: Intrinsics | None = None
-    pose: NDArray[np.float64] | None = None
+    pose: NDArray[np.float64] | None = None  # (4, 4), from the camera's coordinates to the world's, meters
 
     @property
     def gap(self) -> Mask:
@@ -67,40 +54,22 @@ class KinectSample:
 
 @dataclass(frozen=True)
 class Sensor:
-    """How a simulated depth sensor measures. Lengths are in pixels, along the rows unless said otherwise.
+    """How a simulated depth sensor measures. Lengths are in pixels, along the rows unless said otherwise."""
 
-    Attributes
-    ----------
-    fattening : width by which nearer surfaces grow over farther ones
-    sides : on which of their sides they grow
-    noise : standard deviation of the disparity
-    correlation : standard deviation of the Gaussian that smooths the noise; 0: white noise
-    shadows : side of near surfaces on which the projector's shadow falls; a time-of-flight sensor has none
-    covered : the near surface grows over its shadow, which is narrower then; else the shadow moves with its edge
-    baseline : the sensor's baseline, as a multiple of the one that its depth is turned into disparity with: shadows are
-        as wide as the step of disparity times this
-    step : disparities are rounded to multiples of this; 0: not rounded
-    mixed : pixels on both sides of a step whose value lies anywhere between both surfaces, as of a time-of-flight
-        sensor, along rows and columns
-    color_shift : by which the color image is moved to the right and down against the depth
-    discs : number of specular spots without a measurement
-    disc_radius : smallest and largest
-    farthest : smallest disparity that is measured, as a share of the scene's largest; 0: no limit
-    """
-
-    fattening: int = 4
-    sides: Literal["both", "left", "right"] = "both"
-    noise: float = 0.3
-    correlation: float = 0.0
-    shadows: Literal["left", "right", "none"] = "left"
-    covered: bool = False
-    baseline: float = 1.0
-    step: float = 0.0
+    fattening: int = 4  # width by which nearer surfaces grow over farther ones
+    sides: Literal["both", "left", "right"] = "both"  # of near surfaces, on which they grow
+    noise: float = 0.3  # standard deviation of the disparity
+    correlation: float = 0.0  # standard deviation of the Gaussian that smooths the noise; 0: white noise
+    shadows: Literal["left", "right", "none"] = "left"  # of near surfaces; a time-of-flight sensor has none
+    covered: bool = False  # the near surface grows over its shadow, which is narrower then; else the shadow moves
+    baseline: float = 1.0  # width of a shadow over the step of disparity beside it
+    step: float = 0.0  # disparities are rounded to multiples of this; 0: not rounded
+    # Pixels on both sides of a step, along rows and columns, with any value between both surfaces: time of flight.
     mixed: int = 0
-    color_shift: tuple[int, int] = (0, 0)
-    discs: int = 8
-    disc_radius: tuple[float, float] = (8.0, 22.0)
-    farthest: float = 0.0
+    color_shift: tuple[int, int] = (0, 0)  # of the color image to the right and down against the depth
+    discs: int = 8  # number of specular spots without a measurement
+    disc_radius: tuple[float, float] = (8.0, 22.0)  # smallest and largest
+    farthest: float = 0.0  # smallest disparity that is measured, as a share of the scene's largest; 0: no limit
 
     def __post_init__(self) -> None:
         amounts = (self.fattening, self.noise, self.correlation, self.step, self.mixed, self.discs, self.farthest)
@@ -157,15 +126,28 @@ def simulate_kinect(
     rng = np.random.Generator(np.random.PCG64([seed, 0x4B1]))
     spots = discs(rng, (truth.shape[0], truth.shape[1]), sensor.discs, sensor.disc_radius)
     grain = rng.standard_normal(truth.shape, np.float32)
-    values = _mixed(fattened, sensor.mixed, jump, rng) + sensor.noise * _correlated(grain, sensor.correlation)
+    if sensor.correlation:
+        grain = cv2.GaussianBlur(grain, (0, 0), sensor.correlation, borderType=cv2.BORDER_REFLECT)
+        grain = np.asarray(grain / grain.std(), np.float32)
+    values = fattened
+    if sensor.mixed:
+        kernel = np.ones((2 * sensor.mixed + 1, 2 * sensor.mixed + 1), np.uint8)
+        near, far = cv2.dilate(fattened, kernel), cv2.erode(fattened, kernel)
+        share = rng.random(fattened.shape, np.float32)
+        values = np.asarray(np.where(near - far > jump, far + share * (near - far), fattened), np.float32)
+    values = values + sensor.noise * grain
     if sensor.step:
         values = np.rint(values / sensor.step) * sensor.step
     wrong = np.abs(fattened - surface) > jump
     wrong |= np.abs(values - surface) > np.float32(jump + 4 * sensor.noise + sensor.step)
     too_far = surface < sensor.farthest * surface.max()
     missing = shadow | spots | too_far | (values <= 0)
+    rows, columns = (
+        np.clip(np.arange(size) - moved, 0, size - 1)
+        for size, moved in zip(truth.shape, reversed(sensor.color_shift), strict=True)
+    )
     return KinectSample(
-        color=_moved_image(color, *sensor.color_shift),
+        color=np.ascontiguousarray(color[rows[:, None], columns]),
         disparity=np.where(known & ~missing, values, np.nan).astype(np.float32),
         truth=np.where(known, truth, np.nan).astype(np.float32),
         occluded=known & shadow,
@@ -173,31 +155,6 @@ def simulate_kinect(
         mismatch=known & wrong & ~missing,
         measured=known & ~wrong & ~missing,
     )
-
-
-def _correlated(grain: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    """Return white noise smoothed by a Gaussian, with the same standard deviation."""
-    if not sigma:
-        return grain
-    smooth = cv2.GaussianBlur(grain, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(smooth / smooth.std(), np.float32)
-
-
-def _mixed(surface: Disparity, width: int, jump: float, rng: np.random.Generator) -> Disparity:
-    """Give pixels within ``width`` of a step values between the nearest and the farthest surface so near."""
-    if not width:
-        return surface
-    kernel = np.ones((2 * width + 1, 2 * width + 1), np.uint8)
-    near, far = cv2.dilate(surface, kernel), cv2.erode(surface, kernel)
-    share = rng.random(surface.shape, np.float32)
-    return np.asarray(np.where(near - far > jump, far + share * (near - far), surface), np.float32)
-
-
-def _moved_image(color: NDArray[np.uint8], right: int, down: int) -> NDArray[np.uint8]:
-    """Return the image moved by whole pixels, its borders continued."""
-    rows = np.clip(np.arange(color.shape[0]) - down, 0, color.shape[0] - 1)
-    columns = np.clip(np.arange(color.shape[1]) - right, 0, color.shape[1] - 1)
-    return np.ascontiguousarray(color[rows[:, None], columns])
 
 
 def _behind(truth: Disparity) -> Disparity:
@@ -244,6 +201,7 @@ def _shadow(fattened: Disparity, jump: float, baseline: float) -> Mask:
 
 
 def discs(rng: np.random.Generator, shape: tuple[int, int], count: int, radius: tuple[float, float]) -> Mask:
+    """Return the pixels of ``count`` random discs, whose radius is in a range of pixels."""
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     spots = np.zeros(shape, bool)
     for _ in range(count):

@@ -43,28 +43,17 @@ class Surface:
     In its own frame, scaled by ``half_size``, it is the plane square ``|x|, |y| <= 1, z = 0``, the unit
     sphere, the unit cylinder ``|y| <= 1`` or the cone from the apex ``y = -1`` to the unit circle at
     ``y = 1``; its picture is stretched over (x, y), or over the angle (seam behind) and y.
-
-    Attributes
-    ----------
-    center : (3,) float64, world
-    axes : (3, 3) float64, rows = local axes in the world; local -z faces the camera
-    half_size : (3,) float64, baselines
-    texture : (h, w, 3) float32 RGB in [0, 1]
-    outline : which (x, y) of a plane belong to it; None = the whole square
-    unbounded : an infinite plane (its picture is repeated, mirrored each time)
-    period : width of one repetition of the picture along local x, in baselines; 0 = does not repeat
-    gloss : share of the far surroundings that is mirrored; they lie at the same pixel of both views
     """
 
     shape: Shape
-    center: NDArray[np.float64]
-    axes: NDArray[np.float64]
-    half_size: NDArray[np.float64]
-    texture: NDArray[np.float32]
-    outline: Outline | None = None
-    unbounded: bool = False
-    period: float = 0.0
-    gloss: float = 0.0
+    center: NDArray[np.float64]  # (3,), world
+    axes: NDArray[np.float64]  # (3, 3), rows = local axes in the world; local -z faces the camera
+    half_size: NDArray[np.float64]  # (3,), baselines
+    texture: Texture
+    outline: Outline | None = None  # which (x, y) of a plane belong to it; None = the whole square
+    unbounded: bool = False  # an infinite plane (its picture is repeated, mirrored each time)
+    period: float = 0.0  # width of one repetition of the picture along local x, in baselines; 0 = none
+    gloss: float = 0.0  # share of the far surroundings that is mirrored; they lie at the same pixel of both views
 
     def local(self, vector: Vector, point: bool = True) -> Vector:
         """Return world points (or, with ``point=False``, directions) in the scaled local frame."""
@@ -91,33 +80,19 @@ class Surface:
                     if self.outline is not None:
                         inside &= self.outline(x, y)
                 return np.where(inside, t, np.inf)
-            return self._hit_quadric(o, d)
-
-    def _hit_quadric(self, o: Vector, d: Vector) -> Array:
-        weight = {"sphere": 1.0, "cylinder": 0.0, "cone": -0.25}[self.shape]
-        apex = o[1] + 1 if self.shape == "cone" else o[1]
-        a = d[0] * d[0] + d[2] * d[2] + weight * d[1] * d[1]
-        b = o[0] * d[0] + o[2] * d[2] + weight * apex * d[1]
-        c = o[0] * o[0] + o[2] * o[2] + weight * apex * apex - (0 if self.shape == "cone" else 1)
-        root = np.sqrt(b * b - a * c)
-        near, far = (-b - root) / a, (-b + root) / a
-        near, far = np.minimum(near, far), np.maximum(near, far)
-        if self.shape == "sphere":
-            return np.where(near > 0, near, np.inf)
-        near_ok = (np.abs(o[1] + near * d[1]) <= 1) & (near > 0)
-        far_ok = (np.abs(o[1] + far * d[1]) <= 1) & (far > 0)
-        return np.where(near_ok, near, np.where(far_ok, far, np.inf))
-
-    def picture_position(self, point: Vector) -> tuple[Array, Array]:
-        """Return (column, row) of the texture, float32, at world points on the surface."""
-        x, y, z = self.local(point)
-        if self.shape != "plane":
-            x = np.arctan2(x, -z) / np.pi
+            weight = {"sphere": 1.0, "cylinder": 0.0, "cone": -0.25}[self.shape]
+            apex = o[1] + 1 if self.shape == "cone" else o[1]
+            a = d[0] * d[0] + d[2] * d[2] + weight * d[1] * d[1]
+            b = o[0] * d[0] + o[2] * d[2] + weight * apex * d[1]
+            c = o[0] * o[0] + o[2] * o[2] + weight * apex * apex - (0 if self.shape == "cone" else 1)
+            root = np.sqrt(b * b - a * c)
+            near, far = (-b - root) / a, (-b + root) / a
+            near, far = np.minimum(near, far), np.maximum(near, far)
             if self.shape == "sphere":
-                y = np.arcsin(np.clip(y, -1, 1)) * (2 / np.pi)
-        height, width = self.texture.shape[:2]
-        column, row = (x + 1) * ((width - 1) / 2), (y + 1) * ((height - 1) / 2)
-        return column.astype(np.float32), row.astype(np.float32)
+                return np.where(near > 0, near, np.inf)
+            near_ok = (np.abs(o[1] + near * d[1]) <= 1) & (near > 0)
+            far_ok = (np.abs(o[1] + far * d[1]) <= 1) & (far > 0)
+            return np.where(near_ok, near, np.where(far_ok, far, np.inf))
 
     def normal(self, point: Vector) -> Vector:
         """Return unit normals at world points of the surface, turned to either side."""
@@ -320,7 +295,12 @@ def trace(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Array, 
     depth = np.full(shape, np.inf, np.result_type(columns, rows))
     owner = np.full(shape, -1, np.int16)
     for index, surface in enumerate(room.surfaces):
-        bounds = _bounds(room, surface, right)
+        bounds = (-np.inf, np.inf, -np.inf, np.inf)  # first and last column, first and last row
+        if not surface.unbounded:
+            corners = surface.corners()
+            u = (corners[:, 0] - right) / corners[:, 2] * room.focal + room.center[0]
+            v = corners[:, 1] / corners[:, 2] * room.focal + room.center[1]
+            bounds = (u.min() - 1, u.max() + 1, v.min() - 1, v.max() + 1)
         y = np.flatnonzero((rows[:, 0] >= bounds[2]) & (rows[:, 0] <= bounds[3]))
         x = (
             np.flatnonzero((columns[0] >= bounds[0]) & (columns[0] <= bounds[1]))
@@ -338,24 +318,12 @@ def trace(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Array, 
     return depth, owner
 
 
-def _bounds(room: Room, surface: Surface, right: bool) -> tuple[float, float, float, float]:
-    """Return the pixels that a surface can cover: first and last column, first and last row."""
-    if surface.unbounded:
-        return -np.inf, np.inf, -np.inf, np.inf
-    corners = surface.corners()
-    columns = (corners[:, 0] - right) / corners[:, 2] * room.focal + room.center[0]
-    rows = corners[:, 1] / corners[:, 2] * room.focal + room.center[1]
-    return columns.min() - 1, columns.max() + 1, rows.min() - 1, rows.max() + 1
-
-
 def light_maps(room: Room) -> list[NDArray[np.float32] | None]:
-    """Return the light on every plane, as :func:`render` wants it; None for other shapes."""
-    return [_lightmap(room, i) if s.shape == "plane" else None for i, s in enumerate(room.surfaces)]
+    """Return the light on the square of every plane with the soft shadows on it, (n, n) float32; None for others."""
+    return [_light_map(room, each) if each.shape == "plane" else None for each in room.surfaces]
 
 
-def _lightmap(room: Room, index: int) -> NDArray[np.float32]:
-    """Return the light on a plane, with the soft shadows of the other surfaces, over its square: (n, n) float32."""
-    surface = room.surfaces[index]
+def _light_map(room: Room, surface: Surface) -> NDArray[np.float32]:
     side = np.linspace(-1, 1, _LIGHTMAP_SIDE)
     a, b = np.meshgrid(side * surface.half_size[0], side * surface.half_size[1])
     x, y, z = (surface.center[i] + a * surface.axes[0, i] + b * surface.axes[1, i] for i in range(3))
@@ -364,8 +332,8 @@ def _lightmap(room: Room, index: int) -> NDArray[np.float32]:
     normal = surface.axes[2]
     facing = np.abs(normal[0] * to_light[0] + normal[1] * to_light[1] + normal[2] * to_light[2]) / length
     lit = np.ones_like(facing)
-    for other, caster in enumerate(room.surfaces):
-        if other != index and not caster.unbounded:
+    for caster in room.surfaces:
+        if caster is not surface and not caster.unbounded:
             t = caster.hit((x, y, z), to_light)
             lit[(t > 1e-3) & (t < 1)] = 0.0
     soft = cv2.GaussianBlur(lit, (0, 0), 1.3) if not lit.all() else lit
@@ -401,13 +369,19 @@ def render(room: Room, lightmaps: list[NDArray[np.float32] | None], right: bool,
 
 def _shade(room: Room, surface: Surface, lightmap: NDArray[np.float32] | None, point: Vector) -> NDArray[np.float32]:
     """Return the colors of points that lie on a surface (others in the rectangle get some color)."""
-    column, row = surface.picture_position(point)
+    x, y, z = surface.local(point)
+    if surface.shape != "plane":
+        x = np.arctan2(x, -z) / np.pi
+        if surface.shape == "sphere":
+            y = np.arcsin(np.clip(y, -1, 1)) * (2 / np.pi)
+    height, width = surface.texture.shape[:2]
+    column, row = (((part + 1) * ((size - 1) / 2)).astype(np.float32) for part, size in ((x, width), (y, height)))
     # Rays of the rectangle that hit something else can lie far off, beyond what remap can index.
     column, row = np.clip(column, -20000, 20000), np.clip(row, -20000, 20000)
     paint = cv2.remap(surface.texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
     if lightmap is not None:
-        y, x = (np.float32((_LIGHTMAP_SIDE - 1) / max(side - 1, 1)) for side in surface.texture.shape[:2])
-        light = cv2.remap(lightmap, column * x, row * y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        down, across = (np.float32((_LIGHTMAP_SIDE - 1) / max(side - 1, 1)) for side in (height, width))
+        light = cv2.remap(lightmap, column * across, row * down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     else:
         nx, ny, nz = surface.normal(point)
         lx, ly, lz = (np.float32(room.light[i]) - point[i] for i in range(3))
