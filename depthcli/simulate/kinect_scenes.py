@@ -34,14 +34,7 @@ def make_kinect_scene(
     ----------
     kind : ``planes``, ``foreground``, ``curved`` as in :func:`depthcli.simulate.stereo_scenes.make_scene`;
         ``camouflage``: boards before a wall, every other one painted like it, so that only the depth shows the edge
-    seed : chooses the scene
-    width, height : pixels, at least 16
-    max_disparity : pixels, at least 4 and at most ``width / 2``
-
-    Raises
-    ------
-    ValueError
-        For an unknown kind or an impossible size or range.
+    width, height, max_disparity : pixels; at least 16, 16, and 4, at most ``width / 2``
     """
     if kind not in SCENE_KINDS:
         raise ValueError(f"kind must be one of {', '.join(SCENE_KINDS)}, got {kind!r}")
@@ -79,23 +72,25 @@ def make_kinect_sequence(
     ----------
     kind : ``static`` (on a tripod, nothing moves), ``moving`` (a board crosses the scene) or ``camera`` (the camera
         moves along boards, sideways and forward, and turns; with intrinsics and poses)
-    frames : how many
     seed : chooses the scene, discs and noise; specular discs stay where they are
-    width, height, max_disparity : pixels
     speed : pixels per frame that the board moves to the right, or that the camera moves the nearest one to the left
-    fattening, noise : as in :func:`simulate_kinect`
-
-    Raises
-    ------
-    ValueError
-        For an unknown kind, fewer than one frame, or an impossible size or range.
     """
     if kind not in SEQUENCE_KINDS:
         raise ValueError(f"kind must be one of {', '.join(SEQUENCE_KINDS)}, got {kind!r}")
     if frames < 1:
         raise ValueError(f"want at least one frame, got {frames}")
     rng = np.random.Generator(np.random.PCG64([seed, 0x5E0]))
-    shots = _shots(kind, rng, frames, seed, width, height, max_disparity, speed)
+    if kind == "camera":
+        shots = along_boards(rng, frames, width, height, max_disparity, speed)
+    else:
+        still, truth = make_kinect_scene("foreground", seed, width, height, max_disparity)
+        canvas = Canvas(rng, width, height, textures.color(rng), far=1.0)
+        canvas.color, canvas.truth = still.astype(np.float32) / np.float32(255), truth
+        at, size = (0.2 * width, 0.55 * height), (0.09 * width, 0.2 * height)
+        mover = canvas.board(at, size, 0.85 * max_disparity, textures.color(rng), flat=True)
+        shots = [(still, truth, None)] * frames
+        if kind == "moving":
+            shots = [(*canvas.photograph(moved(mover, index * speed)), None) for index in range(frames)]
     spots = discs(rng, (height, width), 8, (8.0, 22.0))
     samples = []
     for color, truth, pose in shots:
@@ -116,43 +111,13 @@ def make_kinect_sequence(
     return samples
 
 
-def _shots(
-    kind: SequenceKind,
-    rng: np.random.Generator,
-    frames: int,
-    seed: int,
-    width: int,
-    height: int,
-    max_disparity: int,
-    speed: int,
-) -> list[Shot]:
-    """Return color, true disparity and pose of every frame, without noise."""
-    if kind == "camera":
-        return along_boards(rng, frames, width, height, max_disparity, speed)
-    color, truth = make_kinect_scene("foreground", seed, width, height, max_disparity)
-    canvas = Canvas(rng, width, height, textures.color(rng), far=1.0)
-    canvas.color, canvas.truth = color.astype(np.float32) / np.float32(255), truth
-    size = (0.09 * width, 0.2 * height)
-    mover = canvas.board((0.2 * width, 0.55 * height), size, 0.85 * max_disparity, textures.color(rng), flat=True)
-    if kind == "static":
-        return [(color, truth, None)] * frames
-    return [(*canvas.photograph(moved(mover, index * speed)), None) for index in range(frames)]
-
-
 @dataclass(frozen=True)
 class CutOut:
-    """A cut-out.
+    """A board, cut out and painted."""
 
-    Attributes
-    ----------
-    cover : (H, W) float32, share of each pixel that it covers
-    color : (H, W, 3) float32 RGB in [0, 1]
-    disparity : (H, W) float32, its plane, pixels
-    """
-
-    cover: NDArray[np.float32]
-    color: NDArray[np.float32]
-    disparity: Disparity
+    cover: NDArray[np.float32]  # (H, W), share of each pixel that it covers
+    color: NDArray[np.float32]  # (H, W, 3) RGB in [0, 1]
+    disparity: Disparity  # its plane
 
 
 def moved(board: CutOut, columns: int) -> CutOut:
@@ -166,11 +131,8 @@ def moved(board: CutOut, columns: int) -> CutOut:
 def seen_from(board: CutOut, motion: NDArray[np.float64], camera: NDArray[np.float64], fb: float) -> CutOut:
     """Return the board as a moved camera sees it: its plane of disparity, and its picture by that plane's homography.
 
-    Parameters
-    ----------
-    motion : (4, 4), from the coordinates of the camera that sees ``board`` to those of the moved one, meters
-    camera : (3, 3) camera matrix of both, pixels
-    fb : focal length x baseline, pixel meters
+    ``motion`` (4, 4) brings coordinates of the camera that sees ``board`` to those of the moved one, meters; ``camera``
+    is the matrix (3, 3) of both, ``fb`` is in pixel meters.
     """
     height, width = board.disparity.shape
     rotation, shift = motion[:3, :3], motion[:3, 3]
@@ -245,12 +207,7 @@ class Canvas:
 def along_boards(
     rng: np.random.Generator, frames: int, width: int, height: int, max_disparity: int, speed: int
 ) -> list[Shot]:
-    """Return five boards before a wall, seen by a camera that moves to the right and a little forward, and turns.
-
-    Parameters
-    ----------
-    speed : pixels that the nearest board moves to the left per frame
-    """
+    """Return five boards before a wall, seen by a camera that moves to the right and a little forward, and turns."""
     fb, camera = RgbdFrame.fb, typical_intrinsics(width, height).matrix
     canvas = Canvas(rng, width, height, textures.color(rng), far=0.3 * max_disparity)
     boards = [CutOut(np.ones((height, width), np.float32), canvas.color, canvas.truth)]

@@ -36,43 +36,26 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 @dataclass(frozen=True)
 class SyntheticScene:
-    """A rectified pair and everything known about it.
+    """A rectified pair and everything known about it; all maps are (H, W)."""
 
-    Attributes
-    ----------
-    left, right : (H, W, 3) uint8 RGB
-    disparity_left, disparity_right : (H, W) float32, pixels, at pixel centers; every pixel has a value
-    nonocc : (H, W) bool: the left pixel's surface point lies in the right image and is visible there
-    disc : (H, W) bool: non-occluded and near a depth discontinuity or an occlusion
-    repetition : (H, W) float32: after how many pixels along x the left picture repeats; NaN = it does not
-    max_disparity : largest disparity to search, inclusive
-    """
-
-    left: NDArray[np.uint8]
+    left: NDArray[np.uint8]  # (H, W, 3) RGB
     right: NDArray[np.uint8]
-    disparity_left: NDArray[np.float32]
+    disparity_left: NDArray[np.float32]  # pixels, at pixel centers; every pixel has a value
     disparity_right: NDArray[np.float32]
-    nonocc: NDArray[np.bool_]
-    disc: NDArray[np.bool_]
-    repetition: NDArray[np.float32]
-    max_disparity: int
+    nonocc: NDArray[np.bool_]  # the left pixel's surface point lies in the right image and is visible there
+    disc: NDArray[np.bool_]  # non-occluded and near a depth discontinuity or an occlusion
+    repetition: NDArray[np.float32]  # after how many pixels along x the left picture repeats; NaN = it does not
+    max_disparity: int  # to search, inclusive
 
 
 @dataclass(frozen=True)
 class Radiometry:
-    """How the right camera sees the same light: ``255 * (gain * v ** gamma * fall-off) + bias``, v in [0, 1].
-
-    Attributes
-    ----------
-    gain, gamma : factor and exponent, > 0
-    bias : grey levels of 255
-    vignetting : share of the light that the corners lose, in [0, 1)
-    """
+    """How the right camera sees the same light: ``255 * (gain * v ** gamma * fall-off) + bias``, v in [0, 1]."""
 
     gain: float = 1.0
-    bias: float = 0.0
+    bias: float = 0.0  # grey levels of 255
     gamma: float = 1.0
-    vignetting: float = 0.0
+    vignetting: float = 0.0  # share of the light that the corners lose, in [0, 1)
 
     @classmethod
     def of_strength(cls, strength: float) -> Radiometry:
@@ -136,15 +119,10 @@ def make_scene(
         raise ValueError("want noise >= 0, wall_contrast and brightness in 0 .. 1 and supersampling >= 1")
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     room = Room(rng, width, height, max_disparity, wall_contrast)
-    FURNISH[kind](room)
-    return _photograph(room, radiometry or Radiometry(), brightness, noise, supersampling)
-
-
-def _photograph(room: Room, radiometry: Radiometry, brightness: float, noise: float, rays: int) -> SyntheticScene:
+    _FURNISH[kind](room)
     lightmaps = light_maps(room)
-    left = render(room, lightmaps, False, rays)
-    right = radiometry.apply(render(room, lightmaps, True, rays))
-
+    left = render(room, lightmaps, False, supersampling)
+    right = (radiometry or Radiometry()).apply(render(room, lightmaps, True, supersampling))
     columns, rows = np.arange(room.width, dtype=np.float64)[None], np.arange(room.height, dtype=np.float64)[:, None]
     depth, owner = trace(room, columns, rows, False)
     disparity = room.focal / depth
@@ -181,26 +159,18 @@ def _blob(rng: np.random.Generator) -> Outline:
     def inside(x: Array, y: Array) -> NDArray[np.bool_]:
         angle = np.arctan2(y, x)
         edge = sum(a * np.cos(k * angle + p) for k, a, p in zip(waves, amounts, phases, strict=True))
-        kept: NDArray[np.bool_] = np.hypot(x, y) < 0.78 * (1 + edge)
-        return kept
+        return np.asarray(np.hypot(x, y) < 0.78 * (1 + edge), np.bool_)
 
     return inside
 
 
 def _saw(rng: np.random.Generator) -> Outline:
     teeth, depth = int(rng.integers(2, 5)), rng.uniform(0.3, 0.7)
-
-    def inside(x: Array, y: Array) -> NDArray[np.bool_]:
-        saw = np.abs(np.mod(x * teeth / 2, 1.0) - 0.5) * 2
-        kept: NDArray[np.bool_] = y > -1 + depth * saw
-        return kept
-
-    return inside
+    return lambda x, y: np.asarray(y > -1 + depth * np.abs(np.mod(x * teeth / 2, 1.0) - 0.5) * 2, np.bool_)
 
 
 def _disk(x: Array, y: Array) -> NDArray[np.bool_]:
-    kept: NDArray[np.bool_] = x * x + y * y < 1
-    return kept
+    return np.asarray(x * x + y * y < 1, np.bool_)
 
 
 def _planes(room: Room) -> None:
@@ -276,7 +246,12 @@ def _street(room: Room) -> None:
     behind = np.array([0.0, 0.0, room.focal / room.far])
     room.surfaces.append(Surface("plane", behind, rotation(), half, sky, unbounded=True))
     room.light = np.array([rng.uniform(-40, 40), -60.0, rng.uniform(0, 30)])
-    _road(room)
+    # The road.
+    first, last = room.focal / max_disparity, room.focal / (0.1 * max_disparity)
+    half = np.array([2.0 * w / max_disparity, (last - first) / 2, 1.0])
+    picture = room.paint(textures.asphalt, (2 * half[0], 2 * half[1]), 0.4 * max_disparity)
+    middle = np.array([rng.uniform(-1, 1), room.floor, (first + last) / 2])
+    room.surfaces.append(Surface("plane", middle, rotation(pitch=np.pi / 2), half, picture, unbounded=True))
     sides = (room.center[0], w - room.center[0])
     fronts = [side / (max_disparity * rng.uniform(0.25, 0.7)) for side in sides]
     for sign, away in zip((-1, 1), fronts, strict=True):
@@ -302,15 +277,6 @@ def _street(room: Room) -> None:
             room.board(x, y - tall / 2, d * 1.01, (size, size), rotation(), outline, maker)
 
 
-def _road(room: Room) -> None:
-    rng, max_disparity = room.rng, room.max_disparity
-    first, last = room.focal / max_disparity, room.focal / (0.1 * max_disparity)
-    half = np.array([2.0 * room.width / max_disparity, (last - first) / 2, 1.0])
-    picture = room.paint(textures.asphalt, (2 * half[0], 2 * half[1]), 0.4 * max_disparity)
-    middle = np.array([rng.uniform(-1, 1), room.floor, (first + last) / 2])
-    room.surfaces.append(Surface("plane", middle, rotation(pitch=np.pi / 2), half, picture, unbounded=True))
-
-
 def _house_fronts(room: Room, sign: int, away: float) -> None:
     """Add house by house along the road, beside the camera by ``away`` baselines."""
     rng, max_disparity = room.rng, room.max_disparity
@@ -327,7 +293,7 @@ def _house_fronts(room: Room, sign: int, away: float) -> None:
         z += long * rng.uniform(1.0, 1.15)
 
 
-FURNISH: dict[Kind, Callable[[Room], None]] = {
+_FURNISH: dict[Kind, Callable[[Room], None]] = {
     "planes": _planes,
     "foreground": _foreground,
     "repetitive": _repetitive,

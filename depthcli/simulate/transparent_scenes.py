@@ -18,6 +18,7 @@ from depthcli.simulate.rendering import Room, add_walls, light_maps, render, rot
 
 _OWN_SHARE = 0.55  # share of an object's own picture in what is seen of it
 _LENS = 0.35  # how far the picture behind is drawn towards an object's center
+_BLIND, _SENSOR_NOISE = 0.5, 0.1  # share of an object where the sensor measures nothing; deviation, pixels
 _BLOB = 0.02  # size of the spots where the sensor sees through or nothing, over the image's width
 # Of the model in :func:`infrared_like`, set by hand: red counts most, and the gain changes across the image.
 _RGB_WEIGHTS = np.array([0.6, 0.3, 0.1], np.float32)
@@ -28,22 +29,13 @@ _NOISE_SIGMA = 4.0  # grey levels
 
 @dataclass(frozen=True)
 class TransparentScene:
-    """A rectified pair of a color and an infrared camera, and a sensor registered to the color.
+    """A rectified pair of a color and an infrared camera, and a sensor registered to the color; all (H, W)."""
 
-    Attributes
-    ----------
-    color : (H, W, 3) uint8, left view
-    infrared : (H, W) uint8, right view
-    disparity : (H, W) float32, true disparity of the left view, pixels; NaN = unknown
-    sensor : (H, W) float32, what the sensor measured, as disparity; NaN = nothing
-    mask : (H, W) bool, transparent
-    """
-
-    color: NDArray[np.uint8]
-    infrared: NDArray[np.uint8]
-    disparity: NDArray[np.float32]
-    sensor: NDArray[np.float32]
-    mask: NDArray[np.bool_]
+    color: NDArray[np.uint8]  # (H, W, 3), left view
+    infrared: NDArray[np.uint8]  # right view
+    disparity: NDArray[np.float32]  # true, of the left view, pixels; NaN = unknown
+    sensor: NDArray[np.float32]  # what the sensor measured, as disparity; NaN = nothing
+    mask: NDArray[np.bool_]  # transparent
 
 
 def make_transparent_scene(
@@ -74,39 +66,36 @@ def make_transparent_scene(
     lights = light_maps(room)
     mixed = []
     for right, view in zip((False, True), views, strict=True):
-        owner = trace(room, columns, rows, right)[1]
-        mixed.append(_see_through(view, render(room, lights, right, 2), owner, opaque))
+        owner, front = trace(room, columns, rows, right)[1], render(room, lights, right, 2)
+        image = np.where((owner >= opaque)[:, :, None], front, view)
+        for index in range(opaque, int(owner.max()) + 1):
+            y, x = np.nonzero(owner == index)
+            if y.size:  # a lens shows what is behind it turned towards its center
+                down, across = ((part + _LENS * (part.mean() - part)).astype(np.float32)[:, None] for part in (y, x))
+                shifted = cv2.remap(view, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+                image[y, x] = _OWN_SHARE * front[y, x] + (1 - _OWN_SHARE) * shifted[:, 0]
+        mixed.append(np.asarray(image, np.float32))
     depth, owner = trace(room, columns, rows, False)
     truth, mask = (room.focal / depth).astype(np.float32), owner >= opaque
     left, right_view = (np.clip(np.rint(255 * image), 0, 255).astype(np.uint8) for image in mixed)
-    sensor = sensor_through(truth, behind.astype(np.float32), mask, seed)
+    sensor = _sensor_through(truth, behind.astype(np.float32), mask, seed)
     return TransparentScene(left, infrared_like(right_view, seed, speckles), truth, sensor, mask)
 
 
-def sensor_through(
-    truth: NDArray[np.float32],
-    behind: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    seed: int = 0,
-    blind: float = 0.5,
-    noise: float = 0.1,
+def _sensor_through(
+    truth: NDArray[np.float32], behind: NDArray[np.float32], mask: NDArray[np.bool_], seed: int
 ) -> NDArray[np.float32]:
     """Return the disparity that a sensor measures: the truth, and in spots of the mask what lies behind it, or nothing.
 
-    Parameters
-    ----------
-    truth, behind : (H, W) float32, pixels, NaN = unknown; with the object and without it
-    mask : (H, W) bool, the object
-    blind : share of the mask where nothing is measured, in [0, 1]
-    noise : standard deviation, pixels
+    ``truth`` is the disparity with the object ``mask``, ``behind`` that without it.
     """
     rng = np.random.default_rng([seed, 0xB1])
     height, width = truth.shape
     spots = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), max(1.0, _BLOB * width))
     measured = np.where(mask, behind, truth)
     if mask.any():
-        measured = np.where(mask & (spots <= np.quantile(spots[mask], blind)), np.nan, measured)
-    measured = measured + noise * rng.standard_normal((height, width))
+        measured = np.where(mask & (spots <= np.quantile(spots[mask], _BLIND)), np.nan, measured)
+    measured = measured + _SENSOR_NOISE * rng.standard_normal((height, width))
     return np.where(measured > 0, measured, np.nan).astype(np.float32)
 
 
@@ -119,29 +108,19 @@ def glass_of_pair(
     ----------
     left, right : (H, W) grey or (H, W, 3) RGB, uint8 or uint16
     disparity : (H, W) float32, of the left view, pixels, NaN = unknown
-    seed : of everything random
     speckles : share of the infrared image's pixels with a projected dot, in [0, 1]
     """
-    mask, behind = glass_of_object(disparity, seed)
-    sensor = sensor_through(disparity, behind, mask, seed)
+    mask, behind = _glass_of_object(disparity, seed)
+    sensor = _sensor_through(disparity, behind, mask, seed)
     return TransparentScene(color8(left), infrared_like(right, seed, speckles), disparity, sensor, mask)
 
 
-def glass_of_object(disparity: NDArray[np.float32], seed: int = 0) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """Return a surface of a scene to be glass, and what is behind it.
+def _glass_of_object(disparity: NDArray[np.float32], seed: int) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Return a surface of a scene to be glass, (H, W) bool, and the disparity behind it, (H, W) float32, pixels.
 
     The surface is the connected one (steps of at most a pixel) of 1 to 15 % of the image that both views see and that
     stands in front of most of its surroundings; where there is none, an ellipse in the middle. Behind it lies a
     plane through the farther third of what surrounds it.
-
-    Parameters
-    ----------
-    disparity : (H, W) float32, true, pixels, NaN = unknown
-    seed : of the ellipse
-
-    Returns
-    -------
-    mask, behind : (H, W) bool; (H, W) float32, pixels
     """
     best, best_share = np.zeros(disparity.shape, np.bool_), 0.4
     for mask in _surfaces(disparity):
@@ -200,22 +179,6 @@ def _behind(disparity: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[
     return np.asarray(np.clip(behind, 0.5, max(depth + 3, 0.5)), np.float32)
 
 
-def _see_through(
-    behind: NDArray[np.float32], front: NDArray[np.float32], owner: NDArray[np.int16], opaque: int
-) -> NDArray[np.float32]:
-    image = np.where((owner >= opaque)[:, :, None], front, behind)
-    for index in range(opaque, int(owner.max()) + 1):
-        rows, columns = np.nonzero(owner == index)
-        if rows.size == 0:
-            continue
-        # A lens shows what is behind it turned towards its center.
-        y = (rows + _LENS * (rows.mean() - rows)).astype(np.float32)
-        x = (columns + _LENS * (columns.mean() - columns)).astype(np.float32)
-        shifted = cv2.remap(behind, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        image[rows, columns] = _OWN_SHARE * front[rows, columns] + (1 - _OWN_SHARE) * shifted[:, 0]
-    return np.asarray(image, np.float32)
-
-
 def sparse_samples(
     depth: NDArray[np.float32],
     color: NDArray[np.uint8],
@@ -225,7 +188,7 @@ def sparse_samples(
     clustered: bool = False,
     seed: int = 0,
 ) -> NDArray[np.float32]:
-    """Return some pixels of ``depth``, with Gaussian noise and wrong values.
+    """Return some pixels of ``depth``, (H, W) float32, meters, NaN = none, with Gaussian noise and wrong values.
 
     Parameters
     ----------
@@ -236,11 +199,6 @@ def sparse_samples(
     outliers : share of the samples that are uniform between the 1st and the 99th percentile of ``depth`` instead
     clustered : samples lie along edges of color, where stereo finds texture: a pixel's chance grows with the 1.5th
         power of the image's gradient; else all pixels are as likely
-    seed : of everything random
-
-    Returns
-    -------
-    (H, W) float32, meters, NaN = no sample
     """
     if not (0 <= share <= 1 and 0 <= outliers <= 1 and noise >= 0):
         raise ValueError(f"want shares in [0, 1] and noise >= 0, got {share}, {outliers}, {noise}")
@@ -265,7 +223,7 @@ def sparse_samples(
 
 
 def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray[np.uint8]:
-    """Return what an infrared camera might have recorded: ``255 * (0.6 R + 0.3 G + 0.1 B) ** 0.7 * gain + noise``.
+    """Return an infrared camera's image, (H, W) uint8: ``255 * (0.6 R + 0.3 G + 0.1 B) ** 0.7 * gain + noise``.
 
     The power is taken on the range [0, 1], so that black and white keep their places. The gain is a smooth
     field that fills [0.7, 1.3]; the noise is Gaussian with sigma 4 grey levels; the result is clipped.
@@ -273,17 +231,7 @@ def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray
     Parameters
     ----------
     image : (H, W, 3) RGB or (H, W) grey, uint8 or uint16
-    seed : of the gain field, the noise and the dots
     speckles : share of the pixels that get a bright projected dot, in [0, 1]; a depth camera's pattern
-
-    Returns
-    -------
-    (H, W) uint8
-
-    Raises
-    ------
-    ValueError
-        For a speckle share outside [0, 1].
     """
     if not 0 <= speckles <= 1:
         raise ValueError(f"speckles is a share in [0, 1], got {speckles}")
@@ -293,7 +241,12 @@ def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray
     if light.ndim == 3:
         light = light @ _RGB_WEIGHTS
     height, width = light.shape
-    result = 255 * np.power(light, np.float32(_GAMMA)) * _gain_field(rng, height, width)
+    grid = rng.standard_normal((5, 6)).astype(np.float32)
+    field = cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC)
+    low, high = float(field.min()), float(field.max())
+    scaled = (field - low) / max(high - low, 1e-6)
+    gain = (_GAIN_RANGE[0] + (_GAIN_RANGE[1] - _GAIN_RANGE[0]) * scaled).astype(np.float32)
+    result = 255 * np.power(light, np.float32(_GAMMA)) * gain
     if speckles > 0:
         dots = (rng.random((height, width)) < speckles).astype(np.float32)
         result += 400 * cv2.GaussianBlur(dots, (0, 0), 0.7)
@@ -301,29 +254,10 @@ def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray
     return np.asarray(np.clip(np.rint(result), 0, 255), np.uint8)
 
 
-def _gain_field(rng: np.random.Generator, height: int, width: int) -> NDArray[np.float32]:
-    """Smooth (H, W) field whose extremes are the two ends of the gain's range."""
-    grid = rng.standard_normal((5, 6)).astype(np.float32)
-    field = cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC)
-    low, high = float(field.min()), float(field.max())
-    scaled = (field - low) / max(high - low, 1e-6)
-    return (_GAIN_RANGE[0] + (_GAIN_RANGE[1] - _GAIN_RANGE[0]) * scaled).astype(np.float32)
-
-
 def cross_modal_pair(
     left: Image, right: Image, seed: int = 0, speckles: float = 0.0
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the left picture as grey, the right picture as infrared.
-
-    Parameters
-    ----------
-    left, right : (H, W, 3) RGB or (H, W) grey, uint8 or uint16, a rectified pair
-    seed, speckles : as for :func:`infrared_like`
-
-    Returns
-    -------
-    left, right : (H, W) uint8
-    """
+    """Return the left picture as grey, the right picture as infrared, (H, W) uint8; see :func:`infrared_like`."""
     grey = left if left.ndim == 2 else cv2.cvtColor(left, cv2.COLOR_RGB2GRAY)
     if grey.dtype == np.uint16:
         grey = ((grey.astype(np.uint32) + 128) // 257).astype(np.uint8)
