@@ -20,18 +20,11 @@ _REPROJECTION = 1.0  # pixels, of a corner that agrees
 
 @dataclass(frozen=True)
 class View:
-    """What the frame before shows in the view of the next one.
+    """What the frame before shows in the view of the next one."""
 
-    Attributes
-    ----------
-    source : (H, W) int32, row x width + column of the pixel of the frame before; -1: nothing of it is seen there
-    disparity : (H, W) float32, pixels in the next view, NaN = none
-    color : (H, W, 3) uint8, interpolated; arbitrary where ``source`` is -1
-    """
-
-    source: NDArray[np.int32]
-    disparity: NDArray[np.float32]
-    color: NDArray[np.uint8]
+    source: NDArray[np.int32]  # (H, W), row x width + column in the frame before; -1: nothing of it is seen there
+    disparity: NDArray[np.float32]  # (H, W), pixels in the next view, NaN = none
+    color: NDArray[np.uint8]  # (H, W, 3), interpolated; arbitrary where ``source`` is -1
 
     @property
     def reached(self) -> NDArray[np.bool_]:
@@ -42,16 +35,12 @@ class View:
         """Select the pixels, (H, W) bool, that are reached and not beside a step of disparity or unreached ones.
 
         Whole pixels are carried, so that an edge is up to half a pixel off, which would add up from frame to frame.
-
-        Parameters
-        ----------
-        max_step : within a surface, pixels of disparity
+        ``max_step`` is the largest within a surface, pixels of disparity.
         """
         steps = cv2.morphologyEx(np.nan_to_num(self.disparity), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
         edges = ~self.reached | (steps > max_step)
         size = 2 * _UNCERTAIN - 1  # the gradient reaches one pixel farther
-        certain: NDArray[np.bool_] = cv2.dilate(edges.astype(np.uint8), np.ones((size, size), np.uint8)) == 0
-        return certain
+        return np.asarray(cv2.dilate(edges.astype(np.uint8), np.ones((size, size), np.uint8)) == 0, np.bool_)
 
 
 def view_after(
@@ -64,11 +53,8 @@ def view_after(
 ) -> View:
     """Project a frame into the view after a motion; of several pixels in one place the nearest is seen.
 
-    Parameters
-    ----------
-    motion : (4, 4), from the frame's coordinates to those of the next view, meters
-    disparity : (H, W) float32, ``fb / depth``, NaN = none
-    max_step : gaps of one pixel are closed between pixels that differ by at most this, pixels of disparity
+    ``motion`` (4, 4) brings the frame's coordinates to those of the next view, meters. Gaps of one pixel are closed
+    between pixels whose disparities differ by at most ``max_step``.
     """
     shape = disparity.shape
     forward = _pixel_motion(motion, camera)
@@ -76,9 +62,8 @@ def view_after(
     _splat(disparity, *forward, np.float64(fb), source, values)
     _close(source, values, np.float32(max_step))
     columns, rows = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    _places(
-        values, *_pixel_motion(np.asarray(np.linalg.inv(motion), np.float64), camera), np.float64(fb), columns, rows
-    )
+    back = _pixel_motion(np.asarray(np.linalg.inv(motion), np.float64), camera)
+    _places(values, *back, np.float64(fb), columns, rows)
     shown = cv2.remap(color, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return View(source, values, np.asarray(shown, np.uint8))
 
@@ -107,17 +92,8 @@ def estimated_motion(
 ) -> NDArray[np.float64] | None:
     """Estimate the motion of the camera from corners that are tracked from one frame to the next; None: too few agree.
 
-    Corners are tracked by the method of Lucas and Kanade, and the motion is that of a perspective-n-point problem
-    with RANSAC.
-
-    Parameters
-    ----------
-    color, next_color : (H, W, 3) uint8 RGB
-    disparity : (H, W) float32, of the first frame, NaN = none
-
-    Returns
-    -------
-    (4, 4), from the first frame's coordinates to those of the next, meters
+    Corners are tracked by the method of Lucas and Kanade, and the motion, (4, 4) from the first frame's coordinates to
+    those of the next, meters, is that of a perspective-n-point problem with RANSAC.
     """
     grey, next_grey = (cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in (color, next_color))
     corners = cv2.goodFeaturesToTrack(grey, _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE)

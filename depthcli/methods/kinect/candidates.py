@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -35,22 +35,13 @@ _MAX_EXTRA_COST = 4.0  # candidates that cost more than the cheapest by this are
 _NEIGHBORS = ((0, 1), (1, -1), (1, 0), (1, 1), (0, -1), (-1, 1), (-1, 0), (-1, -1))  # dy, dx: first those behind it
 
 
-@dataclass(frozen=True)
-class Voters:
-    """The planes that vote: those of every n-th pixel of every n-th row.
-
-    Attributes
-    ----------
-    stride : n
-    planes : (3, h, w) float32: value and slopes, pixels
-    lab : (3, h, w) uint8
-    weight : (h, w) float32, 0 = does not vote
-    """
+class Voters(NamedTuple):
+    """The planes that vote: those of every n-th pixel of every n-th row, n being the ``stride``."""
 
     stride: int
-    planes: NDArray[np.float32]
-    lab: NDArray[np.uint8]
-    weight: NDArray[np.float32]
+    planes: NDArray[np.float32]  # (3, h, w): value and slopes, pixels
+    lab: NDArray[np.uint8]  # (3, h, w)
+    weight: NDArray[np.float32]  # (h, w), 0 = does not vote
 
     @classmethod
     def of(cls, lab: NDArray[np.uint8], planes: WindowPlanes, trust: NDArray[np.float32], stride: int) -> Voters:
@@ -62,24 +53,15 @@ class Voters:
         return cls(stride, np.nan_to_num(stack), colors, weight.astype(np.float32))
 
 
-@dataclass(frozen=True)
-class ExtraVotes:
-    """What votes beside the planes around: shadows, and surfaces continued into gaps; all (H, W) float32.
+class ExtraVotes(NamedTuple):
+    """What votes beside the planes around: shadows, and surfaces continued into gaps; all (H, W) float32, pixels."""
 
-    Attributes
-    ----------
-    limit, limit_factor : votes for disparities above ``limit``, pixels, are multiplied by ``limit_factor``
-    background, extra_share : disparity of the surface behind a shadow, pixels, NaN = none, which gets in addition
-        the share ``extra_share`` of all votes
-    continued, continued_share : (n, H, W) the same for n surfaces continued into gaps, which get one share each
-    """
-
-    limit: NDArray[np.float32]
+    limit: NDArray[np.float32]  # votes for disparities above it are multiplied by ``limit_factor``
     limit_factor: NDArray[np.float32]
-    background: NDArray[np.float32]
-    extra_share: NDArray[np.float32]
-    continued: NDArray[np.float32]
-    continued_share: NDArray[np.float32]
+    background: NDArray[np.float32]  # the surface behind a shadow, NaN = none
+    extra_share: NDArray[np.float32]  # of all votes, which it gets in addition
+    continued: NDArray[np.float32]  # (n, H, W) surfaces continued into gaps, NaN = none
+    continued_share: NDArray[np.float32]  # of all votes, which each of them gets in addition
 
 
 def color_similarity(sigma: float) -> NDArray[np.float32]:
@@ -106,11 +88,9 @@ def cast_votes(
     ----------
     pixels : (N, 2) int32, row and column
     voters : for each of ``LEVELS``
-    prior : influence of shadows
     noise : of the disparity, pixels
     candidates : K, largest number of modes
-    sigma_color : L1 in 8-bit Lab
-    sigma_space : (H, W) float32, pixels
+    sigma_color, sigma_space : L1 in 8-bit Lab; (H, W) float32, pixels
 
     Returns
     -------
@@ -129,16 +109,8 @@ def cast_votes(
     space = np.exp(-np.arange(reach + 1) / _SPACE_SCALES[:, None]).astype(np.float32)
     scale = np.searchsorted(_SPACE_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
     voting_planes = tuple(v.planes for v in voters), tuple(v.lab for v in voters), tuple(v.weight for v in voters)
-    extra = (
-        prior.limit,
-        prior.limit_factor,
-        prior.background,
-        prior.extra_share,
-        prior.continued,
-        prior.continued_share,
-    )
     tables = (color_similarity(sigma_color), space, np.float32(low), np.float32(unit), bins)
-    _vote(pixels, scale, lab, *voting_planes, *extra, *tables, values, shares)
+    _vote(pixels, scale, lab, *voting_planes, *prior, *tables, values, shares)
     return values, shares
 
 
@@ -261,12 +233,7 @@ def hidden_openings(
     A pixel is selected if its color is much less likely on the surface that was measured there than on those farther
     away within 36 pixels. Only the color shows an opening that near surfaces have grown over from both sides.
 
-    Parameters
-    ----------
-    voters : with a stride of 4
-    trusted : (H, W) bool, pixels to test
-    jump : surfaces that are farther by more lie behind, pixels
-    sigma_color : as in :func:`cast_votes`
+    ``voters`` have a stride of 4, ``trusted`` pixels are tested, and what is farther by ``jump`` pixels lies behind.
     """
     space = np.exp(-np.arange(_OPENING_REACH + 1) / _OPENING_SCALE).astype(np.float32)
     shape = trusted.shape
@@ -276,10 +243,8 @@ def hidden_openings(
     _test_openings(lab, *own, *others, np.float32(jump), hidden)
     spread = np.zeros(shape, np.uint8)
     spread[::_OPENING_GRID, ::_OPENING_GRID] = hidden
-    opened: NDArray[np.bool_] = (
-        cv2.dilate(spread, np.ones((_OPENING_SQUARE, _OPENING_SQUARE), np.uint8)) > 0
-    ) & trusted
-    return opened
+    square = np.ones((_OPENING_SQUARE, _OPENING_SQUARE), np.uint8)
+    return np.asarray((cv2.dilate(spread, square) > 0) & trusted, np.bool_)
 
 
 @parallel_jit
@@ -314,11 +279,8 @@ def _test_openings(lab, value, slope_x, slope_y, trusted, planes, colors, weight
                     elif abs(d - own) < jump or abs(d - here) < jump:
                         s_own += z * similarity[c]
                         n_own += z
-            if (
-                n_far > np.float32(1e-6)
-                and n_own > np.float32(1e-6)
-                and s_own * n_far < _MIN_LIKELIHOOD_RATIO * s_far * n_own
-            ):
+            compared = n_far > np.float32(1e-6) and n_own > np.float32(1e-6)
+            if compared and s_own * n_far < _MIN_LIKELIHOOD_RATIO * s_far * n_own:
                 hidden[j, i] = 1
 
 
@@ -344,14 +306,12 @@ def choose_candidates(
 
     Parameters
     ----------
-    pixels : (N, 2) int32, the unreliable pixels in raster order
-    values, shares : (N, K) of :func:`depthcli.methods.kinect.candidates.cast_votes`
+    pixels : (N, 2) int32, the ``unreliable`` pixels in raster order
+    values, shares : (N, K) of :func:`cast_votes`
     p_correct : (H, W) float32, probability that a measured value is correct
-    unreliable : (H, W) bool
     planes : known surfaces; at reliable pixels they are the fixed neighbors
     smoothness : weight of a difference, in units of the noise, between neighbors of one color
     truncation : largest difference that counts, multiples of the noise
-    iterations : of the message passing
     """
     chosen = np.full(disparity.shape, np.nan, np.float32)
     candidates = np.zeros((len(pixels), values.shape[1] + 1), np.float32)

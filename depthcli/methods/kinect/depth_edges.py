@@ -37,13 +37,7 @@ def correct_probability(
 ) -> NDArray[np.float32]:
     """Compute the probability that a measured value belongs to the surface that the color image shows there.
 
-    Parameters
-    ----------
-    jump : a larger step between consecutive known pixels of a row or column is a depth edge, pixels
-
-    Returns
-    -------
-    (H, W) float32 in [0, 1]; 1 far from all edges, and where nothing was measured
+    It is (H, W) float32 in [0, 1]; 1 far from all edges, and where nothing was measured.
     """
     across = _along_rows(lab, disparity, jump, _GAP_EDGE_PROBABILITY, shadows)
     upright = np.ascontiguousarray(lab.transpose(1, 0, 2)), np.ascontiguousarray(disparity.T)
@@ -194,12 +188,10 @@ def _raise_thin_runs(d, q, jump):
 
 @dataclass(frozen=True)
 class EdgeDistance:
-    """How far every pixel lies inside the near side of a depth edge.
+    """How far every pixel lies inside the near side of a depth edge, along the row and along the column.
 
-    Attributes
-    ----------
-    row, column : (H, W) uint8, pixels along the row (column) from the nearest edge: 1 = first pixel of the near
-        side, ``NO_EDGE`` = none in this run, or 255 and more away, or the pixel is unknown
+    (H, W) uint8, pixels: 1 = first pixel of the near side, ``NO_EDGE`` = no edge in this run, or 255 and more away, or
+    the pixel is unknown.
     """
 
     row: NDArray[np.uint8]
@@ -207,8 +199,7 @@ class EdgeDistance:
 
     def inside(self, row_band: int, column_band: int) -> NDArray[np.bool_]:
         """Select the pixels at most ``row_band`` from an edge in the row, or ``column_band`` in the column, (H, W)."""
-        band: NDArray[np.bool_] = (self.row <= row_band) | (self.column <= column_band)
-        return band
+        return np.asarray((self.row <= row_band) | (self.column <= column_band), np.bool_)
 
 
 def edge_distance(disparity: NDArray[np.float32], jump: float = 1.5, gap_tolerance: float = 2.5) -> EdgeDistance:
@@ -217,10 +208,7 @@ def edge_distance(disparity: NDArray[np.float32], jump: float = 1.5, gap_toleran
     The shadow that a near surface throws on a far one is as wide as the step between them. Where a gap in a row is
     wider, something else lies in it, and either side may have grown over it: both sides count as near.
 
-    Parameters
-    ----------
-    disparity : (H, W) float32, pixels, NaN = unknown; the near side is the larger
-    gap_tolerance : a gap is too wide from this many pixels above the step over it; ``np.inf``: never
+    A gap is too wide from ``gap_tolerance`` pixels above the step over it; ``np.inf``: never.
     """
     distances = []
     for values, tolerance in ((disparity, gap_tolerance), (disparity.T, np.inf)):  # no shadows fall along columns

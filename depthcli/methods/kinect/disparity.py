@@ -30,12 +30,8 @@ def noise_level(disparity: NDArray[np.float32], floor: float = 0.1) -> float:
     """Estimate the standard deviation of a disparity map's noise, in pixels: the unit of thresholds on disparities.
 
     From the median of the second differences along rows and columns, which slopes do not change and edges hardly
-    do. Where most of them are 0 the values are rounded: then that of rounding to their median step.
-
-    Parameters
-    ----------
-    floor : smallest result. Triangulating sensors interpolate and smooth to about 1/8 pixel, and noise that
-        neighbors share hardly shows in differences
+    do. Where most of them are 0 the values are rounded: then that of rounding to their median step. At least ``floor``:
+    triangulating sensors interpolate and smooth to about 1/8 pixel, and noise that neighbors share hardly shows.
     """
     every = max(1, disparity.size // _NOISE_SAMPLES)
     lines = disparity[::every], disparity[:, ::every].T
@@ -53,12 +49,7 @@ def noise_level(disparity: NDArray[np.float32], floor: float = 0.1) -> float:
 
 
 def nearest_fill(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Fill unknown values with the nearest known one (Euclidean distance as ``cv2.distanceTransform`` has it).
-
-    Parameters
-    ----------
-    values : (H, W) float32, NaN = unknown; a map without any known value is returned as it is
-    """
+    """Fill unknown values with the nearest known one (Euclidean distance as ``cv2.distanceTransform`` has it)."""
     unknown = np.isnan(values)
     if not unknown.any() or unknown.all():
         return values.copy()
@@ -67,8 +58,7 @@ def nearest_fill(values: NDArray[np.float32]) -> NDArray[np.float32]:
     )
     table = np.full(int(label.max()) + 1, np.nan, np.float32)
     table[label[~unknown]] = values[~unknown]
-    filled: NDArray[np.float32] = table[label]
-    return filled
+    return np.asarray(table[label], np.float32)
 
 
 def refined_depth(
@@ -104,9 +94,8 @@ def refined_depth(
     if fallback is not None:
         status[~known & fallback] = DepthStatus.FALLBACK
     status[np.isnan(depth)] = DepthStatus.EMPTY
-    return DepthResult(
-        seconds=clock.seconds, depth=DepthMap(depth, status), sigma=deviation_of_depth(sigma, depth, frame.fb)
-    )
+    sigma = deviation_of_depth(sigma, depth, frame.fb)
+    return DepthResult(seconds=clock.seconds, depth=DepthMap(depth, status), sigma=sigma)
 
 
 def deviation_of_depth(sigma: NDArray[np.float32], depth: NDArray[np.float32], fb: float) -> NDArray[np.float32]:

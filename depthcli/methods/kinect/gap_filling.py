@@ -18,26 +18,10 @@ _COLOR_COST = 0.2  # of a path, per L1 in 8-bit Lab; a pixel of its length costs
 _BORDER_COST = 5.0  # of crossing the border of a segment
 _SHADOW_COST = 1000.0  # of a surface that a shadow rules out: it is taken only without another
 _SWEEPS = 4
-_MEDIAN_OF_NINE = (  # exchanges after which the fifth of nine numbers is their median (Paeth, Graphics Gems, 1990)
-    (1, 2),
-    (4, 5),
-    (7, 8),
-    (0, 1),
-    (3, 4),
-    (6, 7),
-    (1, 2),
-    (4, 5),
-    (7, 8),
-    (0, 3),
-    (5, 8),
-    (4, 7),
-    (3, 6),
-    (1, 4),
-    (2, 5),
-    (4, 7),
-    (4, 2),
-    (6, 4),
-    (4, 2),
+# Exchanges after which the fifth of nine numbers is their median (Paeth, Graphics Gems, 1990).
+_MEDIAN_OF_NINE = tuple(
+    (int(pair[0]), int(pair[1]))
+    for pair in "12 45 78 01 34 67 12 45 78 03 58 47 36 14 25 47 42 64 42".split()  # noqa: SIM905
 )
 _SMOOTHING_STRIDES = (12, 8, 6, 4, 3, 2, 1)  # pixels; the first ones reach across the widest gaps that are common
 _BLOCK = 256  # pixels whose medians are found at once
@@ -52,7 +36,7 @@ def fill_gaps(
     cost: NDArray[np.float32],
     noise: float | None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Fill the unknown pixels of a disparity map.
+    """Fill the unknown pixels of a disparity map; NaN stays only where nothing is known at all.
 
     A path costs its length, the differences of color along it, and the borders of segments that it crosses. The value
     is that of the plane around the path's start, whose slope fades with distance. As paths to neighboring pixels may
@@ -66,10 +50,7 @@ def fill_gaps(
     cost : (H, W) float32 >= 0, of paths that start at a known pixel; less reliable ones cost more
     noise : of the values, pixels; None: level surfaces, which takes less time
 
-    Returns
-    -------
-    filled : (H, W) float32, pixels; NaN only where nothing is known at all
-    inside : (H, W) bool, unknown pixels joined to a known one of their own segment in some layer
+    Returns the disparity and (H, W) bool, unknown pixels joined to a known one of their own segment in some layer.
     """
     known = ~np.isnan(values)
     unknown = np.flatnonzero(~known)
@@ -88,29 +69,20 @@ def fill_gaps(
     inside[y, x] = (segments[:, y, x] == segments[:, from_y, from_x]).any(axis=0)
     if noise is None:
         filled[y, x] = values[from_y, from_x]
-        return _smoothed(filled, pixels, lab, limit), inside
-    rim = cv2.dilate((~known).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    empty = [np.zeros(values.shape, np.float32) for _ in range(3)]
-    planes = window_planes(values, known.astype(np.float32), noise, WindowPlanes(values, *empty), rim & known)
-    down, right = (y - from_y).astype(np.float32), (x - from_x).astype(np.float32)
-    slope = planes.slope_x[from_y, from_x] * right + planes.slope_y[from_y, from_x] * down
-    fade = 1 + (right * right + down * down) / np.float32(SLOPE_FADE**2)
-    filled[y, x] = planes.value[from_y, from_x] + slope / fade
-    return _smoothed(filled, pixels, lab, limit), inside
-
-
-def _smoothed(
-    filled: NDArray[np.float32], pixels: NDArray[np.int32], lab: NDArray[np.uint8], limit: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Replace the filled ``pixels`` by the median of 3 x 3 pixels of similar color, at smaller and smaller strides.
-
-    Values above ``limit`` come from beyond the shadow: they are not taken.
-    """
+    else:
+        rim = cv2.dilate((~known).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        empty = [np.zeros(values.shape, np.float32) for _ in range(3)]
+        planes = window_planes(values, known.astype(np.float32), noise, WindowPlanes(values, *empty), rim & known)
+        down, right = (y - from_y).astype(np.float32), (x - from_x).astype(np.float32)
+        slope = planes.slope_x[from_y, from_x] * right + planes.slope_y[from_y, from_x] * down
+        fade = 1 + (right * right + down * down) / np.float32(SLOPE_FADE**2)
+        filled[y, x] = planes.value[from_y, from_x] + slope / fade
+    # Medians of pixels of similar color; values above the limit come from beyond the shadow: they are not taken.
     source, smoothed = filled.copy(), filled.copy()
     for stride in _SMOOTHING_STRIDES:
         _median(source, pixels, lab, stride, smoothed)
         source, smoothed = smoothed, source
-    return np.where(source > limit, filled, source)
+    return np.where(source > limit, filled, source), inside
 
 
 @jit

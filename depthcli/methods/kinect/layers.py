@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.filters import joint_bilateral_fill
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
@@ -30,25 +29,14 @@ _FALLBACK, _EMPTY, _SMOOTHED = int(DepthStatus.FALLBACK), int(DepthStatus.EMPTY)
 
 @dataclass(frozen=True)
 class Measurement:
-    """The measured disparity of a frame, and where it is reliable.
-
-    Attributes
-    ----------
-    disparity : (H, W) float32, pixels, NaN = unknown
-    probability : (H, W) float32, that a measured value belongs to the surface of its pixel; 1 without colors
-    reliable : (H, W) float32, the disparity without unreliable pixels
-    core : (H, W) bool, the more probable ones of the unreliable pixels; thin objects have no others
-    limit : (H, W) float32, largest disparity that fits the gap, inf where the gap is no shadow
-    noise : standard deviation of the disparity, pixels
-    shadows : of the frame
-    """
+    """The measured disparity of a frame, and where it is reliable; maps are (H, W), in pixels."""
 
     disparity: NDArray[np.float32]
-    probability: NDArray[np.float32]
-    reliable: NDArray[np.float32]
-    core: NDArray[np.bool_]
-    limit: NDArray[np.float32]
-    noise: float
+    probability: NDArray[np.float32]  # that a measured value belongs to the surface of its pixel; 1 without colors
+    reliable: NDArray[np.float32]  # the disparity without unreliable pixels
+    core: NDArray[np.bool_]  # the more probable ones of the unreliable pixels; thin objects have no others
+    limit: NDArray[np.float32]  # largest disparity that fits the gap, inf where the gap is no shadow
+    noise: float  # standard deviation
     shadows: Shadows = field(default_factory=Shadows)
 
     @classmethod
@@ -61,19 +49,13 @@ class Measurement:
         where: bool | Side,
         noise: float | None = None,
     ) -> Measurement:
-        """Classify the pixels of a frame.
+        """Classify the pixels of a frame; ValueError where none has a depth.
 
         Parameters
         ----------
         jump : larger steps are depth edges, multiples of the noise
         min_probability : measurements that are correct with less probability are unreliable; 0: none
-        where : shadows lie, see :func:`depthcli.methods.kinect.shadows.shadows_of`
-        noise : pixels; None: estimated
-
-        Raises
-        ------
-        ValueError
-            Where no pixel has a depth.
+        where : shadows lie, see :func:`shadows_of`
         """
         disparity = measured_disparity(frame)
         noise = noise_level(disparity) if noise is None else noise
@@ -84,31 +66,18 @@ class Measurement:
             probability = correct_probability(lab, disparity, step, shadows)
         unreliable = ~np.isnan(disparity) & (probability < min_probability)
         core = unreliable & (probability > _CORE_PROBABILITY)
-        return cls(
-            disparity=disparity,
-            probability=probability,
-            reliable=np.where(unreliable, np.float32(np.nan), disparity),
-            core=core,
-            limit=max_disparity_in_gaps(disparity, step, shadows.likely()),
-            noise=noise,
-            shadows=shadows,
-        )
+        reliable = np.where(unreliable, np.float32(np.nan), disparity)
+        limit = max_disparity_in_gaps(disparity, step, shadows.likely())
+        return cls(disparity, probability, reliable, core, limit, noise, shadows)
 
 
 @dataclass(frozen=True)
 class Layer:
-    """A partition of the frame with a surface for every part.
+    """A partition of the frame with a surface for every part."""
 
-    Attributes
-    ----------
-    labels : (H, W) int32, the surface of every pixel, -1 where there is none
-    surfaces : n of them
-    own : (H, W) bool, the surface was fitted to the pixel's own segment, not to another that the segment joined
-    """
-
-    labels: NDArray[np.int32]
+    labels: NDArray[np.int32]  # (H, W), the surface of every pixel, -1 where there is none
     surfaces: Surfaces
-    own: NDArray[np.bool_]
+    own: NDArray[np.bool_]  # (H, W), the surface was fitted to the pixel's own segment, not to one that it joined
 
     def estimate(self, measurement: Measurement, reach: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Evaluate value and scale, (H, W) float32, with detail within ``reach`` pixels of reliable ones; 0: none."""
@@ -156,17 +125,11 @@ def fit_layer(
 
 @dataclass(frozen=True)
 class RefinedDisparity:
-    """A refined disparity map.
-
-    Attributes
-    ----------
-    disparity, scale : (H, W) float32, pixels; value and standard deviation, NaN = none
-    status : (H, W) uint8, bits of :class:`~depthcli.core.maps.DepthStatus`
-    """
+    """A refined disparity map and its standard deviation, (H, W), pixels, NaN = none."""
 
     disparity: NDArray[np.float32]
     scale: NDArray[np.float32]
-    status: NDArray[np.uint8]
+    status: NDArray[np.uint8]  # bits of DepthStatus
 
     def joined(self, lab: NDArray[np.uint8], layers: list[Layer], measurement: Measurement) -> RefinedDisparity:
         """Fill gaps along paths from known pixels; what differs from the layers' own value there is that uncertain."""
@@ -179,16 +142,6 @@ class RefinedDisparity:
         scale = np.fmax(np.fmax(self.scale, off), np.float32(measurement.noise))
         status = np.where(inside, np.uint8(_FILLED), np.uint8(_FALLBACK))
         return RefinedDisparity(filled, np.where(known, self.scale, scale), np.where(known, self.status, status))
-
-    def filled(self, frame: RgbdFrame, noise: float) -> RefinedDisparity:
-        """Fill pixels that no surface reaches by a joint bilateral filter; their scale is ``noise``, pixels."""
-        missing = np.isnan(self.disparity)
-        if not missing.any():
-            return self
-        values = joint_bilateral_fill(frame.color, self.disparity)
-        filled = missing & ~np.isnan(values)
-        scale = np.where(filled, np.float32(noise), self.scale)
-        return RefinedDisparity(values, scale, np.where(filled, np.uint8(DepthStatus.FALLBACK), self.status))
 
     def to_depth(self, frame: RgbdFrame) -> DepthResult:
         """Convert to depth; kept measurements have the sensor's exact value."""
@@ -208,16 +161,15 @@ def combine(
     ----------
     reach : of detail, see :meth:`Layer.estimate`
     tolerance : a measured value that is off by more scales contradicts the surface
-    smooth : replace measured values that agree with the surface as well
+    smooth : replace measured values that agree with the surface, too
     """
     shape = (len(layers), *measurement.disparity.shape)
     values, scales, own = np.empty(shape, np.float32), np.empty(shape, np.float32), np.zeros(shape[1:], bool)
     for k, layer in enumerate(layers):
         values[k], scales[k] = layer.estimate(measurement, reach)
         own |= layer.own
-    result = RefinedDisparity(
-        np.empty(shape[1:], np.float32), np.empty(shape[1:], np.float32), np.empty(shape[1:], np.uint8)
-    )
+    empty = (np.empty(shape[1:], np.float32) for _ in range(2))
+    result = RefinedDisparity(*empty, np.empty(shape[1:], np.uint8))
     given = (measurement.disparity, measurement.reliable, np.float32(tolerance), np.float32(measurement.noise), smooth)
     _decide(values, scales, own, *given, result.disparity, result.scale, result.status)
     return result

@@ -29,18 +29,9 @@ def join_segments(
 
     Each segment without a model joins along the path of least cost through neighbors. A step costs the sum of the
     absolute differences of the mean colors, 10 over the root of the length of the common boundary, and
-    ``SHADOW_PENALTY`` where the surface would be nearer than the shadow in which the segment lies allows.
+    ``SHADOW_PENALTY`` where the surface would be nearer than ``limit``, that of the shadow in which the segment lies.
 
-    Parameters
-    ----------
-    labels : (H, W) int32, 0 .. n - 1
-    modelled : (n,) bool
-    surfaces : of all segments
-    limit : (H, W) float32, largest possible disparity, inf where there is none
-
-    Returns
-    -------
-    (n,) int32 indices of surfaces, -1 for segments that no model reaches
+    Returns (n,) int32 indices of surfaces for the n segments; -1 where no model reaches.
     """
     count = modelled.size
     owners = np.where(modelled, np.arange(count, dtype=np.int32), np.int32(-1))
@@ -102,10 +93,8 @@ def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coe
             step = _BOUNDARY_COST / np.sqrt(float(boundary[k]))
             for c in range(3):
                 step += abs(mean[s, c] - mean[t, c])
-            if (
-                surface_at(coefficients, center, bounds, unit, owner, segment_center[t, 0], segment_center[t, 1])
-                > limits[t]
-            ):
+            y, x = segment_center[t]
+            if surface_at(coefficients, center, bounds, unit, owner, y, x) > limits[t]:
                 step += SHADOW_PENALTY
             heapq.heappush(waiting, (cost + step, np.int64(t), owner))
 
@@ -121,19 +110,13 @@ def add_detail(
 
     The weight falls by e in ``reach`` pixels along a path within the segment, first along the row, then along the
     column. Far from all known pixels the surface stays as it is: a residual counts against half a pixel of zeros.
-
-    Parameters
-    ----------
-    surface, known : (H, W) float32, NaN = unknown
-    scale : (n,) float32 of the residuals; those above three count as three
-    reach : pixels
+    Residuals above three of the segment's ``scale`` count as three.
     """
-    weights = np.empty(surface.shape, np.float32)
-    residuals = np.empty(surface.shape, np.float32)
+    weights, residuals = (np.empty(surface.shape, np.float32) for _ in range(2))
     decay = np.float32(np.exp(-1 / reach))
     _residuals(surface, known, labels, scale, decay, residuals, weights)
     _spread_down(labels, decay, residuals, weights)
-    _add(surface, residuals, weights)
+    surface += residuals / (weights + np.float32(0.5))
 
 
 @parallel_jit
@@ -176,11 +159,3 @@ def _spread_down(labels, decay, residuals, weights):
                 if labels[y, x] == labels[y + 1, x]:
                     residuals[y, x] = back * residuals[y, x] + decay * residuals[y + 1, x]
                     weights[y, x] = back * weights[y, x] + decay * weights[y + 1, x]
-
-
-@parallel_jit
-def _add(surface, residuals, weights):
-    height, width = surface.shape
-    for y in prange(height):
-        for x in range(width):
-            surface[y, x] += residuals[y, x] / (weights[y, x] + np.float32(0.5))

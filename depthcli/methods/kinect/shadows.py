@@ -51,33 +51,20 @@ _EXTRA_SHARE_SCALE = 2.0  # pixels between the shadow's width and the step over 
 
 @dataclass(frozen=True)
 class Shadow:
-    """The shadows on one side of near surfaces.
+    """The shadows on one side of near surfaces."""
 
-    Attributes
-    ----------
-    confidence : 0 .. 1, that gaps beside steps are shadows
-    scale : width of a shadow per pixel of the step beside it
-    covered : pixels of it that the near surface has grown over
-    """
-
-    confidence: float = 0.0
-    scale: float = 1.0
-    covered: float = 0.0
+    confidence: float = 0.0  # 0 .. 1, that gaps beside steps are shadows
+    scale: float = 1.0  # width of a shadow per pixel of the step beside it
+    covered: float = 0.0  # pixels of it that the near surface has grown over
 
 
 @dataclass(frozen=True)
 class Shadows:
-    """The shadows on the left and on the right of near surfaces.
-
-    Attributes
-    ----------
-    left, right : sides
-    p_hole : probability that nothing hides what lies in a gap that is no shadow: the sensor missed it for other reasons
-    """
+    """The shadows on the left and on the right of near surfaces."""
 
     left: Shadow = Shadow()
     right: Shadow = Shadow()
-    p_hole: float = 0.0
+    p_hole: float = 0.0  # probability that the sensor missed what lies in other gaps, which nothing hides
 
     def figures(self) -> dict[str, float]:
         """Return what was measured, as numbers for the report."""
@@ -119,11 +106,8 @@ def measure_shadows(disparity: NDArray[np.float32], jump: float) -> Shadows:
     """Estimate where a frame's shadows lie and how wide they are, from the gaps beside steps.
 
     The confidence of a side is the share of gaps that are as wide as shadows, above that of gaps with a different step
-    of another one. The more pixels lie in gaps that are no shadows, the more probable are holes.
-
-    Parameters
-    ----------
-    jump : smallest step, pixels
+    of another one. The more pixels lie in gaps that are no shadows, the more probable are holes. ``jump`` is the
+    smallest step, pixels.
     """
     counts = np.zeros(len(disparity) + 1, np.int64)
     _count_gaps(disparity, np.float32(jump), counts)
@@ -166,10 +150,7 @@ def _shadow(gaps: NDArray[np.float32], prior: float) -> tuple[Shadow, float]:
 
 @jit
 def gaps_of(d, first):
-    """Return (n, 2), the known pixels beside every gap of a row; for other kernels.
-
-    Gaps at the row's ends are left out, but the first one if ``first``: its left pixel is -1.
-    """
+    """Return (n, 2), the known pixels beside the gaps within a row, and -1 and the first one if ``first``."""
     ends = np.empty((d.size, 2), np.int64)
     count, last = 0, -1
     for x in range(d.size):
@@ -240,10 +221,7 @@ def shadow_limits(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Compute the largest disparity that a shadow allows at each pixel, and the likelihood of surfaces above it.
 
-    Returns
-    -------
-    limit : (H, W) float32, pixels; inf outside gaps
-    limit_factor : (H, W) float32 in (0, 1], factor of the likelihood; 1 outside gaps and without shadows
+    Both are (H, W) float32: pixels, inf outside gaps; a factor in (0, 1], 1 outside gaps and without shadows.
     """
     limit = np.full(disparity.shape, np.inf, np.float32)
     limit_factor = np.ones(disparity.shape, np.float32)
@@ -264,12 +242,8 @@ def shadow_background(
     """Compute the disparity of the surface behind each shadow and the band beyond it, and its share of the votes.
 
     It is the surface on the far side, continued along its slope. A shadow is as wide as the step to the surface that it
-    falls on: the nearer its width is to the step to the surface on the far side, the larger the share.
-
-    Returns
-    -------
-    background : (H, W) float32, pixels, NaN = no shadow
-    extra_share : (H, W) float32, share of all votes that the background gets in addition
+    falls on: the nearer its width is to the step to the surface on the far side, the larger the share. Both are
+    (H, W) float32: pixels, NaN = no shadow; the share of all votes that the background gets in addition.
     """
     background = np.full(disparity.shape, np.nan, np.float32)
     extra_share = np.zeros(disparity.shape, np.float32)
@@ -354,11 +328,8 @@ def max_disparity_in_gaps(
 
     One value per gap, from its rims only (:func:`shadow_limits` is finer, and weighs). A gap of n pixels beside a step
     is the shadow of its near side on a surface that is farther by about n pixels of disparity: on the far side of the
-    step, if that is as far, or else on a surface behind it, unless holes are as probable.
-
-    Parameters
-    ----------
-    jump : gaps between known pixels that differ by less are taken for reflections, not for shadows, pixels
+    step, if that is as far, or else on a surface behind it, unless holes are as probable. Gaps between known pixels
+    that differ by less than ``jump`` are taken for reflections.
     """
     limit = np.full(disparity.shape, np.inf, np.float32)
     for shadow, right, _ in shadows.sides():

@@ -21,11 +21,8 @@ class SurfaceModel(Method):
     ) -> Surfaces:
         """Fit ``values`` (H, W), NaN = unknown, segment by segment of ``labels`` (H, W) int32, 0 .. n - 1; -1: none.
 
-        Parameters
-        ----------
-        floor : smallest scale of residuals: what the sensor resolves
-        start : surfaces of the same n segments in the previous frame, to begin at; a segment of which too little is
-            known in this frame keeps its surface
+        ``floor`` is the smallest scale of residuals, what the sensor resolves; ``start`` the surfaces of the same
+        segments in the previous frame: a segment of which too little is known in this one keeps its surface.
         """
 
 

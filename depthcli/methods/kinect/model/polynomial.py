@@ -28,14 +28,5 @@ class Polynomial(SurfaceModel):
     def __call__(
         self, values: NDArray[np.float32], labels: NDArray[np.int32], floor: float, start: Surfaces | None = None
     ) -> Surfaces:
-        return fit_polynomials(
-            values,
-            labels,
-            start,
-            self.degree,
-            self.huber or np.inf,
-            self.iterations,
-            self.warm_iterations,
-            self.samples,
-            floor,
-        )
+        limits = self.huber or np.inf, self.iterations, self.warm_iterations, self.samples
+        return fit_polynomials(values, labels, start, self.degree, *limits, floor)

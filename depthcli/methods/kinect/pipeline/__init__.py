@@ -26,14 +26,9 @@ class KinectPipeline(Method):
 
     @abstractmethod
     def __call__(self, frame: RgbdFrame) -> DepthResult:
-        """Refine the depth map of ``frame``.
+        """Refine the depth map of ``frame``; ValueError where no pixel has a depth.
 
         A pixel that no model and no neighbor reaches stays NaN with status ``EMPTY``.
-
-        Raises
-        ------
-        ValueError
-            Where no pixel of the frame has a depth.
         """
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
@@ -46,14 +41,7 @@ class FilterPipeline(KinectPipeline):
 
     @abstractmethod
     def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
-        """Compute the refined disparity.
-
-        Parameters
-        ----------
-        measured : (H, W) float32, its disparity, pixels, NaN = unknown
-        noise : standard deviation of ``measured``, pixels
-        clock : stopped after every stage
-        """
+        """Compute the refined disparity from the ``measured`` one, whose standard deviation is ``noise``, pixels."""
 
     def __call__(self, frame: RgbdFrame) -> DepthResult:
         clock = Clock()
@@ -69,13 +57,7 @@ class SequencePipeline(KinectPipeline):
 
     @abstractmethod
     def step(self, frame: RgbdFrame, state: Any) -> tuple[DepthResult, Any]:
-        """Refine the next frame.
-
-        Parameters
-        ----------
-        frame : of the same size as the previous ones
-        state : as the last step returned it; None before the first frame
-        """
+        """Refine the next frame, of the same size; ``state`` is that of the last step, None before the first."""
 
     def __call__(self, frame: RgbdFrame) -> DepthResult:
         """Refine a frame that belongs to no sequence."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.algorithms.filters import joint_bilateral_fill
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging
 from depthcli.core.frames import RgbdFrame
@@ -71,7 +72,10 @@ class Dsrm(KinectPipeline):
         clock.start("result")
         result = refined.to_depth(frame)
         if self.details:
-            result.pictures |= {f"segments_{k}": segment_picture(layer) for k, layer in enumerate(labels)}
+            for k, layer in enumerate(labels):  # every label in an arbitrary color of its own
+                mixed = (layer.astype(np.uint32) + 1) * np.uint32(2654435761)
+                channels = [(mixed >> np.uint32(shift)).astype(np.uint8) | 32 for shift in (8, 16, 24)]
+                result.pictures[f"segments_{k}"] = np.stack(channels, axis=2)
         result.seconds = clock.seconds
         result.figures = measurement.shadows.figures()
         return result, measurement, layers, refined.disparity
@@ -84,7 +88,7 @@ class Dsrm(KinectPipeline):
         labels = self.segmentation.layers(frame.color, measurement.reliable)
         if self.combination == "in_turn":
             clock.start("refinement")
-            return self._in_turn(measurement, labels, lab).filled(frame, measurement.noise), labels, []
+            return self._in_turn(frame, measurement, labels, lab), labels, []
         clock.start("model")
         layers = [self._fit(measurement, layer, lab) for layer in labels]
         clock.start("refinement")
@@ -96,9 +100,12 @@ class Dsrm(KinectPipeline):
         return fit_layer(measurement, labels, lab, self.model, self.min_known, self.min_share, self.join)
 
     def _in_turn(
-        self, measurement: Measurement, layers: list[NDArray[np.int32]], lab: NDArray[np.uint8]
+        self, frame: RgbdFrame, measurement: Measurement, layers: list[NDArray[np.int32]], lab: NDArray[np.uint8]
     ) -> RefinedDisparity:
-        """Fill and correct layer after layer, each fitted to the result of the finer ones (thesis, chapter 4)."""
+        """Fill and correct layer after layer, each fitted to the result of the finer ones (thesis, chapter 4).
+
+        Pixels that no surface reaches are filled by a joint bilateral filter.
+        """
         shape = measurement.disparity.shape
         distance = edge_distance(measurement.disparity, self.jump * measurement.noise)
         edge = distance.inside(self.correction_band, self.correction_band)
@@ -109,30 +116,26 @@ class Dsrm(KinectPipeline):
             surface, spread = self._fit(refined, labels, lab).estimate(refined, self.detail_reach)
             unknown = np.isnan(values)
             off = np.abs(values - surface) > self.tolerance * spread
-            replaced = (unknown & ~np.isnan(surface)) | (off & (edge | _near_border(labels, self.correction_band)))
+            inner = np.ones(shape, np.uint8)  # 0 beside another segment
+            across, down = labels[:, 1:] != labels[:, :-1], labels[1:] != labels[:-1]
+            inner[:, 1:][across] = inner[:, :-1][across] = 0
+            inner[1:][down] = inner[:-1][down] = 0
+            border = inner == 0
+            if not inner.all():
+                border = cv2.distanceTransform(inner, cv2.DIST_L2, 3) < self.correction_band
+            replaced = (unknown & ~np.isnan(surface)) | (off & (edge | border))
             values = np.where(replaced, surface, values)
             scale = np.where(replaced, spread, scale)
             measured = ~np.isnan(measurement.disparity)
             status[replaced & measured] = DepthStatus.CORRECTED
             status[replaced & ~measured] = DepthStatus.GAP_FILLED
+        missing = np.isnan(values)
+        if missing.any():
+            values = joint_bilateral_fill(frame.color, values)
+            filled = missing & ~np.isnan(values)
+            scale[filled], status[filled] = measurement.noise, DepthStatus.FALLBACK
         return RefinedDisparity(values, scale, status)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Estimate the larger of the sums and pairs of the segmentation, and three maps per layer."""
         return 160 * shape[0] * shape[1] + (64 << 20)
-
-
-def _near_border(labels: NDArray[np.int32], reach: int) -> NDArray[np.bool_]:
-    # (H, W) bool: at most ``reach`` pixels from another segment.
-    inner = np.ones(labels.shape, np.uint8)
-    across, down = labels[:, 1:] != labels[:, :-1], labels[1:] != labels[:-1]
-    inner[:, 1:][across] = inner[:, :-1][across] = 0
-    inner[1:][down] = inner[:-1][down] = 0
-    near: NDArray[np.bool_] = (inner == 0) if inner.all() else cv2.distanceTransform(inner, cv2.DIST_L2, 3) < reach
-    return near
-
-
-def segment_picture(labels: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """Draw every label in an arbitrary color of its own, (H, W, 3) uint8."""
-    mixed = (labels.astype(np.uint32) + 1) * np.uint32(2654435761)
-    return np.stack([(mixed >> np.uint32(shift)).astype(np.uint8) | 32 for shift in (8, 16, 24)], axis=2)

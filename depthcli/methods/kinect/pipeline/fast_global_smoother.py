@@ -37,7 +37,13 @@ class FastGlobalSmoother(FilterPipeline):
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
         if self.edge_band:
-            confidence[known & _edge_band(measured, self.jump * noise, self.edge_band)] = self.edge_confidence
+            edge = np.zeros(frame.shape, np.uint8)  # beside steps, and between known and unknown pixels
+            for lines, edges in ((measured, edge), (measured.T, edge.T)):
+                step = (np.abs(np.diff(lines)) > self.jump * noise) | np.diff(np.isnan(lines))
+                edges[:, 1:] |= step
+                edges[:, :-1] |= step
+            band = cv2.dilate(edge, np.ones((2 * self.edge_band + 1,) * 2, np.uint8)) > 0
+            confidence[known & band] = self.edge_confidence
         clock.start("smoothing")
         return weighted_smoothing(frame.color, measured, confidence, self.smoothness, self.sigma_color)
 
@@ -49,29 +55,12 @@ def weighted_smoothing(
     smoothness: float,
     sigma_color: float,
 ) -> NDArray[np.float32]:
-    """Compute ``FGS(c d) / FGS(c)``, (H, W) float32; NaN where no confidence reaches.
+    """Compute ``FGS(c d) / FGS(c)``, (H, W) float32, by OpenCV's filter; NaN where no confidence reaches.
 
-    Parameters
-    ----------
-    color : (H, W, 3) uint8, the guide
-    confidence : (H, W) float32 >= 0, 0 where the disparity is unknown
-    smoothness, sigma_color : of ``cv2.ximgproc.createFastGlobalSmootherFilter``
+    The confidence is at least 0, and 0 where the disparity is unknown.
     """
     weighted = np.where(confidence > 0, disparity, np.float32(0)) * confidence
     with single_thread():
         smooth = cv2.ximgproc.createFastGlobalSmootherFilter(color, smoothness, sigma_color)
         numerator, denominator = smooth.filter(weighted), smooth.filter(confidence)
     return np.divide(numerator, denominator, out=np.full_like(numerator, np.nan), where=denominator > 1e-12)
-
-
-def _edge_band(disparity: NDArray[np.float32], jump: float, reach: int) -> NDArray[np.bool_]:
-    # (H, W) bool: within ``reach`` pixels of a step between neighbors, or between known and unknown.
-    edge = np.zeros(disparity.shape, np.uint8)
-    for axis in (0, 1):
-        step = (np.abs(np.diff(disparity, axis=axis)) > jump) | np.diff(np.isnan(disparity), axis=axis)
-        second, first = (np.s_[1:], np.s_[:-1]) if axis == 0 else (np.s_[:, 1:], np.s_[:, :-1])
-        edge[second] |= step
-        edge[first] |= step
-    side = 2 * reach + 1
-    band: NDArray[np.bool_] = cv2.dilate(edge, np.ones((side, side), np.uint8)) > 0
-    return band

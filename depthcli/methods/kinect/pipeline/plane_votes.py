@@ -121,19 +121,9 @@ class PlaneVotes(KinectPipeline):
             votes = cast_votes(grid * pixels, lab, voters, prior, noise, self.candidates, self.sigma_color, sigma_space)
             clock.start("choice")
             chosen = np.full_like(measured, np.nan)
-            chosen[every] = choose_candidates(
-                pixels,
-                *votes,
-                lab[every],
-                measured[every],
-                p_correct[every],
-                unreliable[every],
-                planes.every(grid),
-                noise,
-                self.smoothness,
-                self.truncation,
-                self.iterations,
-            )
+            maps = (each[every] for each in (lab, measured, p_correct, unreliable))
+            options = self.smoothness, self.truncation, self.iterations
+            chosen[every] = choose_candidates(pixels, *votes, *maps, planes.every(grid), noise, *options)
             # Where the choice agrees with the measurement, the measurement is more exact.
             agreed = known & ~(np.abs(chosen - measured) >= np.float32(AGREEMENT * noise))
             old, old_trust = refined, trust

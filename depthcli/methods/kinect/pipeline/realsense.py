@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +21,11 @@ _PERSISTENCE = {1: (8, 8), 2: (2, 3), 3: (2, 4), 4: (2, 8), 5: (1, 2), 6: (1, 5)
 _HOLES = {"left": 0, "farthest": 1, "nearest": 2}
 
 
-@dataclass(frozen=True)
-class RealsenseState:
-    """State of the temporal filter.
+class RealsenseState(NamedTuple):
+    """State of the temporal filter."""
 
-    Attributes
-    ----------
-    last : (H, W) float32, filtered disparity, pixels; NaN = never known
-    history : (H, W) uint8, bit k: valid and in agreement k + 1 frames ago
-    """
-
-    last: NDArray[np.float32]
-    history: NDArray[np.uint8]
+    last: NDArray[np.float32]  # (H, W), filtered disparity, pixels; NaN = never known
+    history: NDArray[np.uint8]  # (H, W), bit k: valid and in agreement k + 1 frames ago
 
 
 class Realsense(SequencePipeline):
@@ -65,13 +57,7 @@ class Realsense(SequencePipeline):
     )
 
     def step(self, frame: RgbdFrame, state: RealsenseState | None) -> tuple[DepthResult, RealsenseState]:
-        """Filter the next frame; the state is a :class:`RealsenseState`, None before the first.
-
-        Raises
-        ------
-        ValueError
-            Where no pixel of the frame has a depth, or its size is not that of the previous frames.
-        """
+        """Filter the next frame; ValueError where it has no depth, or another size than the previous ones."""
         clock = Clock()
         clock.start("spatial")
         measured = measured_disparity(frame)

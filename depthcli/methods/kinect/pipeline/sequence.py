@@ -31,24 +31,14 @@ _MIN_GAIN = 0.02  # share of pixels that agree after an estimated motion only, f
 
 @dataclass(frozen=True)
 class SequenceState:
-    """State of a sequence after a frame.
-
-    Attributes
-    ----------
-    layers : the segments' labels and surfaces
-    color : (H, W, 3) uint8, of the frame
-    disparity : (H, W) float32, refined, pixels, NaN = none
-    noise : of the last segmented frame, pixels
-    age : frames since then
-    pose : (4, 4) float64 of the frame, from the camera's coordinates to the world's, meters; or None
-    """
+    """State of a sequence after a frame."""
 
     layers: tuple[Layer, ...]
-    color: NDArray[np.uint8]
-    disparity: NDArray[np.float32]
-    noise: float
-    age: int
-    pose: NDArray[np.float64] | None = None
+    color: NDArray[np.uint8]  # (H, W, 3), of the frame
+    disparity: NDArray[np.float32]  # (H, W), refined, pixels, NaN = none
+    noise: float  # of the last segmented frame, pixels
+    age: int  # frames since then
+    pose: NDArray[np.float64] | None = None  # (4, 4), from the camera's coordinates to the world's, meters
 
 
 class Sequence(SequencePipeline, Dsrm):
@@ -73,13 +63,7 @@ class Sequence(SequencePipeline, Dsrm):
     )
 
     def step(self, frame: RgbdFrame, state: SequenceState | None) -> tuple[DepthResult, SequenceState]:
-        """Refine the next frame; the state is a :class:`SequenceState`, None before the first.
-
-        Raises
-        ------
-        ValueError
-            Where no pixel of the frame has a depth, or its size is not that of the previous frames.
-        """
+        """Refine the next frame; ValueError where it has no depth, or another size than the previous ones."""
         if state is None:
             return self.start(frame)
         if state.color.shape != frame.color.shape:
@@ -100,7 +84,12 @@ class Sequence(SequencePipeline, Dsrm):
             still &= view.certain(self.jump * state.noise)
             # A surface that was seen before needs no shadow to be believed.
             measurement = replace(measurement, limit=np.where(still, np.float32(np.inf), measurement.limit))
-            previous, carried = view.disparity, tuple(self._moved_layer(each, view, state.noise) for each in carried)
+            previous, source, moved = view.disparity, np.maximum(view.source, 0), []
+            for layer in carried:
+                labels = np.where(view.reached, layer.labels.ravel()[source], np.int32(-1))
+                surfaces = self.model(previous, labels, state.noise)
+                moved.append(Layer(labels, surfaces, view.reached & layer.own.ravel()[source]))
+            carried = tuple(moved)
         layers = []
         for layer in carried:
             labels, own = carried_labels(layer, still, frame.color, measurement, self.jump * state.noise)
@@ -109,14 +98,8 @@ class Sequence(SequencePipeline, Dsrm):
         clock.start("refinement")
         refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
         refined = refined.joined(lab, layers, measurement)
-        _blend(
-            refined.disparity,
-            refined.scale,
-            refined.status,
-            previous,
-            still,
-            np.float32(self.drift * state.noise),
-        )
+        drift = np.float32(self.drift * state.noise)
+        _blend(refined.disparity, refined.scale, refined.status, previous, still, drift)
         clock.start("result")
         result = refined.to_depth(frame)
         result.seconds, result.words["motion"] = clock.seconds, motion
@@ -138,7 +121,8 @@ class Sequence(SequencePipeline, Dsrm):
 
         The view is None where the camera has not moved, or where fewer pixels would agree if it had.
         """
-        still = self._still(frame, measurement, state.color, state.disparity)
+        limits = self.color_change, self.tolerance * measurement.noise
+        still = still_pixels(frame.color, state.color, measurement.reliable, state.disparity, *limits)
         agreed = float(still.mean())
         camera = frame.intrinsics or typical_intrinsics(frame.shape[1], frame.shape[0])
         by_pose = frame.pose is not None and state.pose is not None
@@ -151,23 +135,10 @@ class Sequence(SequencePipeline, Dsrm):
         if motion is None or displacement(motion, state.disparity, camera, frame.fb) < _MIN_MOTION:
             return "still", None, still
         view = view_after(motion, state.color, state.disparity, camera, frame.fb, self.jump * state.noise)
-        moved = self._still(frame, measurement, view.color, view.disparity) & view.reached
+        moved = still_pixels(frame.color, view.color, measurement.reliable, view.disparity, *limits) & view.reached
         if moved.sum() <= (agreed + (0 if by_pose else _MIN_GAIN)) * max(view.reached.sum(), 1):
             return "still", None, still
         return "pose" if by_pose else "estimated", view, moved
-
-    def _still(
-        self, frame: RgbdFrame, measurement: Measurement, color: NDArray[np.uint8], disparity: NDArray[np.float32]
-    ) -> NDArray[np.bool_]:
-        return still_pixels(
-            frame.color, color, measurement.reliable, disparity, self.color_change, self.tolerance * measurement.noise
-        )
-
-    def _moved_layer(self, layer: Layer, view: View, noise: float) -> Layer:
-        source = np.maximum(view.source, 0)
-        labels = np.where(view.reached, layer.labels.ravel()[source], np.int32(-1))
-        own = view.reached & layer.own.ravel()[source]
-        return Layer(labels, self.model(view.disparity, labels, noise), own)
 
 
 @parallel_jit
@@ -211,21 +182,14 @@ def carried_labels(
     cheapest path through 8-neighbors. A step costs the absolute differences of color, the distance of the surface
     from the reliable disparity, in fifths of the noise, and ``SHADOW_PENALTY`` where the surface is nearer than the
     shadow allows. Two raster sweeps, so that bent paths may be missed. Label -1 where no pixel keeps a segment.
-
-    Parameters
-    ----------
-    still : (H, W) bool
-    measurement : of the next frame
-    jump : step of a depth edge, pixels
+    ``measurement`` is of the next frame, ``jump`` the step of a depth edge, pixels.
     """
     surfaces = layer.surfaces
     shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
-    cost = np.empty(still.shape, np.float32)
-    _held(layer.labels, still, measurement.reliable, measurement.limit, *shapes, surfaces.scale, np.float32(jump), cost)
+    cost, given = np.empty(still.shape, np.float32), (measurement.reliable, measurement.limit)
+    _held(layer.labels, still, *given, *shapes, surfaces.scale, np.float32(jump), cost)
     labels, own = np.where(cost > 0, np.int32(-1), layer.labels), layer.own.copy()
-    _sweep(
-        cost, labels, own, color, measurement.reliable, measurement.limit, *shapes, np.float32(5 / measurement.noise)
-    )
+    _sweep(cost, labels, own, color, *given, *shapes, np.float32(5 / measurement.noise))
     return labels, own
 
 

@@ -6,7 +6,6 @@ from typing import ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
@@ -71,7 +70,11 @@ class ShadowSmoother(KinectPipeline):
         confidence[~known] = self.gap_confidence
         confidence[shadow] = self.shadow_confidence
         clock.start("smoothing")
-        guide = frame.color if frame.has_color else _grey_levels(start)
+        guide = frame.color
+        if not frame.has_color:  # then the depth's own edges stop the smoothing
+            low, high = float(start.min()), float(start.max())
+            levels = np.rint((start - low) * np.float32(255 / max(high - low, 1e-6))).astype(np.uint8)
+            guide = np.repeat(levels[..., None], 3, axis=2)
         values = weighted_smoothing(guide, start, confidence, self.smoothness, self.sigma_color)
         # Without a color edge the smoother crosses depth edges: reliable measurements stay.
         crossed = known & ~band & (np.abs(values - measured) > self.max_change * noise)
@@ -80,10 +83,3 @@ class ShadowSmoother(KinectPipeline):
         result = refined_depth(frame, values, sigma, noise, clock)
         result.figures = shadows.figures()
         return result
-
-
-def _grey_levels(disparity: NDArray[np.float32]) -> NDArray[np.uint8]:
-    # (H, W, 3): without a color image the depth's own edges stop the smoothing.
-    low, high = float(disparity.min()), float(disparity.max())
-    levels = np.rint((disparity - low) * np.float32(255 / max(high - low, 1e-6))).astype(np.uint8)
-    return np.repeat(levels[..., None], 3, axis=2)
