@@ -127,8 +127,8 @@ def simulate_kinect(
     spots = discs(rng, (truth.shape[0], truth.shape[1]), sensor.discs, sensor.disc_radius)
     grain = rng.standard_normal(truth.shape, np.float32)
     if sensor.correlation:
-        grain = cv2.GaussianBlur(grain, (0, 0), sensor.correlation, borderType=cv2.BORDER_REFLECT)
-        grain = np.asarray(grain / grain.std(), np.float32)
+        smooth = cv2.GaussianBlur(grain, (0, 0), sensor.correlation, borderType=cv2.BORDER_REFLECT)
+        grain = np.asarray(smooth / smooth.std(), np.float32)
     values = fattened
     if sensor.mixed:
         kernel = np.ones((2 * sensor.mixed + 1, 2 * sensor.mixed + 1), np.uint8)

@@ -282,8 +282,8 @@ class SampleKind(NamedTuple):
     """The options of ``sample`` that it takes."""
 
 
-_OF_STEREO = ("count", "kind", "seed", "width", "height", "max_disparity", "noise", "radiometric", "brightness")
-_OF_STEREO += ("wall_contrast",)
+_SIZE = ("width", "height", "max_disparity")
+_OF_STEREO = ("count", "kind", "seed", *_SIZE, "noise", "radiometric", "brightness", "wall_contrast")
 _OF_KINECT = ("seed", "width", "height", "frames", "fattening", "from_")
 _OF_GLASS = ("seed", "width", "height", "share", "outliers", "speckles", "at_edges", "from_")
 SAMPLE_KINDS = {

@@ -69,11 +69,11 @@ def make_transparent_scene(
         owner, front = trace(room, columns, rows, right)[1], render(room, lights, right, 2)
         image = np.where((owner >= opaque)[:, :, None], front, view)
         for index in range(opaque, int(owner.max()) + 1):
-            y, x = np.nonzero(owner == index)
-            if y.size:  # a lens shows what is behind it turned towards its center
-                down, across = ((part + _LENS * (part.mean() - part)).astype(np.float32)[:, None] for part in (y, x))
+            v, u = np.nonzero(owner == index)
+            if v.size:  # a lens shows what is behind it turned towards its center
+                down, across = ((part + _LENS * (part.mean() - part)).astype(np.float32)[:, None] for part in (v, u))
                 shifted = cv2.remap(view, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-                image[y, x] = _OWN_SHARE * front[y, x] + (1 - _OWN_SHARE) * shifted[:, 0]
+                image[v, u] = _OWN_SHARE * front[v, u] + (1 - _OWN_SHARE) * shifted[:, 0]
         mixed.append(np.asarray(image, np.float32))
     depth, owner = trace(room, columns, rows, False)
     truth, mask = (room.focal / depth).astype(np.float32), owner >= opaque

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.core.cameras._quads import draw_quads
 from depthcli.core.cameras.camera import Camera, Intrinsics
-from depthcli.core.cameras.color_and_depth import ColorAndDepth, Place, registered
+from depthcli.core.cameras.color_and_depth import ColorAndDepth, Place, draw_quads, registered
 from depthcli.core.errors import InputError
 from tests.naive.quads import draw_quads as naive_quads
 from tests.rendered import (

@@ -58,24 +58,12 @@ def is_rotation(matrix: NDArray[np.float64]) -> bool:
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera with lens distortion.
+    """A camera with lens distortion; InputError where the matrix or the number of coefficients cannot be."""
 
-    Attributes
-    ----------
-    matrix : (3, 3) float64, pixels
-    distortion : coefficients of OpenCV's pinhole model (k1, k2, p1, p2, k3 ...) or of its fisheye model (k1 to k4)
-    size : (width, height) of its images, or None where it is not known
-    fisheye : whether the coefficients are those of the fisheye model
-
-    Raises
-    ------
-    InputError
-        The matrix cannot be that of a camera, or the number of coefficients does not fit the model.
-    """
-
-    matrix: NDArray[np.float64]
+    matrix: NDArray[np.float64]  # (3, 3), pixels
+    # Of OpenCV's pinhole model (k1, k2, p1, p2, k3 ...) or, with ``fisheye``, of its fisheye model (k1 to k4).
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    size: tuple[int, int] | None = None
+    size: tuple[int, int] | None = None  # (width, height) of its images, None where it is not known
     fisheye: bool = False
 
     def __post_init__(self) -> None:
@@ -128,10 +116,7 @@ class Camera:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return, for every pixel of an undistorted camera turned by ``rotation``, x and y in this camera's image.
 
-        Parameters
-        ----------
-        rotation, projection : of the other camera; (3, 3), (3, 3) or (3, 4)
-        size : (width, height) of the other camera's image
+        The other camera's ``projection`` is (3, 3) or (3, 4), ``size`` the (width, height) of its image.
         """
         build = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
         x, y = build(self.matrix, self.coefficients, rotation, projection[:, :3], size, cv2.CV_32FC1)
@@ -145,17 +130,9 @@ class Camera:
     def depth_image(
         self, points: NDArray[np.float64], shape: tuple[int, int], *values: NDArray[np.float32]
     ) -> list[NDArray[np.float32]]:
-        """Return the depth map of a cloud of points; of several points in one pixel, the nearest one counts.
+        """Return the depth map of points (N, 3), in the camera frame, meters, then maps of their ``values``, (N,) each.
 
-        Parameters
-        ----------
-        points : (N, 3) in the camera's frame, meters
-        shape : (H, W) of the image
-        values : (N,) each, further values of the points
-
-        Returns
-        -------
-        (H, W) float32 each, NaN where there is no point: the depth, then each of ``values``
+        All are float32, NaN where there is no point. Of several points in one pixel, the nearest one counts.
         """
         images = [np.full(shape, np.nan, np.float32) for _ in range(1 + len(values))]
         ahead = points[:, 2] > 0

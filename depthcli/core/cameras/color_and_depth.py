@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras._quads import draw_quads
 from depthcli.core.cameras.camera import Camera, Intrinsics, is_rotation, typical_intrinsics
 from depthcli.core.errors import InputError
+from depthcli.kernels.jit import jit
 
 # Largest relative difference of two depths that may lie on one surface, if nothing else says so; set by hand.
 _MAX_STEP = 0.03
@@ -22,24 +23,20 @@ _MAX_TRANSLATION = 10.0  # meters; a longer one is in another unit
 _PATCHES_AT_ONCE = 1 << 15  # limits the memory of their points
 _MAX_APPROACH = 0.1  # of a depth: surfaces that would be nearer to the color camera are left out
 
+_ON_EDGE = -1e-9  # share of a triangle: pixels on an edge belong to it in spite of rounding
+
 Place = tuple[tuple[float, ...], tuple[float, ...]]
 """Rotation (3 x 3, row by row) and translation (meters) from the depth camera's frame to the color camera's."""
 
 
 @dataclass(frozen=True)
 class ColorAndDepth:
-    """Both cameras of a sensor.
-
-    Attributes
-    ----------
-    depth, color : cameras
-    rotation, translation : from the depth camera's frame to the color camera's; (3, 3), (3,) meters
-    """
+    """Both cameras of a sensor."""
 
     depth: Camera
     color: Camera
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
+    rotation: NDArray[np.float64]  # (3, 3), from the depth camera's frame to the color camera's
+    translation: NDArray[np.float64]  # (3,), meters
 
     @property
     def interpolates(self) -> bool:
@@ -47,22 +44,13 @@ class ColorAndDepth:
         return bool(np.any(np.diag(self.color.matrix) > np.diag(self.depth.matrix) * (1 + 1e-9)))
 
     def register(self, depth: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the depth camera's map in the color camera's pixels.
+        """Return the depth camera's map in the pixels of the color image of ``shape`` (H', W'), float32, meters.
 
         Of several surfaces in one pixel, the nearest one counts. Where the depth camera's pixels are larger than those
         of the color camera, depth is interpolated between neighboring samples of one surface; between samples of two
         surfaces each pixel belongs to the nearer sample, and lies on the plane of that one's own neighbors. Else,
         points are projected. A single empty pixel between two neighbors of similar depth gets their mean; what the
         depth camera did not see or could not measure stays unknown.
-
-        Parameters
-        ----------
-        depth : (H, W) float32, meters, NaN = unknown
-        shape : (H', W') of the color image that ``color`` describes
-
-        Returns
-        -------
-        (H', W') float32, meters, NaN = unknown
         """
         if not self.interpolates:
             rows, columns = np.nonzero(np.isfinite(depth))
@@ -88,18 +76,11 @@ class ColorAndDepth:
 
 
 class Registered(NamedTuple):
-    """A depth map in a color image's pixels.
+    """A depth map in a color image's pixels."""
 
-    Attributes
-    ----------
-    depth : (H, W) float32, meters, NaN = unknown
-    interpolated : the map was smaller than the image
-    note : what was assumed, as nothing is known of the depth camera; or empty
-    """
-
-    depth: NDArray[np.float32]
-    interpolated: bool = False
-    note: str = ""
+    depth: NDArray[np.float32]  # (H, W), meters, NaN = unknown
+    interpolated: bool = False  # the map was smaller than the image
+    note: str = ""  # what was assumed, as nothing is known of the depth camera
 
 
 def registered(
@@ -112,33 +93,22 @@ def registered(
     """Return a depth map in the pixels of a color image.
 
     Without ``camera``, a map of the image's size is returned as it is, and a smaller one of the same aspect ratio is
-    scaled.
-
-    Parameters
-    ----------
-    depth : (h, w) float32, meters, NaN = unknown
-    shape : (H, W) of the color image
-    color, camera : of the color and the depth camera, or None where they are not known
-    place : of the depth camera; None: where the color camera is
-
-    Raises
-    ------
-    InputError
-        The sizes differ and the cameras are not known, a camera or its place cannot be, or the color camera sees
-        nothing of the map.
+    scaled. ``place`` is that of the depth camera, None: where the color camera is. InputError where the sizes differ
+    and the cameras are not known, a camera or its place cannot be, or the color camera sees nothing of the map.
     """
     if camera is None and place is not None:
         raise InputError("depth_to_color wants depth_intrinsics beside it")
     if camera is not None and color is None:
         raise InputError("depth_intrinsics want those of the color camera beside them; give intrinsics, too")
     (height, width), (small_height, small_width) = shape, depth.shape
+    same_aspect = abs(small_width * height / width - small_height) <= 1  # within one pixel of the smaller image
     if camera is not None and color is not None:
         rotation, translation = (np.eye(3), np.zeros(3)) if place is None else map(np.array, place)
         cameras = ColorAndDepth(Camera(camera.matrix), Camera(color.matrix), rotation.reshape(3, 3), translation)
         check_place(cameras.rotation, cameras.translation)
     elif depth.shape == shape:
         return Registered(depth)
-    elif small_width < width and small_height < height and _same_aspect(depth.shape, shape):
+    elif small_width < width and small_height < height and same_aspect:
         image = Camera((color or typical_intrinsics(width, height)).matrix)
         scaled = image.scaled((small_width / width, small_height / height))
         cameras = ColorAndDepth(scaled, image, np.eye(3), np.zeros(3))
@@ -168,11 +138,6 @@ def check_place(rotation: NDArray[np.float64], translation: NDArray[np.float64])
         raise InputError(f"depth_to_color: the translation is longer than {_MAX_TRANSLATION:g} m; want meters")
 
 
-def _same_aspect(shape: tuple[int, ...], other: tuple[int, int]) -> bool:
-    # Within one pixel of the smaller image.
-    return abs(shape[1] * other[0] / other[1] - shape[0]) <= 1
-
-
 def _close_gaps(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     out = depth.copy()
     for axis in (1, 0):
@@ -186,22 +151,18 @@ def _close_gaps(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _surface_patches(inverse: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return quadrilaterals that cover all known pixels of a map, so that values change within surfaces only.
+    """Return quadrilaterals that cover all known pixels of a map of inverse depth, each within one surface.
 
     Four neighboring centers of pixels whose samples lie on one surface are the corners of one quadrilateral. Where
     they do not, each sample gets a quarter of the square between them, with the slope to its neighbors on its surface.
-
-    Parameters
-    ----------
-    inverse : (H, W) inverse depth, NaN = unknown
-
-    Returns
-    -------
-    pixels : (N, 4, 2) x, y of the corners, clockwise as the image is seen
-    values : (N, 4) inverse depth of the corners
+    The result is x, y of the corners, (N, 4, 2), clockwise as the image is seen, and their inverse depth, (N, 4).
     """
     inverse = np.pad(inverse, 1, constant_values=np.nan)
-    limit = _step_limit(inverse)
+    # The largest difference of the relative steps within a surface, by the noise of the map.
+    bends = np.concatenate([np.abs(np.diff(_relative_steps(each), axis=1)).ravel() for each in (inverse, inverse.T)])
+    bends = bends[np.isfinite(bends)]
+    noise = _MAD_TO_SIGMA * float(np.median(bends)) / 6**0.5 if bends.size else 0.0
+    limit = min(max(_MAX_BEND * noise, _MIN_LIMIT), _MAX_LIMIT)
     right, below = _same_surface(inverse, limit), _same_surface(inverse.T, limit).T
     whole = right[:-1] & right[1:] & below[:, :-1] & below[:, 1:]
     corner = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])  # x, y
@@ -227,14 +188,6 @@ def _relative_steps(inverse: NDArray[np.float64]) -> NDArray[np.float64]:
     return 2 * np.diff(inverse, axis=1) / (inverse[:, 1:] + inverse[:, :-1])
 
 
-def _step_limit(inverse: NDArray[np.float64]) -> float:
-    """Return the largest difference of the relative steps within a surface, by the noise of the map."""
-    bends = np.concatenate([np.abs(np.diff(_relative_steps(each), axis=1)).ravel() for each in (inverse, inverse.T)])
-    bends = bends[np.isfinite(bends)]
-    noise = _MAD_TO_SIGMA * float(np.median(bends)) / 6**0.5 if bends.size else 0.0
-    return min(max(_MAX_BEND * noise, _MIN_LIMIT), _MAX_LIMIT)
-
-
 def _same_surface(inverse: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
     """(H, W - 1): a pixel and the next one in its row lie on one surface.
 
@@ -256,3 +209,42 @@ def _slopes(inverse: NDArray[np.float64], right: NDArray[np.bool_], sign: int) -
     after, before = slice(1, None), slice(None, -1)
     first, second = (after, before) if sign > 0 else (before, after)
     return np.where(known[:, first], steps[:, first], steps[:, second])
+
+
+@jit
+def draw_quads(
+    x: NDArray[np.float64], y: NDArray[np.float64], inverse: NDArray[np.float64], image: NDArray[np.float64]
+) -> None:
+    """Draw quadrilaterals as two triangles each; where several cover the center of a pixel, the nearest stays.
+
+    Inside of a triangle, inverse depth is interpolated linearly, which is exact on planes. Of both diagonals, that with
+    the more similar ends divides a quadrilateral. Triangles that are seen from behind are left out. The corners, (N, 4)
+    ``x``, ``y`` and inverse depth, are clockwise as the image is seen; ``image``, 0 = nothing, is changed in place.
+    """
+    for n in range(len(x)):
+        other = int(abs(inverse[n, 0] - inverse[n, 2]) > abs(inverse[n, 1] - inverse[n, 3]))
+        _draw_triangle(x[n], y[n], inverse[n], 0 + other, 1 + other, 2 + other, image)
+        _draw_triangle(x[n], y[n], inverse[n], 2 + other, (3 + other) % 4, 0 + other, image)
+
+
+@jit
+def _draw_triangle(x, y, inverse, a, b, c, image):
+    ux, uy, vx, vy = x[b] - x[a], y[b] - y[a], x[c] - x[a], y[c] - y[a]
+    area = ux * vy - vx * uy
+    if not area > 0:
+        return
+    height, width = image.shape
+    top = max(math.ceil(min(y[a], y[b], y[c]) - 1e-6), 0)
+    bottom = min(math.floor(max(y[a], y[b], y[c]) + 1e-6), height - 1)
+    left = max(math.ceil(min(x[a], x[b], x[c]) - 1e-6), 0)
+    right = min(math.floor(max(x[a], x[b], x[c]) + 1e-6), width - 1)
+    for row in range(top, bottom + 1):
+        for column in range(left, right + 1):
+            dx, dy = column - x[a], row - y[a]
+            share_b = (dx * vy - vx * dy) / area
+            share_c = (ux * dy - dx * uy) / area
+            if share_b < _ON_EDGE or share_c < _ON_EDGE or share_b + share_c > 1 - _ON_EDGE:
+                continue
+            value = inverse[a] + share_b * (inverse[b] - inverse[a]) + share_c * (inverse[c] - inverse[a])
+            if value > image[row, column]:
+                image[row, column] = value

@@ -32,18 +32,12 @@ class KinectCalibration(ColorAndDepth):
     The plain model is triangulation, ``Z = Zr / (1 + Zr / (f b) d)`` (thesis, equation 1.1), with the shift ``d``
     counted in raw codes: ``1 / Z = (offset - raw) / factor``. The calibrated one (Herrera et al., TPAMI 2012) corrects
     the codes first: ``raw + beta(x, y) exp(alpha_0 - alpha_1 raw)``.
-
-    Attributes
-    ----------
-    offset, factor : raw code of infinite depth; codes x meters
-    beta : (H, W) spatial distortion of the codes, or None for the plain model
-    alpha : alpha_0 and alpha_1, by which the distortion decays with the code
     """
 
-    offset: float = 1092.5
-    factor: float = 351.3
-    beta: NDArray[np.float64] | None = None
-    alpha: tuple[float, float] = (0.0, 0.0)
+    offset: float = 1092.5  # raw code of infinite depth
+    factor: float = 351.3  # codes x meters
+    beta: NDArray[np.float64] | None = None  # (H, W) spatial distortion of the codes, or None for the plain model
+    alpha: tuple[float, float] = (0.0, 0.0)  # by which the distortion decays with the code
 
     def depth_of_raw(self, raw: NDArray[np.uint16]) -> NDArray[np.float32]:
         """Return the depth of raw codes (0 to 2046; 2047 = unknown), (H, W) float32, meters, NaN = unknown."""

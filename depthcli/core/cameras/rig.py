@@ -21,21 +21,13 @@ _MAX_SIZE_RATIO = 1.25  # of the widths of the two cameras' images
 class Rig:
     """Two cameras that do not move relative to each other.
 
-    Attributes
-    ----------
-    left, right : the cameras; of a color and an infrared camera, ``left`` is the color camera wherever it stands
-    rotation, translation : from the left camera's frame to the right one's; (3, 3), (3,) meters
-
-    Raises
-    ------
-    InputError
-        The matrix is not a rotation, the cameras have the same position, or only one has a fisheye lens.
+    InputError where the matrix is not a rotation, the cameras have one position, or only one has a fisheye lens.
     """
 
-    left: Camera
+    left: Camera  # of a color and an infrared camera, the color camera wherever it stands
     right: Camera
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
+    rotation: NDArray[np.float64]  # (3, 3), from the left camera's frame to the right one's
+    translation: NDArray[np.float64]  # (3,), meters
 
     def __post_init__(self) -> None:
         if self.rotation.shape != (3, 3) or self.translation.shape != (3,):
@@ -66,17 +58,11 @@ class Rig:
 
         Parameters
         ----------
-        size, right_size : (width, height) of the two cameras' images
+        size, right_size : (width, height) of the two cameras' images, which have to be those of the calibration
         alpha : 0 keeps only what both images show, 1 all that either shows; -1 is OpenCV's choice in between
-        mirrored : the right camera may stand to the left of the left one (see :attr:`RectifiedRig.mirrored`)
-        max_tilt : vertical over horizontal baseline beyond which the cameras count as one above the other
-        min_overlap : smallest share of the rectified image that both cameras must see
-
-        Raises
-        ------
-        InputError
-            The images have another size than those of the calibration; the cameras lie one above the other, are
-            exchanged, or have no common view.
+        mirrored : the right camera may stand to the left of the left one; InputError otherwise
+        max_tilt : vertical over horizontal baseline beyond which the cameras lie one above the other, an InputError
+        min_overlap : smallest share of the rectified image that both cameras must see, or InputError
         """
         for name, camera, given in (("left", self.left, size), ("right", self.right, right_size)):
             if camera.size is not None and camera.size != given:
@@ -109,22 +95,14 @@ class Rig:
 
 @dataclass(frozen=True)
 class RectifiedRig:
-    """A rectification: how both cameras of a rig are turned and projected, so that rows correspond.
-
-    Attributes
-    ----------
-    rig : the cameras as they are
-    size, right_size : (width, height) of the left and the right camera's images; rectified, both have ``size``
-    rotation, rotation_right : of the cameras, (3, 3)
-    projection, projection_right : of the rectified cameras, (3, 4)
-    """
+    """A rectification: how both cameras of a rig are turned and projected, so that rows correspond."""
 
     rig: Rig
-    size: tuple[int, int]
+    size: tuple[int, int]  # (width, height) of the left camera's images, and of both rectified ones
     right_size: tuple[int, int]
-    rotation: NDArray[np.float64]
+    rotation: NDArray[np.float64]  # (3, 3)
     rotation_right: NDArray[np.float64]
-    projection: NDArray[np.float64]
+    projection: NDArray[np.float64]  # of the rectified cameras, (3, 4)
     projection_right: NDArray[np.float64]
 
     @property
@@ -136,10 +114,7 @@ class RectifiedRig:
 
     @property
     def mirrored(self) -> bool:
-        """True where the right camera stands to the left of the left one, so that matches lie to the right.
-
-        This is about the images as :meth:`images` returns them; a caller may mirror both to have matches on the left.
-        """
+        """True where the right camera stands to the left of the left one, so that matches lie to the right."""
         return bool(self.projection_right[0, 3] > 0)
 
     @property
@@ -163,10 +138,7 @@ class RectifiedRig:
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
         """Return both rectified images, and (H, W) bool: both cameras' images contain the pixel's point at infinity.
 
-        Parameters
-        ----------
-        left, right : images of the cameras
-        interpolation, border : OpenCV's flags: of values between pixels, and outside of the images
+        ``interpolation`` and ``border`` are OpenCV's flags.
         """
         one, other = (
             cv2.remap(image, x, y, interpolation, borderMode=border)

@@ -15,17 +15,10 @@ _ROUNDING = 0.01  # relative difference of two factors of size that rounding to 
 
 
 def depth_of_disparity(disparity: NDArray[np.floating[Any]], fb: float, offset: float = 0.0) -> NDArray[np.float32]:
-    """Return the depth ``fb / (d + offset)`` of a rectified pair.
+    """Return the depth ``fb / (d + offset)`` of a rectified pair; float32, meters.
 
-    Parameters
-    ----------
-    disparity : pixels, NaN = unknown
-    fb : focal length x baseline, pixel meters
-    offset : difference of the principal points (``doffs`` of Middlebury v3), pixels
-
-    Returns
-    -------
-    float32, meters; NaN where the disparity is unknown or the point is not in front of the cameras
+    ``fb`` is focal length x baseline, pixel meters, ``offset`` the difference of the principal points (``doffs`` of
+    Middlebury v3), pixels. NaN where the disparity is unknown or the point is not in front of the cameras.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = (fb / (disparity.astype(np.float64) + offset)).astype(np.float32)
@@ -45,23 +38,13 @@ def disparity_of_depth(depth: NDArray[np.floating[Any]], fb: float, offset: floa
 class PairGeometry:
     """The left camera of a rectified pair and the position of the right one.
 
-    Attributes
-    ----------
-    left : the left camera
-    baseline : distance of the cameras, meters
-    offset : x of the right principal point minus that of the left one (``doffs`` of Middlebury v3), pixels
-    size : (width, height) of the images that these numbers are for, or None where it is not known
-
-    Raises
-    ------
-    InputError
-        The numbers are not finite, or the focal lengths or the baseline are not positive.
+    InputError where numbers are not finite, or the focal lengths or the baseline are not positive.
     """
 
     left: Intrinsics
-    baseline: float
-    offset: float = 0.0
-    size: tuple[int, int] | None = None
+    baseline: float  # meters
+    offset: float = 0.0  # x of the right principal point minus that of the left one (Middlebury's doffs), pixels
+    size: tuple[int, int] | None = None  # (width, height) of the images that these numbers are for, if known
 
     def __post_init__(self) -> None:
         numbers = (self.left.fx, self.left.fy, self.left.cx, self.left.cy, self.baseline, self.offset)
@@ -82,13 +65,7 @@ class PairGeometry:
         return depth_of_disparity(disparity, self.fb, self.offset)
 
     def for_size(self, width: int, height: int) -> PairGeometry:
-        """Return the same cameras with images of that size.
-
-        Raises
-        ------
-        InputError
-            The calibration is for images of another shape.
-        """
+        """Return the same cameras with images of that size; InputError where they are of another shape."""
         if self.size is None or self.size == (width, height):
             return replace(self, size=(width, height))
         across, down = width / self.size[0], height / self.size[1]

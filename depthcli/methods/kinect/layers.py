@@ -168,8 +168,8 @@ def combine(
     for k, layer in enumerate(layers):
         values[k], scales[k] = layer.estimate(measurement, reach)
         own |= layer.own
-    empty = (np.empty(shape[1:], np.float32) for _ in range(2))
-    result = RefinedDisparity(*empty, np.empty(shape[1:], np.uint8))
+    disparity, scale = np.empty(shape[1:], np.float32), np.empty(shape[1:], np.float32)
+    result = RefinedDisparity(disparity, scale, np.empty(shape[1:], np.uint8))
     given = (measurement.disparity, measurement.reliable, np.float32(tolerance), np.float32(measurement.noise), smooth)
     _decide(values, scales, own, *given, result.disparity, result.scale, result.status)
     return result

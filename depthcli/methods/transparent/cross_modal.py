@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -56,15 +55,8 @@ def _planes() -> SegmentSteps:
             "window_radius": 0,
             "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
             "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "max_planes": 150},
-            "energy": {
-                "data_term": "dedc",
-                "data_weight": 10,
-                "cost_weight": 10,
-                "truncation": 2,
-                "visibility": 10,
-                "smoothness": 10,
-                "color_scale": 50,
-            },
+            "energy": {"data_term": "dedc", "truncation": 2, "color_scale": 50}
+            | dict.fromkeys(("data_weight", "cost_weight", "visibility", "smoothness"), 10),
             "rounds": 2,
             "refinement": ["subpixel"],
         }
@@ -119,12 +111,8 @@ class MatchSelection(ConfigModel):
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """Return the matches to keep, (H, W) bool, and the share of the margin by which they are cheaper, 0 .. 1.
 
-        Parameters
-        ----------
-        dense, sensor : (H, W) disparities of the matches, and of the sensor, pixels, NaN = unknown
-        votes : (H, W) share of the votes around
-        volume : the costs that the matches were found with
-        image : (H, W) uint8, left view
+        ``dense`` and ``sensor`` are disparities of the matches and of the sensor, pixels, ``votes`` the share of the
+        votes around, ``volume`` the costs that the matches were found with, ``image`` (H, W) the left view.
         """
         known, agrees = np.isfinite(sensor), np.abs(dense - sensor) <= self.tolerance
         gain = np.where(known, cost_at(volume, sensor), mean_cost(volume)) - cost_at(volume, dense)
@@ -141,22 +129,13 @@ class MatchSelection(ConfigModel):
         return keep, np.where(agrees, 0, np.clip(gain / np.maximum(margin, 1e-6), 0, 1)).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class CrossModalMatches:
-    """Disparities of a rectified color and infrared pair.
+class CrossModalMatches(NamedTuple):
+    """Disparities of a rectified color and infrared pair, (H, W), pixels."""
 
-    Attributes
-    ----------
-    dense : (H, W) float32, disparity of every pixel
-    sparse : (H, W) float32, of reliable matches, NaN elsewhere
-    confidence : (H, W) float32 in [0, 1], share of the votes around, or of the margin where that is more
-    weights : of the red, green and blue channel; of late fusion 1/3 each
-    """
-
-    dense: NDArray[np.float32]
-    sparse: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    weights: tuple[float, float, float]
+    dense: NDArray[np.float32]  # of every pixel
+    sparse: NDArray[np.float32]  # of reliable matches, NaN elsewhere
+    confidence: NDArray[np.float32]  # in [0, 1], share of the votes around, or of the margin where that is more
+    weights: tuple[float, float, float]  # of the red, green and blue channel; of late fusion 1/3 each
 
 
 class CrossModal(ConfigModel):
@@ -186,10 +165,7 @@ class CrossModal(ConfigModel):
     def __call__(self, frame: RgbIrFrame, clock: Clock) -> tuple[SparseFrame, dict[str, float]]:
         """Return the frame with sparse depth in the color camera's pixels, and figures for the report.
 
-        Raises
-        ------
-        InputError
-            The rig's cameras lie one above the other, or have no common field of view.
+        InputError where the rig's cameras lie one above the other, or have no common field of view.
         """
         clock.start("rectify")
         color, infrared, depth = frame.color, frame.infrared, frame.depth
@@ -214,27 +190,15 @@ class CrossModal(ConfigModel):
             dense, _ = rectified.unrectify_depth(dense, dense)
         figures = {f"weight_{name}": weight for name, weight in zip("rgb", matches.weights, strict=True)}
         figures["matched"] = float(np.mean(np.isfinite(sparse)))
-        result = SparseFrame(
-            frame.color,
-            frame.depth,
-            fb,
-            sparse=np.ascontiguousarray(sparse, np.float32),
-            sparse_confidence=np.ascontiguousarray(confidence, np.float32),
-            dense=np.ascontiguousarray(dense, np.float32),
-        )
-        return result, figures
+        sparse, confidence, dense = (np.ascontiguousarray(part, np.float32) for part in (sparse, confidence, dense))
+        return SparseFrame(
+            frame.color, frame.depth, fb, sparse=sparse, sparse_confidence=confidence, dense=dense
+        ), figures
 
     def match(
         self, color: NDArray[np.uint8], infrared: NDArray[np.uint8], sensor: NDArray[np.float32]
     ) -> CrossModalMatches:
-        """Return the disparities of a rectified pair.
-
-        Parameters
-        ----------
-        color : (H, W, 3) uint8, left view
-        infrared : (H, W) uint8, right view
-        sensor : (H, W) float32, the sensor's depth as disparity, pixels, NaN = unknown
-        """
+        """Return the disparities of a rectified pair; ``sensor`` is the sensor's depth as disparity, pixels."""
         if self.median:
             infrared = np.asarray(cv2.medianBlur(infrared, self.median), np.uint8)
         weights: tuple[float, float, float] = (1 / 3, 1 / 3, 1 / 3)
@@ -244,7 +208,10 @@ class CrossModal(ConfigModel):
             learned = self.channels == "early"
             weights = learned_weights(color, infrared, sensor) if learned else _SINGLE[self.channels]
             mixes = [mix_channels(color, weights)]
-        top = self.max_disparity or self._range(sensor)
+        known = sensor[np.isfinite(sensor)]
+        largest = float(np.quantile(known, 0.999)) if known.size else 64.0
+        in_reach = int(np.clip(np.ceil(1.25 * largest) + 2, 16, max(16, sensor.shape[1] // 2)))
+        top = self.max_disparity or in_reach
         pairs = [StereoPair(mix, infrared) for mix in mixes]
         fused = [self.fusion.fuse(pair, top, {}) for pair in pairs]
         volume = fused[0].volume if len(fused) == 1 else _mean([part.volume for part in fused])
@@ -267,11 +234,6 @@ class CrossModal(ConfigModel):
         bytes_per_cell = 8 + (10 if self.channels == "late" else 0)
         return self.fusion.peak_bytes(shape, top) + bytes_per_cell * shape[0] * shape[1] * (top + 1)
 
-    def _range(self, sensor: NDArray[np.float32]) -> int:
-        known = sensor[np.isfinite(sensor)]
-        largest = float(np.quantile(known, 0.999)) if known.size else 64.0
-        return int(np.clip(np.ceil(1.25 * largest) + 2, 16, max(16, sensor.shape[1] // 2)))
-
 
 def _mean(volumes: list[CostVolume]) -> CostVolume:
     # Mean of volumes of one scale, weighted at each pixel by the left-right agreement of its winners.
@@ -292,13 +254,8 @@ def learned_weights(
     """Fit the weights of the color channels whose mix best follows the infrared image, >= 0 and with sum 1.
 
     Both are taken without their local mean, so that only structure counts; least squares without negative weights
-    (Chiu et al., BMVC 2011: early fusion). Where the sensor knows too few pixels, the weights of grey.
-
-    Parameters
-    ----------
-    color : (H, W, 3) uint8, left view
-    infrared : (H, W) uint8, right view
-    disparity : (H, W) float32, the sensor's, pixels, NaN = unknown
+    (Chiu et al., BMVC 2011: early fusion). Where the sensor, whose ``disparity`` is given, knows too few pixels, the
+    weights of grey.
     """
     rows, columns = np.nonzero(np.isfinite(disparity))
     matched = np.rint(columns - disparity[rows, columns]).astype(np.int64)
@@ -308,7 +265,17 @@ def learned_weights(
         return GREY
     structure = _structure(color)[rows, columns].astype(np.float64)
     target = _structure(infrared)[rows, matched].astype(np.float64)
-    weights = solve_nnls(structure, target)
+    # Least squares over weights >= 0: the best of the solutions on every subset of the channels.
+    normal, right = structure.T @ structure, structure.T @ target
+    weights, lowest = np.zeros(3), 0.0
+    for subset in itertools.chain(*(itertools.combinations(range(3), n) for n in (1, 2, 3))):
+        chosen = list(subset)
+        part = normal[np.ix_(chosen, chosen)]
+        values = np.linalg.lstsq(part, right[chosen], rcond=None)[0]
+        cost = float(values @ part @ values - 2 * values @ right[chosen])
+        if (values >= 0).all() and cost < lowest:
+            weights, lowest = np.zeros(3), cost
+            weights[chosen] = values
     total = float(weights.sum())
     if total <= 0:
         return GREY
@@ -320,22 +287,6 @@ def mix_channels(color: NDArray[np.uint8], weights: tuple[float, ...]) -> NDArra
     """Return the weighted sum of the channels of (H, W, 3) ``color``, (H, W) uint8."""
     mix = color.astype(np.float32) @ np.asarray(weights, np.float32)
     return np.clip(np.rint(mix), 0, 255).astype(np.uint8)
-
-
-def solve_nnls(matrix: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Minimize |A x - b| over x >= 0 for a few columns, by trying the solution on every subset of them."""
-    count = matrix.shape[1]
-    normal, right = matrix.T @ matrix, matrix.T @ target
-    best, lowest = np.zeros(count), 0.0
-    for subset in itertools.chain(*(itertools.combinations(range(count), n) for n in range(1, count + 1))):
-        chosen = list(subset)
-        part = normal[np.ix_(chosen, chosen)]
-        values = np.linalg.lstsq(part, right[chosen], rcond=None)[0]
-        cost = float(values @ part @ values - 2 * values @ right[chosen])
-        if (values >= 0).all() and cost < lowest:
-            best, lowest = np.zeros(count), cost
-            best[chosen] = values
-    return best
 
 
 def _structure(image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -354,22 +305,11 @@ def faded_costs(
     """Fade costs towards the pixel's mean cost as far as one of the two windows lacks structure.
 
     Order, rank and correlation of a flat window are those of its noise, and saturated windows are all alike: such
-    costs would outweigh those of the few pixels at the outlines.
-
-    Parameters
-    ----------
-    volume : (H, W, D) uint8 or uint16
-    left, right : (H, W) uint8
-    structure_threshold : standard deviation in 9 x 9 from which on costs are kept, grey levels, > 0
-
-    Returns
-    -------
-    CostVolume
-        Of the same scale, uint16.
+    costs would outweigh those of the few pixels at the outlines. Costs, now uint16 of the same scale, are kept from a
+    standard deviation of ``structure_threshold`` in 9 x 9 on, grey levels, > 0.
     """
-    shares = [
-        np.minimum(local_deviation(image) / np.float32(structure_threshold), np.float32(1)) for image in (left, right)
-    ]
+    threshold = np.float32(structure_threshold)
+    shares = [np.minimum(local_deviation(image) / threshold, np.float32(1)) for image in (left, right)]
     out: NDArray[np.uint16] = memory.empty(volume.costs.shape, np.uint16)
     _fade(volume.costs, shares[0], shares[1], out)
     return CostVolume(out, volume.scale)
@@ -378,9 +318,7 @@ def faded_costs(
 def cost_at(volume: CostVolume, disparity: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the lower of the costs beside a disparity, (H, W) float32, in units of the measure; NaN = unknown.
 
-    Parameters
-    ----------
-    disparity : (H, W) float32, pixels; clipped to the range of the volume
+    Disparities are clipped to the range of the volume.
     """
     max_disparity = np.float32(volume.n_disparities - 1)
     low = np.floor(np.clip(np.nan_to_num(disparity), 0, max_disparity)).astype(np.int64)

@@ -21,23 +21,14 @@ _SENSOR_TOLERANCE = 2.5  # standard deviations within which a sample agrees with
 
 @dataclass(frozen=True)
 class FittedFrame:
-    """A frame in inverse depth, 1 / m, NaN = unknown, with planes through its samples.
-
-    Attributes
-    ----------
-    sensor : (H, W) float32
-    samples : those that agree with their neighbors or with the sensor
-    noise : their standard deviation
-    fit, sigma : (H, W) float32, planes through the samples and their standard deviation
-    unreliable : (H, W) bool, the sensor knows the pixel and contradicts the samples
-    """
+    """A frame in inverse depth, (H, W), 1 / m, NaN = unknown, with planes through its samples."""
 
     sensor: NDArray[np.float32]
-    samples: Samples
-    noise: float
-    fit: NDArray[np.float32]
-    sigma: NDArray[np.float32]
-    unreliable: NDArray[np.bool_]
+    samples: Samples  # those that agree with their neighbors or with the sensor
+    noise: float  # their standard deviation
+    fit: NDArray[np.float32]  # planes through the samples
+    sigma: NDArray[np.float32]  # the planes' standard deviation
+    unreliable: NDArray[np.bool_]  # the sensor knows the pixel and contradicts the samples
 
     def sampled(self, values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
         """Select the pixels, (H, W) bool, where a sample at the pixel itself agrees with ``values`` (H, W)."""
@@ -51,12 +42,6 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, regions: UnreliableRegion
     """Return the frame with outliers removed from its samples, planes through the others, and unreliable regions.
 
     A sample is an outlier where it agrees neither with the sensor nor with a plane through the samples around it.
-
-    Parameters
-    ----------
-    fit : fits planes to samples
-    regions : selects the regions where the sensor is unreliable
-    clock : books the stages ``samples``, ``fit`` and ``unreliable``
     """
     clock.start("samples")
     sensor = inverse_depth(frame.depth)
@@ -93,14 +78,10 @@ def refined_depth(
     sampled: NDArray[np.bool_] | None = None,
     figures: dict[str, float] | None = None,
 ) -> DepthResult:
-    """Convert inverse depth to the result of a pipeline.
+    """Convert inverse depths ``values``, and their standard deviations, to the result of a pipeline.
 
-    Parameters
-    ----------
-    values, sigma : (H, W) inverse depths and their standard deviations, 1 / m
-    unreliable : (H, W) bool, pixels whose depth by the sensor was replaced
-    sampled : (H, W) bool, a sample at the pixel agrees; None: at all samples
-    figures : numbers for the report
+    The sensor's depth was replaced at ``unreliable`` pixels; a sample at the pixel agrees at ``sampled`` ones, None:
+    at all samples.
     """
     known = np.isfinite(frame.depth)
     with np.errstate(divide="ignore", invalid="ignore"):

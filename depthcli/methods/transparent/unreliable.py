@@ -27,10 +27,6 @@ def sample_noise(samples: Samples, sensor: NDArray[np.float32]) -> float:
 
     1.4826 times the median of the absolute differences, then the deviation of those within 2.5 of it, five times.
     Where the sensor knows none of the samples' pixels, a hundredth of their median.
-
-    Parameters
-    ----------
-    sensor : (H, W), in the unit of the samples' values, NaN = unknown
     """
     difference = samples.values - sensor[samples.rows, samples.columns]
     difference = difference[np.isfinite(difference)]
@@ -123,59 +119,33 @@ class UnreliableRegions(ConfigModel):
         noise: float,
         image: NDArray[np.uint8],
     ) -> NDArray[np.bool_]:
-        """Select the pixels that the sensor knows and is unreliable at.
+        """Select the pixels, (H, W) bool, that the sensor knows and is unreliable at.
 
-        Parameters
-        ----------
-        sensor : (H, W) inverse depth, NaN = unknown
-        planes : through the samples at all pixels, row by row; ``averaged`` is the mean contradiction of the samples
-        samples : those that were fitted
-        noise : their standard deviation
-        image : (H, W, 3) uint8
-
-        Returns
-        -------
-        (H, W) bool
+        ``planes`` run through the ``samples``, whose deviation is ``noise``, at all pixels, row by row; ``averaged`` of
+        them is the mean contradiction of the samples.
         """
         if samples.values.size == 0:
             return np.zeros(sensor.shape, np.bool_)
-        score = self._score(sensor, planes, samples, noise)
-        region = grid_cut(score, self._weights(image))
-        region = self._contradicted(region, sensor, samples, noise) & np.isfinite(sensor)
-        return _with_samples(region, samples)
-
-    def beyond_systematic(self, deviations: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        """Bring deviations nearer to 0 by the error that samples may share, in standard deviations."""
-        rest: NDArray[np.floating[Any]] = np.sign(deviations) * np.maximum(np.abs(deviations) - self.systematic, 0)
-        return rest
-
-    def _score(self, sensor: Any, planes: SamplePlanes, samples: Samples, noise: float) -> NDArray[np.float64]:
-        distance = samples.distance(sensor.shape).ravel()
+        distance = samples.distance((sensor.shape[0], sensor.shape[1])).ravel()
         fading = np.exp(-(distance**2.0) / (2 * (self.reach * sensor.shape[1]) ** 2))
-        deviation = self.beyond_systematic(
-            (sensor.ravel() - planes.values) / np.sqrt(noise**2 + (self.model_error * planes.sigma) ** 2.0)
-        )
+        spread = np.sqrt(noise**2 + (self.model_error * planes.sigma) ** 2.0)
+        deviation = self.beyond_systematic((sensor.ravel() - planes.values) / spread)
         score = np.clip(planes.confidence * deviation * deviation / 2 - self.score_threshold, *_SCORE_RANGE) * fading
         # Samples that agree with the sensor are no evidence beside their surface, however far their plane is continued.
         gain = np.clip((planes.averaged - self.contradiction) / self.contradiction, 0, 1)
         score = np.where(score > 0, score * gain, score)
         # Through glass the sensor measures a farther surface, never a nearer one.
         score = np.where(deviation > 0, np.minimum(score, -self.score_threshold), score)
-        known: NDArray[np.float64] = np.where(np.isfinite(deviation), score, 0.0)
-        return known.reshape(sensor.shape)
-
-    def _weights(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.float64], ...]:
-        color = image.astype(np.float64)
-        weights = []
+        score = np.where(np.isfinite(deviation), score, 0.0).reshape(sensor.shape)
+        color, weights = image.astype(np.float64), []
         for step in STEPS:
             here, there = edge_ends((image.shape[0], image.shape[1]), step)
             change = ((color[here] - color[there]) ** 2).sum(axis=2)
             similarity = np.exp(-change / (2 * self.color_scale**2))
             share = self.min_outline_share + (1 - self.min_outline_share) * similarity
             weights.append(self.outline * share / np.hypot(*step))
-        return tuple(weights)
-
-    def _contradicted(self, region: Any, sensor: Any, samples: Samples, noise: float) -> NDArray[np.bool_]:
+        region = grid_cut(score, tuple(weights))
+        # Regions have to be contradicted by their own samples.
         labels, area = _pieces(region)
         evidence = self.beyond_systematic((samples.values - sensor[samples.rows, samples.columns]) / noise)
         known = np.isfinite(evidence)
@@ -184,21 +154,20 @@ class UnreliableRegions(ConfigModel):
         number = np.bincount(at, minlength=area.size)
         keep = (number > 0) & (total >= self.min_region_evidence * np.sqrt(number))
         keep &= (total >= self.min_sample_evidence * number) & (area >= self.min_area * region.size)
-        kept: NDArray[np.bool_] = keep[labels] & region
-        return kept
+        region = keep[labels] & region & np.isfinite(sensor)
+        # Drop the pieces that hold one sample or none where their area should hold several: pixels that the sensor does
+        # not know join such a piece to others; its own evidence may be a single wrong sample.
+        labels, area = _pieces(region)
+        number = np.bincount(labels[samples.rows, samples.columns], minlength=area.size)
+        keep = (number > 1) | (area * (samples.values.size / region.size) < _MIN_EXPECTED_SAMPLES)
+        return np.asarray(keep[labels] & region, np.bool_)
+
+    def beyond_systematic(self, deviations: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+        """Bring deviations nearer to 0 by the error that samples may share, in standard deviations."""
+        return np.asarray(np.sign(deviations) * np.maximum(np.abs(deviations) - self.systematic, 0))
 
 
 def _pieces(region: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     # 8-connected pieces of a region: (H, W) labels, 0 outside, and the area of each.
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
     return np.asarray(labels, np.int32), np.asarray(statistics[:, cv2.CC_STAT_AREA], np.int32)
-
-
-def _with_samples(region: NDArray[np.bool_], samples: Samples) -> NDArray[np.bool_]:
-    # Drop the pieces that hold one sample or none where their area should hold several: pixels that the sensor does
-    # not know join such a piece to others; its own evidence may be a single wrong sample.
-    labels, area = _pieces(region)
-    number = np.bincount(labels[samples.rows, samples.columns], minlength=area.size)
-    keep = (number > 1) | (area * (samples.values.size / region.size) < _MIN_EXPECTED_SAMPLES)
-    kept: NDArray[np.bool_] = keep[labels] & region
-    return kept

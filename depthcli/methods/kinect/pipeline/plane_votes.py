@@ -118,12 +118,24 @@ class PlaneVotes(KinectPipeline):
             background, extra_share = shadow_background(measured, planes, jump, shadows)
             extra_share = np.where(known, extra_share * (1 - p_correct), extra_share).astype(np.float32)
             prior = ExtraVotes(limit, limit_factor, background, extra_share, continued, share)
-            votes = cast_votes(grid * pixels, lab, voters, prior, noise, self.candidates, self.sigma_color, sigma_space)
+            sigmas = self.sigma_color, sigma_space
+            values, shares = cast_votes(grid * pixels, lab, voters, prior, noise, self.candidates, *sigmas)
             clock.start("choice")
             chosen = np.full_like(measured, np.nan)
-            maps = (each[every] for each in (lab, measured, p_correct, unreliable))
-            options = self.smoothness, self.truncation, self.iterations
-            chosen[every] = choose_candidates(pixels, *votes, *maps, planes.every(grid), noise, *options)
+            chosen[every] = choose_candidates(
+                pixels,
+                values,
+                shares,
+                lab[every],
+                measured[every],
+                p_correct[every],
+                unreliable[every],
+                planes.every(grid),
+                noise,
+                self.smoothness,
+                self.truncation,
+                self.iterations,
+            )
             # Where the choice agrees with the measurement, the measurement is more exact.
             agreed = known & ~(np.abs(chosen - measured) >= np.float32(AGREEMENT * noise))
             old, old_trust = refined, trust

@@ -103,7 +103,12 @@ class DenseCrf(TransparentPipeline):
                 fitted.unreliable | np.isnan(fitted.sensor), inverse_depth(frame.dense), np.float32(np.nan)
             )
             votes.append((dense, self.dense_weight))
-        first, step = self._scale([part for part, _ in votes])
+        # The inverse depth of the first label, and the step between labels.
+        evidence = np.concatenate([part[np.isfinite(part)] for part, _ in votes])
+        low, high = (float(value) for value in np.quantile(evidence, [0.005, 0.995]))
+        margin = 0.05 * (high - low) or 0.05 * high
+        first = max(low - margin, 0.1 * low)
+        step = (high + margin - first) / (self.labels - 1)
         unary = np.zeros((int(region.sum()), self.labels), np.float32)
         label = np.arange(self.labels, dtype=np.float32)
         for part, weight in votes:
@@ -118,21 +123,6 @@ class DenseCrf(TransparentPipeline):
             known = np.isfinite(at) & np.isfinite(share)
             distance = np.minimum(np.abs(label - at[known, None]), np.float32(self.truncation))
             unary[known] -= (np.float32(self.sample_weight) * share[known, None] * distance).astype(np.float32)
-        q = mean_field(unary, self._kernels(frame, fitted, region), self.smooth_truncation, self.iterations)
-        mean = (q @ label).astype(np.float64)
-        spread = np.sqrt(np.maximum((q @ label**2).astype(np.float64) - mean**2, 0.0))
-        deviation: NDArray[np.float64] = step * np.sqrt(spread**2 + 1 / 12)
-        return first + step * mean, deviation
-
-    def _scale(self, parts: list[NDArray[np.float32]]) -> tuple[float, float]:
-        # The inverse depth of the first label, and the step between labels.
-        evidence = np.concatenate([part[np.isfinite(part)] for part in parts])
-        low, high = (float(value) for value in np.quantile(evidence, [0.005, 0.995]))
-        margin = 0.05 * (high - low) or 0.05 * high
-        low = max(low - margin, 0.1 * low)
-        return low, (high + margin - low) / (self.labels - 1)
-
-    def _kernels(self, frame: SparseFrame, fitted: FittedFrame, region: NDArray[np.bool_]) -> list[GaussianKernel]:
         rows, columns = (axis.astype(np.float32) for axis in np.nonzero(region))
         place = np.stack([columns, rows], axis=1)
         color = frame.color[region].astype(np.float32) / np.float32(self.bilateral_color)
@@ -140,10 +130,15 @@ class DenseCrf(TransparentPipeline):
         if self.unreliable is not None and self.separation:
             flag = np.float32(self.separation) * fitted.unreliable[region, None].astype(np.float32)
         wide, near = place / np.float32(self.bilateral_distance), place / np.float32(self.near_distance)
-        return [
+        kernels = [
             GaussianKernel(np.concatenate([wide, color, flag], axis=1), self.bilateral_weight),
             GaussianKernel(np.concatenate([near, flag], axis=1), self.near_weight),
         ]
+        q = mean_field(unary, kernels, self.smooth_truncation, self.iterations)
+        mean = (q @ label).astype(np.float64)
+        spread = np.sqrt(np.maximum((q @ label**2).astype(np.float64) - mean**2, 0.0))
+        deviation: NDArray[np.float64] = step * np.sqrt(spread**2 + 1 / 12)
+        return first + step * mean, deviation
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         # Energies, marginals and intermediate arrays of all labels; the lattices; the fit.

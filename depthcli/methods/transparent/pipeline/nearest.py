@@ -42,8 +42,7 @@ class NearestSample(TransparentPipeline):
         distance = cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         far = np.abs(dense - frame.depth) > np.maximum(self.tolerance, self.relative_tolerance * frame.depth)
         smooth = cv2.medianBlur((far & (distance <= self.reach)).astype(np.uint8), 5)
-        unreliable: NDArray[np.bool_] = (smooth > 0) & np.isfinite(frame.depth)
-        return unreliable
+        return np.asarray((smooth > 0) & np.isfinite(frame.depth), np.bool_)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         return 120 * shape[0] * shape[1] + (16 << 20)
@@ -56,5 +55,4 @@ def nearest_depth(frame: SparseFrame) -> NDArray[np.float32]:
         return np.full(frame.shape, np.nan, np.float32)
     rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: frame.shape[0], : frame.shape[1]])
     nearest = samples.nearest((rows, columns), 1, frame.shape)
-    dense: NDArray[np.float32] = samples.values[nearest[:, 0]].reshape(frame.shape)
-    return np.asarray(cv2.medianBlur(dense, 5), np.float32)
+    return np.asarray(cv2.medianBlur(samples.values[nearest[:, 0]].reshape(frame.shape), 5), np.float32)

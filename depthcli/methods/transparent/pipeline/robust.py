@@ -36,19 +36,7 @@ class Smoothing(ConfigModel):
     def __call__(
         self, values: NDArray[np.float32], samples: Samples, image: NDArray[np.uint8], wanted: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        """Smooth a map.
-
-        Parameters
-        ----------
-        values : (H, W) float32, fitted; NaN = unknown, left out of the means
-        samples : those that ``values`` were fitted to
-        image : (H, W, 3) uint8
-        wanted : (H, W) bool, pixels to smooth; others keep ``values``
-
-        Returns
-        -------
-        (H, W) float32
-        """
+        """Smooth the ``wanted`` pixels of a map fitted to ``samples``; NaN is left out of the means."""
         height, width = values.shape
         selected = wanted & np.isfinite(values) & (samples.distance((height, width)) > self.reach * width)
         result = values.copy()
