@@ -105,7 +105,7 @@ def combinations(axes: Axes, drawn: int | None = None, seed: int = 0) -> list[Co
     found = []
     for number in sorted(chosen):
         values: Combination = ()
-        for each in reversed(axes.values()):
+        for each in reversed(list(axes.values())):
             number, place = divmod(number, len(each))
             values = (each[place], *values)
         found.append(values)

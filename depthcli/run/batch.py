@@ -41,14 +41,7 @@ SceneT = TypeVar("SceneT", bound=Scene)
 
 @dataclass
 class Outcome:
-    """What the report says of one scene.
-
-    Attributes
-    ----------
-    facts : columns of the report that are the same in every run (size, density, counts)
-    seconds : time by stage, in order
-    warnings : lines that are shown to the user and kept in the record
-    """
+    """What the report says of one scene: columns that are the same in every run, time by stage, and warnings."""
 
     facts: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
@@ -57,28 +50,16 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Execution:
-    """How a run is carried out; none of it but ``keep`` changes the results.
+    """How a run is carried out; none of it but ``keep`` changes the results."""
 
-    Attributes
-    ----------
-    jobs : worker processes; 1 computes in this process
-    threads : threads of each; None divides the cores among them
-    max_memory : bytes that all of them together may use; None: what is available
-    overwrite : replace what an earlier run with another config or from other inputs left
-    shard : (I, N): compute every N-th scene, from the I-th, while other processes compute the others; None: all
-    fail_fast : stop at the first scene that fails
-    keep : shell patterns of the files that are kept of a scene; none: all
-    scheduler : address of the dask.distributed cluster that computes; None: this machine
-    """
-
-    jobs: int = 1
-    threads: int | None = None
-    max_memory: int | None = None
+    jobs: int = 1  # worker processes; 1 computes in this process
+    threads: int | None = None  # of each process; None divides the cores among them
+    max_memory: int | None = None  # bytes, of all processes together; None: what is available
     overwrite: bool = False
-    shard: tuple[int, int] | None = None
+    shard: tuple[int, int] | None = None  # (I, N): every N-th scene, from the I-th; other processes have the others
     fail_fast: bool = False
-    keep: tuple[str, ...] = ()
-    scheduler: str | None = None
+    keep: tuple[str, ...] = ()  # shell patterns of the files that are kept of a scene; none: all
+    scheduler: str | None = None  # address of the dask.distributed cluster that computes
 
     def threads_each(self) -> int:
         """Return the number of threads of one worker."""
@@ -95,13 +76,7 @@ class Execution:
 
 
 def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[int, int] | None:
-    """Return the shard that ``3/8`` or a job array of Slurm describes; None for neither.
-
-    Raises
-    ------
-    ConfigError
-        The part does not exist.
-    """
+    """Return the shard that ``3/8`` or a job array of Slurm describes, or None; ConfigError for no such part."""
     if text is None and "SLURM_ARRAY_TASK_COUNT" in environment:
         names = ("ID", "MIN", "STEP", "COUNT")
         task, first, step, parts = (int(environment.get(f"SLURM_ARRAY_TASK_{name}", "1")) for name in names)
@@ -112,10 +87,6 @@ def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[int, int
     if found is None or not 1 <= int(found[1]) <= int(found[2]):
         raise ConfigError(f"--shard: must be part/parts such as 3/8, from 1/8 to 8/8 (got {text!r})")
     return int(found[1]), int(found[2])
-
-
-def _nothing(*args: object) -> Any:
-    return {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +115,7 @@ class Batch(Generic[SceneT]):
     compute: Callable[[SceneT, Path, int], Outcome]
     columns: tuple[Column, ...]
     files: Callable[[SceneT], dict[str, Path]] | None = None
-    settings: Callable[[SceneT], dict[str, str]] = _nothing
+    settings: Callable[[SceneT], dict[str, str]] = lambda _: {}
     memory: Callable[[SceneT], int | None] | None = None
     notes: Callable[[Sequence[Row]], list[str]] | None = None
     problems: Callable[[Sequence[Row]], list[str]] | None = None

@@ -96,8 +96,8 @@ class Reporter:
             if self.level >= 0 and sys.stderr.isatty():
                 from tqdm import tqdm
 
-                bar = {"desc": what, "total": total, "initial": done, "unit": "scene", "file": sys.stderr}
-                self._bar = tqdm(**bar, leave=False, dynamic_ncols=True, mininterval=0.2)
+                bar: dict[str, Any] = {"total": total, "initial": done, "unit": "scene", "file": sys.stderr}
+                self._bar = tqdm(desc=what, **bar, leave=False, dynamic_ncols=True, mininterval=0.2)
 
     def step(self, failed: bool = False) -> None:
         """Count one more scene."""

@@ -11,7 +11,6 @@ import contextlib
 import hashlib
 import os
 import platform
-import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import metadata
@@ -22,7 +21,7 @@ from pydantic import BaseModel
 
 from depthcli import __version__
 from depthcli.core.config_file import dump_config, to_yaml
-from depthcli.core.errors import ConfigError, InputError, OutputError
+from depthcli.core.errors import ConfigError, OutputError
 from depthcli.core.registry import Plugin, versions_here
 from depthcli.io.formats.files import write_text
 from depthcli.run.records import (
@@ -78,15 +77,6 @@ def saved_config(folder: Path) -> str:
     return read_text(folder / RUN_FILE)
 
 
-def opened_run(folder: Path) -> tuple[str, str]:
-    """Return identity and command of the run that a folder holds; InputError where it holds none."""
-    text = saved_config(folder)
-    command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
-    if command is None:
-        raise InputError(f"{folder}: no run there ({RUN_FILE})")
-    return digest(text.encode()), command[1]
-
-
 def refusal(folder: Path, text: str) -> str:
     """Return why a folder holds another run than ``text``, which only ``--overwrite`` replaces; or empty."""
     known = saved_config(folder)
@@ -109,17 +99,10 @@ def _holds_results(folder: Path) -> bool:
 
 
 class FolderLock:
-    """The right to write into a run folder.
+    """The right to write into a run folder, which is made where it is missing.
 
-    Parameters
-    ----------
-    output : the folder, made where it is missing
-    warn : takes a message where the file system has no locks
-
-    Attributes
-    ----------
-    alone : True while no other process can write into the folder: until ``share``, or once ``last`` returned True
-    locks : False on a file system without locks, where nobody knows of other processes
+    It is ``alone`` while no other process can write there: until ``share``, or once ``last`` returned True. ``locks``
+    is False on a file system without locks, where nobody knows of other processes and ``warn`` takes a message.
     """
 
     def __init__(self, output: Path, warn: Callable[[str], None]) -> None:
@@ -209,27 +192,26 @@ class FolderLock:
 
     def claim(self, name: str) -> bool:
         """Claim a scene; return False where another process has it."""
-        return self._scenes < 0 or self._lock_byte(_byte(name), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return self._lock_byte(_byte(name), "LOCK_EX", "LOCK_NB")
 
     def release(self, name: str) -> None:
         """Release a scene."""
-        if self._scenes >= 0:
-            self._lock_byte(_byte(name), fcntl.LOCK_UN)
+        self._lock_byte(_byte(name), "LOCK_UN")
 
     @contextlib.contextmanager
     def reporting(self) -> Iterator[None]:
         """Hold the lock of the report."""
-        if self._scenes >= 0:
-            self._lock_byte(_REPORT_BYTE, fcntl.LOCK_EX)
+        self._lock_byte(_REPORT_BYTE, "LOCK_EX")
         try:
             yield
         finally:
-            if self._scenes >= 0:
-                self._lock_byte(_REPORT_BYTE, fcntl.LOCK_UN)
+            self._lock_byte(_REPORT_BYTE, "LOCK_UN")
 
-    def _lock_byte(self, byte: int, how: int) -> bool:
+    def _lock_byte(self, byte: int, *how: str) -> bool:
+        if self._scenes < 0:
+            return True
         try:
-            fcntl.lockf(self._scenes, how, 1, byte)
+            fcntl.lockf(self._scenes, sum(getattr(fcntl, name) for name in how), 1, byte)
         except (BlockingIOError, PermissionError):
             return False
         except OSError:  # no such locks here
@@ -254,22 +236,18 @@ def _byte(name: str) -> int:
 def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Callable[[str], None]) -> Iterator[Path]:
     """Give a hidden folder to write into; what it holds at the end of the block replaces earlier results.
 
-    For commands that make one set of files rather than scenes. Where the block raises, ``folder`` stays as it was.
-
-    Parameters
-    ----------
-    command : its name, as identity in the record
-    patterns : shell patterns of the paths of results below ``folder``
-    warn : takes a message where the file system has no locks
-
-    Raises
-    ------
-    ConfigError
-        Before the block: the folder holds results of another command, or files that no record claims under the names
-        of results.
-    OutputError
-        The results cannot be written.
+    For commands that make one set of files rather than scenes; ``patterns`` are those of the paths of their results.
+    Where the block raises, ``folder`` stays as it was. ConfigError before the block: the folder holds results of
+    another command, or files that no record claims under the names of results. OutputError: it cannot be written.
     """
+
+    @contextlib.contextmanager
+    def naming() -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
+
     made = hidden_folder(folder)
     with FolderLock(folder, warn) as lock:
         try:
@@ -277,26 +255,15 @@ def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Ca
             if known is not None and known.run != command:
                 raise ConfigError(f"{folder}: holds results of another command; choose another --output")
             fresh = not any(os.path.lexists(folder / name) for name in (RECORD_FILE, CLAIM_FILE))
-            if fresh and (foreign := _matching(folder, patterns)):
+            there = {path for pattern in patterns for path in folder.glob(pattern) if not path.is_dir()}
+            if fresh and there:
+                foreign = sorted(path.relative_to(folder).as_posix() for path in there)
                 raise ConfigError(f"{folder}: {not_ours(foreign)}")
-            with _naming(folder):
+            with naming():
                 lock.share()
                 made.mkdir()
             yield made
-            with lock.reporting(), _naming(folder):
+            with lock.reporting(), naming():
                 install(made, folder, Record("", command, {}, digests_below(made), {}))
         finally:
             discard(made)
-
-
-def _matching(folder: Path, patterns: Sequence[str]) -> list[str]:
-    found = {path for pattern in patterns for path in folder.glob(pattern) if not path.is_dir()}
-    return sorted(path.relative_to(folder).as_posix() for path in found)
-
-
-@contextlib.contextmanager
-def _naming(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error

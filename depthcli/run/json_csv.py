@@ -7,7 +7,7 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, TextIO, TypeAlias
+from typing import Any, TypeAlias
 
 from depthcli.core.text import csv_cell
 
@@ -52,21 +52,15 @@ def _finite(value: Any) -> Any:
 
 
 def to_csv(rows: Sequence[Mapping[str, object]]) -> str:
-    """Return rows as CSV with a header; columns stand in the order of their first appearance."""
-    text = io.StringIO()
-    write_csv(text, rows)
-    return text.getvalue()
+    """Return rows as CSV with a header; columns stand in the order of their first appearance.
 
-
-def write_csv(file: TextIO, rows: Sequence[Mapping[str, object]]) -> None:
-    """Write rows to an open file as :func:`to_csv` does; mappings become ``outer_inner`` columns, lists one text.
-
-    No text becomes a formula of a spreadsheet, see :func:`~depthcli.core.text.csv_cell`.
+    Mappings become ``outer_inner`` columns, lists one text; no text becomes a formula of a spreadsheet.
     """
-    columns = list(dict.fromkeys(key for row in rows for key in _flat(row)))
-    writer = csv.DictWriter(file, columns, lineterminator="\n")
+    text, flat = io.StringIO(), [_flat(row) for row in rows]
+    writer = csv.DictWriter(text, list(dict.fromkeys(key for row in flat for key in row)), lineterminator="\n")
     writer.writeheader()
-    writer.writerows({key: csv_cell(value) for key, value in _flat(row).items()} for row in rows)
+    writer.writerows({key: csv_cell(value) for key, value in row.items()} for row in flat)
+    return text.getvalue()
 
 
 def _flat(row: Mapping[str, object]) -> dict[str, object]:

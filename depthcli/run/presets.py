@@ -104,20 +104,8 @@ def find_preset(command: str, name: str) -> Path | None:
     return next(found, None)
 
 
-def preset_of(command: str, config: str) -> str:
-    """Return our own preset that a CONFIG argument names, as ``command/name``; "" where it names none."""
-    ours = (preset for preset in presets() if preset.plugin is None and preset.command == command)
-    return next((f"{command}/{preset.name}" for preset in ours if preset.is_called(config)), "")
-
-
 def find_config(command: str, config: str) -> Path:
-    """Return the file that a CONFIG argument names: a path, or the name of a preset of ``command``.
-
-    Raises
-    ------
-    ConfigError
-        Neither a file nor a preset.
-    """
+    """Return the file that a CONFIG argument names: a path, or a preset of ``command``; ConfigError for neither."""
     path = Path(config)
     shipped = find_preset(command, config) if not path.suffix else None
     if shipped is not None:
@@ -136,13 +124,7 @@ def find_config(command: str, config: str) -> Path:
 
 
 def describe(config: BaseModel, title: str) -> str:
-    """Return a config as YAML with every field, its description as a comment above it.
-
-    Parameters
-    ----------
-    config : the resolved config
-    title : lines for the comment at the top
-    """
+    """Return a resolved config as YAML with every field, its description above it, and ``title`` as first comment."""
     fields = "\n".join(_lines(config, 0, getattr(config, "flattened", ""), gap=("",)))
     return "".join(f"# {line}\n" for line in title.splitlines()) + "\n" + fields.strip() + "\n"
 
@@ -174,7 +156,6 @@ def _lines(model: BaseModel, depth: int, flat: str, gap: tuple[str, ...] = ()) -
 
 def _value(name: str, value: object, depth: int) -> Iterator[str]:
     pad = "  " * depth
-    is_list = isinstance(value, list | tuple)
     elements = list(value) if isinstance(value, list | tuple) else []
     if isinstance(value, BaseModel):
         yield f"{pad}{name}:"
@@ -189,7 +170,9 @@ def _value(name: str, value: object, depth: int) -> Iterator[str]:
                 yield f"{pad}{'' if comment else dash}{line}"
                 dash = dash if comment else "  "
     else:
-        yield from (pad + line for line in to_yaml({name: elements if is_list else value}).splitlines())
+        yield from (
+            pad + line for line in to_yaml({name: elements if isinstance(value, tuple) else value}).splitlines()
+        )
 
 
 def _model(value: BaseModel, depth: int) -> Iterator[str]:

@@ -37,22 +37,13 @@ _MAX_NAMED = 3  # files that a message names
 
 @dataclass(frozen=True)
 class Record:
-    """What results were made from and consist of.
+    """What results were made from and consist of."""
 
-    Attributes
-    ----------
-    scene : name of the scene; empty for an evaluation
-    run : identity of the run, the digest of its ``run.yaml``; or the name of the command that has no such file
-    inputs : role -> digest of an input file, and whatever else the result depends on
-    files : path below the scene's folder -> digest of the file
-    row : the scene's row of the report; of a scene that failed, too, which has no files then
-    """
-
-    scene: str
-    run: str
-    inputs: dict[str, str]
-    files: dict[str, str]
-    row: Row
+    scene: str  # its name; empty for an evaluation
+    run: str  # identity of the run, the digest of its run.yaml; or the name of the command that has no such file
+    inputs: dict[str, str]  # role -> digest of an input file, and whatever else the result depends on
+    files: dict[str, str]  # path below the scene's folder -> digest of the file
+    row: Row  # of the report; of a scene that failed, too, which has no files then
 
     def is_done(self, folder: Path, run: str, inputs: Mapping[str, str]) -> bool:
         """Return True where this run made the files from these inputs, and all of them are unchanged in ``folder``."""
@@ -151,11 +142,8 @@ def hidden_folder(folder: Path) -> Path:
 def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -> None:
     """Move results from the hidden folder ``made`` to ``folder``, in the place of files that a record claims.
 
-    Raises
-    ------
-    OutputError
-        The folder holds results of another run and ``overwrite`` is not set, or files that no record claims have the
-        names of results; nothing was moved then.
+    OutputError, and nothing was moved: the folder holds results of another run and ``overwrite`` is not set, or files
+    that no record claims have the names of results.
     """
     write_record(made, record)
     earlier = read_record(folder)
