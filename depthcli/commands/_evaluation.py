@@ -5,16 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from depthcli.commands._options import TableOptions
-from depthcli.core.errors import ConfigError, DepthcliError
+from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, Viewer
+from depthcli.evaluation.evaluate import PAGE_FILE, Viewer
 from depthcli.evaluation.render import FORMATS
 from depthcli.evaluation.tables import check_names, chosen_text, headline_text
 from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.page import Page, RunWithoutTruth
 from depthcli.run.console import Reporter
-from depthcli.run.flags import Flags
-from depthcli.run.folder import saved_config, staging_folder
 from depthcli.run.resources import parse_bytes
 
 PAGE_BUDGET = "50MB"
@@ -43,19 +41,6 @@ def viewers(
         ContactSheet(),
         Page(reporter.command_line, parse_bytes(html_budget or PAGE_BUDGET, "--html-budget"), without_truth),
     ]
-
-
-def write_page(page: Page, output: Path, flags: Flags, reporter: Reporter) -> bool:
-    """Write the page of a run without any truth where an evaluation of the run would be; False if that fails."""
-    assert page.run is not None
-    try:
-        with staging_folder(output, "evaluate", RESULTS, reporter.info) as folder:
-            page.begin(folder)
-            page.write(None, "{}", {page.run.name: saved_config(page.run.folder)}, flags)
-    except DepthcliError as error:  # the maps are there
-        reporter.error(f"no {page.file}: {error}")
-        return False
-    return True
 
 
 def check_tables(options: TableOptions) -> None:

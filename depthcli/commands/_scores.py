@@ -6,10 +6,11 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from depthcli.commands._evaluation import print_place, print_tables, viewers, write_page
+from depthcli.commands._evaluation import print_place, print_tables, viewers
 from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.core.errors import DepthcliError
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
+from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, evaluate_runs
 from depthcli.evaluation.map_files import run_names
 from depthcli.evaluation.protocols import load
 from depthcli.io.inputs import local
@@ -18,6 +19,7 @@ from depthcli.io.scenes.rgbd import SequenceScene
 from depthcli.report.page import Page, RunWithoutTruth
 from depthcli.run.batch import Batch, SceneT
 from depthcli.run.flags import Condition, Flags, flag_rows
+from depthcli.run.folder import saved_config, staging_folder
 from depthcli.run.json_csv import Row
 
 __all__ = ["evaluated", "print_place", "print_tables"]
@@ -52,8 +54,17 @@ def evaluated(
     shows = ": the page shows the maps without scores" if options.html else ", nothing to compare with"
     reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
     flags = flag_rows(conditions, rows, reporter)
-    written = any(isinstance(page, Page) and write_page(page, output, flags, reporter) for page in views)
-    return None, output / PAGE_FILE if written else None, flags
+    for page in views:
+        if isinstance(page, Page) and shown is not None:
+            try:
+                with staging_folder(output, "evaluate", RESULTS, reporter.info) as folder:
+                    page.begin(folder)
+                    page.write(None, "{}", {shown.name: saved_config(shown.folder)}, flags)
+            except DepthcliError as error:  # the maps are there
+                reporter.error(f"no {page.file}: {error}")
+            else:
+                return None, output / PAGE_FILE, flags
+    return None, None, flags
 
 
 def _without_truth(

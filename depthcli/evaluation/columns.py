@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from depthcli.core.columns import ColumnHelp as Column
+from depthcli.core.columns import find_column
 
 METRICS = (
     Column("bad T", "share of pixels whose error is above T px; whether missing ones count is the protocol's rule", "%",
@@ -151,7 +152,5 @@ SWEEP = (
 
 def heading_help(heading: str) -> str:
     """Return unit and explanation of a column of an evaluation's tables; empty where it is the name of a scene."""
-    from depthcli.core.columns import find_column
-
     found = find_column((*TABLES, *METRICS, *REGIONS), heading)
     return "" if found is None else found.about + (f", {found.unit}" if found.unit else "")

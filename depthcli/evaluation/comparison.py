@@ -58,10 +58,8 @@ class Section:
                 self.means[run, True] = {score.key: score for score in protocol.mean(self.results_of(run, True))}
         named = self.regions if protocol.averages_regions else self.regions[:1]
         self.figure_regions = [name for name in named if len(self.known[name]) == len(self.scenes)] or named[:1]
-
-    @property
-    def _figure_keys(self) -> list[Key]:
-        return [(self.protocol.headline, region) for region in self.figure_regions]
+        self._figure_keys: list[Key] = [(protocol.headline, region) for region in self.figure_regions]
+        self._where = {"data_set": data_set, "protocol": protocol.name}
 
     def scenes_with(self, region: str, common: bool = False) -> frozenset[str]:
         """Return the names of the scenes, or common scenes, whose truth is known somewhere in a region."""
@@ -117,10 +115,6 @@ class Section:
         ranks = average_ranks(np.array(grid, np.float64).reshape(len(self.runs), -1))
         return {run: float(rank) for run, rank in zip(self.runs, ranks, strict=True)}
 
-    @property
-    def _where(self) -> dict[str, str]:
-        return {"data_set": self.data_set, "protocol": self.protocol.name}
-
     def records(self) -> list[dict[str, Any]]:
         """Return the means of every run, metric and region, over all scenes and common ones, for ``scores.csv``."""
         made = []
@@ -145,19 +139,6 @@ class Section:
             "missing": self.n_missing(run, score.region),
             "common": len(self.scenes_with(score.region, common=True)), "value_common": common.value,
         }  # fmt: skip
-
-    def threshold_rows(self) -> list[dict[str, Any]]:
-        """Return the lines of the plot against the threshold, one for every run that has one, as plain values."""
-        made = []
-        for run in self.runs:
-            if scores := self.threshold_curve(run):
-                m = scores[0].metric
-                made.append({
-                    "run": run, **self._where, "metric": m.name, "mask": scores[0].region, "unit": m.unit,
-                    "convention": m.convention, "thresholds": [s.metric.threshold for s in scores],
-                    "values": [s.value for s in scores],
-                })  # fmt: skip
-        return made
 
 
 @dataclass(frozen=True)
@@ -213,6 +194,15 @@ class EvaluationReport:
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values; NaN where there is no number."""
         each = [(section, run) for section in self.sections for run in section.runs]
+        by_threshold: list[dict[str, Any]] = []  # the lines of the plot, of every run that has one
+        for section, run in each:
+            if scores := section.threshold_curve(run):
+                m = scores[0].metric
+                by_threshold.append({
+                    "run": run, "data_set": section.data_set, "protocol": section.protocol.name, "metric": m.name,
+                    "mask": scores[0].region, "unit": m.unit, "convention": m.convention,
+                    "thresholds": [s.metric.threshold for s in scores], "values": [s.value for s in scores],
+                })  # fmt: skip
         return {
             "truth": self.truth,
             "runs": list(self.runs),
@@ -228,7 +218,7 @@ class EvaluationReport:
                 | {"mask": "+".join(section.figure_regions)}
                 for section, run in each
             ],
-            "by_threshold": [row for section in self.sections for row in section.threshold_rows()],
+            "by_threshold": by_threshold,
             "comparisons": [
                 {
                     "data_set": section.data_set,
