@@ -9,7 +9,6 @@ A page runs from top to bottom in an empty folder of its own. What follows the l
 | ``python`` | run in one interpreter for the whole page; what it prints is shown below |
 | any, with ``file=NAME`` | written into the folder, not run |
 | ``text``, ``bibtex``, ``math`` | shown |
-| ``flow`` | drawn: names with ``->`` between them, a row a line |
 
 ``hidden`` runs a block without showing it, ``exit=N`` expects that exit code, ``lines=N`` shows at most so many lines
 of each output, ``needs=opencl`` runs it only where such a device works. An image of the page whose file the blocks
@@ -18,7 +17,6 @@ wrote is taken from the folder.
 
 from __future__ import annotations
 
-import html
 import json
 import os
 import re
@@ -69,32 +67,17 @@ class ExampleError(Exception):
 
 @dataclass
 class Page:
-    """One Markdown page and the folder that its blocks run in.
+    """One Markdown page and the folder that its blocks run in."""
 
-    Attributes
-    ----------
-    name : of the page, for messages
-    text : the page as written
-    folder : empty, or not there yet
-    pictures : where images that the blocks write are copied to
-    link : the same folder as the page's text has to name it
-    """
-
-    name: str
+    name: str  # for messages
     text: str
-    folder: Path
-    pictures: Path
-    link: str
+    folder: Path  # empty, or not there yet
+    pictures: Path  # where images that the blocks write are copied to
+    link: str  # the same folder as the page's text has to name it
     _interpreter: subprocess.Popen[str] | None = field(default=None, init=False)
 
     def run(self) -> str:
-        """Run all blocks and return the page with their output.
-
-        Raises
-        ------
-        ExampleError
-            A block ends with another exit code than it should; the text says which, and what it printed.
-        """
+        """Run all blocks and return the page with their output; ExampleError where one ends as it should not."""
         indented = re.search(r"^ +```+[a-z]", BLOCK.sub("", self.text), re.M)
         if indented is not None:
             raise ExampleError(f"{self.name}: a block is indented, {indented[0].strip()}: it would not be run")
@@ -123,8 +106,6 @@ class Page:
         elif "needs" in settings and (why := why_missing(settings["needs"])):
             print(f"  {self._place(found)}: not run, {why}", file=sys.stderr)
             shown = f"```{language}\n{text}```"
-        elif language == "flow":
-            shown = flow_chart(text)
         elif language == "console":
             lines = "".join(self._console(found, text, settings))
             shown = f"```console\n{lines}```"
@@ -195,44 +176,3 @@ class Page:
 
     def _place(self, found: re.Match[str]) -> str:
         return f"{self.name}:{self.text.count(chr(10), 0, found.start()) + 1}"
-
-
-_BOX, _GAP, _LINE, _MARGIN = 26, 34, 18, 12  # of a flow chart, pixels
-_CHARACTER = 7.4  # mean width, pixels, of the 13 px font
-
-
-def flow_chart(text: str) -> str:
-    """Return a picture (SVG inside HTML) of rows of boxes with arrows between them, in the colors of the page.
-
-    Parameters
-    ----------
-    text : ``a -> b -> c``, a row a line; a name between ``(`` and ``)`` is a file or an array and gets round corners
-    """
-    parts: list[str] = []
-    top, right = 0.0, 0.0
-    for row in filter(str.strip, text.splitlines()):
-        left = 1.0
-        for number, name in enumerate(map(str.strip, row.split("->"))):
-            is_data = name.startswith("(") and name.endswith(")")
-            label = name[1:-1] if is_data else name
-            width = len(label) * _CHARACTER + 2 * _MARGIN
-            if number:
-                middle = top + _BOX / 2 + 1
-                parts.append(
-                    f'<path d="M{left - _GAP + 4:.0f} {middle:.0f}H{left - 10:.0f}" marker-end="url(#arrow)"/>'
-                )
-            corner, dashes = (13, ' stroke-dasharray="4 3"') if is_data else (3, "")
-            parts.append(
-                f'<rect x="{left:.0f}" y="{top + 1:.0f}" width="{width:.0f}" height="{_BOX}" rx="{corner}"'
-                f"{dashes}/>"
-                f'<text x="{left + width / 2:.0f}" y="{top + _LINE:.0f}">{html.escape(label)}</text>'
-            )
-            left += width + _GAP
-        right, top = max(right, left - _GAP), top + _BOX + 14
-    return (
-        f'<div class="flow"><svg viewBox="0 0 {right + 1:.0f} {top:.0f}" width="{right + 1:.0f}" role="img" '
-        f'aria-label="{html.escape(" ".join(text.split()))}"><defs><marker id="arrow" viewBox="0 0 8 8" refX="2" '
-        f'refY="4" markerWidth="7" markerHeight="7" orient="auto"><path d="M0 0L8 4L0 8z" class="head"/>'
-        f"</marker></defs>"
-        f"{''.join(parts)}</svg></div>"
-    )

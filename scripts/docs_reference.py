@@ -2,8 +2,9 @@
 """Write the reference of the documentation from the code itself: commands, presets, methods, data, outputs, Python.
 
     scripts/docs_reference.py FOLDER
+    scripts/docs_reference.py --readme
 
-``scripts/docs`` calls it.
+``scripts/docs`` calls it. ``--readme`` renews the README's table of commands instead.
 """
 
 from __future__ import annotations
@@ -17,15 +18,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # first: continues in the checkout's environment
 import typer
 
 import depthcli
 from depthcli import testing
 from depthcli.api.inputs import COMMANDS
 from depthcli.cli import command_of
-from depthcli.commands import grouped_names, help_of
-from depthcli.core.columns import ColumnHelp
+from depthcli.commands import grouped_names, help_of, own_names
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.core.registry import with_package
@@ -36,40 +36,76 @@ from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 from depthcli.io.formats.volumes import VOLUME_SUFFIXES
 from depthcli.io.layouts import layouts
-from depthcli.methods.confidence import measures
-from depthcli.methods.given_maps import map_measures
 from depthcli.methods.registration.search import MEASURES
 from depthcli.run.batch import EXIT_CODES
 from depthcli.run.folder import REPORT_FILES, RUN_FILE
 from depthcli.run.presets import find_config, list_presets
 
-Rows = dict[str, list[tuple[str, str]]]
-"""Heading -> names with their explanations."""
-
-METHOD_PACKAGES = tuple(
-    f"depthcli.{package}"
-    for package in (
-        "methods.stereo.pipeline", "methods.stereo.cost", "methods.stereo.aggregation", "methods.stereo.optimization",
-        "methods.stereo.refinement", "methods.confidence", "methods.fusion.choice", "methods.kinect.pipeline",
-        "methods.kinect.model", "methods.transparent.pipeline", "methods.registration.pipeline",
-        "methods.registration.feature", "algorithms.segmentation", "algorithms.keypoints",
-    )
-)  # fmt: skip
+METHOD_PACKAGES = [
+    *(f"depthcli.methods.{name}" for name in (
+        "stereo.pipeline", "stereo.cost", "stereo.aggregation", "stereo.optimization", "stereo.refinement",
+        "confidence", "fusion.choice", "kinect.pipeline", "kinect.model", "transparent.pipeline",
+        "registration.pipeline", "registration.feature",
+    )),
+    "depthcli.algorithms.segmentation", "depthcli.algorithms.keypoints",
+]  # fmt: skip
 """Packages of all families of methods, in the order in which they are explained."""
-
 CONFIGS: dict[str, Any] = {command: getattr(depthcli, name) for name, command in COMMANDS.items()}
 """Command -> class of its config."""
+MAPS, DEPTH = "disp_left.*, status.png, preview.png, confidence_*", "depth.*, sigma.pfm, status.png, preview.png"
+OUTPUTS = {
+    "In every run folder": {
+        RUN_FILE: "the config with all values, versions and seed; itself a config",
+        ", ".join(REPORT_FILES): "a row for every scene: status, seconds, memory; see Columns of tables",
+        "SCENE/record.json": "inputs and files of a scene, by their digests: by it a run is resumed",
+    },
+    "In the folder of a scene": {
+        "stereo, fuse": MAPS,
+        "confidence": f"confidence.*, {MAPS}",
+        "refine-kinect, transparent, depth": f"{DEPTH}, confidence_*, points.ply",
+        "register-confidence": "confidence.*, expected_error.*, shift.*, preview.png, points.csv",
+        "rectify": "left.png, right.png, calib.txt, meta.json",
+        "sample": "*.png, *.pfm, *.nii.gz, meta.json, calib.json",
+    },
+    "In the folder of an evaluation": {"evaluate": ", ".join(RESULTS)},
+    "Disparity maps": {str(int(bit)): text for bit, text in STATUS_HELP.items()},
+    "Depth maps": {str(int(bit)): text for bit, text in DEPTH_STATUS_HELP.items()},
+    "Exit codes": {str(code): text for code, text in EXIT_CODES.items()},
+}
+COLUMNS = {
+    heading: {column.headings: column.about for column in columns}
+    for heading, columns in {
+        "Metrics (evaluate)": evaluation.METRICS,
+        "Regions (evaluate)": evaluation.REGIONS,
+        "Other columns of evaluate and sweep": evaluation.TABLES,
+        "scores.csv": evaluation.SCORES,
+        "points.csv, points/RUN/SCENE.csv": evaluation.POINTS,
+        "Sensitivity, sweep.csv": evaluation.SWEEP,
+    }.items()
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the pages are written")
-    folder = parser.parse_args(arguments).folder
-    for name, text in pages().items():
-        file = folder / f"{name}.md"
+    parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="where the pages are written")
+    parser.add_argument("--readme", action="store_true", help="write the README's table of commands")
+    options = parser.parse_args(arguments)
+    if options.readme:
+        readme = _env.ROOT / "README.md"
+        readme.write_text(with_commands(readme.read_text("utf-8")), "utf-8")
+    for name, text in pages().items() if options.folder else ():
+        file = options.folder / f"{name}.md"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n", "utf-8")
     return 0
+
+
+def with_commands(readme: str) -> str:
+    """Return the README with its table of commands as the code has it."""
+    table = _table(("command", "what it does"), [(f"`{name}`", help_of(name)) for name in own_names()]).rstrip("\n")
+    mark = "<!-- table: commands -->\n"
+    before, _, rest = readme.partition(mark)
+    return f"{before}{mark}{table}\n<!-- end -->{rest.partition('<!-- end -->')[2]}"
 
 
 def pages() -> dict[str, str]:
@@ -77,23 +113,21 @@ def pages() -> dict[str, str]:
     families = {_family_name(package): family_page(package) for package in METHOD_PACKAGES}
     found = {
         "command_line": command_line(),
+        "python": python_page(),
         "presets": presets(),
         "configs": configs(),
-        **{f"methods/{name}": text for name, text in families.items()},
+        "methods/index": _index(
+            "Methods", "The exchangeable parts of every command, by family; a config names them.", families
+        ),
         "data": data(),
         "protocols": protocol_page(),
-        "outputs": topic_page("Outputs", "outputs", "status", "exit-codes"),
-        "columns": topic_page("Columns of tables", "columns"),
-        "python": python_page(),
-        "plugins": plugins(),
+        "outputs": "# Outputs\n\n" + _sections(OUTPUTS),
+        "columns": "# Columns of tables\n\n" + _sections(COLUMNS),
+        "plugins": f"# Tests of plug-ins\n\n{_about(testing)}\n\n```{{eval-rst}}\n"
+        ".. automodule:: depthcli.testing\n   :members:\n   :imported-members:\n```\n",
     }
-    tree = ["command_line", "python", "presets", "configs", "methods/index", "data", "protocols", "outputs", "columns",
-            "plugins"]  # fmt: skip
-    found["methods/index"] = _index(
-        "Methods", "The exchangeable parts of every command, by family; a config names them.", families
-    )
-    found["index"] = _index("Reference", "Generated from the code of the version that the page names.", tree)
-    return found
+    index = _index("Reference", "Generated from the code of the version that the page names.", found)
+    return {"index": index, **found, **{f"methods/{name}": text for name, text in families.items()}}
 
 
 def _index(title: str, about: str, names: Iterable[str]) -> str:
@@ -205,140 +239,58 @@ def _kind(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 def data() -> str:
     """Return the page of layouts and file formats."""
     rows = [(f"`{each.name}`", each.wants) for each in layouts()]
+    others = {end: with_package(type(of), _markdown(_first(type(of)))) for end, of in map_formats().items()}
+    maps: dict[str, list[str]] = {}
+    for name in protocols.names():
+        maps.setdefault(" ".join(protocols.load(name).files.endings), []).append(name)
+    codes = f"{' '.join(MAP_SUFFIXES)}: PFM and floats hold pixels or meters, integers codes"
+    files = {"images": " ".join(IMAGE_SUFFIXES), "disparity and depth maps": codes, **others}
+    sections = {
+        "Files, by their endings; the content decides": {**files, "volumes": " ".join(VOLUME_SUFFIXES)},
+        "Maps of a run, by the protocol that scores them": {", ".join(which): ends for ends, which in maps.items()},
+    }
     text = "# Layouts and formats\n\n## Layouts\n\nRecognized by a folder's files, or named by `--layout NAME`.\n\n"
-    return text + _table(("Layout", "Files"), rows) + _topic("formats")
+    return text + _table(("Layout", "Files"), rows) + _sections(sections)
 
 
 def protocol_page() -> str:
     """Return the page of the protocols of ``evaluate``."""
     parts = ["# Protocols\n\nHow `depthcli evaluate` scores; chosen by the ground truth, or by `--protocol NAME`.\n"]
-    for name in protocols.names():
-        kind = protocols.load(name)
-        parts.append(
-            f"## `{name}`\n\n{kind.presentation.title}. {kind.presentation.note}\n\n{_about(kind, whole=True)}\n"
-        )
+    for name, kind in ((name, protocols.load(name)) for name in protocols.names()):
+        shown = kind.presentation
+        parts.append(f"## `{name}`\n\n{shown.title}. {shown.note}\n\n{_about(kind, whole=True)}\n")
     return "\n".join(parts)
-
-
-def _columns() -> Rows:
-    return {
-        "Metrics (evaluate)": _rows(evaluation.METRICS),
-        "Regions (evaluate)": _rows(evaluation.REGIONS),
-        "Other columns of evaluate and sweep": _rows(evaluation.TABLES),
-        "scores.csv": _rows(evaluation.SCORES),
-        "points.csv, points/RUN/SCENE.csv": _rows(evaluation.POINTS),
-        "Sensitivity, sweep.csv": _rows(evaluation.SWEEP),
-    }
-
-
-def _rows(columns: Iterable[ColumnHelp]) -> list[tuple[str, str]]:
-    return [(column.headings, column.about) for column in columns]
-
-
-def _status() -> Rows:
-    return {
-        "Disparity maps": [(str(int(bit)), text) for bit, text in STATUS_HELP.items()],
-        "Depth maps": [(str(int(bit)), text) for bit, text in DEPTH_STATUS_HELP.items()],
-    }
-
-
-def _formats() -> Rows:
-    others = [(suffix, with_package(type(of), _first_paragraph(type(of)))) for suffix, of in map_formats().items()]
-    maps: dict[str, list[str]] = {}
-    for name in protocols.names():
-        maps.setdefault(" ".join(protocols.load(name).files.endings), []).append(name)
-    return {
-        "Files, by their endings; the content decides": [
-            ("images", " ".join(IMAGE_SUFFIXES)),
-            ("disparity and depth maps", f"{' '.join(MAP_SUFFIXES)}: PFM and floats hold pixels or meters, integers "
-             "codes"),
-            *others,
-            ("volumes", " ".join(VOLUME_SUFFIXES)),
-        ],
-        "Maps of a run, by the protocol that scores them": [(", ".join(which), ends) for ends, which in maps.items()],
-    }  # fmt: skip
-
-
-def _first_paragraph(kind: type) -> str:
-    return " ".join((kind.__doc__ or "").split("\n\n")[0].split())
-
-
-def _measures() -> Rows:
-    return {
-        "Of costs (confidence: in configs of stereo and fuse)": list(measures().items()),
-        "Of given maps (confidence --measure NAME)": list(map_measures().items()),
-    }
-
-
-def _outputs() -> Rows:
-    maps, depth = "disp_left.*, status.png, preview.png, confidence_*", "depth.*, sigma.pfm, status.png, preview.png"
-    return {
-        "In every run folder": [
-            (RUN_FILE, "the config with all values, versions and seed; itself a config"),
-            (", ".join(REPORT_FILES), "a row for every scene: status, seconds, memory; see Columns of tables"),
-            ("SCENE/record.json", "inputs and files of a scene, by their digests: by it a run is resumed"),
-        ],
-        "In the folder of a scene": [
-            ("stereo, fuse", maps),
-            ("confidence", f"confidence.*, {maps}"),
-            ("refine-kinect, transparent, depth", f"{depth}, confidence_*, points.ply"),
-            ("register-confidence", "confidence.*, expected_error.*, shift.*, preview.png, points.csv"),
-            ("rectify", "left.png, right.png, calib.txt, meta.json"),
-            ("sample", "*.png, *.pfm, *.nii.gz, meta.json, calib.json"),
-        ],
-        "In the folder of an evaluation": [("evaluate", ", ".join(RESULTS))],
-    }
-
-
-def _exit_codes() -> Rows:
-    return {"Exit codes": [(str(code), text) for code, text in EXIT_CODES.items()]}
-
-
-TOPICS = {"columns": _columns, "exit-codes": _exit_codes, "formats": _formats, "measures": _measures,
-          "outputs": _outputs, "status": _status}  # fmt: skip
-
-
-def topic_page(title: str, *topics: str) -> str:
-    """Return a page of topics, each a table of names and explanations."""
-    return f"# {title}\n\n" + "\n".join(_topic(topic) for topic in topics)
-
-
-def _topic(topic: str) -> str:
-    found = TOPICS[topic]().items()
-    return "\n".join(f"## {heading}\n\n{_table(('', ''), ((f'`{a}`', b) for a, b in rows))}" for heading, rows in found)
 
 
 def python_page() -> str:
     """Return the page of Python's public names, which Sphinx fills."""
-    names = [name for name in depthcli.__all__ if name != "__version__"]
-    functions = sorted(name for name in names if inspect.isroutine(getattr(depthcli, name)))
-    classes = sorted(
-        name for name in names if name not in functions and name not in _configs() and name not in _errors()
-    )
+    configs = [model.__name__ for model in CONFIGS.values()]
+    names = sorted(set(depthcli.__all__) - {"__version__", *configs})
+    functions = [name for name in names if inspect.isroutine(getattr(depthcli, name))]
+    errors = [name for name in names if name.endswith("Error")]
+    results = [name for name in names if name not in functions and name not in errors]
     parts = ["# Python\n\n`import depthcli` takes milliseconds; what a function needs is loaded when it is called.\n"]
-    for title, found, kind in (
-        ("Functions", functions, "autofunction"), ("Results", classes, "autoclass"), ("Errors", _errors(), "autoclass"),
-    ):  # fmt: skip
+    for title, found, kind, more in (
+        ("Functions", functions, "autofunction", ""),
+        ("Results", results, "autoclass", "\n   :members:"),
+        ("Errors", errors, "autoclass", ""),
+    ):
         parts.append(f"## {title}\n")
-        more = "\n   :members:" if title == "Results" else ""
         parts += [f"```{{eval-rst}}\n.. {kind}:: depthcli.{name}{more}\n```\n" for name in found]
     listed = "\n".join(f"- `depthcli.{model.__name__}`: of `{command}`" for command, model in CONFIGS.items())
     parts.append(f"## Configs\n\nPydantic models with the keys of [Configs](configs.md).\n\n{listed}\n")
     return "\n".join(parts)
 
 
-def _configs() -> list[str]:
-    return [model.__name__ for model in CONFIGS.values()]
+def _sections(sections: Mapping[str, Mapping[str, str]]) -> str:
+    """Headings, each with a table of names and explanations."""
+    parts = (f"## {heading}\n\n{_table(('', ''), ((f'`{a}`', b) for a, b in rows.items()))}"
+             for heading, rows in sections.items())  # fmt: skip
+    return "\n".join(parts)
 
 
-def _errors() -> list[str]:
-    return sorted(n for n in depthcli.__all__ if n.endswith("Error"))
-
-
-def plugins() -> str:
-    """Return the page of the contract tests that plug-ins import."""
-    members = ".. automodule:: depthcli.testing\n   :members:\n   :imported-members:"
-    return f"# Tests of plug-ins\n\n{_about(testing)}\n\n```{{eval-rst}}\n{members}\n```\n"
+def _first(thing: Any) -> str:
+    return inspect.cleandoc(thing.__doc__ or "").split("\n\n")[0]
 
 
 def _about(thing: Any, whole: bool = False) -> str:

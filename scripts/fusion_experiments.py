@@ -4,7 +4,7 @@
     python scripts/fusion_experiments.py DATA OUT [--only windows,fusion] [--quick]
 
 DATA holds the folders ``middlebury_v2``, ``_2001``, ``_2005``, ``_2006`` and ``kitti``. OUT receives one Markdown
-table an experiment, ``fusion.md`` with all of them, ``fusion.csv`` with every figure by scene, and plots (SVG).
+table an experiment, ``fusion.md`` with all of them, and plots (SVG).
 ``--quick`` takes four scenes only. Error rates: bad > 1 px in non-occluded regions, %, missing counts as
 bad; KITTI: Out-Noc > 3 px. "wins": scenes better than equal weights; "worst": largest ratio to equal weights.
 """
@@ -12,17 +12,15 @@ bad; KITTI: Out-Noc > 3 px. "wins": scenes better than equal weights; "worst": l
 from __future__ import annotations
 
 import argparse
-import csv
-import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import _env  # (first: continues in the checkout's environment)
+import _env  # first: continues in the checkout's environment
 import numpy as np
+from _experiments import config_of, matcher, seconds_in_turns
 
-from depthcli.core.config_file import load_config
+from depthcli.api.stereo import with_network
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.plots import Line, line_plot
@@ -35,9 +33,6 @@ from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps, measures
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.methods.stereo.config import StereoConfig
-from depthcli.methods.stereo.pipeline.local import Local
-from depthcli.run.presets import find_config, find_preset
 from depthcli.simulate.transparent_scenes import cross_modal_pair
 
 V2 = "middlebury_v2"
@@ -50,14 +45,12 @@ SHORT = {"absolute_difference": "AD", "gradient": "GRAD", "rank": "RANK", "censu
 
 def preset(name: str, **fields: Any) -> dict[str, Any]:
     """A preset of fuse with every field, some of them replaced."""
-    config = load_config(Fusion, find_config("fuse", name), (), partial(find_preset, "fuse"))
-    return {**config.model_dump(mode="json", by_alias=True), **fields}
+    config = config_of("fuse", name).model_dump(mode="json", by_alias=True)
+    return {**{key: value for key, value in config.items() if key in Fusion.model_fields}, **fields}
 
 
-def stereo_preset(name: str) -> dict[str, Any]:
-    """A preset of stereo with every field, and without its pipeline's name."""
-    config = load_config(StereoConfig, find_config("stereo", name), (), partial(find_preset, "stereo"))
-    return {k: v for k, v in config.pipeline.model_dump(mode="json", by_alias=True).items() if k != "pipeline"}
+def fusion_of(config: dict[str, Any]) -> Fusion:
+    return with_network(Fusion.model_validate(config))
 
 
 def equal_of(config: dict[str, Any]) -> dict[str, Any]:
@@ -73,7 +66,6 @@ class Experiments:
         if quick:
             self.scenes = [s for s in self.scenes if s.name.rpartition("/")[2] in QUICK]
         self.kitti = discover_scenes(data / "kitti", [StereoScene]) if (data / "kitti").is_dir() else []
-        self.rows: list[dict[str, object]] = []
         self.plots: dict[str, str] = {}
 
     def bad(self, scenes: list[StereoScene], match: Callable[[StereoPair, int], np.ndarray], protocol: str = V2,
@@ -85,25 +77,20 @@ class Experiments:
             rates.append(next(iter(by_region.values())))
         return rates
 
-    def table(self, title: str, configs: dict[str, dict[str, Any]], base: str | None = None, **how: Any) -> Table:
-        """One row a config: mean, and against ``base`` wins, mean difference, worst ratio and p."""
+    def table(self, title: str, configs: dict[str, dict[str, Any]], base: str = "equal", **how: Any) -> Table:
+        """A row a config: mean, and against ``base`` wins, mean difference, worst ratio and p."""
         scenes = how.pop("scenes", self.scenes)
         rates_of: dict[str, list[float]] = {}
         for name, config in configs.items():
-            model = Fusion.model_validate(config)
+            model = fusion_of(config)
             rates_of[name] = self.bad(scenes, lambda pair, top, model=model: model(pair, top).disparity.values, **how)
-            for scene, rate in zip(scenes, rates_of[name], strict=True):
-                self.rows.append({"experiment": title, "config": name, "scene": scene.name, "bad": round(rate, 3)})
         rows = []
         for name, rates in rates_of.items():
-            cells = [name, Number(float(np.mean(rates)))]
-            if base is not None:
-                against = compare(rates_of[base], rates)
-                cells += [f"{against.wins}/{against.scenes}", Number(against.mean_difference)]
-                cells += [Number(against.worst_ratio, 3), Number(against.p_value, 4)]
-            rows.append(tuple(cells))
-        header = ("config", "mean bad") + (("wins", "difference", "worst", "p (Wilcoxon)") if base is not None else ())
-        return Table(title, header, tuple(rows), f"{len(scenes)} scenes" + (f"; against {base}" if base else ""))
+            against = compare(rates_of[base], rates)
+            figures = Number(against.mean_difference), Number(against.worst_ratio, 3), Number(against.p_value, 4)
+            rows.append((name, Number(float(np.mean(rates))), f"{against.wins}/{against.scenes}", *figures))
+        header = ("config", "mean bad", "wins", "difference", "worst", "p (Wilcoxon)")
+        return Table(title, header, tuple(rows), f"{len(scenes)} scenes; against {base}")
 
 
 def confidences(bench: Experiments) -> list[Table]:
@@ -124,7 +111,7 @@ def confidences(bench: Experiments) -> list[Table]:
                 title = f"Sparsification, {scene.name}, census CW 11"
                 name = f"sparsification_{scene.name.rpartition('/')[2]}.svg"
                 bench.plots[name] = line_plot(lines, title, "most confident pixels, %", "bad > 1 px, %")
-        final = Fusion.model_validate(preset("accurate", confidence=[*measures(), "consensus"]))
+        final = fusion_of(preset("accurate", confidence=[*measures(), "consensus"]))
         result = final(pair, scene.max_disparity or 0)
         wrong = ~(np.abs(result.disparity.values - truth.disparity) <= 1)[known]
         columns["accurate"], _ = _areas(result.confidence, known, wrong)
@@ -154,7 +141,7 @@ def windows(bench: Experiments) -> list[Table]:
         for size in sizes:
             consensus = {"support": support, "window": size, "softness": 15, "vote_cost": 0}
             configs[f"{support} {size}"] = preset("window", consensus=consensus)
-        table = bench.table(f"Consensus windows, {support}, weights only", configs, "equal")
+        table = bench.table(f"Consensus windows, {support}, weights only", configs)
         tables.append(table)
         lines.append(Line(support, sizes, [float(row[1]) for row in table.rows[1:]]))
     plot = line_plot(lines, "Consensus windows", "window, px", "bad > 1 px, %, mean")
@@ -178,7 +165,7 @@ def fusion(bench: Experiments) -> list[Table]:
     configs["color, weights only"] = preset("weights-only")
     configs["consensus"] = preset("consensus")
     configs["consensus, 1 more round"] = preset("consensus", consensus={"rounds": 1, "map_vote_cost": 0.4})
-    return [bench.table("Fusion of all measures, CW 11", configs, "equal")]
+    return [bench.table("Fusion of all measures, CW 11", configs)]
 
 
 def pairs(bench: Experiments) -> list[Table]:
@@ -188,7 +175,7 @@ def pairs(bench: Experiments) -> list[Table]:
         both = ["absolute_difference", cost]
         configs = {SHORT[m]: {"measures": [m], **EQUAL} for m in both}
         configs |= {"equal": {"measures": both, **EQUAL}, "consensus": preset("consensus", measures=both)}
-        tables.append(bench.table(f"AD fused with {SHORT[cost]}", configs, "equal"))
+        tables.append(bench.table(f"AD fused with {SHORT[cost]}", configs))
     return tables
 
 
@@ -197,22 +184,20 @@ def later_stages(bench: Experiments) -> list[Table]:
     tables = []
     for name in ("consensus", "cross", "adaptive-weight", "scanline", "accurate"):
         config = preset(name)
-        tables.append(bench.table(f"After {name}", {"equal": equal_of(config), "fused": config}, "equal"))
+        tables.append(bench.table(f"After {name}", {"equal": equal_of(config), "fused": config}))
     config = after_segments()
-    tables.append(bench.table("After segments", {"equal": equal_of(config), "fused": config}, "equal"))
-    local, fused = Local.model_validate(stereo_preset("accurate")), Fusion.model_validate(preset("accurate"))
-    a = bench.bad(bench.scenes, lambda pair, top: local(pair, top).disparity.values)
-    b = bench.bad(bench.scenes, lambda pair, top: fused(pair, top).disparity.values)
-    against = compare(a, b)
-    body = (("stereo accurate", Number(float(np.mean(a))), ""), ("fuse accurate", Number(float(np.mean(b))),
-            f"{against.wins}/{against.scenes}"))  # fmt: skip
-    tables.append(Table("The two accurate presets", ("config", "mean bad", "wins"), body))
-    return tables
+    tables.append(bench.table("After segments", {"equal": equal_of(config), "fused": config}))
+    both = {"stereo accurate": matcher("accurate"), "fuse accurate": matcher("fuse/accurate")}
+    rates = {name: bench.bad(bench.scenes, lambda pair, top, run=run: run(pair, top).disparity.values)
+             for name, run in both.items()}  # fmt: skip
+    wins = f"{compare(*rates.values()).wins}/{len(bench.scenes)}"
+    body = tuple((name, Number(float(np.mean(found))), wins) for name, found in rates.items())
+    return [*tables, Table("The two accurate presets", ("config", "mean bad", "wins of fuse"), body)]
 
 
 def after_segments() -> dict[str, Any]:
     """The measures of the segments preset, fused; its penalties hold for the sum of its parts, ours for the mean."""
-    fields = stereo_preset("segments")
+    fields = config_of("stereo", "segments").pipeline.model_dump(mode="json", by_alias=True, exclude={"pipeline"})
     parts = fields.pop("cost")["parts"]
     fields["optimization"] |= {name: fields["optimization"][name] / len(parts) for name in ("p1", "p2")}
     fields["energy"]["cost_weight"] *= len(parts)
@@ -224,9 +209,9 @@ def after_segments() -> dict[str, Any]:
 def kitti(bench: Experiments) -> list[Table]:
     """6.4.8: driving scenes, 3 px."""
     configs = {"equal": equal_of(preset("consensus")), "consensus": preset("consensus")}
-    tables = [bench.table("KITTI, CW 11", configs, "equal", scenes=bench.kitti, protocol="kitti_2012")]
+    tables = [bench.table("KITTI, CW 11", configs, scenes=bench.kitti, protocol="kitti_2012")]
     configs = {"equal": equal_of(preset("kitti")), "kitti": preset("kitti")}
-    return [*tables, bench.table("KITTI, preset kitti", configs, "equal", scenes=bench.kitti, protocol="kitti_2012")]
+    return [*tables, bench.table("KITTI, preset kitti", configs, scenes=bench.kitti, protocol="kitti_2012")]
 
 
 def cross_modal(bench: Experiments) -> list[Table]:
@@ -238,7 +223,7 @@ def cross_modal(bench: Experiments) -> list[Table]:
     configs = {SHORT[cost]: {"measures": [cost], **EQUAL} for cost in ALL}
     configs |= {"equal": preset("equal"), "weights only": preset("weights-only", exponent=6)}
     configs |= {"consensus": preset("consensus"), "cross-modal": preset("cross-modal")}
-    return [bench.table("Cross-modal pairs", configs, "equal", change=infrared)]
+    return [bench.table("Cross-modal pairs", configs, change=infrared)]
 
 
 def seconds(bench: Experiments) -> list[Table]:
@@ -247,15 +232,10 @@ def seconds(bench: Experiments) -> list[Table]:
     pair, top = scene.load(), scene.max_disparity or 0
     rows = []
     for name in ("equal", "consensus", "weights-only", "accurate"):
-        model = Fusion.model_validate(preset(name))
-        model(pair, top)
-        runs = []
-        for _ in range(9):
-            start = time.perf_counter()
-            stages = model(pair, top).seconds
-            runs.append((time.perf_counter() - start, stages))
-        total, stages = min(runs, key=lambda run: run[0])
-        rows.append((name, Number(1e3 * total, 0), ", ".join(f"{k} {1e3 * v:.0f}" for k, v in stages.items())))
+        model, runs = fusion_of(preset(name)), []
+        (taken,) = seconds_in_turns({name: lambda m=model, r=runs: r.append(m(pair, top).seconds)}, 9).values()
+        stages = min(runs[1:], key=lambda stages: sum(stages.values()))
+        rows.append((name, Number(1e3 * taken[0], 0), ", ".join(f"{k} {1e3 * v:.0f}" for k, v in stages.items())))
     return [Table("Time on Cones, ms", ("preset", "total", "by stage"), tuple(rows))]
 
 
@@ -283,10 +263,6 @@ def main() -> None:
     (arguments.out / "fusion.md").write_text("# Fusion of similarity measures\n\n" + "\n".join(document), "utf-8")
     for name, picture in bench.plots.items():
         (arguments.out / name).write_text(picture, "utf-8")
-    with (arguments.out / "fusion.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, ["experiment", "config", "scene", "bad"])
-        writer.writeheader()
-        writer.writerows(bench.rows)
 
 
 if __name__ == "__main__":

@@ -16,31 +16,29 @@ them and frame by frame.
 from __future__ import annotations
 
 import argparse
-import statistics
 import sys
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 from typing import Any
 
-import _env  # (first: continues in the checkout's environment)
+import _env  # first: continues in the checkout's environment
 import cv2
 import numpy as np
+from _experiments import config_of, mean_known, seconds_in_turns, show
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import disparity_of_depth
-from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, color8
-from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.render import Number
 from depthcli.io.formats.images import read_image
 from depthcli.io.scenes.rgbd import RgbdScene
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import discover_scenes
-from depthcli.methods.kinect.config import RefineKinectConfig
-from depthcli.run.presets import find_config, list_presets
+from depthcli.run.presets import list_presets
 from depthcli.simulate.depth_sensor import KinectSample, Sensor, simulate_kinect
-from depthcli.simulate.kinect_scenes import SEQUENCE_KINDS, make_kinect_sequence
+from depthcli.simulate.kinect_scenes import SEQUENCE_KINDS, make_kinect_scene, make_kinect_sequence
 
 SETS = ("middlebury_v2", "middlebury_2005", "middlebury_2006")
 PATTERNS = 5
@@ -77,74 +75,58 @@ VARIANTS: dict[str, dict[str, Sensor]] = {
     },
 }
 Refine = Callable[[RgbdFrame], Any]
+Map = NDArray[np.float32]
 
 
-def preset(name: str, settings: list[str] | None = None) -> Refine:
-    """Return the pipeline of a preset of refine-kinect."""
-    pipeline: Refine = load_config(RefineKinectConfig, find_config("refine-kinect", name), settings or []).pipeline
-    return pipeline
+def images(data: Path, folder: str) -> Iterator[tuple[str, NDArray[np.uint8], Map]]:
+    """Yield name, color image and true disparity of the scenes of a set."""
+    for scene in discover_scenes(data / folder, (StereoScene,)):
+        if scene.has_truth:
+            yield scene.name, color8(read_image(scene.left)), scene.truth().disparity
 
 
-def refined(name: str, run: Refine | None, frame: RgbdFrame) -> NDArray[np.float32]:
-    """Return the refined map as (H, W) disparity, pixels."""
-    return frame.disparity if run is None else disparity_of_depth(run(frame).depth.values, frame.fb)
-
-
-def scenes(data: Path, folder: str) -> list[StereoScene]:
-    found = discover_scenes(data / folder, (StereoScene,))
-    return [scene for scene in found if isinstance(scene, StereoScene) and scene.has_truth]
-
-
-def sample(scene: StereoScene, fattening: int) -> KinectSample:
-    return simulate_kinect(color8(read_image(scene.left)), scene.truth().disparity, 0, fattening=fattening)
+def errors_of(run: Refine | None, made: KinectSample) -> Map:
+    """Return the absolute errors of a refined map, or of the sensor's own, in pixels of disparity."""
+    frame = made.frame()
+    found = frame.disparity if run is None else disparity_of_depth(run(frame).depth.values, frame.fb)
+    return np.abs(found - made.truth)
 
 
 def simulated(data: Path, methods: Mapping[str, Refine | None], fattening: int, title: str) -> None:
     """Print a row a method: MAE by set and region, means over scenes."""
     cells: dict[tuple[str, str, str], list[float]] = {}
     for folder in SETS:
-        for scene in scenes(data, folder):
-            made = sample(scene, fattening)
+        for scene, color, truth in images(data, folder):
+            made = simulate_kinect(color, truth, 0, fattening=fattening)
             for name, run in methods.items():
-                error = np.abs(refined(name, run, made.frame()) - made.truth)
+                error = errors_of(run, made)
                 for region in REGIONS:
-                    inside = error[getattr(made, region)]
-                    answered = inside[np.isfinite(inside)]
-                    cells.setdefault((name, folder, region), []).append(
-                        float(answered.mean()) if answered.size else float("nan")
-                    )
-            print(f"{folder}/{scene.name}", file=sys.stderr)
-    rows = [
-        (name, *(Number(_mean(cells[name, folder, region]), 3) for folder in SETS for region in REGIONS))
-        for name in methods
-    ]
-    header = ("method", *(f"{folder.removeprefix('middlebury_')} {region}" for folder in SETS for region in REGIONS))
-    print(Table(f"{title}, fattening {fattening} px: MAE, px, of estimated pixels", header, tuple(rows)).markdown())
+                    cells.setdefault((name, folder, region), []).append(mean_known(error[getattr(made, region)]))
+            print(f"{folder}/{scene}", file=sys.stderr)
+    columns = [(folder, region) for folder in SETS for region in REGIONS]
+    rows = [(name, *(Number(mean_known(cells[name, *column]), 3) for column in columns)) for name in methods]
+    header = ("method", *(f"{folder.removeprefix('middlebury_')} {region}" for folder, region in columns))
+    show(f"{title}, fattening {fattening} px: MAE, px, of estimated pixels", header, rows)
 
 
 def variants(data: Path, methods: dict[str, Refine]) -> None:
     """Print a row a sensor: MAE, px, in gaps / at wrong edges, means over scenes; and the means of both halves."""
-    header = ("sensor", *methods)
     for half, sensors in VARIANTS.items():
-        rows = []
-        sums: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in methods}
-        chosen = [s for folder in SETS for s in scenes(data, folder) if (s.name in CHOSEN_ON) == (half == "tuning")]
-        images = [(color8(read_image(scene.left)), scene.truth().disparity) for scene in chosen]
+        chosen = [s for folder in SETS for s in images(data, folder) if (s[0] in CHOSEN_ON) == (half == "tuning")]
+        means: dict[tuple[str, str], tuple[float, float]] = {}
         for title, sensor in sensors.items():
-            found: dict[str, list[list[float]]] = {name: [[], []] for name in methods}
-            for seed, (color, truth) in enumerate(images):
-                made = simulate_kinect(color, truth, seed, sensor=sensor)
-                for name, run in methods.items():
-                    error = np.abs(refined(name, run, made.frame()) - made.truth)
-                    for kept, mask in zip(found[name], (made.gap, made.mismatch), strict=True):
-                        kept.append(_mean(error[mask & np.isfinite(error)].tolist()))
-            means = {name: [_mean(kept) for kept in both] for name, both in found.items()}
-            rows.append((title, *(f"{gap:.2f} / {edge:.2f}" for gap, edge in means.values())))
-            for name, both in means.items():
-                for total, value in zip(sums[name], both, strict=True):
-                    total.append(value)
-        rows.append(("mean", *(f"{_mean(gaps):.2f} / {_mean(edges):.2f}" for gaps, edges in sums.values())))
-        print(Table(f"Simulated sensors, {half}: MAE, px, gaps / wrong edges", header, tuple(rows)).markdown())
+            samples = [simulate_kinect(color, truth, k, sensor=sensor) for k, (_, color, truth) in enumerate(chosen)]
+            for name, run in methods.items():
+                errors = [(errors_of(run, made), made) for made in samples]
+                gaps, edges = ([mean_known(e[mask(made)]) for e, made in errors]
+                               for mask in (lambda made: made.gap, lambda made: made.mismatch))  # fmt: skip
+                means[title, name] = mean_known(gaps), mean_known(edges)
+        for name in methods:
+            own = [means[title, name] for title in sensors]
+            means["mean", name] = mean_known(gap for gap, _ in own), mean_known(edge for _, edge in own)
+        shown = {key: f"{gap:.2f} / {edge:.2f}" for key, (gap, edge) in means.items()}
+        rows = [(title, *(shown[title, name] for name in methods)) for title in (*sensors, "mean")]
+        show(f"Simulated sensors, {half}: MAE, px, gaps / wrong edges", ("sensor", *methods), rows)
 
 
 def real(data: Path, methods: dict[str, Refine]) -> None:
@@ -152,32 +134,30 @@ def real(data: Path, methods: dict[str, Refine]) -> None:
     frames = _real_frames(data)
     blocks = f"Blocks of 20 to 40 px taken out of real frames: MAE, mm, mean of {PATTERNS} patterns"
     bands = "Bands of 6 px on the near and on the far side of depth edges taken out: MAE, mm, mean of both"
-    for title, patterns, taken, color in (
-        (blocks, PATTERNS, _blocks, True),
-        (bands, 2, _bands, True),
-        (f"{blocks}, no color images", PATTERNS, _blocks, False),
+    for title, patterns, color in (
+        (blocks, PATTERNS, True),
+        (bands, 2, True),
+        (f"{blocks}, no color", PATTERNS, False),
     ):
-        rows, ratios = [], {name: [] for name in methods}  # type: dict[str, list[float]]
+        rows, ratios = [], []
         for number, (scene, frame) in enumerate(frames):
             errors: dict[str, list[float]] = {name: [] for name in methods}
             for pattern in range(patterns):
-                holes = taken(frame, PATTERNS * number + pattern if patterns > 2 else pattern)
+                holes = _bands(frame, pattern) if title == bands else _blocks(frame, PATTERNS * number + pattern)
                 depth = np.where(holes, np.float32(np.nan), frame.depth)
                 holed = RgbdFrame(frame.color, depth, frame.fb, frame.intrinsics)
                 if not color:
                     holed = RgbdFrame.without_color(depth, frame.fb, frame.intrinsics)
                 for name, run in methods.items():
-                    values = run(holed).depth.values
-                    error = 1000 * np.abs(values[holes] - frame.depth[holes])
-                    errors[name].append(_mean(error[np.isfinite(error)].tolist()))
-            means = {name: _mean(errors[name]) for name in methods}
+                    errors[name].append(mean_known(1000 * np.abs(run(holed).depth.values[holes] - frame.depth[holes])))
+            means = {name: mean_known(errors[name]) for name in methods}
             rows.append((scene, *(Number(value, 1) for value in means.values())))
-            for name, value in means.items() if means.get("nearest", 0) > 1 else ():  # a board alone is a plane
-                ratios[name].append(value / means["nearest"])
-        if ratios.get("nearest"):
-            rows.append(("mean of ratios to nearest", *(Number(_mean(ratios[name]), 3) for name in methods)))
-            rows.append(("largest ratio", *(Number(max(ratios[name]), 2) for name in methods)))
-        print(Table(title, ("frame", *methods), tuple(rows)).markdown())
+            if means.get("nearest", 0) > 1:  # a board alone is a plane
+                ratios.append([value / means["nearest"] for value in means.values()])
+        if ratios:
+            rows.append(("mean of ratios to nearest", *(Number(value, 3) for value in np.mean(ratios, axis=0))))
+            rows.append(("largest ratio", *map(Number, np.max(ratios, axis=0))))
+        show(title, ("frame", *methods), rows)
 
 
 def _real_frames(data: Path) -> list[tuple[str, RgbdFrame]]:
@@ -220,26 +200,16 @@ def _blocks(frame: RgbdFrame, seed: int) -> NDArray[np.bool_]:
 
 def speed(methods: dict[str, Refine]) -> None:
     """Print a row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
-    from depthcli.simulate.kinect_scenes import make_kinect_scene
-
     frame = simulate_kinect(*make_kinect_scene("foreground", 0, 640, 480), 0).frame()
     hole = np.isnan(frame.depth).astype(np.uint8)
     codes = np.nan_to_num(1000 * frame.depth).astype(np.uint16)
     rows = []
     for name, run in methods.items():
-        times: tuple[list[float], list[float]] = ([], [])
-        for _ in range(8):
-            start = time.perf_counter()
-            run(frame)
-            middle = time.perf_counter()
-            cv2.inpaint(codes, hole, 3, cv2.INPAINT_TELEA)
-            times[0].append(middle - start)
-            times[1].append(time.perf_counter() - middle)
-        ours, peer = (statistics.median(kept[2:]) for kept in times)
-        fastest = min(times[0]) / min(times[1])
-        rows.append((name, Number(ours, 3), Number(ours / peer, 2), Number(fastest, 2)))
-    header = ("method", "seconds", "Telea = 1", "fastest runs")
-    print(Table("640 x 480, one process, warm", header, tuple(rows)).markdown())
+        jobs = {"own": lambda run=run: run(frame), "peer": lambda: cv2.inpaint(codes, hole, 3, cv2.INPAINT_TELEA)}
+        own, peer = seconds_in_turns(jobs, 6, warm=2).values()
+        ratios = median(own) / median(peer), own[0] / peer[0]
+        rows.append((name, Number(median(own), 3), *map(Number, ratios)))
+    show("640 x 480, one process, warm", ("method", "seconds", "Telea = 1", "fastest runs"), rows)
 
 
 def sequence(seeds: int) -> None:
@@ -248,7 +218,7 @@ def sequence(seeds: int) -> None:
     The temporal noise is the standard deviation over the frames of the error at one surface point, mean of the points
     that all frames see.
     """
-    pipeline = preset("sequence")
+    pipeline = config_of("refine-kinect", "sequence").pipeline
     rows = []
     for kind in (*SEQUENCE_KINDS, "camera, no poses"):
         names = ("along", "single", "along noise", "single noise", "along left", "single left")
@@ -272,10 +242,10 @@ def sequence(seeds: int) -> None:
                         found[f"{name} left"].append(float(np.nanmean(np.abs(error[left]))))
             for name, maps in errors.items():
                 found[f"{name} noise"].append(float(np.nanmean(np.std(maps, axis=0))))
-        rows.append((kind, *(Number(_mean(values), 3) for values in found.values())))
+        rows.append((kind, *(Number(mean_known(values), 3) for values in found.values())))
     ways = ("sequence", "frame by frame")
     header = ("kind", *(f"{way}{what}" for what in ("", ", temporal noise", ", just left") for way in ways))
-    print(Table(f"Sequences of 10 frames, {seeds} seeds: MAE, px", header, tuple(rows)).markdown())
+    show(f"Sequences of 10 frames, {seeds} seeds: MAE, px", header, rows)
 
 
 def same_points(first: KinectSample, other: KinectSample) -> NDArray[np.int64]:
@@ -298,11 +268,6 @@ def same_points(first: KinectSample, other: KinectSample) -> NDArray[np.int64]:
     return result
 
 
-def _mean(values: list[float]) -> float:
-    there = [value for value in values if value == value]
-    return statistics.fmean(there) if there else float("nan")
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
@@ -312,20 +277,18 @@ def main() -> int:
     presets = [name for _, name, _ in list_presets("refine-kinect") if name != "sequence"]
     _env.add_list(parser, "--presets", presets)
     options = parser.parse_args()
-    methods: dict[str, Refine] = {name: preset(name) for name in options.presets}
-    if "simulated" in options.only:
-        simulated(options.data, {"raw": None, **methods}, options.fattening, "Simulated Kinect")
-    if "variants" in options.only:
-        variants(options.data, methods)
-    if "ablations" in options.only:
-        of_dsrm = {name: preset("dsrm", settings) for name, settings in ABLATIONS.items()}
-        simulated(options.data, of_dsrm, options.fattening, "Parts of dsrm")
-    if "real" in options.only:
-        real(options.data, methods)
-    if "speed" in options.only:
-        speed(methods)
-    if "sequence" in options.only:
-        sequence(seeds=5)
+    methods = {name: config_of("refine-kinect", name).pipeline for name in options.presets}
+    of_dsrm = {name: config_of("refine-kinect", "dsrm", *settings).pipeline for name, settings in ABLATIONS.items()}
+    jobs: dict[str, Callable[[], None]] = {
+        "simulated": lambda: simulated(options.data, {"raw": None, **methods}, options.fattening, "Simulated Kinect"),
+        "variants": lambda: variants(options.data, methods),
+        "ablations": lambda: simulated(options.data, of_dsrm, options.fattening, "Parts of dsrm"),
+        "real": lambda: real(options.data, methods),
+        "speed": lambda: speed(methods),
+        "sequence": lambda: sequence(seeds=5),
+    }
+    for part in options.only:
+        jobs[part]()
     return 0
 
 

@@ -25,7 +25,6 @@ import numpy as np
 
 from depthcli.io.formats.volumes import simple_itk
 
-ROOT = Path(__file__).resolve().parent.parent
 LIVER = (("dataset18", "cyc_1_10"), ("dataset18", "cyc_3_10"), ("dataset19", "cyc_1_6"), ("dataset19", "cyc_1_9"))
 SEED = 7
 THREADS = 2
@@ -112,12 +111,6 @@ def register(
     return sitk.CompositeTransform(chain)
 
 
-def errors(transform: Any, pair: Pair) -> np.ndarray:
-    """Return the true errors at the landmarks, mm."""
-    moved = np.array([transform.TransformPoint(point) for point in pair.points.tolist()])
-    return np.asarray(np.linalg.norm(moved - pair.matches, axis=1))
-
-
 def write(pair: Pair, transform: Any, folder: Path) -> None:
     sitk = simple_itk()
 
@@ -144,7 +137,7 @@ def write(pair: Pair, transform: Any, folder: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", type=Path)
-    parser.add_argument("data", type=Path, nargs="?", default=ROOT.parent / "shared" / "data")
+    parser.add_argument("data", type=Path, nargs="?", default=_env.ROOT.parent / "shared" / "data")
     _env.add_list(parser, "--only", [""], help="beginnings of names")
     arguments = parser.parse_args()
     sitk = simple_itk()
@@ -154,7 +147,8 @@ def main() -> None:
             continue
         for kind, settings in (("a", EARLY), ("b", LATE)):
             transform = register(pair, **settings)
-            error = errors(transform, pair)
+            moved = np.array([transform.TransformPoint(point) for point in pair.points.tolist()])
+            error = np.linalg.norm(moved - pair.matches, axis=1)
             write(pair, transform, arguments.output / f"{pair.name}_{kind}")
             print(f"{pair.name}_{kind}: {len(error)} landmarks, error {error.mean():.2f} +- {error.std():.2f} mm, "
                   f"largest {error.max():.1f}", flush=True)  # fmt: skip

@@ -16,29 +16,26 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import _env  # (first: continues in the checkout's environment)
 import numpy as np
+from _experiments import config_of, seconds_in_turns
 from numpy.typing import NDArray
 
 from depthcli.algorithms.resampling import gaussian, trilinear
-from depthcli.core.config_file import load_config
 from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.volumes import simple_itk
 from depthcli.io.scenes.volume_pair import VolumePairScene
 from depthcli.io.walk import discover_scenes
-from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.pipeline import RegistrationResult
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.methods.registration.search import SURER_IF_LARGER, search
-from depthcli.run.presets import find_config
 from depthcli.simulate.deformed_volumes import smooth_noise
 
 Values = NDArray[np.floating[Any]]
@@ -49,31 +46,20 @@ HEAD = ("pair", "what", "Spearman", "AUC > 3 mm", "MAE mm", "expected mm", "true
 
 
 def pipeline(preset: str, *settings: str) -> RegistrationSearch:
-    config = load_config(RegisterConfidenceConfig, find_config("register-confidence", preset), list(settings))
-    assert isinstance(config.pipeline, RegistrationSearch)
-    return config.pipeline
-
-
-def spearman(one: Values, other: Values) -> float:
-    return correlation(ranks(np.asarray(one, np.float64)), ranks(np.asarray(other, np.float64)))
+    return config_of("register-confidence", preset, *settings).pipeline
 
 
 def row(pair: str, what: str, score: Values, true: Values, in_mm: bool = True) -> tuple[str, ...]:
     expected = np.asarray(score, np.float64)
     millimeters = (float(np.abs(expected - true).mean()), float(expected.mean())) if in_mm else (np.nan, np.nan)
-    figures = (spearman(expected, true), roc_area(expected, true > 3), *millimeters, float(true.mean()))
+    spearman = correlation(ranks(expected), ranks(np.asarray(true, np.float64)))
+    figures = (spearman, roc_area(expected, true > 3), *millimeters, float(true.mean()))
     return pair, what, *(Number(v, 3 if k < 2 else 2) for k, v in enumerate(figures)), str(len(true))
 
 
 def at_points(result: RegistrationResult, values: NDArray[np.float32], places: NDArray[np.float64]) -> Values:
     """Values of a map at places (z, y, x) in voxels of the fixed volume."""
     return trilinear(values, (places - np.array(result.start)) / np.array(result.step))
-
-
-def measures(result: RegistrationResult, places: NDArray[np.float64]) -> Iterable[tuple[str, Values]]:
-    """Every measure, larger where it is less sure."""
-    for name, values in result.measures.items():
-        yield name, (-1 if name in SURER_IF_LARGER else 1) * at_points(result, values, places)
 
 
 def real(scenes: list[VolumePairScene], presets: Iterable[str]) -> list[Table]:
@@ -85,8 +71,9 @@ def real(scenes: list[VolumePairScene], presets: Iterable[str]) -> list[Table]:
             result = pipeline(preset)(loaded.pair)
             rows.append(row(scene.name, preset, at_points(result, result.expected_error, places), truth.error))
             if preset == "mind":
-                for name, values in measures(result, places):
-                    rows.append(row(scene.name, f"mind {name}", values, truth.error, name.endswith("shift")))
+                for name, values in result.measures.items():  # larger: less sure
+                    score = (-1 if name in SURER_IF_LARGER else 1) * at_points(result, values, places)
+                    rows.append(row(scene.name, f"mind {name}", score, truth.error, name.endswith("shift")))
             rows.append((scene.name, f"{preset}: border", f"{100 * result.figures['border']:.0f} %", *[""] * 5))
     return [Table("Real registrations, at landmarks", HEAD, tuple(rows))]
 
@@ -133,30 +120,24 @@ def misregistered(pair: RegisteredPair, largest: float, seed: int) -> tuple[Regi
 
 
 def synthetic(scenes: list[VolumePairScene]) -> list[Table]:
-    rows, done = [], set()
-    methods: tuple[tuple[str, Callable[[], RegistrationSearch]], ...] = (
-        ("mind", lambda: pipeline("mind")), ("intensity", lambda: pipeline("intensity")),
-        ("mind, intensity", lambda: pipeline("intensity", "features=[mind, intensity]")),
-    )  # fmt: skip
-    for scene in scenes:
-        base = scene.name.rsplit("_", 1)[0].split("_cyc")[0]
-        if base in done:
-            continue
-        done.add(base)
+    rows = []
+    methods = {
+        "mind": pipeline("mind"),
+        "intensity": pipeline("intensity"),
+        "mind, intensity": pipeline("intensity", "features=[mind, intensity]"),
+        "cost0": pipeline("mind", "measure=cost0"),
+    }
+    by_volume = {scene.name.rsplit("_", 1)[0].split("_cyc")[0]: scene for scene in reversed(scenes)}
+    for base, scene in by_volume.items():
         pair = scene.load().pair
         inside = np.ones(pair.shape, np.bool_) if pair.mask is None else pair.mask
         places = np.argwhere(inside)[:: max(1, int(inside.sum()) // 20_000)].astype(np.float64)
         for k, largest in enumerate((3.0, 6.0, 10.0)):
             made, error = misregistered(pair, largest, k)
             true = trilinear(error, places)
-            for name, make in methods:
-                result = make()(made)
-                found = at_points(result, result.expected_error, places)
-                rows.append(row(f"{base} {largest:g} mm", name, found, true))
-            baseline = pipeline("mind", "measure=cost0")(made)
-            rows.append(
-                row(f"{base} {largest:g} mm", "cost0", at_points(baseline, baseline.expected_error, places), true)
-            )
+            for name, method in methods.items():
+                result = method(made)
+                rows.append(row(f"{base} {largest:g} mm", name, at_points(result, result.expected_error, places), true))
     return [Table("Synthetic B-spline errors, dense truth", HEAD, tuple(rows))]
 
 
@@ -211,19 +192,14 @@ def speed() -> list[Table]:
     rng = np.random.default_rng(SEED)
     volume = smooth_noise(rng, (147, 148, 148), 1.5)
     other = np.ascontiguousarray(np.roll(volume, 2, axis=2))
-    Mind()(volume, other)
-    began = time.perf_counter()
     channels = Mind()(volume, other)
-    rows = [("6-channel MIND, both volumes", Number(time.perf_counter() - began))]
+    (taken,) = seconds_in_turns({"mind": lambda: Mind()(volume, other)}, 1, warm=0).values()
+    rows = [("6-channel MIND, both volumes", Number(taken[0]))]
     small = tuple(np.ascontiguousarray(c[:, :16, :16, :16]) for c in channels)
-    search(small[0], small[1], 1.0, stride=2)
+    search(*small, 1.0, stride=2)
     for span in ("cube", "planes", "axes"):
-        times = []
-        for _ in range(3):
-            began = time.perf_counter()
-            search(*channels, 1.0, span=span, stride=2)  # type: ignore[arg-type]
-            times.append(time.perf_counter() - began)
-        rows.append((f"search: {span}", Number(min(times))))
+        job = {span: lambda span=span: search(*channels, 1.0, span=span, stride=2)}
+        rows.append((f"search: {span}", Number(seconds_in_turns(job, 3, warm=0)[span][0])))
     return [Table(f"{volume.size / 1e6:.1f} million voxels, R 5, h 3", ("step", "seconds"), tuple(rows))]
 
 
@@ -246,9 +222,7 @@ def main() -> int:
     }
     for part in options.only:
         for table in makers[part]():
-            print(f"\n## {table.title}\n\n| {' | '.join(table.header)} |\n|{' --- |' * len(table.header)}")
-            for line in table.rows:
-                print(f"| {' | '.join(line)} |", flush=True)
+            print(table.markdown(), flush=True)
     return 0
 
 

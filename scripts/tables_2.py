@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """Tables 2.1 and 2.2 of the thesis as Markdown, its figures beside ours.
 
-    python scripts/tables_2.py DATA [--repetitive 4] > tables_2.md
+    python scripts/tables_2.py DATA > tables_2.md
 
 DATA is the folder with the four scenes of Middlebury v2 (Tsukuba, Venus, Teddy, Cones). Every figure is the
 percentage of pixels whose disparity is off by more than 1 px, missing ones included. The presets
 ``segments``, ``segments-dedc``, ``segments-kp`` and ``segments-baseline`` are run as they ship, with
-the same parameters for all scenes. ``--repetitive N`` adds N generated scenes with repeating patterns.
+the same parameters for all scenes.
 """
 
 from __future__ import annotations
@@ -16,27 +16,17 @@ from pathlib import Path
 
 import _env  # noqa: F401  (first: continues in the checkout's environment)
 import numpy as np
+from _experiments import matcher, show
 
-from depthcli.core.config_file import load_config
-from depthcli.core.frames import StereoPair
 from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
-from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.render import Number
 from depthcli.evaluation.statistics import average_ranks
 from depthcli.io.walk import discover_scenes
-from depthcli.methods.stereo.config import StereoConfig
-from depthcli.methods.stereo.pipeline import StereoPipeline
-from depthcli.run.presets import find_config
-from depthcli.simulate.stereo_scenes import make_scene
 
 SCENES = ("Tsukuba", "Venus", "Teddy", "Cones")
 MASKS = ("nonocc", "all", "disc")
-ROWS = {
-    "baseline": "segments-baseline",
-    "KP": "segments-kp",
-    "DEDC": "segments-dedc",
-    "DEDC and KP": "segments",
-}
+ROWS = {"baseline": "segments-baseline", "KP": "segments-kp", "DEDC": "segments-dedc", "DEDC and KP": "segments"}
 THESIS_2_1 = {
     "baseline": (2.64, 3.26, 11.8),
     "KP": (1.56, 2.23, 7.42),
@@ -52,60 +42,30 @@ THESIS_2_2 = {
 }
 
 
-def preset(name: str) -> StereoPipeline:
-    return load_config(StereoConfig, find_config("stereo", name)).pipeline
-
-
-def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
-    """Return the twelve figures: nonocc, all, disc of every scene."""
-    by_name = {item.name.rpartition("/")[2]: item for item in discover_scenes(data)}
-    figures: list[float] = []
-    for name in SCENES:
-        scene = by_name[name]
-        values = pipeline(scene.load(), scene.max_disparity).disparity.values
-        rates = headlines(MiddleburyV2Protocol(), values, MiddleburyV2Protocol().truth(scene))
-        figures += [rates[mask] for mask in MASKS]
-    return figures
-
-
-def repetitive(pipeline: StereoPipeline, seed: int) -> float:
-    """Return the error on the visible pixels of a generated scene with repeating patterns."""
-    scene = make_scene("repetitive", seed=seed)
-    values = pipeline(StereoPair(scene.left, scene.right), scene.max_disparity).disparity.values
-    return 100 * float(np.mean(~(np.abs(values - scene.disparity_left) <= 1)[scene.nonocc]))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, help="folder with the four scenes of Middlebury v2")
-    parser.add_argument("--repetitive", type=int, default=0, metavar="N", help="generated scenes to add")
     options = parser.parse_args()
-    ours = {row: measure(preset(name), options.data) for row, name in ROWS.items()}
-
+    scenes = {scene.name: scene for scene in discover_scenes(options.data)}
+    judge = MiddleburyV2Protocol()
+    ours: dict[str, list[float]] = {}
+    for row, name in ROWS.items():
+        for scene in (scenes[name] for name in SCENES):
+            values = matcher(name)(scene.load(), scene.max_disparity).disparity.values
+            rates = headlines(judge, values, judge.truth(scene))
+            ours.setdefault(row, []).extend(rates[mask] for mask in MASKS)
     rows = [
         (row, *(f"{t:.2f} / {o:.2f}" for t, o in zip(thesis, ours[row], strict=False)), Number(np.mean(ours[row])))
         for row, thesis in THESIS_2_1.items()
     ]
-    title = "Table 2.1: Tsukuba, bad > 1 px (thesis / ours)"
-    print(Table(title, ("", *MASKS, "ours, mean of 4 scenes"), tuple(rows)).markdown())
-
+    show("Table 2.1: Tsukuba, bad > 1 px (thesis / ours)", ("", *MASKS, "ours, mean of 4 scenes"), rows)
     table = {"ours": tuple(ours["DEDC and KP"]), **THESIS_2_2}
-    rank = average_ranks(np.array(list(table.values())))
     rows = []
-    for (name, row12), r in zip(table.items(), rank, strict=True):
-        cells = [" / ".join(Number(v) for v in row12[3 * k : 3 * k + 3]) for k in range(4)]
-        rows.append((name, Number(r), *cells, Number(np.mean(row12))))
+    for (name, figures), rank in zip(table.items(), average_ranks(np.array(list(table.values()))), strict=True):
+        cells = [" / ".join(Number(v) for v in figures[3 * k : 3 * k + 3]) for k in range(4)]
+        rows.append((name, Number(rank), *cells, Number(np.mean(figures))))
     header = ("method", "average rank", *SCENES, "mean of 12")
-    print(Table("Table 2.2: bad > 1 px, nonocc / all / disc", header, tuple(rows)).markdown())
-
-    if options.repetitive:
-        seeds = range(options.repetitive)
-        rows = []
-        for row, name in ROWS.items():
-            errors = [repetitive(preset(name), seed) for seed in seeds]
-            rows.append((row, *(Number(e) for e in errors), Number(np.mean(errors))))
-        header = ("", *(f"seed {seed}" for seed in seeds), "mean")
-        print(Table("Generated repetitive scenes: nonocc, bad > 1 px", header, tuple(rows)).markdown())
+    show("Table 2.2: bad > 1 px, nonocc / all / disc", header, rows)
 
 
 if __name__ == "__main__":

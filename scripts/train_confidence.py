@@ -17,37 +17,34 @@ from __future__ import annotations
 import argparse
 import sys
 import zlib
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import _env  # noqa: F401  (first: continues in the checkout's environment)
 import cv2
 import numpy as np
+from _experiments import matcher
 from numpy.typing import NDArray
-from train_choice import TrainingScene, scenes
+from train_choice import Batch, Loaded, Map, TrainingScene, fit, log_odds, new_layers, scenes
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.algorithms.segmentation.felzenszwalb import Felzenszwalb
-from depthcli.api.stereo import with_network
-from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
 from depthcli.evaluation.curves import sparsification
 from depthcli.io.formats.networks import write_network
-from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, Judged, judged_maps
 from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS, Evidence
-from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.refinement.background_fill import fill_background
-from depthcli.run.presets import find_config
 
 METHODS = (
-    "opencv-sgbm", "ad-census", "opencv-bm", "thesis/cross", "opencv-sgbm-wls", "fast", "accurate", "fuse accurate",
+    "opencv-sgbm", "ad-census", "opencv-bm", "thesis/cross", "opencv-sgbm-wls", "fast", "accurate", "fuse/accurate",
 )  # fmt: skip
 GROUPS = ((2, False), (3, False), (4, False), (1, True), (2, True), (4, True), (4, True))
 """Sizes of the groups that are judged, and whether the map of stereo fast and the median are added, as in a fusion."""
@@ -55,13 +52,11 @@ ZOOM = 1.5
 _RANKING = 0.5  # weight of the order of maps beside their chances
 _NO_VALUE = 1000.0  # error of a pixel without a value, pixels
 
-Map = NDArray[np.float32]
-
 
 def zoomed(scene: TrainingScene) -> TrainingScene:
     """Return the scene enlarged: larger disparities, blurred edges."""
 
-    def load() -> tuple[StereoPair, int, Map, dict[str, NDArray[np.bool_]]]:
+    def load() -> Loaded:
         pair, largest, truth, masks = scene.load()
         height, width = pair.shape
         size = round(width * ZOOM), round(height * ZOOM)
@@ -116,7 +111,7 @@ def made_wrong(
     small = StereoPair(
         *(cv2.resize(one, (width // 2, height // 2), interpolation=cv2.INTER_AREA) for one in pair.color8)
     )
-    half = matched("fast", small, max(largest // 2 + 1, 8)).values
+    half = matcher("fast")(small, max(largest // 2 + 1, 8)).disparity.values
     made["half"] = cv2.resize(np.nan_to_num(half) * 2, (width, height), interpolation=cv2.INTER_LINEAR)
     changed = without_gaps(np.where(truth > 0, truth, np.float32(np.nan)), largest)
     blur = rng.uniform(0, 3)
@@ -135,209 +130,123 @@ def made_wrong(
     return {name: values.astype(np.float32) for name, values in made.items()}
 
 
-def matched(name: str, pair: StereoPair, largest: int) -> DisparityMap:
-    """Return the map of a preset of stereo, or of ``fuse NAME``."""
-    if name.startswith("fuse "):
-        fusion = with_network(load_config(FuseConfig, find_config("fuse", name.removeprefix("fuse "))))
-        return fusion(pair, largest).disparity
-    return load_config(StereoConfig, find_config("stereo", name)).pipeline(pair, largest).disparity
+Samples = dict[str, NDArray[Any]]
+"""Pixels of a scene.
+
+``alone`` (M, P, len(ALONE)) of M maps, ``errors`` (M, P), pixels, of these maps, ``hidden`` (P,) in the right view; of
+each group k ``of_k`` (N,), which maps, and ``others_k`` (N, P, len(OTHERS)), its planes.
+"""
 
 
-@dataclass(frozen=True)
-class Samples:
-    """Pixels of a scene.
+def samples_of(scene: TrainingScene) -> Samples:
+    """Match the pair of a scene in all ways, and take one of ``2 pixel_step`` pixels."""
+    pair, largest, truth, masks = scene.load()
+    rng = np.random.default_rng(zlib.crc32(scene.name.encode()))
+    maps = {name: matcher(name)(pair, largest).disparity for name in METHODS}
+    values = {name: one.values for name, one in maps.items()} | made_wrong(pair, largest, truth, maps, rng)
+    known = np.flatnonzero((np.isfinite(truth) & (truth > 0)).ravel())
+    pixels = np.sort(rng.choice(known, known.size // (2 * scene.pixel_step), replace=False))
+    evidence = Evidence.of(pair, largest, Clock())
+    names, alone, errors = list(values), [], []
+    found: Samples = {"hidden": (masks["all"] & ~masks["nonocc"]).ravel()[pixels]}
 
-    Attributes
-    ----------
-    alone : (M, P, len(ALONE)) float16, of M maps
-    errors : (M, P) float16, pixels, of these maps
-    hidden : (P,) bool, hidden in the right view
-    groups : index of maps in a group (N,), and its planes (N, P, len(OTHERS)) float16
-    """
+    def keep(judged: Judged) -> int:
+        alone.append(judged.alone.reshape(len(ALONE), -1)[:, pixels].T.astype(np.float16))
+        error = np.where(judged.missing, _NO_VALUE, np.abs(judged.values - truth)).ravel()[pixels]
+        errors.append(np.minimum(error, _NO_VALUE).astype(np.float16))
+        return len(alone) - 1
 
-    alone: NDArray[np.float16]
-    errors: NDArray[np.float16]
-    hidden: NDArray[np.bool_]
-    groups: list[tuple[NDArray[np.int64], NDArray[np.float16]]]
-
-    @classmethod
-    def of(cls, scene: TrainingScene) -> Samples:
-        """Match the pair of a scene in all ways, and take one of ``2 pixel_step`` pixels."""
-        pair, largest, truth, masks = scene.load()
-        rng = np.random.default_rng(zlib.crc32(scene.name.encode()))
-        maps = {name: matched(name, pair, largest) for name in METHODS}
-        values = {name: one.values for name, one in maps.items()} | made_wrong(pair, largest, truth, maps, rng)
-        known = np.flatnonzero((np.isfinite(truth) & (truth > 0)).ravel())
-        pixels = np.sort(rng.choice(known, known.size // (2 * scene.pixel_step), replace=False))
-        evidence = Evidence.of(pair, largest, Clock())
-        names, groups = list(values), list[tuple[NDArray[np.int64], NDArray[np.float16]]]()
-        alone, errors = [], []
-
-        def keep(judged: Judged) -> int:
-            alone.append(judged.alone.reshape(len(ALONE), -1)[:, pixels].T.astype(np.float16))
-            error = np.where(judged.missing, _NO_VALUE, np.abs(judged.values - truth)).ravel()[pixels]
-            errors.append(np.minimum(error, _NO_VALUE).astype(np.float16))
-            return len(alone) - 1
-
-        for one in [*values.values(), evidence.reference.values]:
-            keep(judged_maps(evidence, [one])[0])
-        for size, completed in GROUPS:
-            members = [int(k) for k in rng.choice(len(names), size, replace=False)]
-            given = [values[names[k]] for k in members]
-            if completed:
-                given.append(evidence.reference.values)
-                members.append(len(names))
-            count = len(given)
-            if completed and count > 2:  # one more that agrees with most: of an even number the lower one in the middle
-                whole = np.stack([without_gaps(one, largest) for one in given])
-                given.append(np.partition(whole, (count - 1) // 2, axis=0)[(count - 1) // 2])
-            judged = judged_maps(evidence, given)
-            members += [keep(one) for one in judged[count:]]
-            others = np.stack([one.others.reshape(len(OTHERS), -1)[:, pixels].T for one in judged])
-            groups.append((np.array(members), others.astype(np.float16)))
-        hidden = (masks["all"] & ~masks["nonocc"]).ravel()[pixels]
-        return cls(np.stack(alone), np.stack(errors), hidden, groups)
-
-    def write(self, file: Path) -> None:
-        """Write what :meth:`read` reads."""
-        file.parent.mkdir(parents=True, exist_ok=True)
-        more = {
-            f"{kind}_{k}": part
-            for k, group in enumerate(self.groups)
-            for kind, part in zip(("of", "others"), group, strict=True)
-        }
-        np.savez(file, alone=self.alone, errors=self.errors, hidden=self.hidden, **more)
-
-    @classmethod
-    def read(cls, file: Path) -> Samples:
-        stored = np.load(file)
-        count = sum(name.startswith("of_") for name in stored.files)
-        groups = [(stored[f"of_{k}"], stored[f"others_{k}"]) for k in range(count)]
-        return cls(stored["alone"], stored["errors"], stored["hidden"], groups)
+    for one in [*values.values(), evidence.reference.values]:
+        keep(judged_maps(evidence, [one])[0])
+    for group, (size, completed) in enumerate(GROUPS):
+        members = [int(k) for k in rng.choice(len(names), size, replace=False)]
+        given = [values[names[k]] for k in members]
+        if completed:
+            given.append(evidence.reference.values)
+            members.append(len(names))
+        count = len(given)
+        if completed and count > 2:  # one more that agrees with most: of an even number the lower one in the middle
+            whole = np.stack([without_gaps(one, largest) for one in given])
+            given.append(np.partition(whole, (count - 1) // 2, axis=0)[(count - 1) // 2])
+        judged = judged_maps(evidence, given)
+        others = np.stack([one.others.reshape(len(OTHERS), -1)[:, pixels].T for one in judged])
+        found[f"of_{group}"] = np.array(members + [keep(one) for one in judged[count:]])
+        found[f"others_{group}"] = others.astype(np.float16)
+    return {**found, "alone": np.stack(alone), "errors": np.stack(errors)}
 
 
-Batch = tuple[NDArray[np.float16], NDArray[np.float16], NDArray[np.float32]]
+Pixels = tuple[NDArray[np.float16], NDArray[np.float16], Map]
 """Inputs (P, N, F), errors (P, N) pixels, weights (P,)."""
 
 
-def batches_of(samples: list[tuple[float, Samples]]) -> dict[int, Batch]:
+def pixels_of(samples: list[tuple[float, Samples]]) -> dict[int, Pixels]:
     """Return number of maps in a group -> all its pixels; 1: maps that are judged alone."""
-    parts: dict[int, list[Batch]] = {}
+    parts: dict[int, list[Pixels]] = {}
     for weight, one in samples:
-        count, pixels, _ = one.alone.shape
+        alone, errors = one["alone"], one["errors"]
+        count, pixels, _ = alone.shape
         share = np.full(pixels, weight / pixels, np.float32)
         zero = np.zeros((pixels, len(OTHERS)), np.float16)
         for k in range(count):
-            inputs = np.concatenate([one.alone[k], zero], axis=1)[:, None]
-            parts.setdefault(1, []).append((inputs, one.errors[k][:, None], share))
-        for members, others in one.groups:
-            inputs = np.concatenate([one.alone[members], others], axis=2).transpose(1, 0, 2)
-            parts.setdefault(len(members), []).append((inputs, one.errors[members].T, share))
-    return {n: tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True)) for n, found in parts.items()}  # type: ignore[misc]
+            inputs = np.concatenate([alone[k], zero], axis=1)[:, None]
+            parts.setdefault(1, []).append((inputs, errors[k][:, None], share))
+        for group in range(len(GROUPS)):
+            members = one[f"of_{group}"]
+            inputs = np.concatenate([alone[members], one[f"others_{group}"]], axis=2).transpose(1, 0, 2)
+            parts.setdefault(len(members), []).append((inputs, errors[members].T, share))
+    return {n: tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True)) for n, found in parts.items()}
 
 
-def fit(
-    batches: dict[int, Batch],
-    thresholds: tuple[float, ...],
-    sizes: tuple[int, int],
-    epochs: int,
-    seed: int,
-    decay: float = 1e-3,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], list[NDArray[np.float32]]]:
-    """Return mean and scale of the inputs and the layers, by gradient descent (Adam).
+def network(
+    groups: dict[int, Pixels], thresholds: tuple[float, ...], maps: tuple[str, ...], inputs: tuple[str, ...],
+    sizes: tuple[int, int], names: list[str], options: argparse.Namespace,
+) -> TrainedNetwork:  # fmt: skip
+    """Return a network of the chance of each map to be right within a threshold, chosen at random at every pixel.
 
-    Of every pixel the chance of each map to be right within a threshold chosen at random is learned; in groups also
-    that the likeliest map is right.
+    In groups it also learns that the likeliest map is right.
     """
-    rng = np.random.default_rng(seed)
-    some = np.concatenate(
-        [x.reshape(-1, x.shape[2])[:: max(1, x.shape[0] * x.shape[1] // 100_000)] for x, *_ in batches.values()]
-    )
-    mean, scale = some.astype(np.float32).mean(0), 1 / (some.astype(np.float32).std(0) + 1e-3)
-    features = mean.size
-    average = {n: float(w.mean()) for n, (_, _, w) in batches.items()}
-    shapes = [(features, sizes[0]), (len(thresholds), sizes[0]), sizes, (sizes[1],), (sizes[1], 1), (1,)]
-    layers = [
-        (rng.normal(size=s) * np.sqrt(2 / s[0]) if k % 2 == 0 else np.zeros(s)).astype(np.float32)
-        for k, s in enumerate(shapes)
-    ]
-    first, second = ([np.zeros_like(one) for one in layers] for _ in range(2))
-    rows = 2048
-    order = [n for n, (x, *_) in batches.items() for _ in range(x.shape[0] * n // rows)]
-    done, steps = 0, epochs * len(order)
-    for _ in range(epochs):
-        shuffled = {
-            n: iter(np.array_split(rng.permutation(x.shape[0]), max(1, x.shape[0] * n // rows)))
-            for n, (x, *_) in batches.items()
-        }
-        for n in rng.permutation(order):
-            chosen = np.sort(next(shuffled[n]))
-            x, errors, weights = (array[chosen] for array in batches[n])
-            weights = np.minimum(weights / average[n], 8)[:, None]
-            pixels = len(chosen)
-            k = rng.integers(0, len(thresholds), pixels)
-            wanted = (errors.astype(np.float32) <= np.array(thresholds, np.float32)[k][:, None]).astype(np.float32)
-            scaled = np.clip((x.astype(np.float32) - mean) * scale, -4, 4).reshape(pixels * n, features)
-            which = np.repeat(np.eye(len(thresholds), dtype=np.float32)[k], n, axis=0)
-            h1 = np.maximum(scaled @ layers[0] + which @ layers[1], 0)
-            h2 = np.maximum(h1 @ layers[2] + layers[3], 0)
-            odds = (h2 @ layers[4] + layers[5]).reshape(pixels, n)
-            change = 1 / (1 + np.exp(-np.clip(odds, -30, 30))) - wanted
-            if n > 1:
-                shares = np.exp(odds - odds.max(1, keepdims=True))
-                shares /= shares.sum(1, keepdims=True)
-                hit = (shares * wanted).sum(1, keepdims=True)
-                change += _RANKING * n * np.where(hit > 1e-4, shares - shares * wanted / np.maximum(hit, 1e-4), 0)
-            gradient = (change * weights / (pixels * n)).reshape(-1, 1)
-            back2 = (gradient @ layers[4].T) * (h2 > 0)
-            back1 = (back2 @ layers[2].T) * (h1 > 0)
-            changes = [scaled.T @ back1, which.T @ back1, h1.T @ back2, back2.sum(0), h2.T @ gradient, gradient.sum(0)]
-            done += 1
-            speed = 3e-3 * 0.5 * (1 + np.cos(np.pi * done / steps))
-            for j, slope in enumerate(changes):
-                slope = slope + (decay * layers[j] if j % 2 == 0 else 0)
-                first[j] = 0.9 * first[j] + 0.1 * slope
-                second[j] = 0.999 * second[j] + 0.001 * slope**2
-                step = first[j] / (1 - 0.9**done) / (np.sqrt(second[j] / (1 - 0.999**done)) + 1e-8)
-                layers[j] -= (speed * step).astype(np.float32)
-    return mean, scale, layers
+    rng = np.random.default_rng(options.seed)
+    some = [x.reshape(-1, x.shape[2])[:: max(1, x.shape[0] * n // 100_000)] for n, (x, *_) in groups.items()]
+    spread = np.concatenate(some).astype(np.float32)
+    mean, scale = spread.mean(0), 1 / (spread.std(0) + 1e-3)
+    average = {n: float(w.mean()) for n, (_, _, w) in groups.items()}
+    layers = new_layers(rng, mean.size, len(thresholds), sizes)
+    parts = {n: len(x) * n // 2048 for n, (x, *_) in groups.items()}
+    order = [n for n, count in parts.items() for _ in range(count)]
+
+    def batches() -> Iterator[Batch]:
+        for _ in range(options.epochs):
+            shuffled = {n: iter(np.array_split(rng.permutation(len(x)), max(1, parts[n])))
+                        for n, (x, *_) in groups.items()}  # fmt: skip
+            for n in rng.permutation(order):
+                chosen = np.sort(next(shuffled[n]))
+                x, errors, weights = (array[chosen] for array in groups[n])
+                k = rng.integers(0, len(thresholds), len(chosen))
+                wanted = errors.astype(np.float32) <= np.array(thresholds, np.float32)[k][:, None]
+                scaled = np.clip((x.astype(np.float32) - mean) * scale, -4, 4).reshape(-1, mean.size)
+                which = np.repeat(np.eye(len(thresholds), dtype=np.float32)[k], n, axis=0)
+                yield scaled, which, wanted.astype(np.float32), np.minimum(weights / average[n], 8)[:, None]
+
+    fit(layers, batches(), options.epochs * len(order), _RANKING)
+    w1, b1, w2, b2, w3, b3 = layers
+    return TrainedNetwork(maps, inputs, mean, scale, ((w1, b1), (w2, b2), (w3, b3)), tuple(names))
 
 
 def trained(
-    samples: list[tuple[float, Samples]], names: list[str], epochs: int, seed: int
+    samples: list[tuple[float, Samples]], names: list[str], options: argparse.Namespace
 ) -> dict[str, TrainedNetwork]:
     """Return the networks ``map_right``, ``map_hidden`` and ``map_one_view``."""
-
-    def network(fitted: Any, maps: tuple[str, ...], inputs: tuple[str, ...]) -> TrainedNetwork:
-        mean, scale, (w1, b1, w2, b2, w3, b3) = fitted
-        return TrainedNetwork(maps, inputs, mean, scale, ((w1, b1), (w2, b2), (w3, b3)), tuple(names))
-
-    batches = batches_of(samples)
-    right = network(fit(batches, THRESHOLDS, (64, 32), epochs, seed), RIGHT_NAMES, INPUTS)
-    x, _, weights = batches.pop(1)
-    hidden = np.concatenate([np.where(one.hidden, 0, 1).astype(np.float16) for _, one in samples for _ in one.alone])
-    alone = np.ascontiguousarray(x[:, :, : len(ALONE)])
-    columns = [ALONE.index(name) for name in ONE_VIEW]
-    shape = np.ascontiguousarray(x[:, :, columns])
-    errors = np.concatenate([each[:, None] for _, one in samples for each in one.errors])
-    one_view = fit({1: (shape, errors, weights)}, THRESHOLDS, (32, 16), epochs, seed)
+    groups = pixels_of(samples)
+    right = network(groups, THRESHOLDS, RIGHT_NAMES, INPUTS, (64, 32), names, options)
+    x, errors, weights = groups[1]
+    visible = [np.where(one["hidden"], 0, 1).astype(np.float16) for _, one in samples for _ in one["alone"]]
+    alone = np.ascontiguousarray(x[:, :, : len(ALONE)]), np.concatenate(visible)[:, None], weights
+    shape = np.ascontiguousarray(x[:, :, [ALONE.index(name) for name in ONE_VIEW]]), errors, weights
     return {
-        "map_one_view": network(one_view, RIGHT_NAMES, ONE_VIEW),
         "map_right": right,
-        "map_hidden": network(
-            fit({1: (alone, hidden[:, None], weights)}, (0.5,), (32, 16), epochs, seed), (HIDDEN,), ALONE
-        ),
+        "map_hidden": network({1: alone}, (0.5,), (HIDDEN,), ALONE, (32, 16), names, options),
+        "map_one_view": network({1: shape}, THRESHOLDS, RIGHT_NAMES, ONE_VIEW, (32, 16), names, options),
     }
-
-
-def odds_of(network: TrainedNetwork, inputs: NDArray[Any], row: int) -> Map:
-    """Return the log odds (P,) of inputs (P, F), without the kernel."""
-    (w1, b1), (w2, b2), (w3, b3) = network.layers
-    parts = []
-    for start in range(0, len(inputs), 200_000):
-        scaled = np.clip((inputs[start : start + 200_000].astype(np.float32) - network.mean) * network.scale, -4, 4)
-        parts.append((np.maximum(np.maximum(scaled @ w1 + b1[row], 0) @ w2 + b2, 0) @ w3 + b3)[:, 0])
-    return np.concatenate(parts)
 
 
 def main() -> int:
@@ -352,29 +261,22 @@ def main() -> int:
     options = parser.parse_args()
     found = training_scenes(options.data)
     with ProcessPoolExecutor(options.jobs) as pool:
-        parts = range(len(found))
-        collected = list(pool.map(_collect, [options.data] * len(found), parts, [options.samples] * len(found)))
-    if options.held_out:
-        for half in (0, 1):
-            learned = trained(
-                [(s.weight, c) for s, c in zip(found, collected, strict=True) if s.half != half],
-                [],
-                options.epochs,
-                options.seed,
-            )
-            for scene, one in zip(found, collected, strict=True):
-                if scene.half == half and scene.weight == 1:
-                    _print_figures(scene.name, one, learned["map_right"])
-        return 0
-    networks = trained(
-        [(s.weight, c) for s, c in zip(found, collected, strict=True)],
-        [s.name for s in found],
-        options.epochs,
-        options.seed,
-    )
-    options.out.mkdir(parents=True, exist_ok=True)
-    for name, network in networks.items():
-        write_network(options.out / f"{name}.json", network)
+        many = len(found)
+        collected = list(pool.map(_collect, [options.data] * many, range(many), [options.samples] * many))
+    both = list(zip(found, collected, strict=True))
+    for half in (0, 1) if options.held_out else ():
+        learned = trained([(s.weight, c) for s, c in both if s.half != half], [], options)["map_right"]
+        for scene, one in both:
+            if scene.half == half and scene.weight == 1:
+                zero = np.zeros((one["errors"].shape[1], len(OTHERS)), np.float16)
+                for name, alone, errors in zip(METHODS, one["alone"], one["errors"], strict=False):
+                    odds = log_odds(learned, np.concatenate([alone, zero], axis=1), THRESHOLDS.index(1.0))
+                    print(f"{scene.name} {name}: AUC / optimal {sparsification(odds, errors > 1).ratio:.2f}")
+    if not options.held_out:
+        networks = trained([(s.weight, c) for s, c in both], [s.name for s in found], options)
+        options.out.mkdir(parents=True, exist_ok=True)
+        for name, one in networks.items():
+            write_network(options.out / f"{name}.json", one)
     return 0
 
 
@@ -382,20 +284,13 @@ def _collect(data: Path, number: int, folder: Path | None) -> Samples:
     scene = training_scenes(data)[number]
     file = None if folder is None else folder / f"{scene.name}.npz"
     if file is not None and file.exists():
-        return Samples.read(file)
-    samples = Samples.of(scene)
+        return dict(np.load(file))
+    samples = samples_of(scene)
     if file is not None:
-        samples.write(file)
-    print(f"{scene.name}: {samples.errors.shape[1]} pixels of {samples.errors.shape[0]} maps", file=sys.stderr)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(file, **samples)
+    print(f"{scene.name}: {samples['errors'].shape[1]} pixels of {samples['errors'].shape[0]} maps", file=sys.stderr)
     return samples
-
-
-def _print_figures(name: str, samples: Samples, network: TrainedNetwork) -> None:
-    zero = np.zeros((samples.errors.shape[1], len(OTHERS)), np.float16)
-    for map_name, alone, errors in zip(METHODS, samples.alone, samples.errors, strict=False):
-        odds = odds_of(network, np.concatenate([alone, zero], axis=1), THRESHOLDS.index(1.0))
-        line = sparsification(odds, errors > 1)
-        print(f"{name} {map_name}: AUC / optimal {line.ratio:.2f}")
 
 
 if __name__ == "__main__":

@@ -24,10 +24,10 @@ from typing import Any
 import _env  # noqa: F401  (first: continues in the checkout's environment)
 import cv2
 import numpy as np
+from _experiments import config_of
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
-from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
 from depthcli.core.result import Clock
 from depthcli.io.scenes.rgbd import RgbdScene
@@ -35,9 +35,7 @@ from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion import Fusion
-from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.cross_modal import GREY, learned_weights, mix_channels
-from depthcli.run.presets import find_config
 from depthcli.simulate.transparent_scenes import glass_of_pair, sparse_samples
 
 PRESETS = ("nearest", "joint-bilateral", "textbook", "crf", "sparse")
@@ -87,7 +85,7 @@ def accuracy(folder: Path, presets: list[str]) -> None:
     """Print a line a preset and kind of samples: the mean over the scenes, then MAE by scene."""
     scenes = [halved(files) for files in discover_scenes(folder, (RgbdScene,)) if isinstance(files, RgbdScene)]
     for preset in presets:
-        config = load_config(TransparentConfig, find_config("transparent", preset), [])
+        config = config_of("transparent", preset)
         for case, settings in CASES.items():
             rows = []
             for scene in scenes:
@@ -105,7 +103,7 @@ def accuracy(folder: Path, presets: list[str]) -> None:
 def cross_modal(folders: list[Path]) -> None:
     """Print a line a pair: the kept matches, then MAE in pixels in the object and outside, by preset."""
     presets = ("nearest", "joint-bilateral", "textbook", "kinect")
-    configs = {name: load_config(TransparentConfig, find_config("transparent", name), []) for name in presets}
+    configs = {name: config_of("transparent", name) for name in presets}
     stereo = configs["kinect"].stereo
     assert stereo is not None
     rows = []

@@ -18,6 +18,7 @@ from depthcli.commands import own_names
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.evaluation import protocols
+from depthcli.io.formats.map_format import map_formats
 from depthcli.io.layouts import layouts
 from depthcli.methods.registration.search import MEASURES
 from depthcli.run.batch import EXIT_CODES
@@ -69,12 +70,27 @@ def test_every_name_of_the_program_is_in_the_reference():
         (protocols.names(), "protocols"),
         ([str(int(bit)) for bit in (*STATUS_HELP, *DEPTH_STATUS_HELP)], "outputs"),
         (map(str, EXIT_CODES), "outputs"),
-        ([name for rows in docs_reference.TOPICS["columns"]().values() for name, _ in rows], "columns"),
-        ([name for rows in docs_reference.TOPICS["formats"]().values() for name, _ in rows], "data"),
+        ([name for rows in docs_reference.COLUMNS.values() for name in rows], "columns"),
+        (map_formats(), "data"),
         (MEASURES, "methods/registration_feature"),
     ):
         assert all(f"`{name}`".replace("|", "\\|") in pages[page] for name in found), page
     assert all(f"depthcli.{name}" in pages["python"] for name in depthcli.__all__ if name != "__version__")
+
+
+def test_links_between_pages_lead_somewhere():
+    """Headings are named as Sphinx's parser names them; what it does not check itself."""
+    pages = {page.relative_to(DOCS).as_posix(): page.read_text("utf-8") for page in DOCS.rglob("*.md")}
+    pages |= {f"reference/{name}.md": text for name, text in docs_reference.pages().items()}
+    names = {
+        page: {re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in re.findall(r"^#+ (.*)$", text, re.M)}
+        | set(re.findall(r"^\(([\w-]+)\)=$", text, re.M))
+        for page, text in pages.items()
+    }
+    for page, text in pages.items():
+        for path, name in re.findall(r"\]\((?!https?:)([^)#\s]*\.md|)#([^)\s]+)\)", text):
+            target = os.path.normpath(os.path.join(os.path.dirname(page), path)) if path else page
+            assert name in names[target], (page, path, name)
 
 
 @pytest.fixture

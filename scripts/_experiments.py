@@ -1,0 +1,70 @@
+"""What the scripts that measure share: presets, scenes of the groups, times in turns, tables."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import _env
+import numpy as np
+import yaml
+
+from depthcli.api.stereo import with_network
+from depthcli.commands import config_model
+from depthcli.core.config_file import load_config
+from depthcli.evaluation.render import Table
+from depthcli.io.walk import discover_scenes
+from depthcli.run.presets import find_config
+
+GROUPS = yaml.safe_load((_env.ROOT / "scripts" / "stereo_groups.yaml").read_text())
+
+
+def config_of(command: str, name: str, *settings: str) -> Any:
+    """Return the config of a preset of a command, or of a file, with settings such as ``maps.choice=energy``."""
+    return load_config(config_model(command), find_config(command, name), settings)
+
+
+def matcher(name: str) -> Callable[[Any, int], Any]:
+    """Return what computes a map of a pair and its range: a preset, ``fuse/NAME`` for one of fuse, or a file."""
+    if name.startswith("fuse/"):
+        return with_network(config_of("fuse", name.removeprefix("fuse/")))
+    return config_of("stereo", name).pipeline  # type: ignore[no-any-return]
+
+
+def real_scenes(data: Any, group: str) -> Iterator[tuple[str, Any]]:
+    """Yield folder and scene of a group of ``stereo_groups.yaml``, as far as they are in the data."""
+    for folder, names in GROUPS[group].items():
+        if folder != "generated" and (data / folder).is_dir():
+            yield from ((folder, scene) for scene in discover_scenes(data / folder, patterns=names))
+
+
+def generated_scenes(group: str) -> Iterator[tuple[str, str, int, dict[str, float]]]:
+    """Yield name, kind, seed and look of the generated scenes of a group."""
+    for name, how in GROUPS[group]["generated"].items():
+        look = {key: value for key, value in how.items() if key not in ("kinds", "seeds")}
+        yield from ((name, kind, seed, look) for kind in how["kinds"] for seed in how["seeds"])
+
+
+def seconds_in_turns(jobs: Mapping[str, Callable[[], object]], repeats: int, warm: int = 1) -> dict[str, list[float]]:
+    """Return the sorted seconds of jobs that take turns, without those of the first ``warm`` turns."""
+    taken: dict[str, list[float]] = {name: [] for name in jobs}
+    for turn in range(repeats + warm):
+        for name, job in jobs.items():
+            begun = time.perf_counter()
+            job()
+            if turn >= warm:
+                taken[name].append(time.perf_counter() - begun)
+    return {name: sorted(found) for name, found in taken.items()}
+
+
+def mean_known(values: Iterable[float] | np.ndarray) -> float:
+    """Return the mean of the numbers that are finite; NaN where there are none."""
+    there = [float(value) for value in values if np.isfinite(value)]
+    return statistics.fmean(there) if there else float("nan")
+
+
+def show(title: str, header: Sequence[str], rows: Iterable[Sequence[str]], note: str = "") -> None:
+    """Print a table as Markdown."""
+    print(Table(title, tuple(header), tuple(map(tuple, rows)), note).markdown(), flush=True)
