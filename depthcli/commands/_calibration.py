@@ -61,24 +61,18 @@ class _Found:
 
     Attributes
     ----------
-    photos : as they were given
-    corners : of each camera, name -> corners that were found
-    reasons : name -> side -> why a photo does not count
-    unreadable : files that cannot be read
     cameras : the left one, and the right one where there is one, each by its own photos
-    rig : both cameras, None for a single one
     row_errors : name of a pair -> root mean square of the difference of rows after rectification, pixels
-    warnings : what makes the result doubtful, a sentence each
     """
 
-    photos: Sequence[Photos]
-    corners: list[dict[str, Corners]]
-    reasons: dict[str, dict[str, str]]
-    unreadable: list[str]
+    photos: Sequence[Photos]  # as they were given
+    corners: list[dict[str, Corners]]  # of each camera, name -> corners that were found
+    reasons: dict[str, dict[str, str]]  # name -> side -> why a photo does not count
+    unreadable: list[str]  # files that cannot be read
     cameras: list[CameraFit] = field(default_factory=list)
-    rig: RigFit | None = None
+    rig: RigFit | None = None  # both cameras, None for a single one
     row_errors: dict[str, float] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)  # what makes the result doubtful, a sentence each
 
     @property
     def final(self) -> list[Camera]:
@@ -107,15 +101,7 @@ class _Found:
 def calibrate_cameras(
     folders: Sequence[Path], options: BoardOptions, printing: Printing, target: Path, fisheye: bool, overwrite: bool
 ) -> int:
-    """Calibrate and write calibration, report and picture; return the exit code, 3 where a photo could not be read.
-
-    Raises
-    ------
-    ConfigError
-        An option is wrong, or the output is there already.
-    InputError
-        There are no photos, or the board is in too few of them.
-    """
+    """Calibrate and write calibration, report and picture; return the exit code, 3 where a photo could not be read."""
     reporter, board = printing.reporter, _board(options)
     if len(folders) > 2:
         raise ConfigError("PHOTOS: one folder, or one of each camera")
@@ -268,17 +254,14 @@ def _doubts(found: _Found) -> list[str]:
     lines = []
     for side, fit in enumerate(found.cameras):
         which = f"{found.names[side]}: " if len(found.cameras) == 2 else ""
-        focal, more = float(fit.camera.matrix[0, 0]), "add photos with the board tilted by 30 degrees or more"
+        focal, why = float(fit.camera.matrix[0, 0]), ""
         if fit.focal_deviations is not None and max(fit.focal_deviations) > _MAX_DEVIATION * focal:
-            lines.append(
-                f"{which}the focal length is not determined: {focal:.1f} px with a standard deviation of "
-                f"{max(fit.focal_deviations):.1f}; {more}"
-            )
+            why = f"{focal:.1f} px with a standard deviation of {max(fit.focal_deviations):.1f}"
         elif fit.tilt < MIN_TILT:
-            lines.append(
-                f"{which}the focal length is not determined: between photos the board is tilted by {fit.tilt:.0f} "
-                f"degrees at most; {more}"
-            )
+            why = f"between photos the board is tilted by {fit.tilt:.0f} degrees at most"
+        if why:
+            more = "add photos with the board tilted by 30 degrees or more"
+            lines.append(f"{which}the focal length is not determined: {why}; {more}")
         if fit.error > _MAX_ERROR:
             lines.append(f"{which}an error of {fit.error:.2f} px; is the board flat, and are the photos sharp?")
         if (share := found.coverage(side)) < _MIN_COVERAGE:
@@ -290,32 +273,13 @@ def _doubts(found: _Found) -> list[str]:
 
 def _document(board: Board, found: _Found, unnamed: list[str]) -> Row:
     """Return the report as JSON holds it: pixels, meters, degrees."""
-    is_charuco = isinstance(board, CharucoBoard)
-    counts = [board.columns, board.rows]
-    described: Row = {"kind": "charuco" if is_charuco else "chessboard", "inner_corners": counts}
-    described["square"] = board.square
+    kind = "charuco" if isinstance(board, CharucoBoard) else "chessboard"
+    described: Row = {"kind": kind, "inner_corners": [board.columns, board.rows], "square": board.square}
     if isinstance(board, CharucoBoard):
         described |= {"marker": board.marker, "dictionary": board.dictionary}
     report: Row = {
         "board": described,
-        "cameras": [
-            {
-                "side": _SIDES[k],
-                "size": list(camera.size or ()),
-                "fx": camera.matrix[0, 0],
-                "fy": camera.matrix[1, 1],
-                "cx": camera.matrix[0, 2],
-                "cy": camera.matrix[1, 2],
-                "distortion": list(camera.distortion),
-                "fisheye": camera.fisheye,
-                "focal_deviations": None if fit.focal_deviations is None else list(fit.focal_deviations),
-                "reprojection_error": fit.error,
-                "photos": len(fit.errors),
-                "coverage": found.coverage(k),
-                "tilt": fit.tilt,
-            }
-            for k, (fit, camera) in enumerate(zip(found.cameras, found.final, strict=True))
-        ],
+        "cameras": [_camera(found, k) for k in range(len(found.cameras))],
         "photos": [_photo(found, each.name) for each in found.photos],
         "unnamed": unnamed,
         "warnings": found.warnings,
@@ -326,6 +290,17 @@ def _document(board: Board, found: _Found, unnamed: list[str]) -> Row:
         pairs = len(found.rig.errors)
         report["rig"] = {"baseline": rig.baseline, "turn": turn, "pairs": pairs, "row_error": found.row_error}
     return report
+
+
+def _camera(found: _Found, k: int) -> Row:
+    fit, camera = found.cameras[k], found.final[k]
+    row: Row = {"side": _SIDES[k], "size": list(camera.size or ())}
+    row |= {"fx": camera.matrix[0, 0], "fy": camera.matrix[1, 1], "cx": camera.matrix[0, 2], "cy": camera.matrix[1, 2]}
+    row |= {"distortion": list(camera.distortion), "fisheye": camera.fisheye}
+    row["focal_deviations"] = None if fit.focal_deviations is None else list(fit.focal_deviations)
+    return row | {
+        "reprojection_error": fit.error, "photos": len(fit.errors), "coverage": found.coverage(k), "tilt": fit.tilt
+    }  # fmt: skip
 
 
 def _photo(found: _Found, name: str) -> Row:

@@ -31,7 +31,7 @@ from depthcli.io.formats.files import naming
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
 from depthcli.io.inputs import local
-from depthcli.io.scenes import Scene
+from depthcli.io.scenes import Scene, check_same_size
 from depthcli.io.scenes.maps import DisparityScene
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.io.walk import matches_any, scenes_with_files
@@ -66,33 +66,17 @@ def depth_of_maps(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> in
         raise ConfigError(f"--calibration and --{by_hand[0]} exclude each other")
     check_limits(clouds.near, clouds.far)
     parse_mask(clouds.mask or "all")
-    config: DepthConfig = {
-        "focal": maps.focal,
-        "baseline": maps.baseline,
-        "doffs": maps.doffs,
-        "mask": clouds.mask,
-        "ply": clouds.ply,
-        "near": clouds.near,
-        "far": clouds.far,
-        "depth_scale": clouds.depth_scale,
-    }
+    config = DepthConfig(
+        focal=maps.focal, baseline=maps.baseline, doffs=maps.doffs, mask=clouds.mask, ply=clouds.ply, near=clouds.near,
+        far=clouds.far, depth_scale=clouds.depth_scale,
+    )  # fmt: skip
     compute = _ToDepth(config)
+    numbers = (_number("median_depth", "m"), _number("focal", "px"), _number("baseline", "m"))
+    columns = (SIZE, Column("density", percent("density")), *numbers)
     batch = Batch(
-        command="depth",
-        config=config,
-        compute=compute,
-        columns=(
-            SIZE,
-            Column("density", percent("density")),
-            _number("median_depth", "m"),
-            _number("focal", "px"),
-            _number("baseline", "m"),
-        ),
-        settings=_settings,
-        memory=compute.memory,
-        palette=STATUS_PALETTE,
-        shown_as="depth",
-    )
+        command="depth", config=config, compute=compute, columns=columns, settings=_settings, memory=compute.memory,
+        palette=STATUS_PALETTE, shown_as="depth",
+    )  # fmt: skip
     return run_batch(batch, find_maps(maps, run.reporter), run)
 
 
@@ -121,19 +105,24 @@ class _ToDepth:
         disparity = scene.load()
         height, width = disparity.shape
         geometry = self._geometry(scene, disparity.shape).for_size(width, height)
+
+        def check(file: Path | None, values: NDArray[np.generic]) -> None:
+            if file is not None:
+                check_same_size(file, values.shape, scene.disparity, disparity.shape)
+
         status = np.zeros(disparity.shape, np.uint8) if scene.status is None else read_status(scene.status)
-        _check_size(scene.status, status, disparity)
+        check(scene.status, status)
         confidence = {}
         if (config["mask"] or "").startswith("confident"):
             for name, file in scene.confidence.items():
                 confidence[name] = read_pfm(file)
-                _check_size(file, confidence[name], disparity)
+                check(file, confidence[name])
         image = None
         if config["ply"]:
             if scene.left is None:
                 raise InputError(f"{scene.folder}: the left image is missing, which colors a point cloud; give --input")
             image = color8(read_image(scene.left))
-            _check_size(scene.left, image, disparity)
+            check(scene.left, image)
         clock.start("depth")
         matched = DisparityMap(disparity, status)
         with naming(scene.folder):
@@ -149,16 +138,9 @@ class _ToDepth:
         known = np.isfinite(depth)
         median = round(float(np.median(depth[known])), 6) if known.any() else None
         beyond, beyond_warning = beyond_png(depth, config["depth_scale"])
-        facts: Row = {
-            "width": width,
-            "height": height,
-            "density": round(float(known.mean()), 6),
-            "median_depth": median,
-            "focal": geometry.left.fx,
-            "baseline": geometry.baseline,
-            "doffs": geometry.offset,
-            "beyond_png": round(beyond, 6),
-        }
+        facts: Row = {"width": width, "height": height, "density": round(float(known.mean()), 6)}
+        facts |= {"median_depth": median, "focal": geometry.left.fx, "baseline": geometry.baseline}
+        facts |= {"doffs": geometry.offset, "beyond_png": round(beyond, 6)}
         if image is not None:
             facts["points"] = int(np.count_nonzero(known & in_cloud))
         warnings = [] if image is None else empty_cloud(depth, in_cloud)
@@ -182,14 +164,6 @@ class _ToDepth:
                 f"{scene.folder}: no calibration beside the images; give --calibration, or --focal, --baseline"
             )
         return read_geometry(scene.calibration, scene.cameras)
-
-
-def _check_size(path: Path | None, values: NDArray[np.generic], disparity: NDArray[np.float32]) -> None:
-    if values.shape[:2] != disparity.shape:
-        raise InputError(
-            f"{path}: {values.shape[1]} x {values.shape[0]}, but the disparity map is "
-            f"{disparity.shape[1]} x {disparity.shape[0]}"
-        )
 
 
 def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:

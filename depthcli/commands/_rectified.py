@@ -66,26 +66,16 @@ def rectify_pairs(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> i
         raise ConfigError(f"--cameras: must be two numbers such as 2,3 (got {how.cameras!r})")
     calibration = None
     if files:
-        calibration = Calibration.model_validate(
-            {
-                "files": [str(file) for file in files],
-                "unit": how.unit,
-                "fisheye": how.fisheye,
-                "alpha": how.alpha,
-                "cameras": (int(first), int(second)),
-            }
-        )
+        lens = {"unit": how.unit, "fisheye": how.fisheye, "alpha": how.alpha, "cameras": (int(first), int(second))}
+        calibration = Calibration.model_validate({"files": [str(file) for file in files], **lens})
     scenes = find_scenes((StereoScene,), pairs, run)
     compute = _Rectify(calibration)
+    config = RectifyConfig(
+        uncalibrated=how.uncalibrated, unit=how.unit, fisheye=how.fisheye, alpha=how.alpha, cameras=how.cameras
+    )
+    columns = (SIZE, _pixels("row_error_before"), _pixels("row_error"), Column("overlap", percent("overlap")))
     batch = Batch(
-        command="rectify",
-        config=RectifyConfig(
-            uncalibrated=how.uncalibrated, unit=how.unit, fisheye=how.fisheye, alpha=how.alpha, cameras=how.cameras
-        ),
-        compute=compute,
-        columns=(SIZE, _pixels("row_error_before"), _pixels("row_error"), Column("overlap", percent("overlap"))),
-        files=compute.files,
-        memory=compute.memory,
+        command="rectify", config=config, compute=compute, columns=columns, files=compute.files, memory=compute.memory
     )
     return run_batch(batch, scenes, run, pairs)
 
@@ -127,7 +117,15 @@ class _Rectify:
         frames = scene.sequence if scene.frame_number is not None and self.calibration is not None else ()
         points = None if frames and not scene.is_first else match_rows(left, right)
         clock.start("warp")
-        found = self._rectifier(points, left, right)
+        found: RectifiedRig | RectifyingHomographies
+        if self.calibration is not None:
+            found = rectified_rig(self.calibration, left, right)
+        else:
+            sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
+            if sizes[0] != sizes[1]:
+                raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
+            assert points is not None  # calibrated videos alone go without
+            found = rectify_uncalibrated(*points, sizes[0])
         views = found.images(left, right)
         rows, warnings = ({}, []) if points is None else row_errors(points, found)
         clock.start("save")
@@ -150,35 +148,13 @@ class _Rectify:
         write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
         return Outcome(facts, clock.seconds, warnings)
 
-    def _rectifier(
-        self, points: tuple[Points, Points] | None, left: NDArray[Any], right: NDArray[Any]
-    ) -> RectifiedRig | RectifyingHomographies:
-        if self.calibration is not None:
-            return rectified_rig(self.calibration, left, right)
-        sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
-        if sizes[0] != sizes[1]:
-            raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
-        assert points is not None  # calibrated videos alone go without
-        return rectify_uncalibrated(*points, sizes[0])
-
 
 def rectified_pair(
     calibration: Calibration, scene: StereoScene, folder: Path
 ) -> tuple[StereoPair, Callable[[], None], Row, list[str]]:
-    """Rectify the scene's pair.
+    """Return the rectified pair, what writes its left image and calibration, facts for the report, and warnings.
 
     Rows are compared in single pairs and the first frames of sequences: the others have the same cameras.
-
-    Returns
-    -------
-    pair : the rectified pair
-    save : writes the rectified left image and the calibration into ``folder``
-    facts, warnings : columns of the report, and lines for the user
-
-    Raises
-    ------
-    InputError
-        The images or the calibration cannot be used.
     """
     left, right = scene.load_views()
     found = rectified_rig(calibration, left, right)
@@ -193,11 +169,7 @@ def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene
     """Return the search range that key points of frames of a sequence give together; None where too few match in all.
 
     The latest one is kept for the other frames of the sequence, until the files change. Frames in which too few key
-    points match, or which cannot be read, do not count.
-
-    Parameters
-    ----------
-    calibration : rectifies the frames; None: they are rectified
+    points match, or which cannot be read, do not count. Without a calibration the frames are rectified.
     """
     files = {file for frame in frames for file in frame.input_files.values()}
     if calibration is not None:

@@ -26,11 +26,10 @@ class Photos:
 
     Attributes
     ----------
-    name : of the position, from what the names have in common
     left, right : the files; one of them is None where it has no partner, ``right`` for a single camera
     """
 
-    name: str
+    name: str  # of the position, from what the names have in common
     left: Path | None
     right: Path | None
 
@@ -41,11 +40,6 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
     Of two folders the first is the left camera's. In one folder, names of files or of folders in it say which camera's
     a photo is (left, right, l, r, cam0, cam1). Photos belong together whose names are the same without that word.
     Where none has such a word, all are of one camera.
-
-    Raises
-    ------
-    InputError
-        No such folder, one for both cameras, no photo, two of one name, or names of two cameras of which none agree.
     """
     found = [_images(folder) for folder in folders]
     place = " and ".join(map(shown, folders))
@@ -59,7 +53,7 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
         return _paired(left, right, place), []
     files = found[0]
     for word in _WORDS:
-        matches = {name: _last(word, name) for name in files}
+        matches = {name: next(reversed(list(word.finditer(name))), None) for name in files}
         left, right = (
             _keyed([(name, files[name]) for name, match in matches.items() if match and match[side]], word, place)
             for side in (1, 2)
@@ -76,15 +70,13 @@ def _keyed(files: Iterable[tuple[str, Path]], word: re.Pattern[str] | None, plac
     """Return name without what ``word`` matches -> file."""
     keyed: dict[str, Path] = {}
     for name, file in files:
-        other = keyed.setdefault(key := _key(name, word), file)
-        if other is not file:
+        stem = os.path.splitext(name)[0]
+        parts = (word.sub("", stem) if word else stem).split("/")
+        plain = (re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in parts)
+        key = "/".join(part for part in plain if part) or "photo"
+        if (other := keyed.setdefault(key, file)) is not file:
             raise InputError(f"{place}: {other.name} and {file.name} of one camera are both called {key}")
     return keyed
-
-
-def _last(word: re.Pattern[str], name: str) -> re.Match[str] | None:
-    matches = list(word.finditer(name))
-    return matches[-1] if matches else None
 
 
 def _paired(left: dict[str, Path], right: dict[str, Path], place: str) -> list[Photos]:
@@ -94,35 +86,17 @@ def _paired(left: dict[str, Path], right: dict[str, Path], place: str) -> list[P
     return [Photos(name, left.get(name), right.get(name)) for name in sorted(set(left) | set(right))]
 
 
-def _key(name: str, word: re.Pattern[str] | None) -> str:
-    """Return the name of a file without its ending, and without what ``word`` matches."""
-    stem = os.path.splitext(name)[0]
-    parts = (word.sub("", stem) if word else stem).split("/")
-    plain = (re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in parts)
-    return "/".join(part for part in plain if part) or "photo"
-
-
 def _images(folder: Path) -> dict[str, Path]:
     """Return name below the folder -> image, sorted; hidden files and folders are passed over."""
     if not os.path.isdir(folder):
         raise InputError(f"{shown(folder)}: no such folder")
     found: dict[str, Path] = {}
-    places = [("", folder)]
-    for _ in range(_MAX_DEPTH + 1):
-        below = []
-        for start, place in places:
-            try:
-                entries = sorted(os.listdir(place))
-            except OSError as error:
-                raise InputError(f"{shown(place)}: cannot be read ({error.strerror})") from error
-            for entry in entries:
-                if entry.startswith("."):
-                    continue
-                if os.path.isdir(place / entry):
-                    below.append((f"{start}{entry}/", place / entry))
-                elif Path(entry).suffix.lower() in IMAGE_SUFFIXES:
-                    found[f"{start}{entry}"] = place / entry
-        places = below
+    for place, folders, names in os.walk(folder):
+        inside = Path(place).relative_to(folder)
+        folders[:] = [name for name in folders if name[0] != "." and len(inside.parts) < _MAX_DEPTH]
+        for name in names:
+            if name[0] != "." and os.path.splitext(name)[1].lower() in IMAGE_SUFFIXES:
+                found[(inside / name).as_posix()] = Path(place, name)
     if not found:
         raise InputError(f"{shown(folder)}: no photos ({', '.join(IMAGE_SUFFIXES)})")
     return dict(sorted(found.items()))

@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from glob import glob
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 from urllib.parse import unquote
 
 from depthcli.core.errors import InputError
@@ -55,11 +55,6 @@ def local(place: Path | str) -> Path:
     """Return the folder or file that a place names: itself or, of an archive or a URL, what was fetched and unpacked.
 
     An archive stands for its content, or for the single folder that holds all of it.
-
-    Raises
-    ------
-    InputError
-        It cannot be fetched or unpacked, or unpacks to more than 200 times its size and 1 GiB.
     """
     path, url = Path(place), _url_of(str(place))
     if os.path.isdir(path) or (os.path.exists(path) and not is_archive(path)):
@@ -180,9 +175,9 @@ def _cached(key: object, name: str, source: str, make: Callable[[Path], None]) -
 
 def _unpacked(archive: Path) -> Path:
     with _one_line(str(archive)):
-        status = os.stat(archive)
-        key = (os.path.abspath(archive), status.st_size, status.st_mtime_ns)
-        return _cached(key, _stem(archive.name), os.path.abspath(archive), lambda target: _unpack(archive, target))
+        status, place = os.stat(archive), os.path.abspath(archive)
+        key = (place, status.st_size, status.st_mtime_ns)
+        return _cached(key, _stem(archive.name), place, lambda target: _unpack(archive, target))
 
 
 @contextlib.contextmanager
@@ -236,7 +231,7 @@ def _inside(name: str) -> str | None:
     return None if unsafe else "/".join(parts)
 
 
-_Members = Iterator[tuple[str, Callable[[], IO[bytes]] | None]]
+_Members = Iterator[tuple[str, Callable[[], Any] | None]]
 
 
 def _zip_members(archive: Path) -> _Members:
@@ -256,18 +251,12 @@ def _tar_members(archive: Path) -> _Members:
         tar = tarfile.TarFile(fileobj=headers, errorlevel=1)
         while (info := tar.next()) is not None:
             if not info.isdir():
-                yield info.name, partial(_file_in, tar, info) if info.isreg() else None
+                yield info.name, partial(tar.extractfile, info) if info.isreg() else None
         raw.seek(tar.offset)
         if (block := raw.read(tarfile.BLOCKSIZE)).strip(b"\0") or len(block) < tarfile.BLOCKSIZE:
             raise tarfile.ReadError("cut short or damaged")  # which the module takes for the end
         while raw.read(1 << 20):  # to the checksum at the end
             pass
-
-
-def _file_in(tar: tarfile.TarFile, info: tarfile.TarInfo) -> IO[bytes]:
-    file = tar.extractfile(info)
-    assert file is not None  # of a regular file
-    return file
 
 
 class _Headers:
@@ -302,14 +291,22 @@ def _fetched(url: str) -> Path:
             is_folder = not _ARCHIVE.search(url) and system.isdir(f"{place.rstrip('/')}/")
             facts = {} if is_folder else system.info(place)
             known = [str(facts.get(key)) for key in ("size", "ETag", "LastModified", "mtime", "updated", "created")]
-            files = _files_below(system, place) if is_folder else {}
+            files = {}
+            if is_folder:  # names that lead out of it are left out
+                own = system._strip_protocol(place).rstrip("/")
+                for each in system.find(f"{place.rstrip('/')}/"):
+                    path = _inside(unquote(each.partition("?")[0].removeprefix(own).lstrip("/")))
+                    if path is not None and each.startswith(own):
+                        files[each] = path
+            if len(files) > _MAX_MEMBERS:
+                raise InputError(f"more than {_MAX_MEMBERS} files")
             name = _stem(unquote(url.partition("?")[0].rstrip("/").rpartition("/")[2]))
 
             def fetch(target: Path) -> None:
                 if is_folder:
-                    for path in files.values():
-                        (target / path).parent.mkdir(parents=True, exist_ok=True)
-                    system.get(list(files), [str(target / path) for path in files.values()])
+                    for inside in files.values():
+                        (target / inside).parent.mkdir(parents=True, exist_ok=True)
+                    system.get(list(files), [str(target / inside) for inside in files.values()])
                     return
                 file = target.with_name(f"{name}.fetched")
                 system.get_file(place, str(file))
@@ -320,24 +317,11 @@ def _fetched(url: str) -> Path:
                     file.rename(target)
 
             return _cached([url, known, sorted(files.items())], name, shown, fetch)
-        except (*_DAMAGE, FileNotFoundError):
+        except (InputError, *_DAMAGE):
             raise
         except Exception as error:  # of a library that the kind of URL chooses
             words = " ".join(str(error).split())[:160] or type(error).__name__
             raise InputError(f"the server failed ({words})") from error
-
-
-def _files_below(system: Any, place: str) -> dict[str, str]:
-    """Name -> path below a folder of a store, of the files in it; names that lead out of it are left out."""
-    found = {}
-    own = system._strip_protocol(place).rstrip("/")
-    for name in system.find(f"{place.rstrip('/')}/"):
-        path = _inside(unquote(name.partition("?")[0].removeprefix(own).lstrip("/")))
-        if path is not None and name.startswith(own):
-            found[name] = path
-    if len(found) > _MAX_MEMBERS:
-        raise InputError(f"more than {_MAX_MEMBERS} files")
-    return found
 
 
 def _system(url: str) -> tuple[Any, str]:

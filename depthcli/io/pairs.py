@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
 import re
@@ -9,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.files import naming, read_bytes
@@ -28,15 +30,13 @@ class NamedPair:
 
     Attributes
     ----------
-    name : of the scene
     left, right : the files; one of them is None where it has no partner
-    more : column -> value, for the other columns of the table
     """
 
-    name: str
+    name: str  # of the scene
     left: Path | None
     right: Path | None
-    more: dict[str, str] = field(default_factory=dict)
+    more: dict[str, str] = field(default_factory=dict)  # column -> value, for the other columns of the table
 
 
 def is_many(path: Path) -> bool:
@@ -49,11 +49,6 @@ def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[Nam
 
     Files belong together whose names are the same where the patterns have wildcards, but for words that say which
     view it is (``left_0001`` and ``right_0001``); where that pairs none, the whole names count, then their last number.
-
-    Raises
-    ------
-    ConfigError
-        Nothing matches a pattern, or no two files belong together beyond doubt.
     """
     suffixes = tuple(suffixes)
     matches = [_matching(pattern, suffixes) for pattern in (left, right)]
@@ -81,11 +76,6 @@ def read_table(path: Path) -> list[NamedPair]:
     ``max_disparity`` and ``min_disparity`` are known; without it the first two are left and right, the third is the
     name. Lines that begin with ``#`` are passed over. Without a name, it is the left file's, or the line's number
     where those repeat.
-
-    Raises
-    ------
-    InputError
-        Not readable, an unknown column, a line without two files, or two lines of one name.
     """
     with naming(path):
         text = read_bytes(path, _MAX_BYTES).decode("utf-8-sig", "surrogateescape")
@@ -112,15 +102,12 @@ def _named_apart(pairs: list[NamedPair]) -> list[NamedPair]:
     taken = Counter(pair.more["name"] for pair in pairs if "name" in pair.more)
     if twice := [name for name, count in taken.items() if count > 1]:
         raise InputError(f"two lines are called {twice[0][:100]!r}")
-    digits = len(str(len(pairs)))
     apart = []
     for number, pair in enumerate(pairs, 1):
-        name = pair.name
-        if "name" not in pair.more:
-            name = f"{number:0{digits}}_{name}"
-            while name in taken:
-                name += "_"
-            taken[name] = 1
+        name = pair.name if "name" in pair.more else f"{number:0{len(str(len(pairs)))}}_{pair.name}"
+        while "name" not in pair.more and name in taken:
+            name += "_"
+        taken[name] = 1
         apart.append(replace(pair, name=name))
     return apart
 
@@ -133,8 +120,7 @@ def _pair_of(number: int, row: list[str], columns: tuple[str, ...], folder: Path
     return NamedPair(fields.get("name") or left.stem, left, folder / fields["right"], fields)
 
 
-@dataclass(frozen=True)
-class _Match:
+class _Match(NamedTuple):
     """A file of a pattern: what the wildcards stand for, and its name from the first of them on, without ending."""
 
     path: Path
@@ -150,44 +136,29 @@ def _matching(pattern: Path, suffixes: tuple[str, ...]) -> list[_Match]:
     root = Path(*parts[:first])
     places: list[tuple[Path, tuple[str, ...]]] = [(root, ())]
     for depth, part in enumerate(parts[first:], first):
-        last = depth == len(parts) - 1
-        inside = re.compile(_groups(part))
+        ends = suffixes if depth == len(parts) - 1 else None
+        pieces = re.split(r"(\*+|\?|\[[^\]]+\])", part)  # a group for every wildcard
+        inside = re.compile("".join(_group(piece) if k % 2 else re.escape(piece) for k, piece in enumerate(pieces)))
         reached = []
         for place, captured in places:
-            for name in _names(place):
-                match = inside.fullmatch(name) if not name.startswith(".") else None
-                if match and (not last or Path(name).suffix.lower() in suffixes):
-                    text = "".join(match.groups())
-                    reached.append((place / name, (*captured, text) if text else captured))
+            with contextlib.suppress(OSError):
+                for name in sorted(os.listdir(place)):
+                    match = inside.fullmatch(name) if name[0] != "." else None
+                    if match and (ends is None or os.path.splitext(name)[1].lower() in ends):
+                        text = "".join(match.groups())
+                        reached.append((place / name, (*captured, text) if text else captured))
         places = reached
-    found = []
-    for path, captured in places:
-        key, end = "/".join(captured), path.suffix
-        name = path.relative_to(root).as_posix().removesuffix(end)
-        found.append(_Match(path, key.removesuffix(end), name))
-    return found
+    return [
+        _Match(path, "/".join(captured).removesuffix(path.suffix), str(path.relative_to(root).with_suffix("")))
+        for path, captured in places
+    ]
 
 
-def _groups(part: str) -> str:
-    """Regular expression of a shell pattern, a group for every wildcard."""
-    text = ""
-    for piece in re.split(r"(\*+|\?|\[[^\]]+\])", part):
-        if piece.startswith("*"):
-            text += "(.*)"
-        elif piece == "?":
-            text += "(.)"
-        elif piece.startswith("[") and piece.endswith("]"):
-            text += f"([{piece[1:-1].replace('!', '^', 1) if piece[1] == '!' else piece[1:-1]}])"
-        else:
-            text += re.escape(piece)
-    return text
-
-
-def _names(place: Path) -> list[str]:
-    try:
-        return sorted(os.listdir(place))
-    except (OSError, InputError):
-        return []
+def _group(wildcard: str) -> str:
+    """Return the regular expression of ``*``, ``?`` or ``[...]``, as a group."""
+    if wildcard[0] == "[":
+        return f"([{'^' if wildcard[1] == '!' else wildcard[1]}{wildcard[2:]})"
+    return "(.)" if wildcard == "?" else "(.*)"
 
 
 def _keyed(files: list[_Match], key: Callable[[_Match], str]) -> dict[str, Path]:

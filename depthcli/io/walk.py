@@ -52,30 +52,23 @@ def discover_scenes(
 
     ``folder`` may be one scene, a folder of scenes, or a folder of such folders (names are then
     ``<data set>/<scene>``). Folders that hold none are passed over, and so are folders of runs in it: their results are
-    no scenes. Runs of ``sample`` are, and ``folder`` itself may be a run (of ``rectify``).
+    no scenes. Runs of ``sample`` are, and ``folder`` itself may be a run (of ``rectify``). A scene that cannot be used
+    is listed with its ``problem``; InputError where ``folder`` itself is one, or there is none.
 
     Parameters
     ----------
-    folder : where to look
     kinds : kinds of scene that are wanted; None: all
     layout : name of a layout, or a YAML file of layouts; None recognizes it, for every folder by itself
     patterns : shell patterns, one of which the name, or its last part, must match
     warn : called with a line about folders of runs, and about scenes on deeper levels, which are not used
-
-    Raises
-    ------
-    InputError
-        No such folder, no scene, no match for a pattern; or ``folder`` is itself a scene that fits two layouts, has
-        a broken meta.json or the like. A scene below it with such a problem is listed with its ``problem``.
     """
     folder = local(folder)
     if not os.path.isdir(folder):
         is_file = os.path.isfile(folder)
         raise InputError(f"{folder}: {'a file, expected a folder or an archive' if is_file else 'no such folder'}")
     fitting = tuple(kinds) if kinds is not None else (Scene,)
-    wanted, found = _wanted(own_layouts(), fitting, layout), []
-    if wanted:
-        found = _find(folder, wanted, layout, warn)
+    wanted = _wanted(own_layouts(), fitting, layout)
+    found = _find(folder, wanted, layout, warn) if wanted else []
     if not found and layouts() != own_layouts():  # layouts of plug-ins are asked where no other fits
         wanted = _wanted(layouts(), fitting, layout)
         found = _find(folder, wanted, layout, warn)
@@ -102,13 +95,19 @@ def _wanted(known: Iterable[Layout], kinds: tuple[type[Scene], ...], layout: str
 
 
 def _find(folder: Path, wanted: tuple[Layout, ...], layout: str | None, warn: Callable[[str], None]) -> list[Scene]:
-    """Scenes in a folder or below it; ``layout`` is what the user named."""
+    """Scenes in a folder, in the folders in it, or in those of data sets; ``layout`` is what the user named."""
     requested = wanted[0].name if layout else ""
     found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)
     for child in () if found else _subfolders(folder, warn):
-        found += _scenes_or_problem(child, child.name, wanted, requested) or _scenes_below(
-            child, child.name, wanted, requested, warn
-        )
+        scenes = _scenes_or_problem(child, child.name, wanted, requested)
+        found += scenes
+        for inner in () if scenes else _subfolders(child, warn):
+            scenes = _scenes_or_problem(inner, f"{child.name}/{inner.name}", wanted, requested)
+            found += scenes
+            for deeper in () if scenes else _subfolders(inner):
+                if any(not scene.problem for scene in _scenes_or_problem(deeper, deeper.name, wanted)):
+                    warn(f"{deeper}: lies too deep, not used; to use it, give {inner} or {child} as the folder")
+                    break
     if found and (beside := archives_in(folder)):  # what these were unpacked from, perhaps
         more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
         warn(f"{folder}: {beside[0].name}{more} beside the scenes not read; to use it, name it itself")
@@ -131,42 +130,25 @@ def _scenes_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], reques
         return [BrokenScene(name=name, folder=path, problem=str(error))]
 
 
-def _scenes_below(
-    folder: Path, name: str, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]
-) -> list[Scene]:
-    """Scenes in the folders of a data set, and a warning where there are some one level below the last that counts."""
-    found: list[Scene] = []
-    for child in _subfolders(folder, warn):
-        scenes = _scenes_or_problem(child, f"{name}/{child.name}", wanted, requested)
-        found += scenes
-        for deeper in () if scenes else _subfolders(child):
-            if any(not scene.problem for scene in _scenes_or_problem(deeper, deeper.name, wanted)):
-                warn(f"{deeper}: lies too deep, not used; to use it, give {child} or {child.parent} as the folder")
-                break
-    return found
-
-
 def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -> list[Path]:
-    """Folders in a folder, but for those that hold results of runs."""
+    """Folders in a folder, but for those with results of runs, which have their file and did not generate scenes."""
     try:
         with os.scandir(folder) as entries:
             found = [folder / name for name in sorted(e.name for e in entries if e.name[0] != "." and e.is_dir())]
-        runs = [child for child in found if os.path.isfile(f"{child}/{_RUN_FILE}") and _holds_results(child)]
-    except (OSError, InputError):
+    except OSError:
         return []
-    for run in runs:
-        warn(f"{run}: holds a run, its results are left out of the scenes; to use them, give it as the folder")
-    return [child for child in found if child not in runs]
-
-
-def _holds_results(folder: Path) -> bool:
-    """Return True for a folder with the file of a run, unless the run generated scenes there."""
-    try:
-        text = read_bytes(folder / _RUN_FILE, _MAX_RUN_BYTES).decode("utf-8", "replace")
-    except (InputError, OSError):
-        return False
-    command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
-    return command is not None and command[1] != "sample"
+    kept = []
+    for child in found:
+        command = None
+        with contextlib.suppress(InputError):
+            if os.path.isfile(file := f"{child}/{_RUN_FILE}"):
+                text = read_bytes(file, _MAX_RUN_BYTES).decode("utf-8", "replace")
+                command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
+        if command is None or command[1] == "sample":
+            kept.append(child)
+        else:
+            warn(f"{child}: holds a run, its results are left out of the scenes; to use them, give it as the folder")
+    return kept
 
 
 class BrokenScene(Scene):
@@ -183,13 +165,7 @@ class BrokenScene(Scene):
 
 
 def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path | str) -> list[Scene]:
-    """Return the scenes whose name matches one of the patterns, sorted by name; frames know their sequence.
-
-    Raises
-    ------
-    InputError
-        A pattern matches none of them, or two have one name; ``place`` is where they are.
-    """
+    """Return the scenes whose name matches one of the patterns, sorted by name; frames know their sequence."""
     ordered = with_sequences(scenes)
     chosen = [scene for scene in ordered if matches_any(scene.name, patterns)]
     for scene, after in pairwise(ordered):
@@ -217,24 +193,14 @@ def scenes_with_files(files: Iterable[Path]) -> dict[Path, Scene]:
         path = file.absolute()
         for place in path.parents[:_MAX_ABOVE]:
             if place not in known:
-                known[place] = _files_in(place)
+                known[place] = {}
+                with contextlib.suppress(InputError):
+                    inside = [scene for each in layouts() for scene in each.scenes(Folder(place, place.name, ""))]
+                    for one in reversed(inside):  # of two scenes with one file, the first
+                        known[place] |= {value: one for value in vars(one).values() if isinstance(value, Path)}
             if path in known[place]:
                 scene_of[file] = known[place][path]
                 break
-    return scene_of
-
-
-def _files_in(place: Path) -> dict[Path, Scene]:
-    """File -> scene, of the scenes that lie in ``place`` by any layout."""
-    try:
-        inside = [scene for each in layouts() for scene in each.scenes(Folder(place, place.name, ""))]
-    except InputError:
-        return {}
-    scene_of: dict[Path, Scene] = {}
-    for scene in inside:
-        for value in vars(scene).values():
-            if isinstance(value, Path):
-                scene_of.setdefault(value, scene)
     return scene_of
 
 

@@ -13,8 +13,8 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.maps import DepthStatus
-from depthcli.io.formats.depth import read_codes, read_depth
-from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.depth import read_depth
+from depthcli.io.formats.disparity import read_pfm, read_plane, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
 from tests.rendered import (
@@ -119,7 +119,7 @@ def test_bad_frames_beside_good_ones(kinect: Path, tmp_path: Path, capsys: pytes
         == 0
     )
     assert "warning" not in capsys.readouterr().err
-    np.testing.assert_array_equal(read_codes(tmp_path / "s" / "far" / "depth.png"), depth * np.uint16(5))
+    np.testing.assert_array_equal(read_plane(tmp_path / "s" / "far" / "depth.png"), depth * np.uint16(5))
 
 
 def test_points_are_chosen_and_placed_by_options(kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -296,4 +296,4 @@ def test_floats_are_meters(tmp_path: Path, capsys: pytest.CaptureFixture[str], n
     assert warning in err and ("warning" in err) == bool(factor and warning)
     assert err.count("the median depth is") == (1 if factor == 1000 else 0)
     if factor == 1:
-        assert np.median(read_codes(tmp_path / "out" / "c" / "depth.png")) == 1500
+        assert np.median(read_plane(tmp_path / "out" / "c" / "depth.png")) == 1500

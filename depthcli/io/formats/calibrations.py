@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -48,13 +49,8 @@ _NAMES = {
 # Distortion models of the programs' files: whether OpenCV's fisheye model is meant.
 _KALIBR = {"radtan": False, "equidistant": True, "equi": True, "none": False}
 _ROS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
-_KINECT = {
-    **dict.fromkeys(("depth_K", "color_K", "depth_to_color_R"), (3, 3)),
-    **dict.fromkeys(("depth_kc", "color_kc"), (5,)),
-    "depth_to_color_t": (3,),
-    "dc": (2,),
-    "dc_alpha": (2,),
-}
+_KINECT: dict[str, tuple[int, ...]] = dict.fromkeys(("depth_K", "color_K", "depth_to_color_R"), (3, 3))
+_KINECT |= {"depth_kc": (5,), "color_kc": (5,), "depth_to_color_t": (3,), "dc": (2,), "dc_alpha": (2,)}
 
 
 def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, cameras: tuple[int, int] = (2, 3)) -> Rig:
@@ -67,11 +63,6 @@ def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, came
     unit : of OpenCV's translation, a key of ``UNITS``; the others have meters
     fisheye : the lenses of OpenCV's file follow its fisheye model; the other formats name the model
     cameras : numbers of the left and the right one, in KITTI's file
-
-    Raises
-    ------
-    InputError
-        Not readable, of no known kind, or a part is missing or wrong; one line that names the file.
     """
     texts = [read_bytes(path, _MAX_BYTES).decode("utf-8", "replace") for path in paths]
     with naming(paths[0]):
@@ -120,11 +111,6 @@ def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry
         (DrivingStereo: ``P_rect_101:``)
     cameras : numbers of the left and the right one among those of KITTI: 0, 1 grey, 2, 3 color (DrivingStereo: 101,
         103)
-
-    Raises
-    ------
-    InputError
-        Not readable, of no known kind, or a number is missing or wrong; one line that names the file.
     """
     with naming(path):
         text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
@@ -139,26 +125,17 @@ def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry
 
 
 def write_geometry(path: Path, geometry: PairGeometry, max_disparity: int | None = None) -> None:
-    """Write ``calib.txt`` as Middlebury v3 has it (baseline in mm, ``ndisp`` the search range).
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
-    left = geometry.left
-    camera = "[{:.12g} 0 {:.12g}; 0 {:.12g} {:.12g}; 0 0 1]"
-    lines = {
-        "cam0": camera.format(left.fx, left.cx, left.fy, left.cy),
-        "cam1": camera.format(left.fx, left.cx + geometry.offset, left.fy, left.cy),
-        "doffs": f"{geometry.offset:.12g}",
-        "baseline": f"{geometry.baseline * _MILLIMETERS:.12g}",
-    }
+    """Write ``calib.txt`` as Middlebury v3 has it (baseline in mm, ``ndisp`` the search range)."""
+    left, offset = geometry.left, geometry.offset
+    lines = [
+        f"cam{k}=[{left.fx:.12g} 0 {cx:.12g}; 0 {left.fy:.12g} {left.cy:.12g}; 0 0 1]"
+        for k, cx in enumerate((left.cx, left.cx + offset))
+    ]
+    lines += [f"doffs={offset:.12g}", f"baseline={geometry.baseline * _MILLIMETERS:.12g}"]
     if geometry.size is not None:
-        lines |= {"width": str(geometry.size[0]), "height": str(geometry.size[1])}
-    if max_disparity is not None:
-        lines["ndisp"] = str(max_disparity)
-    write_text(path, "".join(f"{key}={value}\n" for key, value in lines.items()))
+        lines += [f"width={geometry.size[0]}", f"height={geometry.size[1]}"]
+    lines += [] if max_disparity is None else [f"ndisp={max_disparity}"]
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_size: tuple[int, int]) -> Rig | float:
@@ -175,17 +152,11 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
     Returns
     -------
     The rig, or focal length x baseline (pixel meters) of images that are rectified already
-
-    Raises
-    ------
-    InputError
-        A damaged file, a missing or wrong field, a singular calibration, or one for images of other sizes.
     """
     text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
     with naming(path):
         if path.suffix.lower() in (".yml", ".yaml"):
-            stored = _opencv_rig([_storage_fields(text)], 1.0, False)
-            cameras, rotation, translation = [stored.left, stored.right], stored.rotation, stored.translation
+            rig = _opencv_rig([_storage_fields(text)], 1.0, False)
         else:
             fields = json_object(text)
             if fields.get("rectified") is True:
@@ -193,26 +164,24 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
                 if not 0 < fb < 1e9:
                     raise InputError(f"fb: want focal length x baseline, pixel meters (got {fb:g})")
                 return fb
-            cameras = [_json_camera(fields, "color", color_size), _json_camera(fields, "infrared", infrared_size)]
+            cameras = []
+            for name, image_size in (("color", color_size), ("infrared", infrared_size)):
+                camera = fields.get(name)
+                if not isinstance(camera, dict):
+                    raise InputError(f"{name}: want K, distortion, size (got {str(camera)[:40]!r})")
+                if (size := camera.get("size")) not in (None, list(image_size)):
+                    raise InputError(f"calibrated for a {name} image of {str(size)[:40]}, got one of {image_size}")
+                cameras.append(_camera(camera, "K", "distortion" if camera.get("distortion") is not None else "", name))
             rotation, translation = numbers(fields.get("R"), "R", (3, 3)), numbers(fields.get("t"), "t", (3,))
-        color, infrared = (
-            Camera(camera.matrix, camera.distortion, size, camera.fisheye)
-            for camera, size in zip(cameras, (color_size, infrared_size), strict=True)
-        )
+            rig = Rig(cameras[0], cameras[1], rotation, translation)
         low, high = _SENSOR_BASELINES
-        if not low < (baseline := float(np.linalg.norm(translation))) < high:
-            raise InputError(f"a baseline of {baseline:.3g} m; the translation is in meters")
-        return Rig(color, infrared, rotation, translation)
+        if not low < rig.baseline < high:
+            raise InputError(f"a baseline of {rig.baseline:.3g} m; the translation is in meters")
+        return replace(rig, left=replace(rig.left, size=color_size), right=replace(rig.right, size=infrared_size))
 
 
 def read_kinect_calibration(path: Path) -> KinectCalibration:
-    """Return the calibration of Herrera et al.'s toolbox as JSON, with its distortion map ``dc_beta.npy`` beside it.
-
-    Raises
-    ------
-    InputError
-        A file is damaged, or a field is missing or of the wrong shape.
-    """
+    """Return the calibration of Herrera et al.'s toolbox as JSON, with its distortion map ``dc_beta.npy`` beside it."""
     with naming(path):
         fields = json_object(read_bytes(path))
         arrays = {key: numbers(fields.get(key), key, shape) for key, shape in _KINECT.items()}
@@ -220,17 +189,12 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
             raise InputError("singular: focal lengths and dc[1] must not be zero")
         depth, color = (Camera(arrays[f"{k}_K"], tuple(arrays[f"{k}_kc"].tolist())) for k in ("depth", "color"))
     beta = kinect_files_beside(path)
-    slope = arrays["dc"][1]
+    start, slope = arrays["dc"].tolist()
+    one, other = arrays["dc_alpha"].tolist()
     return KinectCalibration(
-        depth=depth,
-        color=color,
-        rotation=arrays["depth_to_color_R"],
-        translation=arrays["depth_to_color_t"],
-        offset=float(-arrays["dc"][0] / slope),
-        factor=float(-1.0 / slope),
-        beta=read_plane(beta[0]).astype(np.float64) if beta else None,
-        alpha=(float(arrays["dc_alpha"][0]), float(arrays["dc_alpha"][1])),
-    )
+        depth, color, arrays["depth_to_color_R"], arrays["depth_to_color_t"], offset=-start / slope,
+        factor=-1.0 / slope, beta=read_plane(beta[0]).astype(np.float64) if beta else None, alpha=(one, other),
+    )  # fmt: skip
 
 
 def kinect_files_beside(path: Path) -> tuple[Path, ...]:
@@ -239,17 +203,17 @@ def kinect_files_beside(path: Path) -> tuple[Path, ...]:
     return (beta,) if beta.is_file() else ()
 
 
-def _json_camera(fields: dict[str, Any], name: str, image_size: tuple[int, int]) -> Camera:
-    camera = fields.get(name)
-    if not isinstance(camera, dict):
-        raise InputError(f"{name}: want K, distortion, size (got {str(camera)[:40]!r})")
-    size = camera.get("size")
-    if size is not None and size != list(image_size):
-        raise InputError(f"calibrated for a {name} image of {str(size)[:40]}, it has {image_size[0]} x {image_size[1]}")
-    matrix = _numbers(camera, "K", (3, 3), name)
-    if camera.get("distortion") is None:
-        return Camera(matrix)
-    return Camera(matrix, tuple(_numbers(camera, "distortion", (-1,), name).tolist()))
+def _camera(
+    fields: Mapping[str, Any],
+    matrix: str,
+    lens: str,
+    name: str = "",
+    size: tuple[int, int] | None = None,
+    fisheye: bool = False,
+) -> Camera:
+    """Return a camera of the fields called ``matrix`` and ``lens``, which is empty where there is no distortion."""
+    coefficients = tuple(_numbers(fields, lens, (-1,), name).tolist()) if lens else (0.0,) * 5
+    return Camera(_numbers(fields, matrix, (3, 3), name), coefficients, size, fisheye)
 
 
 def _storage_fields(text: str) -> dict[str, Any]:
@@ -296,11 +260,7 @@ def _opencv_rig(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -
         size = image_sides([fields["image_width"], fields["image_height"]], "image_width, image_height")
     elif "imageSize" in fields:
         size = image_sides(fields["imageSize"], "imageSize")
-    left, right = (
-        Camera(matrix, tuple(_numbers(fields, names[f"D{n}"], (-1,)).tolist()), size, fisheye)
-        for n in (1, 2)
-        for matrix in [_numbers(fields, names[f"K{n}"], (3, 3))]
-    )
+    left, right = (_camera(fields, names[f"K{n}"], names[f"D{n}"], "", size, fisheye) for n in (1, 2))
     turn = _numbers(fields, names["R"], (-1,))
     matrix = turn if turn.size == 9 else cv2.Rodrigues(numbers(turn.tolist(), names["R"], (3,)))[0]
     translation = _numbers(fields, names["T"], (3,)) * meters
@@ -311,13 +271,9 @@ def _kitti_rig(fields: dict[str, str], cameras: tuple[int, int]) -> Rig:
     calibrated, rotations, translations = [], [], []
     for number in cameras:
         size = image_sides(fields.get(f"S_0{number}"), f"S_0{number}")
-        matrix, distortion, rotation, translation = (
-            numbers(fields.get(f"{part}_0{number}"), f"{part}_0{number}", shape)
-            for part, shape in (("K", (3, 3)), ("D", (5,)), ("R", (3, 3)), ("T", (3,)))
-        )
-        calibrated.append(Camera(matrix, tuple(distortion.tolist()), size))
-        rotations.append(rotation)
-        translations.append(translation)
+        calibrated.append(_camera(fields, f"K_0{number}", f"D_0{number}", "", size))
+        rotations.append(_numbers(fields, f"R_0{number}", (3, 3)))
+        translations.append(_numbers(fields, f"T_0{number}", (3,)))
     rotation = rotations[1] @ rotations[0].T
     return Rig(calibrated[0], calibrated[1], rotation, translations[1] - rotation @ translations[0])
 
@@ -349,9 +305,7 @@ def _ros_rig(files: Sequence[dict[str, Any]]) -> Rig:
             raise InputError(f"{name}: distortion_model {model}: want {', '.join(_ROS)}")
         sides = [camera.get("image_width"), camera.get("image_height")]
         size = image_sides(sides, f"{name}: image_width, image_height")
-        distortion = _numbers(camera, "distortion_coefficients", (-1,), name)
-        matrix = _numbers(camera, "camera_matrix", (3, 3), name)
-        calibrated.append(Camera(matrix, tuple(distortion.tolist()), size, _ROS[model]))
+        calibrated.append(_camera(camera, "camera_matrix", "distortion_coefficients", name, size, _ROS[model]))
         rotations.append(_numbers(camera, "rectification_matrix", (3, 3), name))
     projection = _numbers(files[1], "projection_matrix", (3, 4), "right")
     if projection[0, 0] <= 0 or projection[0, 3] == 0:
@@ -397,7 +351,7 @@ def _kitti_geometry(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeo
     return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]), size)
 
 
-def _numbers(fields: dict[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
+def _numbers(fields: Mapping[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
     """Return the numbers of a field, or of the ``data`` of a matrix."""
     value = fields.get(key)
     return numbers(value.get("data") if isinstance(value, dict) else value, f"{name}: {key}" if name else key, shape)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.kinect import UNKNOWN_CODE
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import read_plane
@@ -34,20 +33,9 @@ MIN_DEPTH, MAX_DEPTH = 0.01, 100.0
 _COMMON_SCALES = (1000.0, 5000.0, 8000.0, 10_000.0, 256.0, 100.0)
 
 
-def read_codes(path: Path | str) -> NDArray[np.uint16]:
-    """Read (H, W) 16-bit codes: depth, or the raw disparity of a Kinect, of a PNG, PGM, TIFF or integer npy.
-
-    Raises
-    ------
-    InputError
-        Not readable, damaged, or not one channel of codes from 0 to 65535; one line that names the file.
-    """
-    return _codes(read_plane(path), path)
-
-
 def read_kinect_raw(path: Path | str) -> NDArray[np.uint16]:
     """Return (H, W) uint16 raw codes 0..2047 of a first-generation Kinect, in either order of bytes."""
-    raw = read_codes(path)
+    raw = _codes(read_plane(path), path)
     if raw.max() > UNKNOWN_CODE:  # the bytes are the wrong way round
         raw = raw.byteswap()
     if raw.max() > UNKNOWN_CODE:
@@ -62,25 +50,11 @@ def _codes(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
 
 
 def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) -> NDArray[np.float32]:
-    """Read a depth map in meters.
+    """Return a depth map, (H, W) float32, meters, NaN = unknown.
 
-    Codes (PNG, PGM, TIFF, integer npy) are divided by ``scale``; 0 is unknown. PFM, float npy and TIFF hold meters
-    unless a ``scale`` is given; what is not a positive number (NaN, +-inf, 0 or less) is unknown.
-
-    Parameters
-    ----------
-    path : the file; its kind is found by its content
-    scale : codes per meter; None: 1000 for 16-bit codes, 1 for floats
-    rotate : codes are rotated right by so many bits first (SUN RGB-D: 3)
-
-    Returns
-    -------
-    (H, W) float32, meters, NaN = unknown
-
-    Raises
-    ------
-    InputError
-        Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
+    Codes (PNG, PGM, TIFF, integer npy) are rotated right by ``rotate`` bits (SUN RGB-D: 3) and divided by ``scale``,
+    codes per meter: None is 1000 for 16-bit codes; 0 is unknown. PFM, float npy and TIFF hold meters unless a scale is
+    given; what is not a positive number is unknown.
     """
     values = read_plane(path)
     if values.dtype.kind == "b":
@@ -104,13 +78,8 @@ def implausible_depth(
 ) -> str:
     """Return a warning where the median depth is not within ``limits`` (meters), else an empty text.
 
-    With the limits ``SENSOR``, 5 % of depths beyond 10 m are a reason, too.
-
-    Parameters
-    ----------
-    path : the file, named in the warning
-    depth : (H, W) float32, meters, NaN = unknown
-    scale : codes per meter that it was read with; another that would make it fit a room is named
+    With the limits ``SENSOR``, 5 % of depths beyond 10 m are a reason, too. It names codes per meter that would make
+    the depths those of a room, other than the ``scale`` that they were read with.
     """
     known = depth[np.isfinite(depth)]
     median = float(np.median(known)) if known.size else math.nan
@@ -146,16 +115,7 @@ def write_depth_png(
 
     Depths beyond the largest code are written as unknown: a nearer surface would be invented otherwise. A positive
     depth below the smallest code gets that code. The codes are rotated left by ``rotate`` bits (SUN RGB-D: 3).
-
-    Raises
-    ------
-    ValueError
-        Not two-dimensional.
-    OutputError
-        The file cannot be written.
     """
-    if depth.ndim != 2:
-        raise ValueError(f"want (H, W), got {depth.shape}")
     codes = np.zeros(depth.shape, np.uint16)
     with np.errstate(all="ignore"):
         exact = np.rint(depth.astype(np.float64) * scale)
@@ -178,44 +138,11 @@ def beyond_png(depth: NDArray[np.floating[Any]], scale: float) -> tuple[float, s
     )
 
 
-def write_ply(
-    path: Path | str,
-    depth: NDArray[np.float32],
-    intrinsics: Intrinsics,
-    color: NDArray[np.uint8],
-    mask: NDArray[np.bool_] | None = None,
-) -> None:
-    """Write a depth map as a point cloud: PLY, binary little endian, one colored vertex a pixel with depth.
-
-    Vertices are in the camera's frame, meters: x right, y down, z forward.
-
-    Parameters
-    ----------
-    path : the file
-    depth : (H, W) float32, meters, NaN = unknown
-    intrinsics : of the camera whose pixels these are
-    color : (H, W, 3) uint8 RGB
-    mask : (H, W) bool, True = write the pixel (measured ones, for instance); None: all with depth
-
-    Raises
-    ------
-    ValueError
-        Arrays of different sizes.
-    OutputError
-        The file cannot be written.
-    """
-    if color.shape != (*depth.shape, 3) or (mask is not None and mask.shape != depth.shape):
-        raise ValueError(f"depth {depth.shape}, color {color.shape} and mask must have one size")
-    chosen = np.isfinite(depth) if mask is None else np.isfinite(depth) & mask
-    write_points(path, intrinsics.points(depth, chosen), color[chosen])
-
-
 def write_points(path: Path | str, points: NDArray[np.float32], color: NDArray[np.uint8]) -> None:
     """Write points (N, 3) with colors (N, 3) RGB as PLY, binary little endian; OutputError where that cannot be."""
     vertices = np.empty(len(points), [("xyz", "<f4", 3), ("rgb", "u1", 3)])
     vertices["xyz"], vertices["rgb"] = points, color
-    properties = [f"property float {name}" for name in "xyz"] + [
-        f"property uchar {c}" for c in ("red", "green", "blue")
-    ]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties, "end_header", ""]
-    write_bytes(path, "\n".join(header).encode("ascii") + vertices.tobytes())
+    floats = "".join(f"property float {name}\n" for name in "xyz")
+    bytes_ = "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{floats}{bytes_}end_header\n"
+    write_bytes(path, header.encode("ascii") + vertices.tobytes())

@@ -25,25 +25,11 @@ _MAP_NAMES = ("disp", "disparity", "disp_left", "depth", "arr_0")  # arrays that
 def read_disparity(
     path: Path | str, scale: float | None = None, scale_8bit: float | None = None
 ) -> NDArray[np.float32]:
-    """Return a disparity map in pixels.
+    """Return a disparity map, (H, W) float32, pixels, NaN = unknown.
 
     PFM, float npy and float TIFF hold pixels (+-inf and NaN: unknown). Integer codes (PNG, PGM, integer npy) are
-    divided by ``scale``; a code of 0 or less is unknown.
-
-    Parameters
-    ----------
-    path : the file; its kind is found by its content
-    scale : codes per pixel; None: 1 for PFM, float npy and float TIFF, 256 for 16-bit codes (KITTI)
-    scale_8bit : codes per pixel of 8-bit files where ``scale`` is None; such a file has no scale of its own
-
-    Returns
-    -------
-    (H, W) float32, pixels, NaN = unknown
-
-    Raises
-    ------
-    InputError
-        Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
+    divided by ``scale``, codes per pixel: None is 256 for 16-bit codes (KITTI) and ``scale_8bit`` for those of 8 bit,
+    which have none of their own. A code of 0 or less is unknown.
     """
     values = read_plane(path)
     codes = values.dtype.kind in "iu"
@@ -55,10 +41,8 @@ def read_disparity(
                 "(of maps: evaluate --scale, confidence --scale)"
             )
     with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
-        if codes:
-            disparity = (values / np.float64(scale)).astype(np.float32)
-        else:
-            disparity = values.astype(np.float32) / np.float32(scale or 1)
+        exact = values / np.float64(scale) if codes else values.astype(np.float32) / np.float32(scale or 1)
+        disparity = exact.astype(np.float32)
     disparity[(values <= 0) if codes else ~np.isfinite(disparity)] = np.nan
     width = disparity.shape[1]
     with np.errstate(invalid="ignore"):
@@ -80,10 +64,6 @@ def lone_constant(disparity: NDArray[np.float32]) -> float | None:
     """Return the constant at or below 0 that may stand for no value in other programs' maps, such as OpenCV's -1.
 
     It is the smallest value of a share of the pixels, and few others are near it. None: there is no such constant.
-
-    Parameters
-    ----------
-    disparity : (H, W) float32, pixels, NaN = none
     """
     known = disparity[np.isfinite(disparity)]
     lowest = float(known.min(initial=np.inf))
@@ -95,20 +75,10 @@ def lone_constant(disparity: NDArray[np.float32]) -> float | None:
 
 
 def read_pfm(path: Path | str) -> NDArray[np.float32]:
-    """Return the values of a one-channel PFM file of either byte order, top row first.
+    """Return the values of a one-channel PFM file as stored, (H, W) float32, top row first, +inf = unknown.
 
-    Rows are stored bottom to top; a negative scale in the header means little endian, its size is
-    ignored, as by the Middlebury SDK. A colour PFM is accepted where its channels are equal.
-
-    Returns
-    -------
-    (H, W) float32 with the values as stored (+inf: unknown)
-
-    Raises
-    ------
-    InputError
-        Bad header, or fewer data than the header says. Bytes behind them are ignored with a warning, as the
-        benchmarks' programs ignore them.
+    A negative scale in the header means little endian, its size is ignored, as by the Middlebury SDK. Three equal
+    channels are accepted; bytes behind the values are ignored with a warning, as the benchmarks' programs do.
     """
     data = read_bytes(path)
     with naming(path):
@@ -116,19 +86,7 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
 
 
 def read_plane(path: Path | str) -> NDArray[Any]:
-    """Return one channel of numbers as stored: a map (PFM, npy, npz, float TIFF) or codes; the content says which.
-
-    A file whose ending belongs to a plug-in's format is read by the plug-in.
-
-    Returns
-    -------
-    (H, W) of any integer or float dtype
-
-    Raises
-    ------
-    InputError
-        Not readable, damaged, or not one channel; one line that names the file.
-    """
+    """Return (H, W) numbers as stored: a map (PFM, npy, npz, float TIFF), codes, or what a plug-in reads."""
     if (plane := read_by_plugin(path)) is not None:
         return plane
     data = read_bytes(path)
@@ -142,13 +100,7 @@ def read_plane(path: Path | str) -> NDArray[Any]:
 
 
 def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
-    """Return the array of a ``.npy`` file, mapped into memory, so that only the parts in use are read.
-
-    Raises
-    ------
-    InputError
-        Not readable, damaged, or not an array of numbers with ``dimensions`` axes.
-    """
+    """Return the array of a ``.npy`` file, mapped into memory, so that only the parts in use are read."""
     with open_regular(path), naming(path):
         try:
             array = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -201,15 +153,7 @@ def _decode_pfm(data: bytes, path: Path | str) -> NDArray[np.float32]:
 
 
 def write_pfm(path: Path | str, values: NDArray[np.floating[Any]]) -> None:
-    """Write (H, W) float values as little-endian PFM, atomically; NaN becomes +inf (unknown).
-
-    Raises
-    ------
-    ValueError
-        Not two-dimensional.
-    OutputError
-        The file cannot be written.
-    """
+    """Write (H, W) float values as little-endian PFM, atomically; NaN becomes +inf (unknown)."""
     write_bytes(path, encode_pfm(values))
 
 
@@ -224,18 +168,7 @@ def encode_pfm(values: NDArray[np.floating[Any]]) -> bytes:
 
 
 def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) -> None:
-    """Write a KITTI disparity PNG: uint16, disparity x 256, 0 = unknown, atomically.
-
-    Known values are kept within the codes 1..65535 (1/256 to just under 256 pixels): the format has
-    no code for a disparity of exactly 0.
-
-    Raises
-    ------
-    ValueError
-        Not two-dimensional.
-    OutputError
-        The file cannot be written.
-    """
+    """Write a KITTI disparity PNG: uint16, disparity x 256 within 1 to 65535, 0 = unknown, atomically."""
     write_bytes(path, encode_disparity_png(disparity))
 
 

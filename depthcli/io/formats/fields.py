@@ -55,45 +55,37 @@ _COLUMNS = re.compile(r"(?:^|_)([xyz])(?:_|$)")
 
 @dataclass(frozen=True)
 class Field:
-    """A field as stored.
+    """A field as stored."""
 
-    Attributes
-    ----------
-    values : (Z, Y, X, 3) float32, components as in the file: x, y, z
-    grid : where it is
-    named : key of READINGS that the header, or the file's kind, says
-    """
-
-    values: NDArray[np.float32]
+    values: NDArray[np.float32]  # (Z, Y, X, 3), components as in the file: x, y, z
     grid: Grid
-    named: str
+    named: str  # key of READINGS that the header, or the file's kind, says
 
 
 def read_field(path: Path, fixed: Grid) -> Field:
-    """Return the field of a file, whose kind is found by its ending and header.
-
-    Raises
-    ------
-    InputError
-        Not readable, without three components, or of another size than the fixed volume where it has no grid of its
-        own.
-    """
+    """Return the field of a file, whose kind is found by its ending and header; ``fixed`` where it has no grid."""
     with naming(path):
-        kind, named = suffix_of(path), "itk"
+        kind, named, values = suffix_of(path), "itk", None
         if kind == ".npz":
-            return _bare(_npz(path), fixed)
-        if kind in (".nii", ".nii.gz"):
+            values = _npz(path)
+        elif kind in (".nii", ".nii.gz"):
             header = itk_header(path)
             if header.GetDimension() == 4 and header.GetSize()[3] == 3:
                 image, unknown = read_itk(path)
                 values = simple_itk().GetArrayFromImage(image)
                 if unknown is not None:
                     values[unknown.reshape(values.shape)] = np.nan
-                return _bare(values.transpose(1, 2, 3, 0), fixed)
-            if header.GetMetaData("intent_name").strip() == "NREG_TRANS":
+                values = values.transpose(1, 2, 3, 0)
+            elif header.GetMetaData("intent_name").strip() == "NREG_TRANS":
                 named = "positions" if abs(float(header.GetMetaData("intent_p1"))) < 0.5 else "niftyreg"
-        volume = read_volume(path, vector=True)
-        return Field(volume.values, volume.grid, named)
+        if values is None:
+            volume = read_volume(path, vector=True)
+            return Field(volume.values, volume.grid, named)
+        if values.shape[:3] != fixed.shape:
+            have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
+            raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
+        with np.errstate(over="ignore", invalid="ignore"):
+            return Field(np.ascontiguousarray(values, np.float32), fixed, "voxels")
 
 
 def _npz(path: Path) -> NDArray[Any]:
@@ -107,14 +99,6 @@ def _npz(path: Path) -> NDArray[Any]:
     if len(fields) != 1:
         raise InputError("want one array (X, Y, Z, 3) or (3, X, Y, Z) of displacements")
     return np.transpose(fields[0], (2, 1, 0, 3) if fields[0].shape[3] == 3 else (3, 2, 1, 0))
-
-
-def _bare(values: NDArray[Any], fixed: Grid) -> Field:
-    if values.shape[:3] != fixed.shape:
-        have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
-        raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        return Field(np.ascontiguousarray(values, np.float32), fixed, "voxels")
 
 
 def in_millimeters(field: Field, reading: str) -> NDArray[np.float64]:
@@ -136,16 +120,8 @@ def read_moving_transform(
     """Return the SimpleITK transform that maps a point of the fixed volume to the moving one.
 
     With both files, the displacement comes first and the transform after it (ANTs: ``1Warp``, ``0GenericAffine``).
-
-    Parameters
-    ----------
-    convention : auto, itk, ants, niftyreg or voxels. ``auto`` takes what the header says and compares, where the moving
-        volume is there, the warped volumes of all plausible readings
-
-    Raises
-    ------
-    InputError
-        A file cannot be used, or another reading is clearly better than the one its header says.
+    The ``convention`` auto (of auto, itk, ants, niftyreg, voxels) takes what the header says; where the moving volume
+    is there, another reading that fits it clearly better is an error.
     """
     sitk = simple_itk()
     after = None if transform is None else read_transform(transform)
@@ -154,7 +130,10 @@ def read_moving_transform(
         chain.append(read_transform(displacement))
     elif displacement is not None:
         field = read_field(displacement, fixed.grid)
-        reading = _chosen(field, convention)
+        readings = {"auto": field.named, "ants": "itk"}
+        reading = readings.get(convention, convention)
+        if convention == "niftyreg" and field.named == "positions":
+            reading = "positions"
         if bad := int(np.count_nonzero(~np.isfinite(field.values).all(axis=3))):
             count = int(np.prod(field.grid.shape))
             raise InputError(
@@ -169,14 +148,6 @@ def read_moving_transform(
     if not chain:
         raise InputError("neither a transform nor a displacement field")
     return sitk.CompositeTransform(chain)
-
-
-def _chosen(field: Field, convention: str) -> str:
-    if convention == "auto":
-        return field.named
-    if convention == "niftyreg":
-        return field.named if field.named == "positions" else "niftyreg"
-    return "itk" if convention == "ants" else convention
 
 
 def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, after: Any) -> None:
@@ -209,26 +180,17 @@ def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, afte
 def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
     """Mutual information, nats; what falls outside the moving volume is a value of its own."""
     low, high = (float(np.nanmin(other)), float(np.nanmax(other))) if np.isfinite(other).any() else (0.0, 1.0)
-    outside = np.isnan(other)
-    second = np.where(outside, 0, (other - low) / max(high - low, 1e-12) * (_N_BINS - 2) + 1).astype(np.int64)
+    second = np.where(np.isnan(other), 0, (other - low) / max(high - low, 1e-12) * (_N_BINS - 2) + 1).astype(np.int64)
     span = max(float(one.max() - one.min()), 1e-12)
     first = np.clip((one - one.min()) / span * _N_BINS, 0, _N_BINS - 1).astype(np.int64)
     cells = first * _N_BINS + np.clip(second, 0, _N_BINS - 1)
-    joint = np.bincount(cells, minlength=_N_BINS**2).reshape(_N_BINS, _N_BINS)
-    p = joint / joint.sum()
-    a, b = p.sum(axis=1, keepdims=True), p.sum(axis=0, keepdims=True)
-    known = p > 0
-    return float(np.sum(p[known] * np.log(p[known] / (a * b)[known])))
+    p = np.bincount(cells, minlength=_N_BINS**2).reshape(_N_BINS, _N_BINS) / len(cells)
+    known, independent = p > 0, p.sum(axis=1, keepdims=True) * p.sum(axis=0, keepdims=True)
+    return float(np.sum(p[known] * np.log(p[known] / independent[known])))
 
 
 def read_transform(path: Path) -> Any:
-    """Return the SimpleITK transform of a file of ITK, or of a chain of elastix parameter files.
-
-    Raises
-    ------
-    InputError
-        Not readable, or a kind of transform that is not read.
-    """
+    """Return the SimpleITK transform of a file of ITK, or of a chain of elastix parameter files."""
     sitk = simple_itk()
     with naming(path):
         if suffix_of(path) == ".txt":
@@ -242,7 +204,9 @@ def read_transform(path: Path) -> Any:
 
 def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]:
     """This file's transform, then those it starts from: SimpleITK applies the last one first."""
-    fields = _elastix_fields(text)
+    fields = {}
+    for name, words in re.findall(r"^\s*\((\w+)\s+(.*?)\)\s*(?://.*)?$", text, re.MULTILINE):
+        fields[name] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', words)] or [""]
     if path.resolve() in before or len(before) > _MAX_CHAIN:
         raise InputError("its chain of initial transforms comes back to it")
     if fields.get("HowToCombineTransforms", ["Compose"])[0] != "Compose":
@@ -278,15 +242,6 @@ def transform_files_read_with(path: Path) -> tuple[Path, ...]:
             files.append(below)
             path = below
     return tuple(files)
-
-
-def _elastix_fields(text: str) -> dict[str, list[str]]:
-    fields = {}
-    for line in text.splitlines():
-        match = re.match(r"\s*\((\w+)\s+(.*?)\)\s*(//.*)?$", line)
-        if match:
-            fields[match[1]] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', match[2])] or [""]
-    return fields
 
 
 def _elastix_transform(fields: dict[str, list[str]]) -> Any:
@@ -337,17 +292,9 @@ def _elastix_transform(fields: dict[str, list[str]]) -> Any:
 
 
 def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.float64]:
-    """Return (N, 3) positions x, y, z in mm, LPS, of a list of points.
+    """Return (N, 3) positions x, y, z in mm, LPS, of a list of points, or of the voxels of a volume's ``grid``.
 
-    Parameters
-    ----------
-    grid : of the volume that the points lie in, for files of indices
-    raw : the volume is a DIR-Lab raw file: a text of whole numbers counts voxels from 1
-
-    Raises
-    ------
-    InputError
-        No such file, no points, or a line that is none.
+    Of a DIR-Lab ``raw`` volume, a text counts voxels from 1.
     """
     with naming(path):
         lines = [line.strip() for line in read_bytes(path, 1 << 26).decode("latin-1").splitlines() if line.strip()]
@@ -355,8 +302,12 @@ def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.floa
             points = _points(lines[2:], [0, 1, 2], 3)
             return grid.to_point(points[:, ::-1]) if lines[0].lower() == "index" else points
         columns, first = [0, 1, 2], 0
-        if lines and not _is_row(lines[0]):
-            columns, first = _columns_of(lines[0]), 1
+        try:
+            [float(part) for part in _split(lines[0] if lines else "0")]
+        except ValueError:  # a line of names
+            first, names = 1, [_COLUMNS.search(name.lower()) for name in _split(lines[0])]
+            named = {match[1]: k for k, match in enumerate(names) if match}
+            columns = [named[axis] for axis in "xyz"] if len(named) == 3 else columns
         points = _points(lines[first:], columns, first + 1)
         if raw and suffix_of(path) == ".txt":
             return grid.to_point(points[:, ::-1] - 1)
@@ -365,21 +316,6 @@ def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.floa
 
 def _split(line: str) -> list[str]:
     return [part.strip() for part in (line.split(",") if "," in line else line.split())]
-
-
-def _is_row(line: str) -> bool:
-    try:
-        [float(part) for part in _split(line)]
-    except ValueError:
-        return False
-    return True
-
-
-def _columns_of(line: str) -> list[int]:
-    """Columns of x, y and z by their names; the first three where none says so."""
-    names = [_COLUMNS.search(name.lower()) for name in _split(line)]
-    columns = {match[1]: k for k, match in enumerate(names) if match}
-    return [columns[axis] for axis in "xyz"] if len(columns) == 3 else [0, 1, 2]
 
 
 def _points(lines: list[str], columns: list[int], first: int) -> NDArray[np.float64]:

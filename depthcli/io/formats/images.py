@@ -53,17 +53,9 @@ _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILES, _FORMAT, _FLOATS = 256, 257, 258, 277,
 
 
 def read_image(path: Path | str) -> Image:
-    """Return the pixels of a PNG, JPEG, PGM, PPM, TIFF or BMP file, whose kind is found by its content.
+    """Return (H, W) grey or (H, W, 3) RGB, uint8 or uint16, of an image whose kind is found by its content.
 
-    Returns
-    -------
-    (H, W) grey or (H, W, 3) RGB, uint8 or uint16; transparency is dropped, palettes are resolved.
-
-    Raises
-    ------
-    InputError
-        Not readable, not an image, truncated or damaged, larger than 1 GiB when decoded, or neither 8 nor 16 bit; one
-        line that names the file.
+    Transparency is dropped, palettes are resolved.
     """
     data = read_bytes(path)
     with naming(path):
@@ -71,13 +63,7 @@ def read_image(path: Path | str) -> Image:
 
 
 def read_grey(path: Path | str) -> Image:
-    """Return an image of codes (disparities, a mask) that may be stored with three equal channels.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_image`, and where the channels differ.
-    """
+    """Return an image of codes (disparities, a mask), which may be stored with three equal channels."""
     data = read_bytes(path)
     with naming(path):
         return decode_grey(data)
@@ -86,11 +72,9 @@ def read_grey(path: Path | str) -> Image:
 def decode_grey(data: bytes) -> Image:
     """Return what :func:`read_grey` does, from the bytes of a file."""
     pixels = decode_image(data)
-    if pixels.ndim == 3:
-        if not (pixels == pixels[..., :1]).all():
-            raise InputError("a colour image, want one channel of codes")
-        return cast(Image, np.ascontiguousarray(pixels[..., 0]))
-    return pixels
+    if pixels.ndim == 3 and not (pixels == pixels[..., :1]).all():
+        raise InputError("a colour image, want one channel of codes")
+    return pixels if pixels.ndim == 2 else cast(Image, np.ascontiguousarray(pixels[..., 0]))
 
 
 def decode_image(data: bytes) -> Image:
@@ -153,13 +137,7 @@ def decode_floats(data: bytes) -> NDArray[np.float32] | None:
 
 
 def image_size(path: Path | str) -> tuple[int, int]:
-    """Return height and width of an image or map by the first bytes of its file; nothing is decoded.
-
-    Raises
-    ------
-    InputError
-        Not readable, of no kind that is read, or a header that makes no sense.
-    """
+    """Return height and width of an image or map by the first bytes of its file; nothing is decoded."""
     with open_regular(path) as file, naming(path):
         data = file.read(_HEADER_BYTES)
         kind = image_kind(data)
@@ -195,13 +173,7 @@ def png_bytes(array: NDArray[Any]) -> bytes:
 
 
 def read_pair(left: Path | str, right: Path | str) -> StereoPair:
-    """Return a rectified pair; the range of 10- and 12-bit samples in 16-bit files is declared or found.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_image`, or the images differ in size or type.
-    """
+    """Return a rectified pair; the range of 10- and 12-bit samples in 16-bit files is declared or found."""
     images, declared = [], []
     for path in (left, right):
         data = read_bytes(path)
@@ -213,18 +185,7 @@ def read_pair(left: Path | str, right: Path | str) -> StereoPair:
 
 
 def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int | None = None) -> StereoPair:
-    """Return two images as a pair; where one is grey and the other color, both become grey.
-
-    Parameters
-    ----------
-    paths : the files, for messages
-    declared : bits of the samples, where the files say them
-
-    Raises
-    ------
-    InputError
-        The images differ in size or type.
-    """
+    """Return two images as a pair, both grey where one is; ``declared``: bits of the samples, where files say them."""
     if left.shape[:2] != right.shape[:2] or left.dtype != right.dtype:
         first, second = (
             f"{image.shape[1]} x {image.shape[0]} {'grey' if image.ndim == 2 else 'colour'} {image.dtype}"
@@ -239,35 +200,20 @@ def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int |
 
 
 def sample_bits(*images: Image, declared: int | None = None) -> int:
-    """Return the bits of the samples of images that share one scale: 8, 16, or what 16-bit files hold.
-
-    Parameters
-    ----------
-    images : uint8 or uint16, of one type
-    declared : what the files say; believed where no sample is larger
-
-    Returns
-    -------
-    ``declared``; else 10 or 12 where no sample of any image is larger than 1023 or 4095; else the type's bits
-    """
+    """Return the bits of samples of one scale: 8; or those declared, 10, 12, or 16, the first that hold the largest."""
     if images[0].dtype == np.uint8:
         return 8
     top = max(int(image.max()) for image in images)
-    if declared is not None and declared <= 16 and top < 1 << declared:
-        return declared
-    return next((used for used in (10, 12) if top < 1 << used), 16)
+    return next((bits for bits in (declared or 0, 10, 12) if bits <= 16 and top < 1 << bits), 16)
 
 
 def _declared_bits(data: bytes) -> int | None:
-    """Return the bits of a sample that carry something, where a PNG (sBIT) or PNM (its maximum) says so; else None.
-
-    A maximum of all ones says nothing: most programs write it whatever the camera gave.
-    """
+    """Return the bits of a sample that carry something, where a PNG (sBIT) or PNM (its maximum) says so; else None."""
     kind = image_kind(data)
     if kind == "Png" and (at := data.find(b"sBIT", 0, max(data.find(b"IDAT"), 0))) > 0:
         return max(data[at + 4 : at + 4 + data[at - 1]], default=0) or None
     top = pnm_header(data)[1] if kind == "Pnm" else 255
-    return None if top in (255, 65535) else top.bit_length()
+    return None if top in (255, 65535) else top.bit_length()  # most programs write all ones, whatever the camera gave
 
 
 def image_kind(data: bytes) -> str:

@@ -40,17 +40,12 @@ class MapFormat(ABC):
 
     @abstractmethod
     def read(self, path: Path) -> NDArray[Any]:
-        """Return the map as stored.
+        """Return the map as stored; InputError, ValueError or OSError where the file is damaged.
 
         Returns
         -------
         (H, W) of a float dtype: disparities in pixels, depths in meters, NaN or infinite = unknown; or of an integer
         dtype: codes, divided by the scale that the user or the scene gives, 0 = unknown
-
-        Raises
-        ------
-        InputError, ValueError, OSError
-            The file is damaged; the name of the file is put before the message.
         """
 
 
@@ -71,18 +66,12 @@ def map_suffixes() -> tuple[str, ...]:
 def format_plugins(files: Iterable[Path]) -> set[Plugin]:
     """Return the plug-ins that read any of these files."""
     plugins = _REGISTRY.plugins()
-    endings = {path.suffix.lower() for path in files} if plugins else set()
-    return {plugins[each.name] for suffix, each in map_formats().items() if suffix in endings} if endings else set()
+    formats = map_formats() if plugins else {}
+    return {plugins[formats[path.suffix.lower()].name] for path in files if path.suffix.lower() in formats}
 
 
 def read_by_plugin(path: Path | str) -> NDArray[Any] | None:
-    """Return the map that a plug-in reads from a file; None where the file's ending is none of theirs.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or what was read from it is no map; one line that names the file.
-    """
+    """Return the map that a plug-in reads from a file; None where the file's ending is none of theirs."""
     suffix = Path(path).suffix.lower()
     reader = None if suffix in MAP_SUFFIXES else map_formats().get(suffix)
     if reader is None:
@@ -91,15 +80,10 @@ def read_by_plugin(path: Path | str) -> NDArray[Any] | None:
         pass
     try:
         values = np.asarray(reader.read(Path(path)))
-    except DepthcliError as error:
-        raise InputError(_named(path, str(error))) from error
+        if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
+            raise InputError(f"format {reader.name}: want (H, W) numbers, got {values.shape} {values.dtype}")
+        return values
     except Exception as error:  # a stranger's code may raise anything
         why = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(_named(path, f"cannot be read as {reader.name}: {why}")) from error
-    if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
-        raise InputError(_named(path, f"format {reader.name}: want (H, W) numbers, got {values.shape} {values.dtype}"))
-    return values
-
-
-def _named(path: Path | str, text: str) -> str:
-    return text if str(path) in text else f"{shown(path)}: {text}"
+        text = why if isinstance(error, DepthcliError) else f"cannot be read as {reader.name}: {why}"
+        raise InputError(text if str(path) in text else f"{shown(path)}: {text}") from error

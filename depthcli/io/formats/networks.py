@@ -19,13 +19,7 @@ _SHIPPED = Path(__file__).resolve().parent.parent / "networks"
 
 
 def network_path(name: str) -> Path:
-    """Return the file of a network: ``name`` itself where it ends with .json, else that of the package.
-
-    Raises
-    ------
-    InputError
-        The package has no network of this name.
-    """
+    """Return the file of a network: ``name`` itself where it ends with .json, else that of the package."""
     if name.endswith(".json"):
         return Path(name)
     shipped = {file.stem: file for file in sorted(_SHIPPED.glob("*.json"))}
@@ -35,14 +29,7 @@ def network_path(name: str) -> Path:
 
 
 def read_network(path: Path) -> TrainedNetwork:
-    """Read a network that :func:`write_network` wrote.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or holds something else, arrays that do not fit each other, or numbers that are not
-        finite.
-    """
+    """Return a network that :func:`write_network` wrote."""
     data = read_bytes(path, _MAX_BYTES)
     with naming(path):
         try:
@@ -50,15 +37,13 @@ def read_network(path: Path) -> TrainedNetwork:
             if content["format"] != _FORMAT:
                 raise InputError(f"format {str(content['format'])[:40]!r}, want {_FORMAT!r}")
             with np.errstate(over="ignore"):  # what is infinite is refused
+                arrays = [(each["weights"], each["offsets"]) for each in content["layers"]]
                 return TrainedNetwork(
                     tuple(map(str, content["maps"])),
                     tuple(map(str, content["inputs"])),
                     np.array(content["mean"], np.float32),
                     np.array(content["scale"], np.float32),
-                    tuple(
-                        (np.array(layer["weights"], np.float32), np.array(layer["offsets"], np.float32))
-                        for layer in content["layers"]
-                    ),
+                    tuple((np.array(one, np.float32), np.array(other, np.float32)) for one, other in arrays),
                     tuple(map(str, content["trained_on"])),
                 )
         except (LookupError, TypeError, ValueError, OverflowError, RecursionError, AttributeError) as error:

@@ -51,15 +51,7 @@ _TEXT_SCALE = 0.5  # of lines of text in pictures: capitals are 11 pixels high
 
 
 def write_status(path: Path | str, status: NDArray[np.uint8], palette: Palette) -> None:
-    """Write (H, W) uint8 bits as a PNG whose palette shows them in color; :func:`read_status` gives the bits back.
-
-    Raises
-    ------
-    ValueError
-        Another shape or dtype.
-    OutputError
-        The file cannot be written.
-    """
+    """Write (H, W) uint8 bits as a PNG whose palette shows them in color; :func:`read_status` gives the bits back."""
     from PIL import Image
 
     if status.ndim != 2 or status.dtype != np.uint8:
@@ -70,13 +62,7 @@ def write_status(path: Path | str, status: NDArray[np.uint8], palette: Palette) 
 
 
 def read_status(path: Path | str) -> NDArray[np.uint8]:
-    """Return the bits that :func:`write_status` wrote, (H, W) uint8.
-
-    Raises
-    ------
-    InputError
-        Not readable, damaged, or not a PNG of one 8-bit channel.
-    """
+    """Return the bits that :func:`write_status` wrote, (H, W) uint8."""
     data = read_bytes(path)
     with naming(path):
         return decode_bits(data)
@@ -92,13 +78,12 @@ def status_color(value: int, palette: Palette) -> tuple[int, int, int]:
     mixed = colors[0] if colors else np.zeros(3)
     for color in colors[1:]:
         mixed = mixed + _TINT * (color - mixed)
-    red, green, blue = (int(channel) for channel in np.rint(mixed))
+    red, green, blue = np.rint(mixed).astype(int).tolist()
     return red, green, blue
 
 
-@cache
+@cache  # made once, not for each of many small maps
 def _all_colors(entries: tuple[tuple[int, tuple[str, tuple[int, int, int]]], ...]) -> bytes:
-    """Colors of all 256 values, of a palette's scenes: made once, not for each of many small maps."""
     palette = dict(entries)
     return bytes(channel for value in range(256) for channel in status_color(value, palette))
 
@@ -112,16 +97,7 @@ def status_words(value: int, palette: Palette) -> str:
 def write_legend(path: Path | str, palette: Palette, values: Iterable[int] | None = None) -> None:
     """Write a picture that says which color of a status map means what.
 
-    Parameters
-    ----------
-    path : PNG file
-    palette : of the maps
-    values : the combinations of bits to show; None: no bit, and each bit alone
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    It shows the combinations of bits in ``values``; None: no bit, and each bit alone.
     """
     from PIL import Image, ImageDraw, ImageFont
 
@@ -181,18 +157,12 @@ def draw_text(
     Parameters
     ----------
     place : x of its left end, or of its middle where it is ``centered``, and y of its middle line
-    ink : RGB
     max_width : pixels; a wider text is cut and ends in three dots; None: any
     """
     shown, font = text.encode("ascii", "replace").decode(), (cv2.FONT_HERSHEY_SIMPLEX, _TEXT_SCALE)
-
-    def size() -> tuple[int, int]:
-        width, height = cv2.getTextSize(shown, *font, 1)[0]
-        return int(width), int(height)
-
-    while max_width is not None and len(shown) > 4 and size()[0] > max_width:
+    while max_width is not None and len(shown) > 4 and cv2.getTextSize(shown, *font, 1)[0][0] > max_width:
         shown = shown[:-4] + "..."
-    width, height = size()
+    width, height = cv2.getTextSize(shown, *font, 1)[0]
     x = place[0] - width // 2 if centered else place[0]
     cv2.putText(picture, shown, (x, place[1] + height // 2), *font, ink, 1, cv2.LINE_AA)
 

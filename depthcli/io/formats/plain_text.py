@@ -38,11 +38,6 @@ def numbers(value: Any, name: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np
     ----------
     name : of the field, for the message
     shape : of the result; (-1,): any count
-
-    Raises
-    ------
-    InputError
-        It is something else, or has another count.
     """
     items = re.sub(r"[\[\];,]", " ", value).split() if isinstance(value, str) else value
     items = items if isinstance(items, list) else [items]

@@ -18,17 +18,15 @@ _open: dict[Path, tuple[cv2.VideoCapture, int]] = {}
 """Videos that this process reads, with the number of the next frame: frames are mostly read in order."""
 
 
-def count_frames(path: Path) -> int:
-    """Return how many frames a video says it has.
+def _video(path: Path) -> cv2.VideoCapture:
+    # FFmpeg alone: another backend takes numbered names for images, which it would decode unchecked.
+    return cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
 
-    Raises
-    ------
-    InputError
-        It cannot be opened, or has no frames.
-    """
+
+def count_frames(path: Path) -> int:
+    """Return how many frames a video says it has; InputError where it cannot be decoded."""
     with open_regular(path):
-        pass
-    video = _video(path)
+        video = _video(path)
     count = int(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0
     video.release()
     if count < 1:
@@ -36,19 +34,8 @@ def count_frames(path: Path) -> int:
     return count
 
 
-def _video(path: Path) -> cv2.VideoCapture:
-    # FFmpeg alone: another backend takes numbered names for images, which it would decode unchecked.
-    return cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
-
-
 def read_frame(path: Path, number: int) -> NDArray[np.uint8]:
-    """Return the frame ``number`` (from 0) of a video, (H, W, 3) uint8 RGB.
-
-    Raises
-    ------
-    InputError
-        The video ends before that frame, or cannot be decoded there.
-    """
+    """Return the frame ``number`` (from 0) of a video, (H, W, 3) uint8 RGB; InputError where it cannot be decoded."""
     # Seeking is not exact in every format: frames are decoded from the last one on that this process read.
     video, following = _open.get(path, (None, 0))
     if video is None or number < following:

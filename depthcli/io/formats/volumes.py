@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import math
 import os
 import re
 import struct
@@ -29,11 +30,8 @@ from depthcli.io.formats.plain_text import json_object, numbers
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img")
 """Endings of volume files; ``.img`` is DIR-Lab's raw format, with its size in ``meta.json``."""
 
-_ITK_READERS = {
-    **dict.fromkeys((".nii", ".nii.gz"), "NiftiImageIO"),
-    **dict.fromkeys((".mha", ".mhd"), "MetaImageIO"),
-    **dict.fromkeys((".nrrd", ".nhdr"), "NrrdImageIO"),
-}
+_ITK_READERS = dict.fromkeys((".nii", ".nii.gz"), "NiftiImageIO") | dict.fromkeys((".mha", ".mhd"), "MetaImageIO")
+_ITK_READERS |= dict.fromkeys((".nrrd", ".nhdr"), "NrrdImageIO")
 _MAX_SIDE = 1 << 20  # voxels; no volume is as wide
 _MAX_SPACING = 1e12  # mm; 1e-12 is the smallest: squares of both are well within the range of 32 bit
 _NIFTI_FLOATS = {"16": "f4", "64": "f8"}  # by the header's datatype
@@ -64,14 +62,7 @@ def simple_itk() -> Any:
 
 
 def read_volume(path: Path, vector: bool = False) -> Volume:
-    """Return a volume, or a field of three components.
-
-    Raises
-    ------
-    InputError
-        Not readable, cut off, of more than three dimensions, with another number of components than requested,
-        without a spacing, or empty.
-    """
+    """Return a volume, or a field of three components."""
     with naming(path):
         if suffix_of(path) in IMAGE_SUFFIXES:
             plane = read_grey(path)
@@ -79,12 +70,30 @@ def read_volume(path: Path, vector: bool = False) -> Volume:
         if suffix_of(path) == ".img":
             return _dirlab(path)
         image, unknown = read_itk(path)
-        volume = _volume(image, vector)
+        size, dimension, parts = image.GetSize(), image.GetDimension(), image.GetNumberOfComponentsPerPixel()
+        if dimension == 4 and size[3] == 1:
+            image, dimension = simple_itk().Extract(image, [*size[:3], 0], [0, 0, 0, 0]), 3
+        elif dimension == 2:
+            image = simple_itk().JoinSeries(image)
+        if dimension not in (2, 3) or not math.prod(size):
+            raise InputError(f"{dimension}-D ({' x '.join(map(str, size))}), want a single volume")
+        if parts != (wanted := 3 if vector else 1):
+            raise InputError(f"{parts} values a voxel, want {wanted}")
+        spacing = _checked(image.GetSpacing())
+        grid = Grid(tuple(image.GetSize()), spacing, tuple(image.GetOrigin()), tuple(image.GetDirection()))
+        with np.errstate(over="ignore"):  # beyond the range of 32 bit they are no numbers
+            values = np.array(simple_itk().GetArrayViewFromImage(image), np.float32, order="C")
         # In a NIfTI file a field's components lie one after another.
-        in_order = np.moveaxis(volume.values, -1, 0) if vector else volume.values
+        in_order = np.moveaxis(values, -1, 0) if vector else values
         if unknown is not None:
             in_order[unknown.reshape(in_order.shape)] = np.nan
-        return volume
+        return Volume(values, grid)
+
+
+def _checked(spacing: Any) -> Any:
+    if not all(1 / _MAX_SPACING <= s <= _MAX_SPACING for s in spacing):
+        raise InputError(f"a spacing of {spacing}")
+    return spacing
 
 
 def read_grid(path: Path) -> Grid:
@@ -97,9 +106,9 @@ def read_grid(path: Path) -> Grid:
             return _dirlab_grid(path)
         reader = itk_header(path)
         size, spacing = (*reader.GetSize()[:3], 1)[:3], (*reader.GetSpacing()[:3], 1.0)[:3]
-        if not 2 <= reader.GetDimension() <= 4 or not all(1 / _MAX_SPACING <= s <= _MAX_SPACING for s in spacing):
-            raise InputError(f"{reader.GetDimension()}-D, with a spacing of {spacing}")
-        return Grid((size[0], size[1], size[2]), (spacing[0], spacing[1], spacing[2]))
+        if not 2 <= reader.GetDimension() <= 4:
+            raise InputError(f"{reader.GetDimension()}-D, want a single volume")
+        return Grid(size, _checked(spacing))
 
 
 def read_itk(path: Path) -> tuple[Any, NDArray[np.bool_] | None]:
@@ -114,13 +123,7 @@ def read_itk(path: Path) -> tuple[Any, NDArray[np.bool_] | None]:
 
 
 def itk_header(path: Path) -> Any:
-    """Return SimpleITK's reader of a file, with its header read; it tries no other format than that of the ending.
-
-    Raises
-    ------
-    InputError
-        One line with the reason that SimpleITK gives.
-    """
+    """Return SimpleITK's reader of a file, with its header read; it tries no other format than that of the ending."""
     kind = suffix_of(path)
     if kind not in _ITK_READERS:
         raise InputError(f"no volume of a kind that is read; want {' '.join(VOLUME_SUFFIXES)}")
@@ -188,60 +191,21 @@ def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.bool_] | None:
 @contextlib.contextmanager
 def library_errors() -> Iterator[None]:
     """Make an InputError of one line of whatever SimpleITK raises on damaged data; what its C++ prints is dropped."""
-    try:
-        with quiet():
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):  # without a standard error there is nothing to drop
+            saved = os.dup(2)
+            stack.callback(os.close, saved)
+            stack.callback(os.dup2, saved, 2)
+            with open(os.devnull, "wb") as sink:
+                os.dup2(sink.fileno(), 2)
+        try:
             yield
-    except InputError:
-        raise
-    except Exception as error:  # besides RuntimeError, UnicodeDecodeError of its own messages and TypeError
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
-        reason = next((line.partition("ERROR: ")[2] or line for line in lines if "ERROR" in line), lines[-1])
-        raise InputError(f"cannot be read ({reason.partition('): ')[2] or reason})"[:300]) from None
-
-
-def _volume(image: Any, vector: bool) -> Volume:
-    sitk = simple_itk()
-    dimension, parts = image.GetDimension(), image.GetNumberOfComponentsPerPixel()
-    size = image.GetSize()
-    if dimension == 4 and size[3] == 1:
-        image = sitk.Extract(image, [*size[:3], 0], [0, 0, 0, 0])
-        dimension = 3
-    if dimension not in (2, 3):
-        raise InputError(f"{dimension}-D ({' x '.join(map(str, size))}), want a single volume")
-    if dimension == 2:
-        image = sitk.JoinSeries(image)
-        if vector and parts == 2:
-            raise InputError("a 2-D field of two components; want three")
-    wanted = 3 if vector else 1
-    if parts != wanted:
-        raise InputError(f"{parts} values a voxel, want {wanted}")
-    values = sitk.GetArrayViewFromImage(image)
-    if values.size == 0:
-        raise InputError("no voxels")
-    spacing = image.GetSpacing()
-    if not all(1 / _MAX_SPACING <= s <= _MAX_SPACING for s in spacing):
-        raise InputError(f"a spacing of {spacing}")
-    grid = Grid(tuple(image.GetSize()), tuple(spacing), tuple(image.GetOrigin()), tuple(image.GetDirection()))
-    with np.errstate(over="ignore"):  # beyond the range of 32 bit they are no numbers
-        return Volume(np.array(values, np.float32, order="C"), grid)
-
-
-@contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """Hide what the readers' C++ code prints on standard error; the exception has the message."""
-    try:
-        saved = os.dup(2)
-        sink = os.open(os.devnull, os.O_WRONLY)
-    except OSError:
-        yield
-        return
-    try:
-        os.dup2(sink, 2)
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(sink)
+        except InputError:
+            raise
+        except Exception as error:  # besides RuntimeError, UnicodeDecodeError of its own messages and TypeError
+            lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+            reason = next((line.partition("ERROR: ")[2] or line for line in lines if "ERROR" in line), lines[-1])
+            raise InputError(f"cannot be read ({reason.partition('): ')[2] or reason})"[:300]) from None
 
 
 def _dirlab_grid(path: Path) -> Grid:

@@ -57,15 +57,6 @@ class Folder:
             raise InputError(f"{self.path}: both {fitting[0]} and {fitting[1]}; keep one")
         return self.path / fitting[0] if fitting else None
 
-    def starting(self, start: str, suffixes: Iterable[str]) -> dict[str, Path]:
-        """Return what follows ``start`` in the stem -> file."""
-        files = {}
-        for stem in sorted(self._by_stem):
-            file = self.one(stem, suffixes) if stem.startswith(start) else None
-            if file is not None:
-                files[stem.removeprefix(start)] = file
-        return files
-
     def below(self, place: str) -> Folder | None:
         """Return the folder at a path in this one; None where there is none."""
         if place not in self._below:
@@ -117,15 +108,15 @@ class Meta:
 
     def positive(self, key: str) -> float | None:
         """Return a positive number below a million."""
-        value = self._number(key, "a positive number")
-        if value is not None and not 0 < value < _MAX_POSITIVE:
+        value = self.fields.get(key)
+        if value is not None and (type(value) not in (int, float) or not 0 < value < _MAX_POSITIVE):
             raise self.error(key, "a positive number")
         return None if value is None else float(value)
 
     def whole(self, key: str, low: int = -_MAX_WHOLE) -> int | None:
         """Return a whole number, not below ``low``."""
-        value = self._number(key, "a whole number")
-        if value is not None and (value != value // 1 or not low <= value <= _MAX_WHOLE):
+        value = self.fields.get(key)
+        if value is not None and (type(value) not in (int, float) or value % 1 or not low <= value <= _MAX_WHOLE):
             raise self.error(key, f"a whole number from {low} to {_MAX_WHOLE}")
         return None if value is None else int(value)
 
@@ -155,12 +146,6 @@ class Meta:
         """Return the error that says that the field ``key`` must be ``wanted``."""
         return InputError(f"{self.path}: {key}: want {wanted} (got {short(self.fields.get(key))})")
 
-    def _number(self, key: str, wanted: str) -> float | None:
-        value = self.fields.get(key)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise self.error(key, wanted)
-        return value
-
 
 class Layout(ABC):
     """One way to lay out a folder: a :class:`~depthcli.io.layouts.rows.Row`, or a class that reads files of its own."""
@@ -178,23 +163,12 @@ class Layout(ABC):
 
     @abstractmethod
     def scenes(self, folder: Folder) -> list[Scene]:
-        """Return the scenes that ``folder`` itself holds; none where it is not of this layout.
-
-        Raises
-        ------
-        InputError
-            It is of this layout, but cannot be used.
-        """
+        """Return the scenes that ``folder`` itself holds; none where it is not of this layout."""
 
     def scene(self, folder: Folder, **values: Any) -> Scene:
         """Return a scene of ``folder`` with these fields; where not given, the name is the folder's."""
-        own: dict[str, Any] = {
-            "name": folder.name,
-            "folder": folder.path,
-            "layout": self.name,
-            "protocol": self.protocol,
-        }
-        return self.kind(**(own | values))
+        own = {"name": folder.name, "folder": folder.path, "layout": self.name, "protocol": self.protocol, **values}
+        return self.kind(**own)
 
 
 PLUGINS = Registry[Layout](__name__, group="depthcli.layouts")

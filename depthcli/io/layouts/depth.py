@@ -160,7 +160,7 @@ class Tum(Layout):
             pairs = [(t, file, *min(depths, key=lambda d: abs(d[0] - t))) for t, file in colors if depths]
         if not pairs:
             raise InputError(f"{folder.path}: no line pairs a color image with a depth image")
-        poses = read_poses(folder.path / "groundtruth.txt") if folder.has("groundtruth.txt") else Poses((), ())
+        poses = read_poses(folder.path / "groundtruth.txt") if folder.has("groundtruth.txt") else Poses([], [])
         scenes = []
         for number, (time, color, depth_time, depth) in enumerate(pairs):
             late = abs(time - depth_time) > _TUM_DELAY

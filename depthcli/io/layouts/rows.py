@@ -41,13 +41,11 @@ class Found:
 
     Attributes
     ----------
-    folder : which the row describes
-    keys : placeholder -> text
     files, masks : role -> file, and name of a mask -> file
     """
 
-    folder: Folder
-    keys: Mapping[str, str]
+    folder: Folder  # which the row describes
+    keys: Mapping[str, str]  # placeholder -> text
     files: Mapping[str, Path]
     masks: Mapping[str, Path]
 
@@ -58,29 +56,24 @@ class Row(Layout):
 
     Attributes
     ----------
-    title : name on the command line
-    wants : the files of a scene, in a line for messages and the manual
     files : role -> file name, of each variant; a scene that an earlier variant found is not found again. ``name`` is
         that of the scene: ``{folder}`` is the folder's own, which is the default, ``{path_}`` folders joined by ``_``
     kind, protocol : of the scenes
-    values : other fields of the scenes
     facts : returns further fields of a scene, or None where it is none of this layout
     needs, without : names in the folder, all or none of which must be there (shell patterns)
-    either : each of the two images makes a scene, which has a problem without the other
-    single : the left image alone is a scene where its truth is known, and so is depth without color
     """
 
-    title: str
-    wants: str
+    title: str  # name on the command line
+    wants: str  # the files of a scene, in a line for messages and the manual
     files: tuple[Mapping[str, str], ...]
     kind: type[Scene] = StereoScene
     protocol: str = ""
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Any] = field(default_factory=dict)  # other fields of the scenes
     facts: Callable[[Found], dict[str, Any] | None] = lambda found: {}
     needs: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
-    either: bool = False
-    single: bool = False
+    either: bool = False  # each of the two images makes a scene, which has a problem without the other
+    single: bool = False  # the left image alone is a scene where its truth is known, and so is depth without color
 
     @property
     def name(self) -> str:
@@ -256,13 +249,7 @@ def _pattern(name: str) -> re.Pattern[str]:
 
 
 def rows_in_file(path: Path) -> tuple[Row, ...]:
-    """Return the layouts of a user's YAML file: name -> role -> file name, and other fields of scenes.
-
-    Raises
-    ------
-    ConfigError
-        It cannot be read, or holds an unknown role or field.
-    """
+    """Return the layouts of a user's YAML file: name -> role -> file name, and other fields of scenes."""
     rows = []
     for title, given in read_config(path).data.items():
         if not isinstance(given, dict) or not {"left", "depth"} & given.keys():

@@ -16,22 +16,13 @@ from depthcli.core.errors import ConfigError, InputError
 
 @dataclass(frozen=True, kw_only=True)
 class Scene(ABC):
-    """The base class of all kinds of scene.
+    """The base class of all kinds of scene."""
 
-    Attributes
-    ----------
-    name : unique in its listing, with ``/`` where the scene lies in a data set's folder
-    folder : the folder it was found in
-    layout : name of the layout that found it; empty for files named on the command line
-    protocol : name of the evaluation protocol that its ground truth asks for
-    problem : why the scene cannot be used (``load`` and ``truth`` raise it), or empty
-    """
-
-    name: str
-    folder: Path
-    layout: str = ""
-    protocol: str = ""
-    problem: str = ""
+    name: str  # unique in its listing, with ``/`` where the scene lies in a data set's folder
+    folder: Path  # the folder it was found in
+    layout: str = ""  # name of the layout that found it; empty for files named on the command line
+    protocol: str = ""  # name of the evaluation protocol that its ground truth asks for
+    problem: str = ""  # why the scene cannot be used (``load`` and ``truth`` raise it), or empty
 
     @property
     @abstractmethod
@@ -54,24 +45,12 @@ class Scene(ABC):
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
-        """Return the scene whose files the command line names; None where it names none.
-
-        Raises
-        ------
-        ConfigError
-            Some of the options that belong together are missing.
-        """
+        """Return the scene whose files the command line names; None: none; ConfigError where an option is missing."""
         return None
 
     @classmethod
     def named(cls, values: Mapping[str, Any]) -> list[Self]:
-        """Return all scenes whose files the command line names: the single one, unless the kind knows of more.
-
-        Raises
-        ------
-        ConfigError, InputError
-            As for ``single``; what is named holds no scene.
-        """
+        """Return all scenes whose files the command line names: the single one, unless the kind knows of more."""
         one = cls.single(values)
         return [] if one is None else [one]
 

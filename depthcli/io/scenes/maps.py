@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,26 +18,15 @@ from depthcli.io.scenes.stereo import StereoScene
 
 @dataclass(frozen=True, kw_only=True)
 class DisparityScene(Scene):
-    """A disparity map that a run made, with the files that belong to it.
+    """A disparity map that a run made, with the files that belong to it."""
 
-    Attributes
-    ----------
-    disparity : the map
-    status : status of its pixels, or None
-    confidence : name -> map
-    left : the image that the map describes, or None where it is missing
-    calibration : calibration of the pair, or None
-    cameras : numbers of the left and right camera in a calibration of several
-    geometry : what the data set of the pair says instead of a calibration, or None
-    """
-
-    disparity: Path
-    status: Path | None = None
-    confidence: dict[str, Path] = field(default_factory=dict)
-    left: Path | None = None
-    calibration: Path | None = None
-    cameras: tuple[int, int] = (2, 3)
-    geometry: PairGeometry | None = None
+    disparity: Path  # the map
+    status: Path | None = None  # status of its pixels, or None
+    confidence: dict[str, Path] = field(default_factory=dict)  # name -> map
+    left: Path | None = None  # the image that the map describes, or None where it is missing
+    calibration: Path | None = None  # calibration of the pair, or None
+    cameras: tuple[int, int] = (2, 3)  # numbers of the left and right camera in a calibration of several
+    geometry: PairGeometry | None = None  # what the data set of the pair says instead of a calibration, or None
 
     @property
     def input_files(self) -> dict[str, Path]:
@@ -54,20 +43,12 @@ class DisparityScene(Scene):
 
 @dataclass(frozen=True)
 class GivenMap:
-    """One file of a run.
+    """One file of a run."""
 
-    Attributes
-    ----------
-    run : name of the run
-    path : the file
-    scale : codes per pixel; None: as the file's kind says
-    invalid : value that stands for none; None: recognized
-    """
-
-    run: str
-    path: Path
-    scale: float | None = None
-    invalid: float | None = None
+    run: str  # name of the run
+    path: Path  # the file
+    scale: float | None = None  # codes per pixel; None: as the file's kind says
+    invalid: float | None = None  # value that stands for none; None: recognized
 
     def load(self) -> NDArray[np.float32]:
         """Return the map, (H, W) float32, pixels, NaN = no value; InputError where it cannot be read.
@@ -92,32 +73,18 @@ class GivenMap:
 
 @dataclass(frozen=True, kw_only=True)
 class MapsScene(StereoScene):
-    """A pair with maps of its left view.
+    """A pair with maps of its left view."""
 
-    Attributes
-    ----------
-    maps : the maps, in the order of the command line
-    right_map : map of the right view, or None
-    absent : names of the runs that have no map of this scene
-    """
-
-    maps: tuple[GivenMap, ...] = ()
-    right_map: GivenMap | None = None
-    absent: tuple[str, ...] = ()
+    maps: tuple[GivenMap, ...] = ()  # the maps, in the order of the command line
+    right_map: GivenMap | None = None  # map of the right view, or None
+    absent: tuple[str, ...] = ()  # names of the runs that have no map of this scene
 
     @classmethod
-    def of(
-        cls,
-        scene: StereoScene,
-        maps: tuple[GivenMap, ...],
-        right_map: GivenMap | None,
-        absent: tuple[str, ...],
-        problem: str,
-    ) -> Self:
-        """Return the scene with its maps; ``problem``: why it cannot be used, or empty."""
-        own = {field.name: getattr(scene, field.name) for field in fields(StereoScene)}
-        own["problem"] = scene.problem or problem
-        return cls(**own, maps=maps, right_map=right_map, absent=absent)
+    def of(cls, scene: StereoScene, *maps: Any) -> Self:
+        """Return the scene with ``maps``, ``right_map``, ``absent``, and why it cannot be used, or an empty text."""
+        own = {each.name: getattr(scene, each.name) for each in fields(StereoScene)}
+        own["problem"] = scene.problem or maps[3]
+        return cls(**own, maps=maps[0], right_map=maps[1], absent=maps[2])
 
     @property
     def input_files(self) -> dict[str, Path]:

@@ -29,18 +29,11 @@ _GENERIC_NAMES = ("color", "rgb", "image", "depth")
 
 @dataclass(frozen=True)
 class RgbdTruth:
-    """True depth of one frame.
+    """True depth of one frame."""
 
-    Attributes
-    ----------
-    depth : (H, W) float32, meters, NaN = unknown
-    masks : name -> (H, W) bool, True = evaluate
-    fb : focal length x baseline, pixel meters, or None where errors in pixels mean nothing
-    """
-
-    depth: NDArray[np.float32]
-    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
-    fb: float | None = None
+    depth: NDArray[np.float32]  # (H, W) float32, meters, NaN = unknown
+    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)  # name -> (H, W) bool, True = evaluate
+    fb: float | None = None  # focal length x baseline, pixel meters, or None where errors in pixels mean nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,17 +43,9 @@ class RgbdScene(Scene):
     Attributes
     ----------
     color, depth : image files; color is None where there is depth alone
-    depth_scale : codes a meter of integer depth files
-    rotated : the codes' bits are rotated left by 3 (SUN RGB-D)
-    raw : ``depth`` holds raw codes of a first-generation Kinect, in the depth camera's frame
-    calibration : Kinect calibration for raw codes, or None for a typical one
-    depth_true : true depth, in the same codes, or None
-    masks : name -> file; a pixel counts where the value is 255
-    intrinsics : fx, fy, cx, cy of the color camera, or None
     depth_intrinsics : those of the depth camera, whose map is then registered to the color image; None: it is already
     depth_to_color : rotation (row by row) and translation (meters) from the depth camera's frame to the color
         camera's; None: both are at one place
-    fb : focal length x baseline, pixel meters; None where it is not known
     hidden : mask of pixels that the sensor is made not to see (255), where its depth is the true one; or None
     sparse, sparse_confidence : a second depth map in the same codes, known at some pixels, and how sure it is; or None
     sequence, number : the sequence that the frame belongs to, or empty, and its place there
@@ -69,16 +54,16 @@ class RgbdScene(Scene):
 
     color: Path | None
     depth: Path
-    depth_scale: float = 1000.0
-    rotated: bool = False
-    raw: bool = False
-    calibration: Path | None = None
-    depth_true: Path | None = None
-    masks: dict[str, Path] = field(default_factory=dict)
-    intrinsics: tuple[float, float, float, float] | None = None
+    depth_scale: float = 1000.0  # codes a meter of integer depth files
+    rotated: bool = False  # the codes' bits are rotated left by 3 (SUN RGB-D)
+    raw: bool = False  # ``depth`` holds raw codes of a first-generation Kinect, in the depth camera's frame
+    calibration: Path | None = None  # Kinect calibration for raw codes, or None for a typical one
+    depth_true: Path | None = None  # true depth, in the same codes, or None
+    masks: dict[str, Path] = field(default_factory=dict)  # name -> file; a pixel counts where the value is 255
+    intrinsics: tuple[float, float, float, float] | None = None  # fx, fy, cx, cy of the color camera, or None
     depth_intrinsics: tuple[float, float, float, float] | None = None
     depth_to_color: Place | None = None
-    fb: float | None = None
+    fb: float | None = None  # focal length x baseline, pixel meters; None where it is not known
     hidden: Path | None = None
     sparse: Path | None = None
     sparse_confidence: Path | None = None
@@ -100,12 +85,10 @@ class RgbdScene(Scene):
     @property
     def input_files(self) -> dict[str, Path]:
         """``color``, ``depth`` and what is known of the cameras."""
-        files = {"depth": self.depth} if self.color is None else {"color": self.color, "depth": self.depth}
-        if self.hidden is not None:
-            files["hidden"] = self.hidden
-        if self.calibration is not None:
-            files["calibration"] = self.calibration
-            files |= {f"calibration: {file.name}": file for file in kinect_files_beside(self.calibration) if self.raw}
+        known = {"color": self.color, "depth": self.depth, "hidden": self.hidden, "calibration": self.calibration}
+        files = {role: file for role, file in known.items() if file is not None}
+        if self.calibration is not None and self.raw:
+            files |= {f"calibration: {file.name}": file for file in kinect_files_beside(self.calibration)}
         return files
 
     @property
@@ -123,16 +106,11 @@ class RgbdScene(Scene):
         return image_size(self.image)
 
     def load(self) -> RgbdFrame:
-        """Return color and depth of one size, depth in meters and registered to the color, or depth alone.
-
-        Raises
-        ------
-        InputError
-            Files that cannot be used, or without a known depth; sizes that differ while the cameras are not known.
-        """
+        """Return color and depth of one size, depth in meters and registered to the color, or depth alone."""
         self.check()
-        intrinsics = None if self.intrinsics is None else Intrinsics(*self.intrinsics)
-        depth_camera = None if self.depth_intrinsics is None else Intrinsics(*self.depth_intrinsics)
+        intrinsics, depth_camera = (
+            None if each is None else Intrinsics(*each) for each in (self.intrinsics, self.depth_intrinsics)
+        )
         if self.color is None:
             known = intrinsics or depth_camera
             frame = RgbdFrame.without_color(self._visible_depth(), self.fb or sensor_fb(known), known)
@@ -154,13 +132,7 @@ class RgbdScene(Scene):
         return frame
 
     def load_sparse(self) -> SparseFrame:
-        """Return the frame with its second, sparse depth.
-
-        Raises
-        ------
-        InputError
-            As for :meth:`load`; no sparse depth, one of another size, or without a single pixel.
-        """
+        """Return the frame with its second, sparse depth."""
         frame = self.load()
         if self.color is None:
             raise InputError(f"{self.depth}: no color image beside it, which transparent objects need")
@@ -229,18 +201,11 @@ def _registered_raw(scene: RgbdScene, color: NDArray[np.uint8]) -> RgbdFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class RgbIrScene(RgbdScene):
-    """A frame with an infrared image; ``calibration`` holds both cameras, or says that the pair is rectified.
+    """A frame with an infrared image; ``calibration`` holds both cameras, or says that the pair is rectified."""
 
-    Attributes
-    ----------
-    infrared : image file, 8 or 16 bit
-    infrared_plain : the same view with the projector covered, which is used instead, or None
-    max_disparity : largest disparity to search, or None
-    """
-
-    infrared: Path
-    infrared_plain: Path | None = None
-    max_disparity: int | None = None
+    infrared: Path  # image file, 8 or 16 bit
+    infrared_plain: Path | None = None  # the same view with the projector covered, which is used instead, or None
+    max_disparity: int | None = None  # largest disparity to search, or None
 
     @property
     def input_files(self) -> dict[str, Path]:
@@ -248,13 +213,7 @@ class RgbIrScene(RgbdScene):
         return {**super().input_files, "infrared": self.infrared_plain or self.infrared}
 
     def load_pair(self) -> RgbIrFrame:
-        """Return the frame with its infrared image and calibration.
-
-        Raises
-        ------
-        InputError
-            As for :meth:`load`; no calibration, or one that does not fit the images.
-        """
+        """Return the frame with its infrared image and calibration."""
         frame = self.load()
         if self.calibration is None:
             raise InputError(f"{self.folder}: no calibration of the color and the infrared camera (calib.json)")

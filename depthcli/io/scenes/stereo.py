@@ -35,19 +35,15 @@ class StereoTruth:
 
     Attributes
     ----------
-    disparity : (H, W) float32, pixels, NaN = unknown
     right, noc : the same for the right view, and for the visible pixels alone (KITTI); or None
-    objects : (H, W) bool, foreground objects (KITTI 2015), or None
-    masks : name -> (H, W) bool, True = evaluate
-    scale : codes per pixel that the files were read with; None = what their kind says
     """
 
-    disparity: NDArray[np.float32]
+    disparity: NDArray[np.float32]  # (H, W) float32, pixels, NaN = unknown
     right: NDArray[np.float32] | None = None
     noc: NDArray[np.float32] | None = None
-    objects: NDArray[np.bool_] | None = None
-    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
-    scale: float | None = None
+    objects: NDArray[np.bool_] | None = None  # (H, W) bool, foreground objects (KITTI 2015), or None
+    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)  # name -> (H, W) bool, True = evaluate
+    scale: float | None = None  # codes per pixel that the files were read with; None = what their kind says
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,21 +53,11 @@ class StereoScene(Scene):
     Attributes
     ----------
     left, right : image files, or videos; ``right`` is None where there is only one view
-    frame_number : of the videos' frames, from 0; None: ``left`` and ``right`` are images
     disparity_left, disparity_right, disparity_noc : ground truth files or None
-    disparity_scale : codes per pixel of the ground truth; None = what the file's kind says
-    scale_by_width : the scale follows from the map's width, as in the Middlebury 2005 and 2006 sets
     masks : name -> file; a pixel counts where the value is 255
     occluded, ignored : masks of pixels that the right view does not show, and of those that do not count (both: > 0);
         without a file of their own, ``nonocc`` and ``all`` are the others; or None
-    objects : KITTI 2015 object map (> 0: foreground) or None
-    materials : map of classes from 0 to 3, each a mask ``class_<k>`` (Booster), or None
     decode : reads a truth map with a number of codes per pixel, (H, W) float32, pixels, NaN = unknown
-    max_disparity : largest disparity to search, inclusive, or None
-    min_disparity : smallest disparity to search
-    round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
-    calibration : file that says how disparities become depth, or None
-    cameras : numbers of the pair's cameras in a calibration of several (KITTI)
     geometry : how disparities become depth, where the data set says so in another way; or None
     sequence : the first, the middle and the last frame of the sequence that this one belongs to, in order; empty for a
         single pair; see :func:`with_sequences`
@@ -79,23 +65,23 @@ class StereoScene(Scene):
 
     left: Path
     right: Path | None = None
-    frame_number: int | None = None
+    frame_number: int | None = None  # of the videos' frames, from 0; None: ``left`` and ``right`` are images
     disparity_left: Path | None = None
     disparity_right: Path | None = None
     disparity_noc: Path | None = None
-    disparity_scale: float | None = None
-    scale_by_width: bool = False
+    disparity_scale: float | None = None  # codes per pixel of the ground truth; None = what the file's kind says
+    scale_by_width: bool = False  # the scale follows from the map's width, as in the Middlebury 2005 and 2006 sets
     masks: dict[str, Path] = field(default_factory=dict, hash=False)
     occluded: Path | None = None
     ignored: Path | None = None
-    objects: Path | None = None
-    materials: Path | None = None
+    objects: Path | None = None  # KITTI 2015 object map (> 0: foreground) or None
+    materials: Path | None = None  # map of classes from 0 to 3, each a mask ``class_<k>`` (Booster), or None
     decode: Callable[[Path, float | None], NDArray[np.float32]] = read_disparity
-    max_disparity: int | None = None
-    min_disparity: int = 0
-    round_disparity: bool = False
-    calibration: Path | None = None
-    cameras: tuple[int, int] = (2, 3)
+    max_disparity: int | None = None  # largest disparity to search, inclusive, or None
+    min_disparity: int = 0  # smallest disparity to search
+    round_disparity: bool = False  # the truth is whole pixels, so that results are rounded first (v3: ``isint``)
+    calibration: Path | None = None  # file that says how disparities become depth, or None
+    cameras: tuple[int, int] = (2, 3)  # numbers of the pair's cameras in a calibration of several (KITTI)
     geometry: PairGeometry | None = None
     sequence: tuple[StereoScene, ...] = ()
 
@@ -114,7 +100,7 @@ class StereoScene(Scene):
         if one is None or one.right is None:
             return []
         if is_many(one.left) or is_many(one.right):
-            return [cls._of_pair(pair) for pair in match_patterns(one.left, one.right, IMAGE_SUFFIXES)]
+            return [cls._of_pair(pair, Path()) for pair in match_patterns(one.left, one.right, IMAGE_SUFFIXES)]
         if one.left.suffix.lower() in VIDEO_SUFFIXES:
             try:
                 counts = count_frames(one.left), count_frames(one.right)
@@ -130,26 +116,24 @@ class StereoScene(Scene):
         return [cls._of_pair(pair, path.parent) for pair in read_table(path)]
 
     @classmethod
-    def _of_pair(cls, pair: NamedPair, folder: Path | None = None) -> Self:
-        left, right = pair.left, pair.right
-        there = left or right
+    def _of_pair(cls, pair: NamedPair, folder: Path) -> Self:
+        there = pair.left or pair.right
         assert there is not None
         problem = ""
-        if left is None or right is None:
-            problem = f"{there}: no {'right' if left else 'left'} image belongs to it"
-        ends: dict[str, int | None] = {"max_disparity": None, "min_disparity": None}
-        for key in ends:
-            if text := pair.more.get(key):
-                if re.fullmatch(r"[-+]?[0-9]{1,7}", text) and abs(int(text)) <= MAX_DISPARITY:
-                    ends[key] = int(text)
-                else:
-                    problem = f"{there}: {key}: want a whole number up to {MAX_DISPARITY} (got {text[:40]!r})"
-        calibration = pair.more.get("calibration")
+        if pair.left is None or pair.right is None:
+            problem = f"{there}: no {'right' if pair.left else 'left'} image belongs to it"
+        known: dict[str, Any] = {}
+        for key in {"max_disparity", "min_disparity"} & pair.more.keys():
+            text = pair.more[key]
+            if re.fullmatch(r"[-+]?[0-9]{1,7}", text) and abs(int(text)) <= MAX_DISPARITY:
+                known[key] = int(text)
+            else:
+                problem = f"{there}: {key}: want a whole number up to {MAX_DISPARITY} (got {text[:40]!r})"
+        if "calibration" in pair.more:
+            known["calibration"] = folder / pair.more["calibration"]
         return cls(
-            name=pair.name, folder=there.parent, left=left or there, right=right, problem=problem,
-            max_disparity=ends["max_disparity"], min_disparity=ends["min_disparity"] or 0,
-            calibration=(folder or Path()) / calibration if calibration else None,
-        )  # fmt: skip
+            name=pair.name, folder=there.parent, left=pair.left or there, right=pair.right, problem=problem, **known
+        )
 
     @property
     def input_files(self) -> dict[str, Path]:
@@ -182,20 +166,12 @@ class StereoScene(Scene):
     def load(self) -> StereoPair:
         """Return left and right image of one size and dtype, both grey where one is; InputError otherwise."""
         right = self._right()
-        return (
-            read_pair(self.left, right)
-            if self.frame_number is None
-            else pair_of(*self.load_views(), (self.left, right))
-        )
+        if self.frame_number is None:
+            return read_pair(self.left, right)
+        return pair_of(*self.load_views(), (self.left, right))
 
     def truth(self) -> StereoTruth:
-        """Return ground truth and masks of the left view, as stored.
-
-        Raises
-        ------
-        InputError
-            No ground truth, an unreadable file, or files of different sizes.
-        """
+        """Return ground truth and masks of the left view, as stored."""
         self.check()
         if self.disparity_left is None:
             raise InputError(f"{self.left.parent}: scene {self.name} has no ground truth")
@@ -204,8 +180,9 @@ class StereoScene(Scene):
             width = read_grey(self.disparity_left).shape[1]
             scale = next(scale for above, scale in _SCALE_BY_WIDTH if width > above)
         disparity = self.decode(self.disparity_left, scale)
-        right = None if self.disparity_right is None else self.decode(self.disparity_right, scale)
-        noc = None if self.disparity_noc is None else self.decode(self.disparity_noc, scale)
+        right, noc = (
+            None if file is None else self.decode(file, scale) for file in (self.disparity_right, self.disparity_noc)
+        )
         objects = None if self.objects is None else read_grey(self.objects) > 0
         masks = self.read_masks()
         others = [(self.disparity_noc, noc), (self.objects, objects), *masks.values()]
@@ -235,27 +212,18 @@ def with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
     sequence in the order of their names.
     """
     ordered = sorted(scenes, key=lambda scene: scene.name)
-    frames: dict[tuple[str | Path, str | Path], list[StereoScene]] = {}
-    places = [_place(scene) for scene in ordered]
-    for scene, place in zip(ordered, places, strict=True):
-        if place is not None:
-            assert isinstance(scene, StereoScene)
-            frames.setdefault(place, []).append(scene)
-    spread = {
-        place: tuple(dict.fromkeys((all_of_it[0], all_of_it[len(all_of_it) // 2], all_of_it[-1])))
-        for place, all_of_it in frames.items()
-        if len(all_of_it) > 1
-    }
+    frames: dict[tuple[str, str, bool], list[StereoScene]] = {}
+    for scene in ordered:
+        if isinstance(scene, StereoScene) and scene.right is not None and not scene.problem:
+            views, of_video = (str(scene.left), str(scene.right)), scene.frame_number is not None
+            left, right = views if of_video else map(os.path.dirname, views)  # Path.parent takes long
+            frames.setdefault((left, right, of_video), []).append(scene)
+    three: dict[str, tuple[StereoScene, ...]] = {}
+    for same in frames.values():
+        if len(same) > 1:
+            some = tuple(dict.fromkeys((same[0], same[len(same) // 2], same[-1])))
+            three |= {scene.name: some for scene in same}
     return [
-        replace(scene, sequence=spread[place]) if isinstance(scene, StereoScene) and place in spread else scene
-        for scene, place in zip(ordered, places, strict=True)
+        replace(scene, sequence=three[scene.name]) if isinstance(scene, StereoScene) and scene.name in three else scene
+        for scene in ordered
     ]
-
-
-def _place(scene: Scene) -> tuple[str | Path, str | Path] | None:
-    """Return what the frames of one sequence have in common; None for scenes that are not frames."""
-    if not isinstance(scene, StereoScene) or scene.right is None or scene.problem:
-        return None
-    if scene.frame_number is not None:
-        return scene.left, scene.right
-    return os.path.dirname(scene.left), os.path.dirname(scene.right)  # of thousands of pairs: parents take long

@@ -30,17 +30,11 @@ LEFT_OUT = {"displacement": "transform", "transform": "displacement", "both": ""
 
 @dataclass(frozen=True)
 class LoadedPair:
-    """A registered pair in memory.
-
-    Attributes
-    ----------
-    grid : the fixed volume's
-    blocks : how many of its voxels (z, y, x) a voxel of ``pair`` is the mean of
-    """
+    """A registered pair in memory."""
 
     pair: RegisteredPair
-    grid: Grid
-    blocks: tuple[int, int, int] = (1, 1, 1)
+    grid: Grid  # the fixed volume's
+    blocks: tuple[int, int, int] = (1, 1, 1)  # how many of its voxels (z, y, x) a voxel of ``pair`` is the mean of
 
     def on_grid(self, start: Sequence[float], step: Sequence[float]) -> tuple[list[float], list[float]]:
         """``start`` and ``step`` of maps in voxels of ``pair`` as those in voxels of the fixed volume."""
@@ -50,18 +44,11 @@ class LoadedPair:
 
 @dataclass(frozen=True)
 class RegistrationTruth:
-    """True errors of a registration.
+    """True errors of a registration."""
 
-    Attributes
-    ----------
-    grid : the fixed volume's
-    points : (N, 3) landmarks of the fixed volume, x, y, z in mm; empty where the truth is dense
-    error : (N,) mm at the landmarks, or (Z, Y, X) mm, NaN = unknown
-    """
-
-    grid: Grid
-    points: NDArray[np.float64]
-    error: NDArray[np.float32]
+    grid: Grid  # the fixed volume's
+    points: NDArray[np.float64]  # (N, 3) landmarks of the fixed volume, x, y, z in mm; empty where the truth is dense
+    error: NDArray[np.float32]  # (N,) mm at the landmarks, or (Z, Y, X) mm, NaN = unknown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,28 +57,24 @@ class VolumePairScene(Scene):
 
     Attributes
     ----------
-    fixed : fixed volume
-    moving_warped : the moving volume after registration, on the fixed grid; or None
     moving : the moving volume, for which ``transform`` or ``displacement`` (or both) map fixed points; or None
-    transform, displacement : see ``data/formats/fields.py``
-    mask : where the fixed volume is of interest (not 0), or None
+    transform, displacement : see ``io/formats/fields.py``
     regions : (name, file) of masks and label maps of the fixed volume, whose errors are reported apart
     labels : of label maps, (name of the map, ((name of a region, its label), ...))
     landmarks_fixed, landmarks_moving : corresponding points, or None
-    error_true : dense true error, mm, or None
     """
 
-    fixed: Path
-    moving_warped: Path | None = None
+    fixed: Path  # fixed volume
+    moving_warped: Path | None = None  # the moving volume after registration, on the fixed grid; or None
     moving: Path | None = None
     transform: Path | None = None
     displacement: Path | None = None
-    mask: Path | None = None
+    mask: Path | None = None  # where the fixed volume is of interest (not 0), or None
     regions: tuple[tuple[str, Path], ...] = ()
     labels: tuple[tuple[str, tuple[tuple[str, int], ...]], ...] = ()
     landmarks_fixed: Path | None = None
     landmarks_moving: Path | None = None
-    error_true: Path | None = None
+    error_true: Path | None = None  # dense true error, mm, or None
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
@@ -133,18 +116,10 @@ class VolumePairScene(Scene):
         return self.error_true is not None or (landmarks and (self.transform or self.displacement) is not None)
 
     def load(self, convention: str = "auto", max_voxels: int | None = None) -> LoadedPair:
-        """Return both volumes on the fixed grid, and the mask.
+        """Return both volumes on the fixed grid, and the mask; ``convention`` is that of the displacement file.
 
-        Parameters
-        ----------
-        convention : of the displacement file
-        max_voxels : where there are more voxels than this, means of blocks of them, so that two whole volumes are
-            never in memory; blocks are no larger than the cubes that so many voxels of the volume would be
-
-        Raises
-        ------
-        InputError
-            Files that cannot be used, grids that differ, values that are no numbers inside the mask.
+        Of more than ``max_voxels`` voxels, means of blocks, so that two whole volumes are never in memory; blocks are
+        no larger than the cubes that so many voxels of the volume would be.
         """
         self.check()
         fixed = read_volume(self.fixed)
@@ -166,22 +141,7 @@ class VolumePairScene(Scene):
         return joined(first, second, inside, grid, blocks)
 
     def region_masks(self, name: str, grid: Grid) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-        """Yield the regions of one of the masks: its own name, or one for each label where there are several.
-
-        Parameters
-        ----------
-        name : of the mask, as in ``regions``
-        grid : the fixed volume's
-
-        Yields
-        ------
-        Name, and mask (Z, Y, X) bool; a label without a name in ``labels`` is ``NAME_LABEL``
-
-        Raises
-        ------
-        InputError
-            The file cannot be used, or has another grid.
-        """
+        """Yield name and mask (Z, Y, X) bool of the regions of one of ``regions``, as :func:`label_masks` does."""
         file = dict(self.regions)[name]
         values = self._read_like(file, grid)
         with naming(file):
@@ -196,13 +156,7 @@ class VolumePairScene(Scene):
         return grid, (z, y, x), spacing_of(grid, blocks)
 
     def truth(self, convention: str = "auto") -> RegistrationTruth:
-        """Return the true errors: dense where there is such a file, or at the landmarks |T(p) - q|.
-
-        Raises
-        ------
-        InputError
-            There is none, the lists differ in length, or a landmark lies outside the fixed volume.
-        """
+        """Return the true errors: dense where there is such a file, or at the landmarks |T(p) - q|."""
         self.check()
         if not self.has_truth:
             raise InputError(
@@ -277,12 +231,7 @@ def joined(
 
 
 def usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, name: Path | str) -> NDArray[np.float32]:
-    """Return a volume without NaN and infinite values outside the mask; InputError where they are inside, or all equal.
-
-    Parameters
-    ----------
-    name : of the volume, for messages
-    """
+    """Return a volume finite outside the mask, too; InputError where it is not finite inside, or all equal."""
     if not all(np.isfinite(one_slice).all() for one_slice in values):  # a mask of the whole would take memory
         bad = ~np.isfinite(values)
         count = int(np.count_nonzero(bad if inside is None else bad & inside))
@@ -297,25 +246,12 @@ def usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, name: 
 def label_masks(
     values: NDArray[np.float32], name: str, regions: Sequence[tuple[str, int]] = ()
 ) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Yield the regions of a mask or label map, one mask at a time.
+    """Yield name and mask, bool, of the regions of a mask or label map, one at a time.
 
-    Parameters
-    ----------
-    values : 0 is outside. Whole numbers of which several occur are labels, as is one other than 1 and 255. Fractions
-        up to 1 are probabilities, of which the region has at least 0.5
-    name : of the mask
-    regions : (name, label) of regions, where the map's labels have names; then whatever occurs is a label
-
-    Yields
-    ------
-    Name, and mask, bool; a label without a name is ``NAME_LABEL``. Regions with a name are given where none of their
-    voxels is set, too
-
-    Raises
-    ------
-    InputError
-        Fractions above 1, or of labels that have names: what a label map is after linear interpolation; or more
-        labels than label maps have.
+    Of ``values``, 0 is outside. Whole numbers of which several occur are labels, as is one other than 1 and 255, or
+    whatever occurs where ``regions`` names labels, (name, label); others are ``NAME_LABEL``. Fractions up to 1 are
+    probabilities, of which the region has at least 0.5. InputError: fractions above 1, or of labels that have names:
+    what a label map is after linear interpolation; or more labels than label maps have.
     """
     values = np.where(np.isfinite(values), values, np.float32(0))
     near = np.rint(values)
