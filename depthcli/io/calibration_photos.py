@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import shown
@@ -20,18 +20,12 @@ _WORDS = (
 _MAX_DEPTH = 2  # folders below the given one
 
 
-@dataclass(frozen=True)
-class Photos:
-    """The photos of one position of the board.
+class Photos(NamedTuple):
+    """The photos of one position of the board, named by what their names have in common."""
 
-    Attributes
-    ----------
-    left, right : the files; one of them is None where it has no partner, ``right`` for a single camera
-    """
-
-    name: str  # of the position, from what the names have in common
-    left: Path | None
-    right: Path | None
+    name: str
+    left: Path | None  # None where it has no partner
+    right: Path | None  # None for a single camera, too
 
 
 def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:

@@ -7,9 +7,9 @@ import csv
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from depthcli.core.errors import ConfigError, InputError
@@ -24,19 +24,13 @@ _SIDES = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 _COLUMNS = ("left", "right", "name", "calibration", "max_disparity", "min_disparity")
 
 
-@dataclass(frozen=True)
-class NamedPair:
-    """Two files that belong together.
-
-    Attributes
-    ----------
-    left, right : the files; one of them is None where it has no partner
-    """
+class NamedPair(NamedTuple):
+    """Two files that belong together."""
 
     name: str  # of the scene
-    left: Path | None
+    left: Path | None  # None where it has no partner, and so is the right one
     right: Path | None
-    more: dict[str, str] = field(default_factory=dict)  # column -> value, for the other columns of the table
+    more: Mapping[str, str] = MappingProxyType({})  # column -> value, for the other columns of the table
 
 
 def is_many(path: Path) -> bool:
@@ -108,7 +102,7 @@ def _named_apart(pairs: list[NamedPair]) -> list[NamedPair]:
         while "name" not in pair.more and name in taken:
             name += "_"
         taken[name] = 1
-        apart.append(replace(pair, name=name))
+        apart.append(pair._replace(name=name))
     return apart
 
 

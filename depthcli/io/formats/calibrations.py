@@ -104,13 +104,9 @@ def write_calibration(path: Path, cameras: Sequence[Camera], rig: Rig | None = N
 def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry:
     """Return how the disparities of a rectified pair become depth.
 
-    Parameters
-    ----------
-    path : ``calib.txt`` of Middlebury v3 or ETH3D (``cam0``, ``cam1``, ``doffs``, ``baseline`` in mm); Booster's XML
-        (``proj_matL``, ``baselineLR``); or KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:``
-        (DrivingStereo: ``P_rect_101:``)
-    cameras : numbers of the left and the right one among those of KITTI: 0, 1 grey, 2, 3 color (DrivingStereo: 101,
-        103)
+    Files are ``calib.txt`` of Middlebury v3 or ETH3D (``cam0``, ``cam1``, ``doffs``, ``baseline`` in mm); Booster's XML
+    (``proj_matL``, ``baselineLR``); or KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:``
+    (DrivingStereo: ``P_rect_101:``), of whose ``cameras`` 0, 1 are grey and 2, 3 color (DrivingStereo: 101, 103).
     """
     with naming(path):
         text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
@@ -145,13 +141,7 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
     ``R`` (3, 3), ``t`` (3,) in meters, from the color camera's frame to the infrared camera's; or ``rectified: true``
     with ``fb``. YAML is OpenCV's, with ``M1 D1 M2 D2 R T``, camera 1 the color one.
 
-    Parameters
-    ----------
-    color_size, infrared_size : (width, height) of the images
-
-    Returns
-    -------
-    The rig, or focal length x baseline (pixel meters) of images that are rectified already
+    Of images of these sizes (width, height); a float is focal length x baseline (pixel meters) of rectified ones.
     """
     text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
     with naming(path):

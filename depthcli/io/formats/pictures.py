@@ -154,10 +154,8 @@ def draw_text(
 ) -> None:
     """Draw a line of text into an (H, W, 3) picture; characters beyond ASCII become question marks.
 
-    Parameters
-    ----------
-    place : x of its left end, or of its middle where it is ``centered``, and y of its middle line
-    max_width : pixels; a wider text is cut and ends in three dots; None: any
+    ``place`` is x of its left end, or of its middle where it is ``centered``, and y of its middle line; a text of more
+    than ``max_width`` pixels is cut and ends in three dots.
     """
     shown, font = text.encode("ascii", "replace").decode(), (cv2.FONT_HERSHEY_SIMPLEX, _TEXT_SCALE)
     while max_width is not None and len(shown) > 4 and cv2.getTextSize(shown, *font, 1)[0][0] > max_width:

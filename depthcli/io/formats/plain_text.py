@@ -34,10 +34,7 @@ def key_values(text: str) -> dict[str, str]:
 def numbers(value: Any, name: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np.float64]:
     """Return the finite numbers of a value: one, those of a text (as ``[1 0; 0 1]``), of a list, or of a list of rows.
 
-    Parameters
-    ----------
-    name : of the field, for the message
-    shape : of the result; (-1,): any count
+    InputError, which names the field, where it is something else or has another count than ``shape``; (-1,): any.
     """
     items = re.sub(r"[\[\];,]", " ", value).split() if isinstance(value, str) else value
     items = items if isinstance(items, list) else [items]
@@ -49,15 +46,12 @@ def numbers(value: Any, name: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np
     count = int(np.prod(shape))
     if not array.size or count not in (-1, array.size) or not np.isfinite(array).all():
         wanted = {-1: "finite numbers", 1: "1 number"}.get(count, f"{' x '.join(map(str, shape))} finite numbers")
-        raise InputError(f"{name}: want {wanted} (got {_shown(value)})")
+        try:
+            got = reprlib.repr(value)
+        except ValueError:  # Python writes no integer of more than 4300 digits, which YAML holds as 0x...
+            got = "a number of thousands of digits"
+        raise InputError(f"{name}: want {wanted} (got {got})")
     return array.reshape(shape)
-
-
-def _shown(value: Any) -> str:
-    try:
-        return reprlib.repr(value)
-    except ValueError:  # Python writes no integer of more than 4300 digits, which YAML holds as 0x...
-        return "a number of thousands of digits"
 
 
 def image_sides(value: Any, name: str) -> tuple[int, int]:

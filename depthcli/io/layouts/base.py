@@ -21,14 +21,10 @@ _MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # numbers of meta.json; no image is as
 
 
 class Folder:
-    """One folder as a layout sees it: names only, nothing in it is opened.
+    """One folder as a layout sees it, names only: nothing in it is opened.
 
-    Attributes
-    ----------
-    path : where it is
-    name : name of a scene that is the folder itself
-    prefix : what the names of scenes inside begin with
-    requested : the layout that the user named, or empty
+    ``name`` is that of a scene that is the folder itself, ``prefix`` what the names of scenes inside begin with,
+    ``requested`` the layout that the user named, or empty.
     """
 
     def __init__(self, path: Path, name: str, prefix: str, requested: str = "") -> None:
@@ -96,12 +92,7 @@ def _by_stem(names: frozenset[str]) -> dict[str, list[tuple[str, str]]]:
 
 
 class Meta:
-    """Fields of a ``meta.json``, checked; a method returns None, or its default, where the file lacks the field.
-
-    Attributes
-    ----------
-    path, fields : the file, and what it holds
-    """
+    """Fields of a ``meta.json``, checked; a method returns None, or its default, where the file lacks the field."""
 
     def __init__(self, path: Path, fields: dict[str, Any]) -> None:
         self.path, self.fields = path, fields

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.yaml_source import read_config
@@ -35,19 +35,13 @@ _VIEWS = {StereoScene: ("left", "right"), RgbdScene: ("color", "depth")}
 _Keys = dict[str, str]
 
 
-@dataclass(frozen=True)
-class Found:
-    """The files of one scene that a row has found.
+class Found(NamedTuple):
+    """The files of one scene that a row has found in the folder that it describes."""
 
-    Attributes
-    ----------
-    files, masks : role -> file, and name of a mask -> file
-    """
-
-    folder: Folder  # which the row describes
+    folder: Folder
     keys: Mapping[str, str]  # placeholder -> text
-    files: Mapping[str, Path]
-    masks: Mapping[str, Path]
+    files: Mapping[str, Path]  # role -> file
+    masks: Mapping[str, Path]  # name -> file
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
