@@ -9,22 +9,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ColumnHelp:
-    """The explanation of a column.
+    """The explanation of a column."""
 
-    Attributes
-    ----------
-    name : the heading; of columns that differ in a number or name, with that in capitals, such as ``bad T``
-    about : one line: what the numbers are of
-    unit : of the numbers, or empty
-    also : other headings of the same numbers, such as that of the printed table
-    pattern : regular expression of all headings where ``name`` stands for several; empty: ``name`` is the heading
-    """
-
-    name: str
-    about: str
+    name: str  # the heading; of columns that differ in a number or name, with that in capitals, such as ``bad T``
+    about: str  # one line: what the numbers are of
     unit: str = ""
-    also: tuple[str, ...] = ()
-    pattern: str = ""
+    also: tuple[str, ...] = ()  # other headings of the same numbers, such as that of the printed table
+    pattern: str = ""  # regular expression of all headings, where ``name`` stands for several
 
     @property
     def headings(self) -> str:

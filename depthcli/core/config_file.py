@@ -44,7 +44,7 @@ def load_config(
     find: Callable[[str], Path | None] = lambda name: None,
     values: Mapping[str, Any] | None = None,
 ) -> _Model:
-    """Return a config read, laid over its base, overlaid with options and checked.
+    """Return a config read, laid over its base, overlaid with options and checked; ConfigError names every problem.
 
     Parameters
     ----------
@@ -54,11 +54,6 @@ def load_config(
         ``option`` instead of ``--set``. The value is YAML; a number in the path is an index of a list
     find : returns the file of a preset by its name, or None
     values : ``a.b`` -> plain value, after the options. A mapping that selects no method changes only the keys in it
-
-    Raises
-    ------
-    ConfigError
-        With every problem found, one a line.
     """
     config = source if isinstance(source, ConfigData) else _with_base(read_config(source), source, find)
     problems = _overlay(model, config, settings, values or {}) if settings or values else []
@@ -70,18 +65,14 @@ def load_config(
         problems += [_explain(config, each) for each in error.errors(include_url=False)]
         problems += _missing_packages(config)
     if value is None or problems:
-        raise ConfigError("\n".join(sorted(dict.fromkeys(problems), key=_line_number)))
+        lines = {text: re.match(r"[^\n]*?:(\d+): ", text) for text in problems}
+        raise ConfigError("\n".join(sorted(lines, key=lambda text: int(at[1]) if (at := lines[text]) else 0)))
     return value
 
 
 def dump_config(model: BaseModel) -> str:
     """Return the resolved model as YAML, always the same text for the same values; reads back to an equal model."""
     return to_yaml(model.model_dump(mode="json", by_alias=True))
-
-
-def _line_number(problem: str) -> int:
-    match = re.match(r"[^\n]*?:(\d+): ", problem)
-    return int(match[1]) if match else 0
 
 
 # The base of a config, and the files of its plug-ins.
@@ -205,7 +196,12 @@ def _put(config: ConfigData, key: str, value: Any, place: str, defaults: Any) ->
 def _explain(config: ConfigData, error: Any) -> str:
     """Return one of pydantic's errors as a line: the place in the file, the key, what is wrong, what may be meant."""
     kind, got, hint = error["type"], error.get("input"), ""
-    location = _location(config.data, error["loc"], kind == "missing")
+    keys, inside = [], config.data  # pydantic's location without the names of members of unions
+    for part in error["loc"]:
+        if part in inside if isinstance(inside, dict) else isinstance(inside, list) and part in range(len(inside)):
+            keys.append(part)
+            inside = inside[part]
+    location: Location = (*keys, *error["loc"][-1:]) if kind == "missing" else tuple(keys)
     place, key = config.place(location), _dotted(location)
     text = re.sub(r"^(Value error|Assertion failed), ", "", error["msg"]).replace("Input should", "should", 1)
     if kind == "missing":
@@ -219,16 +215,6 @@ def _explain(config: ConfigData, error: Any) -> str:
     path = place.partition(" ")[2]
     is_named = place.startswith(OVERRIDES) and (not path or f"{path}.".startswith(f"{key}."))
     return f"{place if is_named or not key else f'{place}: {key}'}: {text}{shown}{hint}"
-
-
-def _location(data: Any, place: tuple[str | int, ...], is_missing: bool) -> Location:
-    """Return the part of pydantic's location that is in the data; names of members of unions are not."""
-    keys = []
-    for part in place:
-        if part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data)):
-            keys.append(part)
-            data = data[part]
-    return (*keys, *place[-1:]) if is_missing else tuple(keys)
 
 
 def _dotted(location: Location) -> str:
@@ -248,13 +234,5 @@ def _missing_packages(config: ConfigData) -> Iterator[str]:
         if package.endswith(".py"):
             if not is_file_loaded(package):
                 yield f"{made} loaded; --plugin FILE.py says where it is"
-        elif package != "python" and not _is_installed(package):
+        elif package != "python" and not any(metadata.distributions(name=package)):
             yield f"{made} installed"
-
-
-def _is_installed(package: str) -> bool:
-    try:
-        metadata.distribution(package)
-    except (metadata.PackageNotFoundError, ValueError):
-        return False
-    return True

@@ -20,13 +20,10 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 class StereoPair:
     """A rectified pair: left ``(y, x)`` matches right ``(y, x - d)`` with ``d >= 0``.
 
-    Attributes
-    ----------
-    left, right : (H, W) grey or (H, W, 3) RGB, uint8 or uint16, same shape and dtype
-    bits : number of bits of a sample, such as 10 or 12 in a uint16 image; None: all bits of the dtype. Samples that
-        are too large for it count as the largest
-    light_trust : (H, W) uint8, how comparable the grey level at a pixel of the left image is with those of the right
-        image, 255 = fully; None: fully everywhere
+    The images are (H, W) grey or (H, W, 3) RGB, uint8 or uint16, of one shape and dtype. Their samples have ``bits``,
+    such as 10 or 12 in a uint16 image (None: all of the dtype); larger samples count as the largest. ``light_trust``,
+    (H, W) uint8, says how comparable the grey level at a pixel of the left image is with those of the right image;
+    255, or None: fully.
     """
 
     left: Image
@@ -59,7 +56,9 @@ class StereoPair:
         A sum of three channels is finer than one of them. Rounded to 8 bits, pixels of weak texture would become alike.
         """
         left, right = self.full_range
-        return luma(_sixteen_bit(left)), luma(_sixteen_bit(right))
+        if left.ndim == 3 and left.dtype == np.uint8:
+            left, right = np.multiply(left, 257, dtype=np.uint16), np.multiply(right, 257, dtype=np.uint16)
+        return luma(left), luma(right)
 
     @cached_property
     def color8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -81,35 +80,24 @@ class StereoPair:
     @property
     def clamped(self) -> tuple[Image, Image]:
         """Both images, with samples larger than ``top`` set to ``top``."""
-        return _clamped(self.left, self.top), _clamped(self.right, self.top)
+        if self.top == np.iinfo(self.left.dtype).max:
+            return self.left, self.right
+        top = self.left.dtype.type(self.top)
+        return cast(Image, np.minimum(self.left, top)), cast(Image, np.minimum(self.right, top))
 
     @cached_property
     def full_range(self) -> tuple[Image, Image]:
         """Both images, scaled to the full range of their dtype."""
-        left, right = self.clamped
-        return _spread(left, self.top), _spread(right, self.top)
+        full = np.iinfo(self.left.dtype).max
+        if self.top == full:
+            return self.left, self.right
+        left, right = ((each.astype(np.uint32) * full + self.top // 2) // self.top for each in self.clamped)
+        return cast(Image, left.astype(self.left.dtype)), cast(Image, right.astype(self.left.dtype))
 
 
 def luma(image: Image) -> Image:
     """Return the (H, W) luma of a grey or an RGB image, in its dtype."""
     return image if image.ndim == 2 else cast(Image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
-
-
-def _clamped(image: Image, top: int) -> Image:
-    return image if top == np.iinfo(image.dtype).max else cast(Image, np.minimum(image, image.dtype.type(top)))
-
-
-def _spread(image: Image, top: int) -> Image:
-    # Samples up to ``top`` over the range of the image's dtype.
-    full = np.iinfo(image.dtype).max
-    if top == full:
-        return image
-    return cast(Image, ((image.astype(np.uint32) * full + top // 2) // top).astype(image.dtype))
-
-
-def _sixteen_bit(image: Image) -> Image:
-    # An 8-bit color image in 16 bits, any other one as it is.
-    return np.multiply(image, 257, dtype=np.uint16) if image.ndim == 3 and image.dtype == np.uint8 else image
 
 
 def _eight_bit(image: Image) -> NDArray[np.uint8]:
@@ -138,25 +126,16 @@ def infrared_image(image: Image) -> NDArray[np.uint8]:
 class RgbdFrame:
     """A color image and the depth that a sensor measured for its pixels.
 
-    Attributes
-    ----------
-    color : (H, W, 3) uint8 RGB
-    depth : (H, W) float32, meters, NaN = unknown; registered to ``color``
-    fb : focal length x baseline of the sensor, pixel meters: its disparity is ``fb / depth`` pixels. The
-        default is that of Kinect v1 (580 pixels x 75 mm)
-    intrinsics : the color camera's, or None where they are not known
-    interpolated : the sensor's map is smaller than ``color``, and ``depth`` interpolated between its samples
-    pose : (4, 4) float64, from the camera's coordinates to the world's, meters; or None where it is not known
-    has_color : False where there is no color image, and ``color`` is grey everywhere
+    The sensor's disparity is ``fb / depth`` pixels; the default of ``fb`` is that of Kinect v1, 580 pixels x 75 mm.
     """
 
-    color: NDArray[np.uint8]
-    depth: NDArray[np.float32]
-    fb: float = 43.5
-    intrinsics: Intrinsics | None = None
-    interpolated: bool = False
-    pose: NDArray[np.float64] | None = None
-    has_color: bool = True
+    color: NDArray[np.uint8]  # (H, W, 3) RGB
+    depth: NDArray[np.float32]  # (H, W), meters, NaN = unknown; registered to ``color``
+    fb: float = 43.5  # focal length x baseline, pixel meters
+    intrinsics: Intrinsics | None = None  # the color camera's
+    interpolated: bool = False  # the sensor's map is smaller than ``color``, ``depth`` lies between its samples
+    pose: NDArray[np.float64] | None = None  # (4, 4), from the camera's coordinates to the world's, meters
+    has_color: bool = True  # False: there is no color image, and ``color`` is grey everywhere
 
     def __post_init__(self) -> None:
         if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
@@ -184,18 +163,13 @@ class RgbdFrame:
 class RgbIrFrame:
     """A color image, an infrared one, and the depth that a sensor measured for the color image's pixels.
 
-    Attributes
-    ----------
-    color : (H, W, 3) uint8 RGB
-    infrared : (h, w) uint8; without a rig, it has the size of the color image
-    depth : (H, W) float32, meters, NaN = unknown; registered to ``color``
-    rig : the color (left) and the infrared camera (right), or None where the images are a rectified pair
-    fb : focal length x baseline of a rectified pair, pixel meters
+    ``rig`` has the color (left) and the infrared camera (right); without one the images are a rectified pair of one
+    size, with ``fb``, focal length x baseline in pixel meters.
     """
 
-    color: NDArray[np.uint8]
-    infrared: NDArray[np.uint8]
-    depth: NDArray[np.float32]
+    color: NDArray[np.uint8]  # (H, W, 3) RGB
+    infrared: NDArray[np.uint8]  # (h, w)
+    depth: NDArray[np.float32]  # (H, W), meters, NaN = unknown; registered to ``color``
     rig: Rig | None = None
     fb: float = 1.0
 
@@ -211,11 +185,8 @@ class RgbIrFrame:
 class SparseFrame(RgbdFrame):
     """A frame with a second, sparse depth from another source, for surfaces that the sensor misses or sees through.
 
-    Attributes
-    ----------
-    sparse : (H, W) float32, meters, NaN = none; registered to ``color``
-    sparse_confidence : (H, W) float32, higher is surer, or None: all count alike
-    dense : (H, W) float32, meters, NaN = none: the estimate of the same source at every pixel, reliable or not; or None
+    ``sparse``, (H, W) float32, meters, NaN = none, is registered to ``color``; its confidence is higher where it is
+    surer; ``dense`` is the estimate of the same source at every pixel, reliable or not.
     """
 
     sparse: NDArray[np.float32] = field(kw_only=True)

@@ -126,23 +126,11 @@ class MatchedMap(_Map):
 
 
 class DisparityMap(MatchedMap):
-    """Disparity of the left view.
-
-    Attributes
-    ----------
-    values : (H, W) float32, pixels, NaN = no value
-    status : (H, W) uint8, bits of :class:`Status`
-    """
+    """Disparity of the left view: (H, W) float32, pixels, NaN = no value; status uint8, bits of :class:`Status`."""
 
 
 class DepthMap(_Map):
-    """Depth of the color camera's pixels.
-
-    Attributes
-    ----------
-    values : (H, W) float32, meters, NaN = no value
-    status : (H, W) uint8, bits of :class:`DepthStatus`
-    """
+    """Depth of the color camera's pixels: (H, W) float32, meters, NaN = no value; uint8, :class:`DepthStatus`."""
 
     @property
     def kept(self) -> NDArray[np.bool_]:

@@ -44,20 +44,15 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     size = int(np.prod(shape, dtype=np.int64)) * kind.itemsize
     if size < _MIN_BYTES:
         return np.empty(shape, kind)
-    block = _take(size)
+    with _lock:
+        fitting = [k for k, block in enumerate(_free) if size <= block.size <= 2 * size]
+        best = min(fitting, key=lambda k: _free[k].size, default=None)
+        block = np.empty(size, np.uint8) if best is None else _free.pop(best)
     # Views of an array hold on to what lies under it, so the lease lives as long as the last view.
     lease = (ctypes.c_uint8 * block.size).from_buffer(block.data)
     weakref.finalize(lease, _give, block).atexit = False
     leased: NDArray[Any] = np.frombuffer(memoryview(lease), np.uint8, size).view(kind).reshape(shape)
     return leased
-
-
-def _take(size: int) -> NDArray[np.uint8]:
-    with _lock:
-        fitting = [k for k, block in enumerate(_free) if size <= block.size <= 2 * size]
-        if fitting:
-            return _free.pop(min(fitting, key=lambda k: _free[k].size))
-    return np.empty(size, np.uint8)
 
 
 def _give(block: NDArray[np.uint8]) -> None:

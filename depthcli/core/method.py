@@ -98,13 +98,7 @@ class Method(ConfigModel):
         return registered_name(cls)
 
     def used_files(self) -> dict[str, Path]:
-        """Return role -> file, of files that the result depends on beside those of the scene.
-
-        Raises
-        ------
-        ConfigError
-            One of them is missing.
-        """
+        """Return role -> file, of files that the result depends on beside the scene's; ConfigError where one lacks."""
         return {}
 
     @model_serializer(mode="wrap")
@@ -115,13 +109,7 @@ class Method(ConfigModel):
 
 
 class Family(Registry[Method]):
-    """The methods found in one package, and those that plug-ins add to it.
-
-    Parameters
-    ----------
-    package : dotted name of the package whose public modules are the methods
-    key : the config key that names the method
-    """
+    """The methods in the public modules of one package, and those that plug-ins add; ``key`` names one in configs."""
 
     def __init__(self, package: str, key: str = "method") -> None:
         super().__init__(package)
@@ -139,14 +127,8 @@ class Family(Registry[Method]):
     def parse(self, value: Any, context: Any = None) -> Method:
         """Return the method that a config's ``value`` describes: a name, a mapping, or a method itself.
 
-        Parameters
-        ----------
-        context : of the validation, for the validators of the method
-
-        Raises
-        ------
-        PydanticCustomError, pydantic.ValidationError
-            With a location below the family's field, so that errors point at the line in the file.
+        Errors of pydantic have a location below the family's field, so that they point at the line in the file.
+        ``context`` is that of the validation, for the validators of the method.
         """
         if isinstance(value, Method):
             return value
@@ -160,17 +142,10 @@ class Family(Registry[Method]):
             raise self._unknown(missing if name is None else f"no {self.key} called {name!r}", name)
         return self.load(known).model_validate(fields, context=context)
 
-    def parse_field(self, value: Any, info: ValidationInfo) -> Method:
-        """Return the method that a field's ``value`` describes, as :meth:`parse`, in the context of its config."""
-        return self.parse(value, info.context)
-
     def suggestions(self, name: object, *others: str) -> str:
         """Return the end of a message about an unknown name: the one that may be meant, and all, with their packages.
 
-        Parameters
-        ----------
-        name : the unknown one; None: there was none
-        others : further names that may stand there
+        Without a name there was none; ``others`` are further names that may stand there.
         """
         names, plugins = [*others, *self.names()], self.plugins()
         shown = (f"{each} ({plugins[each].package})" if each in plugins else each for each in names)
@@ -186,7 +161,12 @@ def method_of(package: str, key: str = "method") -> Any:
     >>> class Config(BaseModel):
     ...     cost: Annotated[CostMeasure, *method_of("depthcli.methods.stereo.cost")]
     """
-    return (BeforeValidator(Family(package, key).parse_field), cast(Any, SerializeAsAny)())
+    family = Family(package, key)
+
+    def parse(value: Any, info: ValidationInfo) -> Method:
+        return family.parse(value, info.context)
+
+    return (BeforeValidator(parse), cast(Any, SerializeAsAny)())
 
 
 def device_implementation_of(method: object) -> Any | None:

@@ -44,21 +44,13 @@ class PluginWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Plugin:
-    """A class, or a command, that a package or a file adds.
+    """A class, or a command, that a package or a file adds."""
 
-    Attributes
-    ----------
-    name : of the class, with underscores
-    group : of the registry, ``depthcli.stereo.cost``
-    package, version : of the distribution; the file's name and the start of its SHA-256 digest for a file
-    reference : ``module:attribute``
-    """
-
-    name: str
-    group: str
-    package: str
-    version: str
-    reference: str
+    name: str  # of the class, with underscores
+    group: str  # of the registry, such as depthcli.stereo.cost
+    package: str  # the distribution, or the file's name
+    version: str  # of the distribution, or the start of the file's SHA-256 digest
+    reference: str  # module:attribute
 
     @property
     def qualified(self) -> str:
@@ -76,18 +68,15 @@ class Plugin:
         try:
             return use(operator.attrgetter(attribute)(importlib.import_module(module)))
         except Exception as error:  # a stranger's code may raise anything
-            raise ConfigError(
-                f"plug-in {self.name} of {self.package} {self.version} cannot be loaded: {_reason(error)}"
-            ) from error
+            of = f"plug-in {self.name} of {self.package} {self.version}"
+            raise ConfigError(f"{of} cannot be loaded: {_reason(error)}") from error
 
 
 class Registry(Generic[T]):
     """Named classes of one kind, each derived from a base class that their package defines.
 
-    Parameters
-    ----------
-    package : whose public modules hold our own classes, one each
-    group : of entry points; by default the package without the names of rooms
+    Public modules of the package hold our own classes, one each; ``group`` is that of entry points, by default the
+    package without the names of rooms.
     """
 
     def __init__(self, package: str, group: str = "") -> None:
@@ -122,12 +111,9 @@ class Registry(Generic[T]):
     def find(self, name: str) -> str | None:
         """Return the name as :meth:`load` takes it, None where there is none.
 
-        Our own names come first, then their aliases, then the names of plug-ins, then their aliases: a plug-in that is
+        The name is in any case, with dashes or underscores; ``package:name`` is a plug-in of a certain package. Our own
+        names come first, then their aliases, then the names of plug-ins, then their aliases: a plug-in that is
         installed does not change what a config means.
-
-        Parameters
-        ----------
-        name : in any case, with dashes or underscores; ``package:name`` for a plug-in of a certain package
         """
         package, _, last = name.rpartition(":")
         plain, plugins = plain_name(last), self.plugins()
@@ -143,15 +129,7 @@ class Registry(Generic[T]):
         return next((name for name, others in aliases if plain in map(plain_name, others)), None)
 
     def load(self, name: str) -> type[T]:
-        """Return the class of that name, which :meth:`find` or :meth:`names` gave.
-
-        Raises
-        ------
-        KeyError
-            There is none.
-        ConfigError
-            It is a plug-in's and cannot be loaded.
-        """
+        """Return the class of a name that :meth:`find` or :meth:`names` gave; ConfigError for a broken plug-in's."""
         if name not in self.own_names:
             return self._load_plugin(self.plugins()[name])
         module = importlib.import_module(f"{self.package}.{name}")
@@ -212,12 +190,6 @@ def registered_name(kind: type) -> str:
     return next(name for name, each in registry.plugins().items() if each == plugin)
 
 
-def with_package(kind: type, about: str) -> str:
-    """Return a text about a class, behind the package and version of the plug-in that it came from."""
-    plugin = plugin_of(kind)
-    return about if plugin is None else f"({plugin.package} {plugin.version}) {about}"
-
-
 def plugins_in_use() -> dict[str, Plugin]:
     """Return name, plain and qualified -> plug-in, of those that this process has loaded."""
     return {name: plugin for plugin in _plugin_by_class.values() for name in (plugin.name, plugin.qualified)}
@@ -261,12 +233,8 @@ def load_file(path: Path) -> None:
 
     That are classes with a base class of a registry's package, and functions that name a group themselves
     (``plugin_group``: commands). Abstract classes, and names that begin with an underscore, are left out. Worker
-    processes that are started later read the file, too.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be read or run, or holds nothing that belongs to a registry.
+    processes that are started later read the file, too. ConfigError where it cannot be read or run, or holds nothing
+    that belongs to a registry.
     """
     path = Path(os.path.abspath(path))
     name, before = _module_name(path), os.environ.get(_FILES_VARIABLE, "")

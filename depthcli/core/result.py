@@ -15,35 +15,22 @@ from depthcli.core.maps import DepthMap
 
 @dataclass(kw_only=True)
 class Result:
-    """What a pipeline returns in addition to its main map; subclasses add the map of their problem.
+    """What a pipeline returns in addition to its main map, by names; subclasses add the map of their problem."""
 
-    Attributes
-    ----------
-    seconds : time by stage, in order
-    confidence : name -> (H, W) float32, higher is surer
-    tables : name -> list of rows (dicts), written as CSV
-    pictures : name -> (H, W), (H, W, 3) uint8 or (H, W) uint16, written as PNG
-    figures : name -> number, added to the scene's row of the report
-    words : name -> text, added to it as well
-    """
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    confidence: dict[str, NDArray[np.float32]] = field(default_factory=dict)
-    tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-    pictures: dict[str, NDArray[Any]] = field(default_factory=dict)
-    figures: dict[str, float] = field(default_factory=dict)
-    words: dict[str, str] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)  # by stage, in order
+    confidence: dict[str, NDArray[np.float32]] = field(default_factory=dict)  # (H, W), higher is surer
+    tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)  # rows, written as CSV
+    pictures: dict[str, NDArray[Any]] = field(default_factory=dict)  # uint8, or (H, W) uint16, written as PNG
+    figures: dict[str, float] = field(default_factory=dict)  # added to the scene's row of the report
+    words: dict[str, str] = field(default_factory=dict)  # added to it as well
 
 
 @dataclass
 class DepthResult(Result):
     """A refined depth map and the uncertainty of its values.
 
-    Attributes
-    ----------
-    depth : the map, with a status for every pixel
-    sigma : (H, W) float32, meters, NaN = none: standard deviation of the values, estimated from the residuals of the
-        model that they come from
+    ``sigma``, (H, W) float32, meters, NaN = none, is their standard deviation, estimated from the residuals of the
+    model that they come from.
     """
 
     depth: DepthMap

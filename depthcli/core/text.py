@@ -23,14 +23,9 @@ def printable(text: str) -> str:
     """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c == "\n" else _escape(c) for c in text)
-
-
-def _escape(character: str) -> str:
-    code = ord(character)
-    if 0xDC80 <= code <= 0xDCFF:
-        return f"\\x{code - 0xDC00:02x}"
-    return character.encode("unicode_escape").decode("ascii")
+    bytes_shown = (f"\\x{ord(c) - 0xDC00:02x}" if "\udc80" <= c <= "\udcff" else c for c in text)
+    shown = (c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode("ascii") for c in bytes_shown)
+    return "".join(shown)
 
 
 def one_line(text: str) -> str:
@@ -56,7 +51,13 @@ def csv_cell(value: object) -> object:
     if not isinstance(value, str):
         return value
     text = one_line(value)
-    return f"'{text}" if len(text) > 1 and text.lstrip().startswith(_FORMULA_STARTS) and not _is_number(text) else text
+    if len(text) < 2 or not text.lstrip().startswith(_FORMULA_STARTS):
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}"
+    return text
 
 
 def short(value: object) -> str:
@@ -80,21 +81,8 @@ def show_bytes(size: int) -> str:
     return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def summarized(warnings: Iterable[tuple[str, str]]) -> list[str]:
-    """Return one line a kind of warning, that of its first scene, with the number of the other scenes that have it.
-
-    Parameters
-    ----------
-    warnings : scene and line
-    """
+    """Return one line a kind of warning (scene, line), that of its first scene, with the number of the other scenes."""
     kinds: dict[str, list[tuple[str, str]]] = {}
     for scene, line in warnings:
         kinds.setdefault(kind_of_warning(scene, without_file(line)), []).append((scene, line))

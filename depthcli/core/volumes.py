@@ -18,31 +18,18 @@ ENDS = ("SI", "AP", "RL")
 
 
 def side_and_distance(ends: str, millimeters: float) -> str:
-    """Return a position along an axis in words, ``S 12 mm``: the side of the origin and the distance from it.
-
-    Parameters
-    ----------
-    ends : letters of the positive and of the negative side, as in ``ENDS``
-    """
+    """Return a position along an axis in words, ``S 12 mm``: the side of the origin, of ``ENDS``, and the distance."""
     return f"{ends[millimeters < 0]} {abs(millimeters):.0f} mm"
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the voxels of a volume are, in mm and in the LPS frame of ITK.
+    """Where the voxels of a volume are, in mm and in the LPS frame of ITK."""
 
-    Attributes
-    ----------
-    size : voxels along x, y, z
-    spacing : distance of voxels along the volume's own axes, mm
-    origin : position of the first voxel
-    direction : (3, 3), columns are the axes
-    """
-
-    size: tuple[int, int, int]
-    spacing: tuple[float, float, float]
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    direction: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    size: tuple[int, int, int]  # voxels along x, y, z
+    spacing: tuple[float, float, float]  # distance of voxels along the volume's own axes, mm
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position of the first voxel
+    direction: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # (3, 3), columns are the axes
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -69,10 +56,8 @@ class Grid:
     def anatomical_axes(self) -> tuple[tuple[int, int, int], tuple[int, ...]]:
         """Return how an array on this grid is turned so that its slices appear as radiologists display them.
 
-        Returns
-        -------
-        order : the array's axes that run nearest to superior-inferior, anterior-posterior and right-left
-        flipped : positions in ``order`` of the axes that run the opposite way and have to be flipped
+        That is the order of its axes (those nearest to superior-inferior, anterior-posterior and right-left), and the
+        positions in it of the axes that run the opposite way and have to be flipped.
         """
         # Row a: how far the array's axis a (z, y, x) runs towards inferior, posterior and left of the LPS frame.
         along = self.axes.T[::-1] @ np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
@@ -112,11 +97,7 @@ class Grid:
         return bool(np.allclose(self.to_point(corners), other.to_point(corners), atol=tolerance, rtol=0))
 
     def describe_difference(self, other: Grid) -> str:
-        """Describe the first property that differs, as ``size 3 x 4 x 1, expected 5 x 6 x 1``, for error messages.
-
-        The first of size, spacing, origin and direction that differs by more than 1e-3, of this grid and then of
-        ``other``. If none of the first three does, the direction.
-        """
+        """Return the first property that differs by 1e-3, as ``size 3 x 4 x 1, expected 5 x 6 x 1``, for messages."""
         for name in ("size", "spacing", "origin", "direction"):
             own, others = getattr(self, name), getattr(other, name)
             if name == "direction" or not np.allclose(own, others, rtol=1e-3, atol=1e-3):
@@ -136,21 +117,13 @@ class Volume:
 
 @dataclass(frozen=True)
 class RegisteredPair:
-    """A fixed volume and the moving one after registration, sampled on the fixed grid.
+    """A fixed volume and the moving one after registration, sampled on the fixed grid; a 2-D image has Z = 1."""
 
-    Attributes
-    ----------
-    fixed, warped : (Z, Y, X) float32, same shape, finite; a 2-D image has Z = 1
-    spacing : (z, y, x) distance of neighboring voxels, mm
-    mask : (Z, Y, X) bool, True = of interest, or None for all
-    grid : where the voxels are, or None where that is not known
-    """
-
-    fixed: NDArray[np.float32]
+    fixed: NDArray[np.float32]  # (Z, Y, X), finite
     warped: NDArray[np.float32]
-    spacing: tuple[float, float, float]
-    mask: NDArray[np.bool_] | None = None
-    grid: Grid | None = None
+    spacing: tuple[float, float, float]  # (z, y, x) distance of neighboring voxels, mm
+    mask: NDArray[np.bool_] | None = None  # (Z, Y, X), True = of interest; None: all
+    grid: Grid | None = None  # where the voxels are, if that is known
 
     def __post_init__(self) -> None:
         if self.fixed.ndim != 3 or self.fixed.shape != self.warped.shape:

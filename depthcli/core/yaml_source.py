@@ -52,18 +52,11 @@ _Loader.add_implicit_resolver(
 
 @dataclass
 class ConfigData:
-    """A parsed config before it is checked.
+    """A parsed config before it is checked."""
 
-    Attributes
-    ----------
-    name : of the file, for messages
-    data : the root mapping
-    places : location of a key or list entry -> ``file:line``, or the option that set it
-    """
-
-    name: str
-    data: dict[str, Any] = field(default_factory=dict)
-    places: dict[Location, str] = field(default_factory=dict)
+    name: str  # of the file, for messages
+    data: dict[str, Any] = field(default_factory=dict)  # the root mapping
+    places: dict[Location, str] = field(default_factory=dict)  # of a value -> file:line, or the option that set it
 
     def place(self, location: Location) -> str:
         """Return the place of the value at ``location``, for messages.
@@ -79,13 +72,7 @@ class ConfigData:
 
 
 def read_config(path: Path) -> ConfigData:
-    """Parse a config file.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be read or is not a YAML mapping.
-    """
+    """Parse a config file; ConfigError where it cannot be read or is not a YAML mapping."""
     try:
         if path.is_fifo():
             raise ConfigError(f"{path}: cannot be read (a pipe)")
@@ -107,19 +94,15 @@ def parse_config(text: str, name: str) -> ConfigData:
     places: dict[Location, str] = {}
     data = parse_value(text, name, places)
     if not isinstance(data, dict):
-        raise ConfigError(
-            f"{name}: expected a mapping of keys to values, got {'nothing' if data is None else short(data)}"
-        )
+        got = "nothing" if data is None else short(data)
+        raise ConfigError(f"{name}: expected a mapping of keys to values, got {got}")
     return ConfigData(name, data, places)
 
 
 def parse_value(text: str, name: str, places: dict[Location, str] | None = None) -> Any:
-    """Return a YAML text as plain data; ConfigError where it is not valid.
+    """Return a YAML text of a file, or of an option, as plain data; ConfigError where it is not valid.
 
-    Parameters
-    ----------
-    name : of the file, or the option that the text is the value of
-    places : gets ``file:line`` of every value in a file
+    ``places`` gets ``file:line`` of every value in a file.
     """
     nodes = 0
 

@@ -28,8 +28,8 @@ def address(array):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64, bool, "f4"])
-@pytest.mark.parametrize("shape", [(), (0,), (3, 5), (0, 7, 9), (1 << 20,), (301, 203, 37), (4 << 20, 1)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32, bool])
+@pytest.mark.parametrize("shape", [(), (0, 7, 9), (1 << 20,), (301, 203, 37)])
 def test_shape_type_and_layout_are_those_of_numpy(shape, dtype):
     ours, numpys = memory.empty(shape, dtype), np.empty(shape, dtype)
     assert (ours.shape, ours.dtype, ours.nbytes) == (numpys.shape, numpys.dtype, numpys.nbytes)
@@ -50,25 +50,6 @@ def test_memory_is_used_again_once_the_last_view_is_gone():
     assert np.all(view == 7)
     del view
     assert address(memory.empty((3 * MEBI,), np.uint8)) == place
-
-
-def test_other_holders_of_a_buffer_count_as_views():
-    array = memory.empty((2 * MEBI,), np.uint8)
-    array[:] = 5
-    held = memoryview(array)[10:20]
-    del array
-    other = memory.empty((2 * MEBI,), np.uint8)
-    other[:] = 6
-    assert bytes(held) == b"\5" * 10
-
-
-def test_a_block_much_larger_than_asked_for_stays_for_larger_arrays():
-    large = memory.empty((16 * MEBI,), np.uint8)
-    place = address(large)
-    del large
-    small = memory.empty((2 * MEBI,), np.uint8)
-    assert address(small) != place
-    assert address(memory.empty((15 * MEBI,), np.uint8)) == place
 
 
 def test_what_is_kept_is_bounded_and_can_be_given_back():

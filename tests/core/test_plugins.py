@@ -242,12 +242,6 @@ def test_a_broken_package_costs_a_warning(
     assert main(["bow"]) == 2
 
 
-def test_an_object_of_another_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    install(tmp_path, monkeypatch, "strange-int", "[depthcli.layouts]\nodd = strange_int:x\n", "x = 3\n")
-    with pytest.warns(registry.PluginWarning, match=r"odd of strange-int 1\.2 cannot be loaded: TypeError: .*got 3"):
-        layouts.layouts()
-
-
 def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     for command, name in (("stereo", "fast"), ("stereo", "elas"), ("nowhere", "odd")):
         file = tmp_path / "strange_kit" / "mine" / command / f"{name}.yaml"
@@ -268,13 +262,6 @@ def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
     (tmp_path / "strange_kit" / "mine" / "stereo" / "elas.yaml").write_bytes(b"# \xff\npipeline: local\n")
     assert main(["presets", "show", "elas"]) == 2
     assert "elas.yaml:1: not UTF-8 text" in capsys.readouterr().err
-
-
-def test_a_package_without_its_presets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    entries = "[depthcli.presets]\nx = strange_none:mine\ny = nowhere_at_all.a:mine\n"
-    install(tmp_path, monkeypatch, "strange-none", entries, "")
-    with pytest.warns(registry.PluginWarning, match=r"strange-none 1\.2: no COMMAND/NAME\.yaml in \w"):
-        assert presets.find_preset("stereo", "fast") is not None
 
 
 @pytest.mark.slow
