@@ -28,7 +28,6 @@ from depthcli.cli import command_of
 from depthcli.commands import grouped_names, help_of, own_names
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
-from depthcli.core.registry import with_package
 from depthcli.evaluation import columns as evaluation
 from depthcli.evaluation import protocols
 from depthcli.evaluation.evaluate import RESULTS
@@ -239,7 +238,7 @@ def _kind(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 def data() -> str:
     """Return the page of layouts and file formats."""
     rows = [(f"`{each.name}`", each.wants) for each in layouts()]
-    others = {end: with_package(type(of), _markdown(_first(type(of)))) for end, of in map_formats().items()}
+    others = {end: _markdown(_first(type(of))) for end, of in map_formats().items()}
     maps: dict[str, list[str]] = {}
     for name in protocols.names():
         maps.setdefault(" ".join(protocols.load(name).files.endings), []).append(name)

@@ -32,7 +32,7 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
     order, flipped = grid.anatomical_axes()
     blocks = [loaded.blocks[axis] for axis in order]
     shape = [pair.shape[axis] for axis in order]
-    lengths = [n * s * block for n, s, block in zip(shape, grid.turned_spacing(), blocks, strict=True)]  # mm
+    lengths = [shape[k] * grid.spacing[2 - axis] * blocks[k] for k, axis in enumerate(order)]  # mm
     rows = []
     for axis, plane in enumerate(PLANES):
         across = [k for k in range(3) if k != axis]

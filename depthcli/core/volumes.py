@@ -69,11 +69,6 @@ class Grid:
         order, flipped = self.anatomical_axes()
         return np.flip(values.transpose(order), flipped)
 
-    def turned_spacing(self) -> tuple[float, float, float]:
-        """Return the distances of voxels along the axes of a turned array, mm."""
-        a, b, c = (self.spacing[2 - axis] for axis in self.anatomical_axes()[0])
-        return a, b, c
-
     def slice_positions(self, axis: int) -> tuple[float, float]:
         """Return the position of the first slice across ``axis`` of a turned array and the step to the next one, mm.
 

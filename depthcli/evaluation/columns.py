@@ -2,8 +2,32 @@
 
 from __future__ import annotations
 
-from depthcli.core.columns import ColumnHelp as Column
-from depthcli.core.columns import find_column
+import re
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ColumnHelp:
+    """The explanation of a column."""
+
+    name: str  # the heading; of columns that differ in a number or name, with that in capitals, such as ``bad T``
+    about: str  # one line: what the numbers are of
+    unit: str = ""
+    also: tuple[str, ...] = ()  # other headings of the same numbers, such as that of the printed table
+    pattern: str = ""  # regular expression of all headings, where ``name`` stands for several
+
+    @property
+    def headings(self) -> str:
+        """Name, other headings and unit, as a list of columns shows them."""
+        unit = f" [{self.unit}]" if self.unit else ""
+        return ", ".join((self.name, *self.also)) + unit
+
+    def fits(self, heading: str) -> bool:
+        """Return whether a column is meant, by its heading without a unit behind a comma."""
+        return heading in (self.name, *self.also) or bool(self.pattern and re.fullmatch(self.pattern, heading))
+
+
+Column = ColumnHelp  # in the rows below
 
 METRICS = (
     Column("bad T", "share of pixels whose error is above T px; whether missing ones count is the protocol's rule", "%",
@@ -152,5 +176,8 @@ SWEEP = (
 
 def heading_help(heading: str) -> str:
     """Return unit and explanation of a column of an evaluation's tables; empty where it is the name of a scene."""
-    found = find_column((*TABLES, *METRICS, *REGIONS), heading)
+    plain = re.sub(r" \(\d+ of \d+\)$", "", heading)  # a number of scenes; or a unit stands behind a comma
+    names = dict.fromkeys((heading, plain, plain.rpartition(", ")[0] or plain))
+    columns = (*TABLES, *METRICS, *REGIONS)
+    found = next((column for name in names for column in columns if column.fits(name)), None)
     return "" if found is None else found.about + (f", {found.unit}" if found.unit else "")

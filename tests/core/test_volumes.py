@@ -41,6 +41,5 @@ def test_all_48_orientations_are_shown_alike(order, signs, degrees):
             assert first + step * np.arange(towards_first_side.shape[axis]) == pytest.approx(
                 towards_first_side[tuple(middle)]
             )
-            assert -step == pytest.approx(grid.turned_spacing()[axis])
-    assert sorted(grid.turned_spacing()) == [1.0, 2.0, 3.0]
+            assert -step == pytest.approx(grid.spacing[2 - grid.anatomical_axes()[0][axis]])
     assert len(ENDS) == 3
