@@ -88,7 +88,6 @@ def run_batch(
     failed = [row for row in rows if row["status"] == "failed"]
     if batch.palette is not None and len(failed) < len(rows):
         write_legend(options.output / LEGEND_FILE, batch.palette, batch.legend)
-    flags: Flags
     evaluation = page_file = None
     flags: Flags
     if options.evaluate or options.html:

@@ -39,9 +39,9 @@ class Folder:
         """Return whether all of the names are there."""
         return set(names) <= self.names
 
-    def has_stem(self, stem: str) -> bool:
-        """Return whether there is a file of that stem, of any ending."""
-        return stem in self._by_stem
+    def endings(self, stem: str) -> list[str]:
+        """Return the endings of the files of that stem, in lower case."""
+        return [suffix for suffix, _ in self._by_stem.get(stem, ())]
 
     def one(self, stem: str, suffixes: Iterable[str]) -> Path | None:
         """Return the file of that stem; InputError where several endings compete."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import fnmatch
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.yaml_source import read_config
 from depthcli.io.formats.images import IMAGE_SUFFIXES
-from depthcli.io.formats.map_format import map_suffixes
+from depthcli.io.formats.map_format import MAP_SUFFIXES, map_suffixes
 from depthcli.io.layouts.base import Folder, Layout
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd import RgbdScene
@@ -162,9 +162,10 @@ def _possible(row: Row, there: frozenset[str]) -> tuple[Mapping[str, str], ...]:
     return tuple(v for v, names in zip(row.files, starts, strict=True) if any(fnmatch.filter(there, n) for n in names))
 
 
-def _suffixes(role: str) -> tuple[str, ...]:
+def _suffixes(role: str, endings: Sequence[str] = ("",)) -> tuple[str, ...]:
+    """Return the endings of a role's files; of maps only our own where ``endings`` are, since plug-ins take long."""
     if role.startswith("disparity"):
-        return map_suffixes()
+        return MAP_SUFFIXES if all(ending in MAP_SUFFIXES for ending in endings) else map_suffixes()
     return DEPTH_SUFFIXES if role.startswith(("depth", "sparse")) else IMAGE_SUFFIXES
 
 
@@ -174,7 +175,8 @@ def _file(folder: Folder, role: str, names: str, keys: _Keys) -> Path | None:
         place, _, last = name.format_map(_Keep(keys)).rpartition("/")
         below, found = folder.below(place), None
         if below is not None and last.endswith(".*"):
-            found = below.one(last[:-2], _suffixes(role)) if below.has_stem(last[:-2]) else None
+            endings = below.endings(last[:-2])
+            found = below.one(last[:-2], _suffixes(role, endings)) if endings else None
         elif below is not None and last in below.names and os.path.isfile(below.path / last):
             found = below.path / last
         if found is not None:
