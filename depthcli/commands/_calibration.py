@@ -27,8 +27,7 @@ from depthcli.algorithms.calibration import (
     fit_camera,
     fit_rig,
 )
-from depthcli.commands._options import Printing
-from depthcli.commands.calibrate import BoardOptions
+from depthcli.commands._options import BoardOptions, Printing
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import color8, luma

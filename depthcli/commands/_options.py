@@ -237,6 +237,85 @@ class TableOptions:
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class BoardOptions:
+    """The board, as it is printed."""
+
+    board: Annotated[str, Option(metavar="BOARD", help="COLUMNSxROWS: inner corners; charuco:COLUMNSxROWS: squares.")]
+    square: Annotated[str, Option(metavar="LENGTH", help="Edge of a square, with its unit (mm, cm, m).")]
+    marker: Annotated[str | None, Option(metavar="LENGTH", help="Edge of a marker of a ChArUco board.")] = None
+    dictionary: Annotated[str, Option(metavar="NAME", help="Markers of a ChArUco board.")] = "4X4_50"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RectifyOptions:
+    """By what pairs are rectified."""
+
+    calibration: Annotated[
+        list[Path] | None,
+        Option(
+            metavar="FILE",
+            help="Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain or KITTI "
+            "calib_cam_to_cam; repeatable.",
+        ),
+    ] = None
+    uncalibrated: Annotated[
+        bool, Option("--uncalibrated", help="Rectify by matched key points alone; depths stay unknown.")
+    ] = False
+    unit: Annotated[
+        str, Option(metavar="UNIT", help="Unit of the translation in an OpenCV calibration: m, cm or mm.")
+    ] = "m"
+    fisheye: Annotated[bool, Option("--fisheye", help="The lenses of an OpenCV file are fisheye.")] = False
+    cameras: Annotated[str, Option(metavar="L,R", help="Numbers of the left and right camera in a KITTI file.")] = "2,3"
+    alpha: Annotated[
+        float,
+        Option(metavar="SHARE", min=0, max=1, help="0: keep only what both images show; 1: keep all of both."),
+    ] = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOptions:
+    """The maps of a run, or a single one, and their calibration."""
+
+    run: Annotated[Path, Argument(metavar="RUN", help="Run folder of stereo or fuse, or one disparity map.")]
+    input: InputOption = None
+    layout: LayoutOption = None
+    scenes: ScenesOption = None
+    left: Annotated[Path | None, Option(metavar="FILE", help="Left image of a single map, for the point cloud.")] = None
+    calibration: Annotated[
+        Path | None, Option(metavar="FILE", help="Calibration of all scenes: calib.txt, or KITTI's.")
+    ] = None
+    focal: Annotated[
+        float | None, Option(metavar="PIXELS", min=1e-6, help="Focal length, if there is no calibration.")
+    ] = None
+    baseline: Annotated[
+        float | None, Option(metavar="METERS", min=1e-9, help="Distance of the cameras, with --focal.")
+    ] = None
+    doffs: Annotated[
+        float | None, Option(metavar="PIXELS", help="x of the right principal point minus the left one's.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudOptions:
+    """Which pixels get a depth, and which are points of a cloud."""
+
+    mask: Annotated[
+        str | None,
+        Option(
+            metavar="WHICH",
+            help="Pixels that get a depth: all, measured, or confident:0.8, the 80 % of the measured ones with the "
+            "highest confidence (confident:0.8:NAME of several). Default: all, in clouds measured.",
+        ),
+    ] = None
+    ply: Annotated[bool, Option("--ply", help="Also write a colored point cloud of every scene.")] = False
+    near: Annotated[float, Option(metavar="METERS", min=0, help="Nearest depth of point clouds.")] = 0.0
+    far: Annotated[float | None, Option(metavar="METERS", min=0, help="Farthest depth of point clouds.")] = None
+    depth_scale: Annotated[float, Option(metavar="CODES", min=1e-3, max=1e6, help="Codes per meter in depth.png.")] = (
+        1000.0
+    )
+
+
 def with_groups(function: Callable[..., int]) -> Callable[..., int]:
     """Return a command's function with the signature that typer reads: fields of groups are options of their own."""
     groups: dict[str, tuple[type, list[str]]] = {}

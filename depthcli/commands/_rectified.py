@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from depthcli.api.matching import file_states, read_rig, rectified_rig
 from depthcli.commands._batch import run_batch
-from depthcli.commands._options import PairOptions, RunOptions
+from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
 from depthcli.commands._scenes import find_scenes
-from depthcli.commands.rectify import RectifyOptions
 from depthcli.core.cameras.rig import RectifiedRig
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair

@@ -11,23 +11,12 @@ Examples:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
-from depthcli.commands._options import Printing
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoardOptions:
-    """The board, as it is printed."""
-
-    board: Annotated[str, Option(metavar="BOARD", help="COLUMNSxROWS: inner corners; charuco:COLUMNSxROWS: squares.")]
-    square: Annotated[str, Option(metavar="LENGTH", help="Edge of a square, with its unit (mm, cm, m).")]
-    marker: Annotated[str | None, Option(metavar="LENGTH", help="Edge of a marker of a ChArUco board.")] = None
-    dictionary: Annotated[str, Option(metavar="NAME", help="Markers of a ChArUco board.")] = "4X4_50"
+from depthcli.commands._options import BoardOptions, Printing
 
 
 def calibrate(
