@@ -111,6 +111,12 @@ def register(
     return sitk.CompositeTransform(chain)
 
 
+def errors(transform: Any, pair: Pair) -> np.ndarray:
+    """Return the true errors at the landmarks, mm."""
+    moved = np.array([transform.TransformPoint(point) for point in pair.points.tolist()])
+    return np.asarray(np.linalg.norm(moved - pair.matches, axis=1))
+
+
 def write(pair: Pair, transform: Any, folder: Path) -> None:
     sitk = simple_itk()
 
@@ -147,8 +153,7 @@ def main() -> None:
             continue
         for kind, settings in (("a", EARLY), ("b", LATE)):
             transform = register(pair, **settings)
-            moved = np.array([transform.TransformPoint(point) for point in pair.points.tolist()])
-            error = np.linalg.norm(moved - pair.matches, axis=1)
+            error = errors(transform, pair)
             write(pair, transform, arguments.output / f"{pair.name}_{kind}")
             print(f"{pair.name}_{kind}: {len(error)} landmarks, error {error.mean():.2f} +- {error.std():.2f} mm, "
                   f"largest {error.max():.1f}", flush=True)  # fmt: skip

@@ -179,9 +179,11 @@ def test_kernels_read_constants_of_files_with_kernels_alone():
               if name.startswith("depthcli.kernels") or cache._HAS_KERNELS.search(file.read_bytes())}  # fmt: skip
     for name in hashed:
         tree = ast.parse(files[name].read_text("utf-8"))
-        origin = {alias.asname or alias.name: node.module
-                  for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)
-                  for alias in node.names if (node.module or "").startswith("depthcli")}  # fmt: skip
+        origin = {}  # name -> the module that it comes from, or is
+        for node in (each for each in ast.walk(tree) if isinstance(each, ast.ImportFrom)):
+            for alias in node.names if (node.module or "").startswith("depthcli") else ():
+                inside = f"{node.module}.{alias.name}"
+                origin[alias.asname or alias.name] = inside if inside in files else node.module
         for kernel in ast.walk(tree):
             if isinstance(kernel, ast.FunctionDef) and any("jit" in ast.dump(each) for each in kernel.decorator_list):
                 names = {node.id for each in kernel.body for node in ast.walk(each) if isinstance(node, ast.Name)}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import resource
 import shlex
 import shutil
 import signal
@@ -283,7 +284,8 @@ def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
     if problem:
         raise ProgramError(f"{name} {problem}{_end_of(logs)}")
     scene.used["program_cpu"] = round(scene.used.get("program_cpu", 0.0) + used.ru_utime + used.ru_stime, 6)
-    peak = max(peak, used.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
+    if used.ru_maxrss > resource.getrusage(resource.RUSAGE_SELF).ru_maxrss:  # what it has from us when it starts counts
+        peak = max(peak, used.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
     scene.used["program_memory"] = max(scene.used.get("program_memory", 0), peak)
 
 
