@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, PrivateAttr, Tag, model_validator
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
@@ -179,7 +179,10 @@ class MeanDeviation(BaseModel):
         return self
 
 
-Normalization = Literal["0-255", "0-1", "imagenet", "image"] | MeanDeviation
+Normalization = Annotated[
+    Annotated[Literal["0-255", "0-1", "imagenet", "image"], Tag("name")] | Annotated[MeanDeviation, Tag("moments")],
+    Discriminator(lambda value: "moments" if isinstance(value, dict | MeanDeviation) else "name"),
+]
 """Range of the values that a network takes; ``image``: minus their mean over the image, divided by their deviation."""
 
 _IMAGENET = MeanDeviation(mean=(0.485, 0.456, 0.406), deviation=(0.229, 0.224, 0.225))

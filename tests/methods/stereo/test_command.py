@@ -114,7 +114,7 @@ def test_a_program_with_opencvs_matcher_is_as_good_as_the_matcher(here: Path, ma
     assert found["density"] > 0.7
     assert found["seconds"].keys() >= {"write", "program", "read"}
     assert found["program_cpu"] > 0.05
-    assert found["program_memory"] < 400 << 20
+    assert found["program_memory"] > 20 << 20
     one, other = (read_pfm(here / run / "planes_0" / "disp_left.pfm") for run in ("others", "ours"))
     both = np.isfinite(one) & np.isfinite(other)
     assert both.mean() > 0.6
@@ -309,7 +309,7 @@ def test_time_memory_and_output_of_a_program_that_ends(tmp_path: Path):
     found = run(tmp_path, code)
     assert (tmp_path / "stdout.txt").read_text().split()[1:] == ["True", str(tmp_path)]
     assert found["program_cpu"] > 0.01
-    assert found["program_memory"] < 400 << 20  # not that of this process
+    assert 64 << 20 < found["program_memory"] < 400 << 20
 
 
 @pytest.mark.parametrize(
