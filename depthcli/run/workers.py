@@ -50,7 +50,6 @@ _MAX_TRACE_NAME = 200  # bytes of a scene's name in that of its traceback; a fil
 _HEAD_START = 1.0  # seconds in which the first worker can show that kernels have to be compiled
 _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up the memory
 _CONNECT_TIMEOUT = "20s"
-_LOST = "the scheduler was lost; the same command goes on where it stopped"
 _RUNNING_FILE = "goes-on"  # in the hidden folder of a run; workers of a cluster stop when it is gone
 _cluster_lock = threading.Lock()  # threads of one worker of a cluster share kernels and buffers
 
@@ -347,6 +346,7 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
         The connection to the scheduler was lost.
     """
     address, output = work.how.scheduler or "", workspace.parent
+    lost = f"{address}: the scheduler was lost; the same command goes on where it stopped"
     if files := sorted({plugin.package for plugin in work.plugins if plugin.is_file}):
         raise ConfigError(f"--scheduler: {', '.join(files)}: workers have no plug-in files; install it as a package")
     workspace.mkdir(parents=True, exist_ok=True)
@@ -371,10 +371,7 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
             for future in [future for future in running if future.status in ("finished", "error")]:
                 task = running.pop(future)
                 if future.status == "finished":
-                    try:
-                        row, kernels, seconds = future.result()
-                    except OSError as error:  # the connection was lost while the row was fetched
-                        raise IncompleteError(f"{address}: {_LOST}") from error
+                    row, kernels, seconds = future.result()
                     _report_compilation(reporter, kernels, seconds)
                 else:
                     error = future.exception()
@@ -387,7 +384,9 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
                     record_failure(task.target, task.record(row, {}), work.how.overwrite)
                 yield row
             if client.status != "running":
-                raise IncompleteError(f"{address}: {_LOST}")
+                raise IncompleteError(lost)
+    except OSError as error:  # of any call of the client
+        raise IncompleteError(lost) from error
     finally:
         (workspace / _RUNNING_FILE).unlink(missing_ok=True)
         with contextlib.suppress(Exception):  # the scheduler may be gone
