@@ -46,9 +46,6 @@ _CONFIGS = {
 }
 """Commands with configs -> package of ``methods`` and class; by name, so that listing presets imports none."""
 
-CONFIG_COMMANDS = tuple(_CONFIGS)
-"""Our own commands that take a config."""
-
 CommandT = TypeVar("CommandT", bound=Callable[..., int])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -27,7 +26,6 @@ from depthcli.run.workers import BUG
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
-_SCORES = "depthcli.commands._scores"  # by name: only a run that is evaluated needs the evaluation
 DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
 
@@ -91,15 +89,16 @@ def run_batch(
     evaluation = page_file = None
     flags: Flags
     if options.evaluate or options.html:
-        scores = importlib.import_module(_SCORES)
-        evaluation, page_file, flags = scores.evaluated(batch, scenes, rows, options, source, conditions)
+        from depthcli.commands import _scores  # only a run that is evaluated needs the evaluation
+
+        evaluation, page_file, flags = _scores.evaluated(batch, scenes, rows, options, source, conditions)
     else:
         flags = flag_rows(conditions, rows, reporter)
     if options.json:
         document = report_document(batch.command, rows) | flags.to_dict()
         reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
     elif evaluation is not None:
-        scores.print_tables(evaluation, reporter, None, options.quiet)
+        _scores.print_tables(evaluation, reporter, None, options.quiet)
     elif not options.quiet:
         reporter.data(run_table(rows, batch.columns))
     if conditions and not (options.json or options.quiet):
@@ -107,7 +106,7 @@ def run_batch(
     total = len(scenes) if how.shard is None else len(rows)
     reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {options.output}")
     if evaluation is not None:
-        scores.print_place(options.output / "evaluation", reporter)
+        _scores.print_place(options.output / "evaluation", reporter)
     elif page_file is not None:
         reporter.info(f"page to open in a browser: {page_file}")
     if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
