@@ -70,9 +70,9 @@ def short(value: object) -> str:
     return text if len(text) <= 64 else text[:61] + "..."
 
 
-def did_you_mean(name: str, known: Iterable[str], renamed: Mapping[str, str] | None = None) -> str:
+def did_you_mean(name: str, known: Iterable[str], renamed: Mapping[str, str] | None = None, cutoff: float = 0.6) -> str:
     """Return a hint at the known name that may be meant, a renamed thing's new name or a similar one; or nothing."""
-    near = [renamed[name]] if renamed and name in renamed else difflib.get_close_matches(name, list(known), 1)
+    near = [renamed[name]] if renamed and name in renamed else difflib.get_close_matches(name, list(known), 1, cutoff)
     return f"; did you mean {near[0]!r}?" if near else ""
 
 

@@ -149,7 +149,7 @@ class CompileWatch(numba.core.event.Listener):
 
     @property
     def busy(self) -> bool:
-        """Whether a kernel is being compiled."""
+        """Return whether a kernel is being compiled."""
         return self._depth > 0
 
     def on_start(self, event: Any) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import operator
 import re
@@ -10,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from depthcli.core.errors import ConfigError
+from depthcli.core.text import did_you_mean
 from depthcli.run.batch import FLAGGED, SOME_FAILED
 from depthcli.run.console import Reporter
 
@@ -98,9 +98,8 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
         n_known = sum(value is not None for value in values)
         if not n_known:
             columns = dict.fromkeys(key for row in rows for key, value in row.items() if _number(value) is not None)
-            near = difflib.get_close_matches(condition.column, columns, 1, 0.7)
-            meant = f"; did you mean {near[0]!r}?" if near else ""
-            unanswered.append(f"--flag {condition}: no row has a value for {condition.column!r}{meant}")
+            hint = did_you_mean(condition.column, columns, cutoff=0.7)
+            unanswered.append(f"--flag {condition}: no row has a value for {condition.column!r}{hint}")
             reporter.error(unanswered[-1])
         elif n_known < len(rows):
             reporter.info(f"warning: --flag {condition}: {len(rows) - n_known} of {len(rows)} rows have no value")

@@ -161,8 +161,8 @@ def _fitted(weights, apart, side, step, shift):
         s, sx, sy = s + row, sx + row_x, sy + down
         sxx, sxy, syy = sxx + row_xx, sxy + dy * row_x, syy + dy * down
         sd, sxd, syd = sd + row_d, sxd + row_xd, syd + dy * row_d
-    fewest, one = splat(_MIN_SAMPLES), splat(np.float32(1))
-    scale = where_at_most(fewest, s, one / maximum(s, fewest), one)
+    min_samples, one = splat(_MIN_SAMPLES), splat(np.float32(1))
+    scale = where_at_most(min_samples, s, one / maximum(s, min_samples), one)
     mx, my, md = sx * scale, sy * scale, sd * scale
     ridge = splat(_RIDGE)
     xx, xy, yy = sxx * scale - mx * mx + ridge, sxy * scale - mx * my, syy * scale - my * my + ridge
@@ -171,7 +171,11 @@ def _fitted(weights, apart, side, step, shift):
     a = minimum(maximum(a, zero - steepest), steepest)
     b = minimum(maximum(b, zero - steepest), steepest)
     offset = md - a * mx - b * my
-    return where_at_most(fewest, s, a, zero), where_at_most(fewest, s, b, zero), where_at_most(fewest, s, offset, zero)
+    return (
+        where_at_most(min_samples, s, a, zero),
+        where_at_most(min_samples, s, b, zero),
+        where_at_most(min_samples, s, offset, zero),
+    )
 
 
 @jit

@@ -80,9 +80,9 @@ class Shadows:
     def sides(self) -> Iterator[tuple[Shadow, bool, bool]]:
         """Yield each side that has shadows, whether it is the right one, and whether holes are judged by it."""
         holes_right = self.right.confidence > self.left.confidence
-        least = _MIN_OF_BEST * max(self.left.confidence, self.right.confidence)
+        min_confidence = _MIN_OF_BEST * max(self.left.confidence, self.right.confidence)
         for shadow, right in ((self.left, False), (self.right, True)):
-            if shadow.confidence > 0 and shadow.confidence >= least:
+            if shadow.confidence > 0 and shadow.confidence >= min_confidence:
                 yield shadow, right, right == holes_right
 
 
