@@ -300,16 +300,31 @@ def _start(context: Any, work: Work) -> _Worker:
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(theirs, work), daemon=True)
     resource_tracker.ensure_running()  # started with the first process, it would lift the block for that one
-    blocked = hasattr(signal, "pthread_sigmask")
-    # Ctrl-C reaches all processes, and one that is starting would answer with a traceback.
-    earlier = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if blocked else set()
-    try:
+    with _ctrl_c_later():
         process.start()
-    finally:
-        if blocked:
-            signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
     theirs.close()
     return _Worker(process, ours)
+
+
+@contextlib.contextmanager
+def _ctrl_c_later() -> Iterator[None]:
+    """Keep Ctrl-C back, which reaches all processes: one that is starting would answer with a traceback.
+
+    The process inherits the block. Here, any thread may get the signal, so the handler is replaced, too.
+    """
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    came: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        signal.signal(signal.SIGINT, handler)
+    for number in came:
+        signal.raise_signal(number)
 
 
 def _serve(pipe: connection.Connection, work: Work) -> None:

@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import signal
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -598,3 +599,21 @@ def test_shards_are_apart_and_together_everything(folder: Folder):
     assert [row["scene"] for row in folder.report()["scenes"]] == list("abcd")
     assert folder.run().keys() == set("abcd")
     assert folder.computed() == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to threads")
+def test_ctrl_c_waits_until_a_worker_has_started():
+    """Any thread may get it, whatever the main thread blocks."""
+
+    def interrupt() -> None:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+
+    started = False
+    with pytest.raises(KeyboardInterrupt), workers._ctrl_c_later():
+        thread = threading.Thread(target=interrupt)
+        thread.start()
+        thread.join()
+        for _ in range(1000):  # in which a handler would be called
+            started = True
+    assert started
