@@ -232,7 +232,7 @@ class RootConfig(ConfigModel):
 def used_files(value: Any) -> dict[str, Path]:
     """Return role -> file, of the files that the methods of a config use; ConfigError where one is missing."""
     found: dict[str, Path] = {}
-    for each in _parts(value):
+    for each in parts_of(value):
         for role, file in each.used_files().items() if isinstance(each, Method) else ():
             found[role if found.get(role, file) == file else f"{role} {file}"] = file
     return found
@@ -244,11 +244,11 @@ def used_plugins(value: Any) -> set[Plugin]:
     A word of the config counts as the name of a plug-in that is in use already (measures are written as names alone).
     """
     in_use = plugins_in_use()
-    named = (in_use.get(each) if isinstance(each, str) else plugin_of(type(each)) for each in _parts(value))
+    named = (in_use.get(each) if isinstance(each, str) else plugin_of(type(each)) for each in parts_of(value))
     return {plugin for plugin in named if plugin is not None}
 
 
-def _parts(value: Any) -> Iterator[Any]:
+def parts_of(value: Any) -> Iterator[Any]:
     """Yield a value and everything in it: values of fields, of mappings and of lists."""
     yield value
     inside: Iterable[Any] = value.values() if isinstance(value, Mapping) else ()
@@ -257,4 +257,4 @@ def _parts(value: Any) -> Iterator[Any]:
     elif isinstance(value, list | tuple):
         inside = value
     for each in inside:
-        yield from _parts(each)
+        yield from parts_of(each)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, PrivateAttr, T
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.method import parts_of
 from depthcli.kernels.jit import n_threads
 
 _TYPES = {
@@ -30,27 +31,38 @@ _CUDA = "CUDAExecutionProvider"
 _CHANNELS = (1, 2, 3, 6)
 
 
-class Port(NamedTuple):
-    """An input of a network, with its sizes; None: any."""
+class ImageInput(NamedTuple):
+    """An input that takes images of 1, 2, 3 or 6 ``channels`` and (H, W) ``size``; None: any."""
 
     name: str
-    shape: tuple[int | None, ...]
     dtype: np.dtype[Any]
+    n_axes: int  # 2: (H, W); 3: channels first or last; 4: a batch of one
+    channels: int | None
+    channels_last: bool
+    size: tuple[int | None, int | None]
+
+    def array(self, planes: NDArray[np.float32]) -> NDArray[Any]:
+        """Return (C, H, W) ``planes`` in the layout and type of the input."""
+        if np.issubdtype(self.dtype, np.integer):
+            planes = np.clip(np.rint(planes), 0, 255)
+        planes = planes[0] if self.n_axes == 2 else planes.transpose(1, 2, 0) if self.channels_last else planes
+        return np.ascontiguousarray(planes[None] if self.n_axes == 4 else planes, self.dtype)
 
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A network that is ready to run; several threads may use it at a time. ``model`` is its file."""
+    """A network that is ready to run; several threads may use it at a time."""
 
-    model: str
-    inputs: tuple[Port, ...]
-    _inference: Any
+    model: str  # its file
+    images: tuple[ImageInput, ...]
+    counts: dict[str, NDArray[Any]]  # inputs for one whole number: name -> 1 in the shape and type that they take
+    inference: Any
 
     def run(self, values: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Return output's name -> array, in the order of the network; InputError where it fails."""
-        names = [output.name for output in self._inference.get_outputs()]
+        names = [output.name for output in self.inference.get_outputs()]
         try:
-            return dict(zip(names, self._inference.run(names, dict(values)), strict=True))
+            return dict(zip(names, self.inference.run(names, dict(values)), strict=True))
         except Exception as error:  # onnxruntime has an exception of its own for each code of its C interface
             shapes = ", ".join(f"{name} {value.shape}" for name, value in values.items())
             raise InputError(f"{self.model}: the network fails for {shapes}: {_first_line(error)}") from error
@@ -78,13 +90,32 @@ def _open_session(model: str, changed: int, device: str, threads: int) -> Sessio
         raise InputError(f"{model}: not a network that onnxruntime can run ({_first_line(error)})") from error
     if device != "cpu" and _CUDA not in inference.get_providers():
         raise InputError(f"--device {device}: onnxruntime cannot use it; are CUDA and cuDNN of its version installed?")
-    ports = []
+    images, counts = [], {}
     for port in inference.get_inputs():
-        if port.type not in _TYPES:
-            raise InputError(f"{model}: input {port.name} is of type {port.type}; want images")
+        dtype = np.dtype(_TYPES.get(port.type, object))
         shape = tuple(size if isinstance(size, int) and size > 0 else None for size in port.shape)
-        ports.append(Port(port.name, shape, np.dtype(_TYPES[port.type])))
-    return Session(model, tuple(ports), inference)
+        if dtype in (np.int32, np.int64) and len(shape) < 2:
+            counts[port.name] = np.ones([1] * len(shape), dtype)
+        elif port.type not in _TYPES or (layout := _layout(shape)) is None:
+            shown = " x ".join("?" if size is None else str(size) for size in shape)
+            raise InputError(
+                f"{model}: input {port.name}, {port.type} {shown}, takes no image; expected 1, 2, 3 or 6 channels"
+            )
+        else:
+            images.append(ImageInput(port.name, dtype, len(shape), *layout))
+    return Session(model, tuple(images), counts, inference)
+
+
+def _layout(shape: tuple[int | None, ...]) -> tuple[int | None, bool, tuple[int | None, int | None]] | None:
+    """Return channels, whether they come last, and size of (H, W), (C, H, W), (H, W, C), or a batch of one of these."""
+    if len(shape) == 2:
+        return 1, False, (shape[0], shape[1])
+    if len(shape) != 3 and (len(shape) != 4 or shape[0] not in (None, 1)):
+        return None
+    first, middle, last = shape[-3:]
+    if first in _CHANNELS or (first is None and last not in _CHANNELS):
+        return first, False, (middle, last)
+    return (last, True, (first, middle)) if last in _CHANNELS else None
 
 
 def _onnxruntime() -> Any:
@@ -138,16 +169,9 @@ class Network(BaseModel):
         """Raise InputError where the network cannot be used."""
 
 
-def networks_in(value: object) -> Iterator[Network]:
+def networks_in(config: BaseModel) -> list[Network]:
     """Return all networks of a config, whatever they are a part of."""
-    if isinstance(value, Network):
-        yield value
-    elif isinstance(value, BaseModel):
-        for name in type(value).model_fields:
-            yield from networks_in(getattr(value, name))
-    elif isinstance(value, list | tuple | dict):
-        for part in value.values() if isinstance(value, dict) else value:
-            yield from networks_in(part)
+    return [part for part in parts_of(config) if isinstance(part, Network)]
 
 
 def network_device(wanted: str) -> str:
@@ -185,42 +209,10 @@ Normalization = Annotated[
 ]
 """Range of the values that a network takes; ``image``: minus their mean over the image, divided by their deviation."""
 
-_IMAGENET = MeanDeviation(mean=(0.485, 0.456, 0.406), deviation=(0.229, 0.224, 0.225))
-
-
-class ImageInput(NamedTuple):
-    """An input that takes images of 1, 2, 3 or 6 channels, and of (H, W) ``size``; None: any."""
-
-    port: Port
-    channels: int | None
-    channels_last: bool  # (H, W, C), not (C, H, W)
-    size: tuple[int | None, int | None]
-
-    @classmethod
-    def of(cls, port: Port, model: str) -> ImageInput:
-        """Read the layout from the shape: (H, W), (C, H, W), (H, W, C), or a batch of one of these; else InputError."""
-        if len(port.shape) == 2:
-            return cls(port, 1, False, (port.shape[0], port.shape[1]))
-        axes = port.shape[-3:]
-        if len(port.shape) == 3 or (len(port.shape) == 4 and port.shape[0] in (None, 1)):
-            if axes[0] in _CHANNELS or (axes[0] is None and axes[2] not in _CHANNELS):
-                return cls(port, axes[0], False, (axes[1], axes[2]))
-            if axes[2] in _CHANNELS:
-                return cls(port, axes[2], True, (axes[0], axes[1]))
-        shown = " x ".join("?" if size is None else str(size) for size in port.shape)
-        raise InputError(f"{model}: input {port.name} has shape {shown}; want one image of 1, 2, 3 or 6 channels")
-
-    def array(self, planes: NDArray[np.float32]) -> NDArray[Any]:
-        """Return (C, H, W) ``planes`` in the layout and type of the input."""
-        if np.issubdtype(self.port.dtype, np.integer):
-            planes = np.clip(np.rint(planes), 0, 255)
-        if len(self.port.shape) == 2:
-            planes = planes[0]
-        elif self.channels_last:
-            planes = planes.transpose(1, 2, 0)
-        if len(self.port.shape) == 4:
-            planes = planes[None]
-        return np.ascontiguousarray(planes, self.port.dtype)
+_MOMENTS = {
+    "0-1": MeanDeviation(mean=(0.0,), deviation=(1.0,)),
+    "imagenet": MeanDeviation(mean=(0.485, 0.456, 0.406), deviation=(0.229, 0.224, 0.225)),
+}
 
 
 def samples(pair: StereoPair, channels: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -242,10 +234,8 @@ def planes(image: NDArray[np.float32], normalization: Normalization, order: Colo
         values = (image - np.float32(image.mean(dtype=np.float64))) / np.float32(deviation or 1.0)
     elif normalization == "0-255":
         values = image
-    elif normalization == "0-1":
-        values = image / np.float32(255)
     else:
-        moments = _IMAGENET if normalization == "imagenet" else normalization
+        moments = _MOMENTS[normalization] if isinstance(normalization, str) else normalization
         mean, deviation_of = (np.array(m, np.float32) for m in (moments.mean, moments.deviation))
         if image.shape[2] == 1:
             mean, deviation_of = mean.mean(keepdims=True), deviation_of.mean(keepdims=True)

@@ -85,10 +85,9 @@ def _input_of(session: Session, multiple: int) -> tuple[ImageInput, int]:
 
     InputError where it does not give a vector for each pixel of one image of any size.
     """
-    targets = [ImageInput.of(port, session.model) for port in session.inputs]
-    if len(targets) != 1 or targets[0].channels not in (None, 1, 3):
+    if session.counts or len(session.images) != 1 or session.images[0].channels not in (None, 1, 3):
         raise InputError(f"{session.model}: want a network with one image as its input, grey or in color")
-    target = targets[0]
+    (target,) = session.images
     if target.size != (None, None):
         raise InputError(f"{session.model}: takes images of one size; want a network that gives features at any size")
     side = -(-_PROBE // multiple) * multiple
@@ -102,7 +101,7 @@ def _input_of(session: Session, multiple: int) -> tuple[ImageInput, int]:
 
 def _features(session: Session, target: ImageInput, given: NDArray[np.float32]) -> NDArray[np.float32]:
     # (C, H, W), of a (C, H, W) image.
-    output = next(iter(session.run({target.port.name: target.array(given)}).values()))
+    output = next(iter(session.run({target.name: target.array(given)}).values()))
     if output.ndim == 4 and output.shape[0] == 1:
         output = output[0]
     if output.ndim != 3:

@@ -1,4 +1,4 @@
-"""What the two OpenCV matchers share: padding, WLS filter, filling, and conversion to disparity maps."""
+"""What the two OpenCV matchers share: fields, padding, WLS filter, filling, and conversion to disparity maps."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from depthcli.algorithms.filters import single_thread
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
+from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 from depthcli.methods.stereo.volume import StereoResult
 
@@ -28,51 +29,55 @@ class Wls(ConfigModel):
     sigma_color: float = Field(1.5, gt=0, le=1e4, description="color scale of the smoothing; smaller keeps more edges")
 
 
+class OpencvMatcher(StereoPipeline):
+    """A matcher of OpenCV, padded so that it answers up to the border, with optional WLS filter and fill."""
+
+    uniqueness: int = Field(10, ge=0, le=100, description="margin that the best cost needs over the second best, %")
+    left_right: int = Field(1, ge=-1, le=16384, description="largest left-right difference, pixels; -1: no check")
+    speckle_size: int = Field(100, ge=0, le=10**8, description="speckles of fewer pixels are rejected; 0: none")
+    speckle_range: int = Field(2, ge=0, le=16384, description="largest disparity step inside a speckle, pixels")
+    wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; null: off")
+    fill: bool = Field(True, description="fill pixels without a value with the background of their row")
+
+    def matched(
+        self, matcher: Any, left: NDArray[np.uint8], right: NDArray[np.uint8], max_disparity: int, margin: int
+    ) -> StereoResult:
+        """Run ``matcher``, cv2.StereoSGBM or cv2.StereoBM, on a pair of (H, W) or (H, W, 3) uint8, padded.
+
+        The matchers give no value in the first ``opencv_disparities`` columns, so the pair is padded on the left by
+        repeating its border, by ``margin`` pixels more on every side, and the result is cropped.
+        """
+        height, width = left.shape[:2]
+        lead = opencv_disparities(max_disparity) + margin
+        clock = Clock()
+        clock.start("matching")
+        padded_left, padded_right = (
+            cv2.copyMakeBorder(image, margin, margin, lead, margin, cv2.BORDER_REPLICATE) for image in (left, right)
+        )
+        raw = matcher.compute(padded_left, padded_right)
+        values, status = _to_map(raw[margin : margin + height, lead : lead + width], max_disparity)
+        if self.wls is not None:
+            clock.start("wls")
+            mirrored = cv2.ximgproc.createRightMatcher(matcher).compute(padded_right, padded_left)
+            smoother = cv2.ximgproc.createDisparityWLSFilter(matcher)
+            smoother.setLambda(self.wls.lambda_)
+            smoother.setSigmaColor(self.wls.sigma_color)
+            with single_thread():
+                smooth = smoother.filter(raw, padded_left, None, mirrored)
+            values, beyond = _to_map(smooth[margin : margin + height, lead : lead + width], max_disparity)
+            answered = ~np.isnan(values)
+            status = np.where(answered, status | Status.SMOOTHED, status | beyond).astype(np.uint8)
+            status[answered & (status != Status.SMOOTHED)] |= np.uint8(Status.FILLED)
+        disparity = DisparityMap(values, status)
+        if self.fill:
+            clock.start("fill")
+            disparity = fill_background(disparity)
+        return StereoResult(disparity, seconds=clock.seconds)
+
+
 def opencv_disparities(max_disparity: int) -> int:
     """Return OpenCV's number of disparities for 0 .. ``max_disparity``: a multiple of 16."""
     return (max_disparity // 16 + 1) * 16
-
-
-def match(
-    matcher: Any,
-    left: NDArray[np.uint8],
-    right: NDArray[np.uint8],
-    max_disparity: int,
-    margin: int,
-    wls: Wls | None,
-    fill: bool,
-) -> StereoResult:
-    """Run ``matcher``, cv2.StereoSGBM or cv2.StereoBM, on a pair of (H, W) or (H, W, 3) uint8, padded.
-
-    The matchers give no value in the first ``opencv_disparities`` columns, so the pair is padded on the left by
-    repeating its border, by ``margin`` pixels more on every side, and the result is cropped.
-    """
-    height, width = left.shape[:2]
-    lead = opencv_disparities(max_disparity) + margin
-    clock = Clock()
-    clock.start("matching")
-    padded_left, padded_right = (
-        cv2.copyMakeBorder(image, margin, margin, lead, margin, cv2.BORDER_REPLICATE) for image in (left, right)
-    )
-    raw = matcher.compute(padded_left, padded_right)
-    values, status = _to_map(raw[margin : margin + height, lead : lead + width], max_disparity)
-    if wls is not None:
-        clock.start("wls")
-        mirrored = cv2.ximgproc.createRightMatcher(matcher).compute(padded_right, padded_left)
-        smoother = cv2.ximgproc.createDisparityWLSFilter(matcher)
-        smoother.setLambda(wls.lambda_)
-        smoother.setSigmaColor(wls.sigma_color)
-        with single_thread():
-            smooth = smoother.filter(raw, padded_left, None, mirrored)
-        values, beyond = _to_map(smooth[margin : margin + height, lead : lead + width], max_disparity)
-        answered = ~np.isnan(values)
-        status = np.where(answered, status | Status.SMOOTHED, status | beyond).astype(np.uint8)
-        status[answered & (status != Status.SMOOTHED)] |= np.uint8(Status.FILLED)
-    disparity = DisparityMap(values, status)
-    if fill:
-        clock.start("fill")
-        disparity = fill_background(disparity)
-    return StereoResult(disparity, seconds=clock.seconds)
 
 
 def _to_map(raw: NDArray[Any], max_disparity: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

@@ -20,7 +20,6 @@ from depthcli.methods.stereo.networks import (
     ImageInput,
     Network,
     Normalization,
-    Port,
     Session,
     padded,
     planes,
@@ -102,7 +101,7 @@ class NetworkPipeline(Network, StereoPipeline):
     self_check: bool = Field(True, description="whether the network must find a known shift before a run")
 
     def check(self) -> None:
-        self._network()
+        self._plan()
         if self.self_check:
             _check_shifts(self, self.session)
 
@@ -110,23 +109,27 @@ class NetworkPipeline(Network, StereoPipeline):
         """Match the whole pair; disparities beyond 0 .. ``max_disparity`` are out of range. InputError if it fails."""
         clock = Clock()
         clock.start("network")
-        network = self._network()
-        values = network(pair)
+        values, status = self.left_map(pair), np.zeros(pair.shape, np.uint8)
         if not self.left_right_check:
-            return StereoResult(_in_range(values, np.zeros(pair.shape, np.uint8), max_disparity), seconds=clock.seconds)
+            return StereoResult(_in_range(values, status, max_disparity), seconds=clock.seconds)
         first, second = (cast(Image, np.ascontiguousarray(image[:, ::-1])) for image in (pair.right, pair.left))
-        right = network(StereoPair(first, second, pair.bits))[:, ::-1]
+        right = self.left_map(StereoPair(first, second, pair.bits))[:, ::-1]
         clock.start("left_right_check")
         known, known_right = (np.nan_to_num(np.maximum(view, 0), nan=0, posinf=0) for view in (values, right))
         difference = left_right_difference(known, known_right)
         failed = difference > self.tolerance
-        status = np.where(failed, np.where(_is_hit(known_right), Status.MISMATCH, Status.OCCLUDED), 0).astype(np.uint8)
-        status[failed] |= np.uint8(Status.FILLED)
+        # Whether a pixel of the right view, or one beside it, is matched to a pixel of the left view.
+        width = pair.shape[1]
+        rows, columns = np.indices(pair.shape)
+        columns += np.minimum(np.rint(known_right), width).astype(np.int64)
+        hit = np.zeros(pair.shape, np.uint8)
+        hit[rows[columns < width], columns[columns < width]] = 1
+        hit = np.asarray(cv2.dilate(hit, np.ones((1, 3), np.uint8)))
+        status[failed] = np.where(hit[failed], Status.MISMATCH, Status.OCCLUDED) | Status.FILLED
         disparity = _in_range(values, status, max_disparity)
         if not self.fill:
-            disparity = DisparityMap(
-                np.where(failed, np.float32(np.nan), disparity.values), disparity.status & ~np.uint8(Status.FILLED)
-            )
+            disparity.values[failed] = np.nan
+            disparity.status[failed] &= ~np.uint8(Status.FILLED)
         return StereoResult(disparity, seconds=clock.seconds, confidence={"lrc": -difference})
 
     def tile_halo(self) -> int | None:
@@ -136,12 +139,55 @@ class NetworkPipeline(Network, StereoPipeline):
         """Estimate the bytes of a network with 64 channels at half the size, several of which exist at a time."""
         return 1024 * shape[0] * shape[1] + (256 << 20)
 
-    def _network(self) -> PairNetwork:
+    def left_map(self, pair: StereoPair) -> NDArray[np.float32]:
+        """Return (H, W) float32 disparities of the left view, pixels, whatever range and sign they turn out to have."""
         base = Profile() if self.profile is None else PROFILES[self.profile]
-        given = {name: getattr(self, name) for name in Profile._fields}
-        conventions = base._replace(**{name: value for name, value in given.items() if value is not None})
+        own = {name: getattr(self, name) for name in Profile._fields}
+        conventions = base._replace(**{name: value for name, value in own.items() if value is not None})
+        session = self.session
+        feeds, fixed = self._plan()
+        views = {}
+        for channels in {feed.channels for feed in feeds}:
+            for view, image in zip(("left", "right"), samples(pair, channels), strict=True):
+                given = padded(image, conventions.multiple) if fixed is None else _resized(image, fixed)
+                views[view, channels] = given
+        size = next(iter(views.values())).shape[:2]
+        values = {name: np.full_like(one, self.iterations or 1) for name, one in session.counts.items()}
+        for feed in feeds:
+            images = [views[view, feed.channels] for view in feed.views]
+            if feed.half:
+                height, width = feed.target.size
+                images = [_resized(image, (height or size[0] // 2, width or size[1] // 2)) for image in images]
+            normal = [planes(image, conventions.normalization, conventions.color_order) for image in images]
+            values[feed.target.name] = feed.target.array(np.concatenate(normal))
+        outputs = session.run(values)
+        maps = {name: plane for name, array in outputs.items() if (plane := _first_channel(array, size)).shape == size}
+        if not maps:
+            shown = ", ".join(f"{name} {array.shape}" for name, array in outputs.items())
+            raise InputError(f"{self.model}: no output is a map of {size[1]} x {size[0]} pixels; there are {shown}")
+        named = [name for name in maps if "disp" in name.lower()]
+        disparity = np.ascontiguousarray(maps[(named or list(maps))[-1]], np.float32)
+        height, width = pair.shape
+        if fixed is None:
+            disparity = disparity[:height, :width]
+        elif size != pair.shape:
+            disparity = _resized(disparity, pair.shape) * np.float32(width / size[1])
+        return -disparity if conventions.sign == "negative" else disparity
+
+    def _plan(self) -> tuple[list[_Feed], tuple[int, int] | None]:
+        """Return what the inputs get, and the (H, W) of images, None: any; InputError where that is not clear."""
+        session = self.session
+        feeds = _feeds(session)
+        if bool(session.counts) != (self.iterations is not None):
+            what = "needs a number of iterations" if session.counts else "has a fixed number of iterations"
+            raise InputError(f"{self.model}: the network {what}; see iterations")
         size = None if self.size is None else (self.size[1], self.size[0])
-        return PairNetwork.of(self.session, conventions, size, self.iterations)
+        height, width = next(feed for feed in feeds if not feed.half).target.size
+        if height is None or width is None:
+            return feeds, size
+        if size not in (None, (height, width)):
+            raise InputError(f"{self.model}: the network takes images of {width} x {height}; leave size out")
+        return feeds, (height, width)
 
 
 def _in_range(values: NDArray[np.float32], status: NDArray[np.uint8], max_disparity: int) -> DisparityMap:
@@ -153,18 +199,8 @@ def _in_range(values: NDArray[np.float32], status: NDArray[np.uint8], max_dispar
     return DisparityMap(values.astype(np.float32), status)
 
 
-def _is_hit(right: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return (H, W) bool: a pixel of the right view, or one beside it, is matched to this pixel of the left view."""
-    height, width = right.shape
-    columns = np.arange(width) + np.minimum(np.rint(right), width).astype(np.int64)
-    rows, inside = np.broadcast_to(np.arange(height)[:, None], columns.shape), columns < width
-    hit = np.zeros(right.shape, np.uint8)
-    hit[rows[inside], columns[inside]] = 1
-    return np.asarray(cv2.dilate(hit, np.ones((1, 3), np.uint8)) != 0)
-
-
-class Feed(NamedTuple):
-    """What an input gets: one view, or both, one after the other along the channels; at full or at half size."""
+class _Feed(NamedTuple):
+    # What an input gets: one view, or both, one after the other along the channels; at full or at half size.
 
     target: ImageInput
     views: tuple[Literal["left", "right"], ...]
@@ -176,94 +212,29 @@ class Feed(NamedTuple):
         return 3 if self.target.channels is None else self.target.channels // len(self.views)
 
 
-class PairNetwork(NamedTuple):
-    """A network that maps a pair to the left view's disparities.
-
-    ``size`` is the (H, W) of the images that it takes; None: any, with sides that are a multiple of the convention's.
-    """
-
-    session: Session
-    conventions: Profile
-    feeds: tuple[Feed, ...]
-    size: tuple[int, int] | None
-    scalars: dict[str, NDArray[Any]]
-
-    @classmethod
-    def of(
-        cls, session: Session, conventions: Profile, size: tuple[int, int] | None, iterations: int | None
-    ) -> PairNetwork:
-        """Find out what the inputs take; InputError if they are of no known kind, or do not fit the other arguments."""
-        counts = [port for port in session.inputs if port.dtype in (np.int32, np.int64) and len(port.shape) < 2]
-        feeds = _feeds([port for port in session.inputs if port not in counts], session.model)
-        if bool(counts) != (iterations is not None) or len(counts) > 1:
-            what = "needs a number of iterations" if counts else "has a fixed number of iterations"
-            raise InputError(f"{session.model}: the network {what}; see iterations")
-        scalars = {port.name: np.full([1] * len(port.shape), iterations, port.dtype) for port in counts}
-        own = next(feed for feed in feeds if not feed.half).target.size
-        fixed = (own[0], own[1]) if own[0] is not None and own[1] is not None else None
-        if fixed is not None and size not in (None, fixed):
-            raise InputError(f"{session.model}: the network takes images of {fixed[1]} x {fixed[0]}; leave size out")
-        return cls(session, conventions, feeds, fixed or size, scalars)
-
-    def __call__(self, pair: StereoPair) -> NDArray[np.float32]:
-        """Return (H, W) float32 disparities of the left view, pixels, whatever range and sign they turn out to have."""
-        views = {}
-        for channels in {feed.channels for feed in self.feeds}:
-            for view, image in zip(("left", "right"), samples(pair, channels), strict=True):
-                if self.size is None:
-                    views[view, channels] = padded(image, self.conventions.multiple)
-                else:
-                    views[view, channels] = _resized(image, self.size)
-        size = next(iter(views.values())).shape[:2]
-        values = dict(self.scalars)
-        for feed in self.feeds:
-            images = [views[view, feed.channels] for view in feed.views]
-            if feed.half:
-                own = feed.target.size
-                images = [_resized(image, (own[0] or size[0] // 2, own[1] or size[1] // 2)) for image in images]
-            normal = [planes(image, self.conventions.normalization, self.conventions.color_order) for image in images]
-            values[feed.target.port.name] = feed.target.array(np.concatenate(normal))
-        outputs = self.session.run(values)
-        maps = {name: plane for name, array in outputs.items() if (plane := _first_channel(array, size)).shape == size}
-        if not maps:
-            shown = ", ".join(f"{name} {array.shape}" for name, array in outputs.items())
-            raise InputError(
-                f"{self.session.model}: no output is a map of {size[1]} x {size[0]} pixels; there are {shown}"
-            )
-        named = [name for name in maps if "disp" in name.lower()]
-        disparity = np.ascontiguousarray(maps[(named or list(maps))[-1]], np.float32)
-        height, width = pair.shape
-        if self.size is None:
-            disparity = disparity[:height, :width]
-        elif size != pair.shape:
-            disparity = _resized(disparity, pair.shape) * np.float32(width / size[1])
-        return -disparity if self.conventions.sign == "negative" else disparity
-
-
-def _feeds(ports: list[Port], model: str) -> tuple[Feed, ...]:
-    targets = [ImageInput.of(port, model) for port in ports]
-    if len(targets) == 1 and targets[0].channels in (2, 6):
-        return (Feed(targets[0], ("left", "right")),)
-    if len(targets) == 2 and all(target.channels in (None, 1, 3) for target in targets):
-        return _two(targets, half=False)
-    if len(targets) == 4 and all(target.channels in (None, 1, 3) for target in targets):
-        areas = [(target.size[0] or 0) * (target.size[1] or 0) for target in targets]
-        order = sorted(range(4), key=lambda k: (areas[k], "init" not in targets[k].port.name.lower(), k))
-        return _two([targets[k] for k in order[:2]], half=True) + _two([targets[k] for k in order[2:]], half=False)
-    shown = ", ".join(f"{port.name} {port.shape}".replace("None", "?") for port in ports)
-    # CREStereo is also exported in two files, of which the second takes two images and the flow of the first.
-    part = "; is it one part of a network in two files? take one file with four images" if len(targets) == 3 else ""
-    raise InputError(
-        f"{model}: want one input of 2 or 6 channels, two images, or four with two at half size; it has {shown}{part}"
+def _feeds(session: Session) -> list[_Feed]:
+    """Return which views the images of a network are; InputError where their number and channels do not say it."""
+    images, channels = session.images, {image.channels for image in session.images}
+    if len(images) == 1 and channels <= {2, 6}:
+        return [_Feed(images[0], ("left", "right"))]
+    if len(images) not in (2, 4) or not channels <= {None, 1, 3}:
+        shown = ", ".join(f"{image.name} ({image.channels} channels)" for image in images)
+        # CREStereo is also exported in two files, of which the second takes two images and the flow of the first.
+        part = "; is it one part of a network in two files? take one file with four images" if len(images) == 3 else ""
+        raise InputError(
+            f"{session.model}: want one input of 2 or 6 channels, two images, or four with two at half size; "
+            f"it has {shown}{part}"
+        )
+    order = sorted(
+        images, key=lambda image: ((image.size[0] or 0) * (image.size[1] or 0), "init" not in image.name.lower())
     )
-
-
-def _two(targets: list[ImageInput], half: bool) -> tuple[Feed, ...]:
-    # In the order of the network, unless their names say that the right one comes first.
-    first, second = targets
-    if "right" in first.port.name.lower() and "left" in second.port.name.lower():
-        first, second = second, first
-    return Feed(first, ("left",), half), Feed(second, ("right",), half)
+    feeds = []
+    for k in range(0, len(order), 2):
+        first, second = order[k : k + 2]  # in the order of the network, unless their names say the reverse
+        if "right" in first.name.lower() and "left" in second.name.lower():
+            first, second = second, first
+        feeds += [_Feed(first, ("left",), k + 2 < len(order)), _Feed(second, ("right",), k + 2 < len(order))]
+    return feeds
 
 
 def _first_channel(array: NDArray[Any], size: tuple[int, ...]) -> NDArray[Any]:
@@ -292,9 +263,9 @@ _OCTAVES = (1, 2, 4, 8, 16)  # pixels, of the texture
 @lru_cache(maxsize=4)  # an exception is not kept, but ends the run
 def _check_shifts(method: NetworkPipeline, session: Session) -> None:
     """Raise InputError where the network does not find by how many pixels a textured plane is shifted."""
-    network, found = method._network(), []
+    found, size = [], method._plan()[1] or _SIZE
     for shift in _SHIFTS:
-        disparity = network(_textured_plane(network.size or _SIZE, shift))
+        disparity = method.left_map(_textured_plane(size, shift))
         rows, columns = (slice(side // 4, 3 * side // 4) for side in disparity.shape)
         inner = disparity[rows, columns]
         found.append(float(np.median(inner)) if np.isfinite(inner).all() else np.nan)
@@ -312,7 +283,7 @@ def _check_shifts(method: NetworkPipeline, session: Session) -> None:
     else:
         problem = "it does not find them; see profile, normalization, color_order; self_check: false leaves this out"
     raise InputError(
-        f"{network.session.model}: self-check: for pairs shifted by {_SHIFTS[0]} and {_SHIFTS[1]} pixels the network "
+        f"{method.model}: self-check: for pairs shifted by {_SHIFTS[0]} and {_SHIFTS[1]} pixels the network "
         f"gives {found[0]:.4g} and {found[1]:.4g}: {problem}"
     )
 

@@ -9,8 +9,7 @@ from pydantic import Field
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
-from depthcli.methods.stereo.pipeline import StereoPipeline
-from depthcli.methods.stereo.pipeline._opencv import Wls, match, opencv_disparities
+from depthcli.methods.stereo.pipeline._opencv import OpencvMatcher, opencv_disparities
 from depthcli.methods.stereo.volume import StereoResult
 
 _MODES = {
@@ -21,7 +20,7 @@ _MODES = {
 }
 
 
-class OpencvSgbm(StereoPipeline):
+class OpencvSgbm(OpencvMatcher):
     """``cv2.StereoSGBM``, padded on the left so that it answers there too, with optional WLS filter and fill.
 
     Pixels that OpenCV rejects (uniqueness, left-right check, speckles: it does not say which) are
@@ -39,12 +38,6 @@ class OpencvSgbm(StereoPipeline):
         None, ge=1, le=32000, description="penalty of a step above 1, above p1; null: 32 x channels x block^2"
     )
     pre_filter_cap: int = Field(0, ge=0, le=63, description="truncation of the pre-filtered gradients, grey levels")
-    uniqueness: int = Field(10, ge=0, le=100, description="margin that the best cost needs over the second best, %")
-    left_right: int = Field(1, ge=-1, le=16384, description="largest left-right difference, pixels; -1: no check")
-    speckle_size: int = Field(100, ge=0, le=10**8, description="speckles of fewer pixels are rejected; 0: none")
-    speckle_range: int = Field(2, ge=0, le=16384, description="largest disparity step inside a speckle, pixels")
-    wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; null: off")
-    fill: bool = Field(True, description="fill pixels without a value with the background of their row")
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         """Match on 8 bits; color pairs are matched in color."""
@@ -66,7 +59,7 @@ class OpencvSgbm(StereoPipeline):
         )
         # OpenCV refuses images no wider than half a block.
         margin = 0 if left.shape[1] > self.block else self.block
-        return match(matcher, left, right, max_disparity, margin, self.wls, self.fill)
+        return self.matched(matcher, left, right, max_disparity, margin)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the bytes of the maps and of int16 costs and sums: volumes in modes hh and hh4, else a few rows."""
