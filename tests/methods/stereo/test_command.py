@@ -68,7 +68,7 @@ FAILURES = {
     "missing": "the program wrote no output.npy",
     "rubbish": "the program's map cannot be read: ",
     "size": "output.npy has another size than the images: 96 x 63, want 96 x 64",
-    "nan": "no pixel of the program's output.npy has a value",
+    "nan": "no pixel of the program's map has a disparity from 0 to 12",
     "negative": "no pixel of the program's map has a disparity from 0 to 12",
     "memory": "took more than the 500 MiB that may be used; see --max-memory, --jobs: cannot go on",
 }
@@ -236,7 +236,7 @@ def test_a_shell_is_only_used_where_wanted_and_gets_quoted_values(here: Path):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (["run=[./absent, '{left}']"], r"program: \./absent: no such file, or it cannot be run"),
+        (["run=[./absent, '{left}']"], r"program: \./absent: neither beside the config file nor"),
         (["run=[surely-not-in-path, '{left}']"], "not in PATH"),
         (["run=[python, '{zzzz}']"], r"no placeholder \{zzzz\}; there are: left, right, max_disparity"),
         (["run=[python, '{']"], "a brace is written"),

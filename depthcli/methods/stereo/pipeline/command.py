@@ -9,12 +9,11 @@ import resource
 import shlex
 import shutil
 import signal
-import string
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -44,12 +43,10 @@ _MAX_REASON = 300  # characters of a program's output in a message
 
 
 def _seconds(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    match = re.fullmatch(r"\s*(\d{1,9}(?:\.\d{0,6})?)\s*(s|min|h|)\s*", value)
-    if match is None:
+    match = re.fullmatch(r"\s*(\d{1,9}(?:\.\d{0,6})?)\s*(s|min|h|)\s*", str(value))
+    if isinstance(value, str) and match is None:
         raise ValueError("want a time such as 30 s, 10 min or 2 h")
-    return float(match[1]) * {"min": 60, "h": 3600}.get(match[2], 1)
+    return float(match[1]) * {"min": 60, "h": 3600}.get(match[2], 1) if match else value
 
 
 _Seconds = Annotated[float, BeforeValidator(_seconds)]
@@ -128,12 +125,11 @@ class Program(StereoPipeline):
         known = [*_PLACEHOLDERS, *info.data.get("parameters", ())]
         for word in words:
             try:
-                fields = [field[1:] for field in string.Formatter().parse(word) if field[1] is not None]
-            except ValueError as error:
+                word.format_map(dict.fromkeys(known, ""))
+            except KeyError as error:
+                raise ValueError(f"no placeholder {{{error.args[0]}}}; there are: {', '.join(known)}") from None
+            except (ValueError, LookupError, AttributeError) as error:
                 raise ValueError(f"{error} in {word!r}; a brace is written {{{{ or }}}}") from None
-            for name, spec, conversion in fields:
-                if name not in known or spec or conversion:
-                    raise ValueError(f"no placeholder {{{name}}}; there are: {', '.join(known)}")
         folder = (info.context or {}).get("folder")
         if shell or folder is None:
             return program
@@ -153,12 +149,8 @@ class Program(StereoPipeline):
         first, *others = _words(self.program, False)
         found = shutil.which(first)
         if found is None:
-            where = (
-                f"no such file, or it cannot be run, neither seen from the config file nor from {os.getcwd()}"
-                if "/" in first
-                else "not in PATH; for a file here write ./ before"
-            )
-            raise ConfigError(f"program: {first}: {where}")
+            places = f"neither beside the config file nor in {os.getcwd()} is such a program"
+            raise ConfigError(f"program: {first}: {places if '/' in first else 'not in PATH; here write ./ before it'}")
         files = [Path(found), *(Path(word) for word in others if os.path.isfile(word))]
         return {f"program_{number}" if number else "program": file for number, file in enumerate(files)}
 
@@ -169,9 +161,19 @@ class Program(StereoPipeline):
         with _scratch_folder() as scratch:
             left, right = self._image_files(pair, scratch)
             path = scratch / (self.output or f"output{_SUFFIXES[self.format]}")
-            values = {"left": left, "right": right, "max_disparity": max_disparity, "min_disparity": 0}
-            values |= {"output": path, "scratch": scratch, "name": current_scene().name}
-            words = self._command_line(values | {"threads": n_threads(), "cwd": os.getcwd()} | self.parameters)
+            values = {"left": left, "right": right, "max_disparity": max_disparity, "min_disparity": 0, "output": path}
+            values |= {"scratch": scratch, "name": current_scene().name, "threads": n_threads(), "cwd": os.getcwd()}
+            texts = {
+                name: str(value).lower() if isinstance(value, bool) else str(value)
+                for name, value in (values | self.parameters).items()
+            }
+            first, *others = _words(self.program, self.shell)
+            if self.shell:
+                line = first.format_map({name: shlex.quote(text) for name, text in texts.items()})
+                words = ["/bin/sh", "-c", line]
+            else:
+                others = [os.path.abspath(word) if os.path.isfile(word) else word.format_map(texts) for word in others]
+                words = [os.path.abspath(shutil.which(first) or first), *others]
             clock.start("program")
             run_program(words, scratch, self.timeout)
             clock.start("read")
@@ -198,18 +200,8 @@ class Program(StereoPipeline):
         views = {"png": pair.full_range, "pgm": pair.grey8, "ppm": pair.color8}[self.images]
         files = [folder / f"{name}.{self.images}" for name in ("left", "right")]
         for file, image in zip(files, views, strict=True):
-            _, data = cv2.imencode(file.suffix, np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1]))
-            file.write_bytes(data.tobytes())
+            cv2.imwrite(str(file), image if image.ndim == 2 else image[..., ::-1])
         return files
-
-    def _command_line(self, values: Mapping[str, object]) -> list[str]:
-        """Return the words of the program with the ``values`` of its placeholders."""
-        texts = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in values.items()}
-        first, *others = _words(self.program, self.shell)
-        if self.shell:
-            return ["/bin/sh", "-c", first.format_map({name: shlex.quote(text) for name, text in texts.items()})]
-        others = [os.path.abspath(word) if os.path.isfile(word) else word.format_map(texts) for word in others]
-        return [os.path.abspath(shutil.which(first) or first), *others]
 
     def _read_map(self, path: Path, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Return the map that the program wrote, (H, W) float32, NaN = no value; ProgramError where it has none."""
@@ -225,12 +217,8 @@ class Program(StereoPipeline):
         scale = self.scale or (_KITTI_SCALE if stored.dtype.kind in "iu" else 1.0)
         with np.errstate(all="ignore"):
             values = np.asarray(stored / np.float64(scale), np.float32)
-            unknown = ~np.isfinite(values) | np.isin(stored, self.invalid)
-        if stored.dtype.kind == "u":
-            unknown |= stored == 0
-        values[unknown] = np.nan
-        if unknown.all():
-            raise ProgramError(f"no pixel of the program's {path.name} has a value")
+        values[np.isin(stored, self.invalid) | ((stored == 0) & (stored.dtype.kind == "u"))] = np.nan
+        values[~np.isfinite(values)] = np.nan
         return values
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
