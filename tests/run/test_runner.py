@@ -609,11 +609,16 @@ def test_ctrl_c_waits_until_a_worker_has_started():
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         signal.pthread_kill(threading.get_ident(), signal.SIGINT)
 
-    started = False
-    with pytest.raises(KeyboardInterrupt), workers._ctrl_c_later():
-        thread = threading.Thread(target=interrupt)
-        thread.start()
-        thread.join()
-        for _ in range(1000):  # in which a handler would be called
-            started = True
-    assert started
+    started = []
+
+    def start() -> None:
+        with workers._ctrl_c_later():
+            thread = threading.Thread(target=interrupt)
+            thread.start()
+            thread.join()
+            for _ in range(1000):  # in which a handler would be called
+                started.append(True)
+
+    with pytest.raises(KeyboardInterrupt):
+        start()
+    assert len(started) == 1000
