@@ -76,6 +76,7 @@ def prepare(
         memory=refine.memory,
         palette=DEPTH_STATUS_PALETTE,
         shown_as="depth",
+        truth_kinds=(RgbdScene,),  # the truth of a sequence is that of its frames
     )
     return batch, scenes
 

@@ -88,6 +88,15 @@ def test_a_sequence_is_one_item_and_resumes_with_the_same_bytes(kinect: Path, tm
     assert files(tmp_path / "b") == whole
 
 
+def test_single_frames_and_frames_of_sequences_are_evaluated(kinect: Path, tmp_path: Path):
+    scenes = ("--scenes", "planes", "--scenes", "moving/*", "--scenes", "static/*")
+    assert run("refine-kinect", "realsense", "-i", kinect, *scenes, "-o", tmp_path / "r", "--evaluate", "-q") == 0
+    assert set(rows(tmp_path / "r")) == {"moving", "planes", "static"}
+    scored = json.loads((tmp_path / "r" / "evaluation" / "scores.json").read_text())["results"]
+    frames = {f"{kind}/0000{k}" for kind in ("moving", "static") for k in range(4)}
+    assert {row["scene"] for row in scored if not row["missing"]} == frames | {"planes"}
+
+
 def test_frames_of_a_sequence_are_items_for_methods_without_memory(kinect: Path, tmp_path: Path):
     assert run("refine-kinect", "nearest", "-i", kinect / "static", "-o", tmp_path / "r", "-q") == 0
     assert set(rows(tmp_path / "r")) == {f"0000{k}" for k in range(4)}

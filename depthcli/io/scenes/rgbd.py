@@ -249,16 +249,16 @@ class SequenceScene(Scene):
 
 
 def sequences(scenes: Sequence[Scene]) -> list[Scene]:
-    """Return the scenes with the frames of every sequence as one scene, by name; a single frame is one as well."""
+    """Return the scenes by name, with the frames of every sequence as one scene; single frames stay as they are."""
     groups: dict[tuple[Path, str], list[RgbdScene]] = {}
     others: list[Scene] = []
     for scene in scenes:
-        if isinstance(scene, RgbdScene) and not scene.problem:
-            groups.setdefault((scene.folder, scene.sequence or scene.name), []).append(scene)
+        if isinstance(scene, RgbdScene) and scene.sequence and not scene.problem:
+            groups.setdefault((scene.folder, scene.sequence), []).append(scene)
         else:
             others.append(scene)
     for (folder, sequence), frames in groups.items():
         ordered = tuple(sorted(frames, key=lambda frame: frame.number))
-        name = ordered[0].name.rpartition("/")[0] if ordered[0].sequence else ordered[0].name
-        others.append(SequenceScene(name=name or sequence.rpartition("/")[2], folder=folder, frames=ordered))
+        name = ordered[0].name.rpartition("/")[0] or sequence
+        others.append(SequenceScene(name=name, folder=folder, frames=ordered))
     return sorted(others, key=lambda scene: scene.name)
