@@ -13,7 +13,7 @@ from depthcli.core.errors import ConfigError
 from depthcli.core.result import Clock
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, Column, percent
-from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene
+from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene, sample_scenes
 
 __all__ = ["prepare", "run_batch"]
 
@@ -52,7 +52,7 @@ def prepare(values: Mapping[str, Any], command: Callable[..., int]) -> tuple[Bat
         columns=(SIZE, Column("visible", percent("nonocc"))),
         settings=lambda scene: {key: str(value) for key, value in scene.settings.items()},
     )
-    return batch, kind.scenes(own)
+    return batch, sample_scenes(name, own)
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,7 @@ class _Make:
     config: Mapping[str, Any]
 
     def __call__(self, scene: SampleScene, folder: Path, memory: int) -> Outcome:
+        scene.check()
         clock = Clock()
         clock.start("make")
         facts = SAMPLE_KINDS[self.config["sample"]].make(self.config, scene, folder)

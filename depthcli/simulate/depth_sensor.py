@@ -71,11 +71,6 @@ class Sensor:
     disc_radius: tuple[float, float] = (8.0, 22.0)  # smallest and largest
     farthest: float = 0.0  # smallest disparity that is measured, as a share of the scene's largest; 0: no limit
 
-    def __post_init__(self) -> None:
-        amounts = (self.fattening, self.noise, self.correlation, self.step, self.mixed, self.discs, self.farthest)
-        if min(amounts) < 0 or self.baseline <= 0 or not 0 <= self.disc_radius[0] <= self.disc_radius[1]:
-            raise ValueError("want a baseline > 0, fattening, noise and other amounts >= 0, and a range of radii")
-
 
 def simulate_kinect(
     color: NDArray[np.uint8],
@@ -96,22 +91,13 @@ def simulate_kinect(
     Parameters
     ----------
     color : (H, W, 3) uint8 RGB
-    truth : (H, W) float, pixels of disparity, NaN or infinite = unknown
+    truth : (H, W) float, pixels of disparity, NaN or infinite = unknown; ValueError where nothing is known
     seed : of discs and noise
     sensor : how it measures; None: as a Kinect
-    jump : pixels of disparity; smaller steps are slopes
+    jump : pixels of disparity, > 0; smaller steps are slopes
     changed : attributes of ``sensor`` that differ, such as ``fattening=2``
-
-    Raises
-    ------
-    ValueError
-        For sizes that differ, nothing known, or negative amounts.
     """
-    if color.shape[:2] != truth.shape or truth.ndim != 2:
-        raise ValueError(f"color {color.shape} and truth {truth.shape} differ in size")
     sensor = replace(sensor or Sensor(), **changed)
-    if jump <= 0:
-        raise ValueError("want jump > 0")
     known = np.isfinite(truth)
     if not known.any():
         raise ValueError("no pixel has a true disparity")
@@ -124,7 +110,7 @@ def simulate_kinect(
         if sensor.covered:
             shadow &= np.abs(fattened - surface) <= jump
     rng = np.random.Generator(np.random.PCG64([seed, 0x4B1]))
-    spots = discs(rng, (truth.shape[0], truth.shape[1]), sensor.discs, sensor.disc_radius)
+    spots = discs(rng, truth.shape, sensor.discs, sensor.disc_radius)
     grain = rng.standard_normal(truth.shape, np.float32)
     if sensor.correlation:
         smooth = cv2.GaussianBlur(grain, (0, 0), sensor.correlation, borderType=cv2.BORDER_REFLECT)
@@ -200,10 +186,10 @@ def _shadow(fattened: Disparity, jump: float, baseline: float) -> Mask:
     return shadow
 
 
-def discs(rng: np.random.Generator, shape: tuple[int, int], count: int, radius: tuple[float, float]) -> Mask:
+def discs(rng: np.random.Generator, shape: tuple[int, ...], count: int, radius: tuple[float, float]) -> Mask:
     """Return the pixels of ``count`` random discs, whose radius is in a range of pixels."""
     rows, columns = np.mgrid[: shape[0], : shape[1]]
-    spots = np.zeros(shape, bool)
+    spots = np.zeros(rows.shape, bool)
     for _ in range(count):
         y, x, r = rng.uniform(0, shape[0]), rng.uniform(0, shape[1]), rng.uniform(*radius)
         spots |= (rows - y) ** 2 + (columns - x) ** 2 <= r * r

@@ -13,10 +13,10 @@ from depthcli.core.cameras.camera import typical_intrinsics
 from depthcli.core.frames import RgbdFrame
 from depthcli.simulate import textures
 from depthcli.simulate.depth_sensor import Disparity, KinectSample, discs, simulate_kinect
+from depthcli.simulate.rendering import levels8
 from depthcli.simulate.stereo_scenes import make_scene
 
 SceneKind = Literal["planes", "foreground", "curved", "camouflage"]
-SCENE_KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
 SequenceKind = Literal["static", "moving", "camera"]
 SEQUENCE_KINDS: tuple[SequenceKind, ...] = get_args(SequenceKind)
 
@@ -36,22 +36,19 @@ def make_kinect_scene(
         ``camouflage``: boards before a wall, every other one painted like it, so that only the depth shows the edge
     width, height, max_disparity : pixels; at least 16, 16, and 4, at most ``width / 2``
     """
-    if kind not in SCENE_KINDS:
-        raise ValueError(f"kind must be one of {', '.join(SCENE_KINDS)}, got {kind!r}")
     if kind != "camouflage":
         scene = make_scene(kind, seed, width, height, max_disparity)
         return scene.left, scene.disparity_left
-    if width < 16 or height < 16 or not 4 <= max_disparity <= width / 2:
-        raise ValueError(f"want at least 16 x 16 pixels and 4 <= max_disparity <= width / 2, got {width} x {height}")
     rng = np.random.Generator(np.random.PCG64([seed, 0xCA3]))
     paint = textures.color(rng)
-    canvas = Canvas(rng, width, height, paint, far=0.3 * max_disparity)
+    workshop = Workshop(rng, width, height, paint, far=0.3 * max_disparity)
+    boards = []
     for index, nearness in enumerate(np.linspace(0.45, 0.85, 4)):
         own = paint if index % 2 == 0 else textures.color(rng)
         center = ((index + rng.uniform(0.35, 0.65)) * width / 4, rng.uniform(0.3, 0.7) * height)
         size = (rng.uniform(0.07, 0.11) * width, rng.uniform(0.15, 0.3) * height)
-        canvas.put(canvas.board(center, size, nearness * max_disparity, own))
-    return canvas.photograph()
+        boards.append(workshop.board(center, size, nearness * max_disparity, own))
+    return photograph(workshop.wall, *boards)
 
 
 def make_kinect_sequence(
@@ -75,27 +72,22 @@ def make_kinect_sequence(
     seed : chooses the scene, discs and noise; specular discs stay where they are
     speed : pixels per frame that the board moves to the right, or that the camera moves the nearest one to the left
     """
-    if kind not in SEQUENCE_KINDS:
-        raise ValueError(f"kind must be one of {', '.join(SEQUENCE_KINDS)}, got {kind!r}")
-    if frames < 1:
-        raise ValueError(f"want at least one frame, got {frames}")
     rng = np.random.Generator(np.random.PCG64([seed, 0x5E0]))
     if kind == "camera":
         shots = along_boards(rng, frames, width, height, max_disparity, speed)
     else:
         still, truth = make_kinect_scene("foreground", seed, width, height, max_disparity)
-        canvas = Canvas(rng, width, height, textures.color(rng), far=1.0)
-        canvas.color, canvas.truth = still.astype(np.float32) / np.float32(255), truth
+        workshop = Workshop(rng, width, height, textures.color(rng), far=1.0)
+        behind = replace(workshop.wall, color=still.astype(np.float32) / np.float32(255), disparity=truth)
         at, size = (0.2 * width, 0.55 * height), (0.09 * width, 0.2 * height)
-        mover = canvas.board(at, size, 0.85 * max_disparity, textures.color(rng), flat=True)
+        mover = workshop.board(at, size, 0.85 * max_disparity, textures.color(rng), max_tilt=0.0)
         shots = [(still, truth, None)] * frames
         if kind == "moving":
-            shots = [(*canvas.photograph(moved(mover, index * speed)), None) for index in range(frames)]
+            shots = [(*photograph(behind, mover.moved(index * speed)), None) for index in range(frames)]
     spots = discs(rng, (height, width), 8, (8.0, 22.0))
     samples = []
     for color, truth, pose in shots:
-        grain = _COLOR_NOISE * rng.standard_normal(color.shape, np.float32)
-        noisy = np.clip(np.rint(color + grain), 0, 255).astype(np.uint8)
+        noisy = levels8(color + _COLOR_NOISE * rng.standard_normal(color.shape, np.float32))
         sample = simulate_kinect(noisy, truth, int(rng.integers(2**31)), fattening=fattening, noise=noise, discs=0)
         samples.append(
             replace(
@@ -119,58 +111,38 @@ class CutOut:
     color: NDArray[np.float32]  # (H, W, 3) RGB in [0, 1]
     disparity: Disparity  # its plane
 
+    def moved(self, columns: int) -> CutOut:
+        """Return the board ``columns`` pixels to the right, out of the picture where that ends."""
+        cover, color, disparity = (np.roll(each, columns, axis=1) for each in (self.cover, self.color, self.disparity))
+        cover[:, :columns] = 0
+        return CutOut(cover, color, disparity)
 
-def moved(board: CutOut, columns: int) -> CutOut:
-    """Return the board ``columns`` pixels to the right, out of the picture where that ends."""
-    cover = np.roll(board.cover, columns, axis=1)
-    cover[:, : min(columns, cover.shape[1])] = 0
-    color, disparity = np.roll(board.color, columns, axis=1), np.roll(board.disparity, columns, axis=1)
-    return CutOut(cover, color, disparity)
+    def seen_after(self, motion: NDArray[np.float64], camera: NDArray[np.float64], fb: float) -> CutOut:
+        """Return the board as a moved camera sees it: its plane of disparity, and its picture by the homography.
 
-
-def seen_from(board: CutOut, motion: NDArray[np.float64], camera: NDArray[np.float64], fb: float) -> CutOut:
-    """Return the board as a moved camera sees it: its plane of disparity, and its picture by that plane's homography.
-
-    ``motion`` (4, 4) brings coordinates of the camera that sees ``board`` to those of the moved one, meters; ``camera``
-    is the matrix (3, 3) of both, ``fb`` is in pixel meters.
-    """
-    height, width = board.disparity.shape
-    rotation, shift = motion[:3, :3], motion[:3, 3]
-    rows, columns = np.mgrid[:height, :width]
-    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
-    plane = np.linalg.lstsq(pixels, board.disparity.ravel().astype(np.float64), rcond=None)[0]  # disparity = plane . p
-    normal = camera.T @ plane  # normal . X = fb on the plane
-    homography = camera @ (rotation + np.outer(shift, normal) / fb) @ np.linalg.inv(camera)
-    turned = rotation @ normal
-    moved_plane = np.linalg.inv(camera).T @ turned * fb / (fb + turned @ shift)
-    cover = cv2.warpPerspective(board.cover, homography, (width, height), borderMode=cv2.BORDER_REPLICATE)
-    color = cv2.warpPerspective(board.color, homography, (width, height), borderMode=cv2.BORDER_REFLECT_101)
-    disparity = (pixels @ moved_plane).reshape(height, width)
-    return CutOut(cover.astype(np.float32), color.astype(np.float32), disparity.astype(np.float32))
+        ``motion`` (4, 4) brings coordinates of the camera that sees the board to those of the moved one, meters;
+        ``camera`` is the matrix (3, 3) of both, ``fb`` is in pixel meters.
+        """
+        height, width = size = self.disparity.shape
+        rotation, shift, inverse = motion[:3, :3], motion[:3, 3], np.linalg.inv(camera)
+        rows, columns = np.mgrid[:height, :width]
+        pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
+        plane = np.linalg.lstsq(pixels, self.disparity.ravel().astype(np.float64), rcond=None)[0]
+        normal = camera.T @ plane  # disparity = plane . pixel, and normal . X = fb on the plane
+        homography, turned = camera @ (rotation + np.outer(shift, normal) / fb) @ inverse, rotation @ normal
+        disparity = (pixels @ (inverse.T @ turned * fb / (fb + turned @ shift))).reshape(height, width)
+        cover = cv2.warpPerspective(self.cover, homography, size[::-1], borderMode=cv2.BORDER_REPLICATE)
+        color = cv2.warpPerspective(self.color, homography, size[::-1], borderMode=cv2.BORDER_REFLECT_101)
+        return CutOut(*(np.asarray(each, np.float32) for each in (cover, color, disparity)))
 
 
-class Canvas:
-    """A picture and its disparity, onto which boards are put from far to near."""
+class Workshop:
+    """What makes a wall and boards before it, for pictures of one size."""
 
     def __init__(self, rng: np.random.Generator, width: int, height: int, paint: NDArray[np.float32], far: float):
         self._rng = rng
         self._rows, self._columns = np.mgrid[:height, :width].astype(np.float32)
-        self.color = self._plaster(paint)
-        self.truth = self._plane((width / 2, height / 2), far, 0.06 * far)
-
-    def _plaster(self, paint: NDArray[np.float32]) -> NDArray[np.float32]:
-        height, width = self._rows.shape
-        relief = textures.noise(self._rng, height, width, 6.0, 3) + textures.noise(self._rng, height, width, 60.0, 2)
-        painted: NDArray[np.float32] = np.clip(paint * (1 + 0.03 * relief[:, :, None]), 0, 1).astype(np.float32)
-        return painted
-
-    def _plane(self, center: tuple[float, float], disparity: float, max_tilt: float) -> Disparity:
-        """Return a plane, tilted by at most ``max_tilt`` pixels of disparity over a quarter of the picture."""
-        height, width = self._rows.shape
-        tilt_x, tilt_y = self._rng.uniform(-max_tilt, max_tilt, 2) * (4 / width, 4 / height)
-        plane = disparity + tilt_x * (self._columns - center[0]) + tilt_y * (self._rows - center[1])
-        positive: Disparity = np.maximum(plane, 0.5).astype(np.float32)
-        return positive
+        self.wall = self._cut_out(np.ones_like(self._rows), paint, (width / 2, height / 2), far, 0.06 * far)
 
     def board(
         self,
@@ -178,30 +150,41 @@ class Canvas:
         size: tuple[float, float],
         disparity: float,
         paint: NDArray[np.float32],
-        flat: bool = False,
+        max_tilt: float = 0.1,
     ) -> CutOut:
-        """Return a wavy disc; ``size`` = half its width and height in pixels, ``flat``: of one disparity."""
+        """Return a wavy disc; ``size`` = half its width and height, pixels, ``max_tilt`` = share of its disparity."""
         x, y = (self._columns - center[0]) / size[0], (self._rows - center[1]) / size[1]
         angle = np.arctan2(y, x)
         waves = sum(self._rng.uniform(0.02, 0.12) * np.cos(k * angle + self._rng.uniform(0, 6.3)) for k in (2, 3, 5))
         inside = (0.9 * (1 + waves) - np.hypot(x, y)) * min(size)
         cover = np.clip(inside + 0.5, 0, 1).astype(np.float32)
-        return CutOut(cover, self._plaster(paint), self._plane(center, disparity, 0.0 if flat else 0.1 * disparity))
+        return self._cut_out(cover, paint, center, disparity, max_tilt * disparity)
 
-    def put(self, board: CutOut) -> None:
-        """Draw a board over the picture and keep it there."""
-        self.color, self.truth = self._over(board)
+    def _cut_out(
+        self,
+        cover: NDArray[np.float32],
+        paint: NDArray[np.float32],
+        center: tuple[float, float],
+        disparity: float,
+        max_tilt: float,
+    ) -> CutOut:
+        """Return a plane, tilted by at most ``max_tilt`` pixels of disparity over a quarter of the picture."""
+        height, width = self._rows.shape
+        relief = textures.noise(self._rng, height, width, 6.0, 3) + textures.noise(self._rng, height, width, 60.0, 2)
+        color = np.clip(paint * (1 + 0.03 * relief[:, :, None]), 0, 1).astype(np.float32)
+        tilt_x, tilt_y = self._rng.uniform(-max_tilt, max_tilt, 2) * (4 / width, 4 / height)
+        plane = disparity + tilt_x * (self._columns - center[0]) + tilt_y * (self._rows - center[1])
+        return CutOut(cover, color, np.maximum(plane, 0.5).astype(np.float32))
 
-    def _over(self, board: CutOut) -> tuple[NDArray[np.float32], Disparity]:
+
+def photograph(wall: CutOut, *boards: CutOut) -> tuple[NDArray[np.uint8], Disparity]:
+    """Return color, (H, W, 3) uint8, blurred as by a lens, and disparity of a wall with boards, from far to near."""
+    color, truth = wall.color, wall.disparity
+    for board in boards:
         share = board.cover[:, :, None]
-        color = share * board.color + (1 - share) * self.color
-        return color, np.where(board.cover >= 0.5, np.maximum(board.disparity, self.truth), self.truth)
-
-    def photograph(self, board: CutOut | None = None) -> tuple[NDArray[np.uint8], Disparity]:
-        """Return color, (H, W, 3) uint8, blurred as by a lens, and disparity; ``board`` is on top only here."""
-        color, truth = (self.color, self.truth) if board is None else self._over(board)
-        shown = cv2.GaussianBlur(color, (0, 0), 0.6) * 255
-        return np.clip(np.rint(shown), 0, 255).astype(np.uint8), truth
+        color = share * board.color + (1 - share) * color
+        truth = np.where(board.cover >= 0.5, np.maximum(board.disparity, truth), truth)
+    return levels8(cv2.GaussianBlur(color, (0, 0), 0.6) * 255), truth
 
 
 def along_boards(
@@ -209,21 +192,18 @@ def along_boards(
 ) -> list[Shot]:
     """Return five boards before a wall, seen by a camera that moves to the right and a little forward, and turns."""
     fb, camera = RgbdFrame.fb, typical_intrinsics(width, height).matrix
-    canvas = Canvas(rng, width, height, textures.color(rng), far=0.3 * max_disparity)
-    boards = [CutOut(np.ones((height, width), np.float32), canvas.color, canvas.truth)]
+    workshop = Workshop(rng, width, height, textures.color(rng), far=0.3 * max_disparity)
+    layers = [workshop.wall]
     for index, nearness in enumerate(np.linspace(0.45, 0.85, 5)):
         center = (((2 * index) % 5 + rng.uniform(0.3, 0.7)) * width / 5, rng.uniform(0.3, 0.7) * height)
         size = (rng.uniform(0.07, 0.11) * width, rng.uniform(0.15, 0.3) * height)
-        boards.append(canvas.board(center, size, nearness * max_disparity, textures.color(rng)))
+        layers.append(workshop.board(center, size, nearness * max_disparity, textures.color(rng)))
     step = speed * fb / (0.85 * max_disparity) / camera[0, 0]  # meters
     shots: list[Shot] = []
     for index in range(frames):
         pose = np.eye(4)
         pose[:3, :3] = cv2.Rodrigues(np.array([0.0005, 0.001, 0.001]) * index)[0]
         pose[:3, 3] = index * step * np.array([1.0, 0.1, 0.3])
-        wall, *others = (seen_from(board, np.asarray(np.linalg.inv(pose), np.float64), camera, fb) for board in boards)
-        canvas.color, canvas.truth = wall.color, wall.disparity
-        for board in others:
-            canvas.put(board)
-        shots.append((*canvas.photograph(), pose))
+        motion = np.asarray(np.linalg.inv(pose), np.float64)
+        shots.append((*photograph(*(layer.seen_after(motion, camera, fb) for layer in layers)), pose))
     return shots

@@ -6,6 +6,7 @@ that lengths are in baselines and a point at depth Z has disparity ``f / Z`` (f 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -57,12 +58,10 @@ class Surface:
 
     def local(self, vector: Vector, point: bool = True) -> Vector:
         """Return world points (or, with ``point=False``, directions) in the scaled local frame."""
-        shift = self.axes @ self.center if point else np.zeros(3)
-        rows = self.axes / self.half_size[:, None]
-        shift = shift / self.half_size
+        kind = np.result_type(*vector)
+        rows = (self.axes / self.half_size[:, None]).astype(kind)
+        shift = (self.axes @ self.center / self.half_size if point else np.zeros(3)).astype(kind)
         x, y, z = vector
-        kind = np.result_type(x, y, z)
-        rows, shift = rows.astype(kind), shift.astype(kind)
         a, b, c = (rows[i, 0] * x + (rows[i, 1] * y + (rows[i, 2] * z - shift[i])) for i in range(3))
         return a, b, c
 
@@ -95,10 +94,7 @@ class Surface:
             return np.where(near_ok, near, np.where(far_ok, far, np.inf))
 
     def normal(self, point: Vector) -> Vector:
-        """Return unit normals at world points of the surface, turned to either side."""
-        if self.shape == "plane":
-            x, y, z = (self.axes[2, i] * np.ones_like(point[2]) for i in range(3))
-            return x, y, z
+        """Return unit normals at world points of a sphere, cylinder or cone."""
         a, b, c = self.local(point)
         if self.shape == "cylinder":
             b = np.zeros_like(b)
@@ -145,10 +141,10 @@ class Room:
         """Return the world point that the left camera sees at pixel (x, y) with this disparity."""
         return np.array([x - self.center[0], y - self.center[1], self.focal]) / disparity
 
-    def on_floor(self, x: float, disparity: float) -> NDArray[np.float64]:
-        """Return the world point of the floor at column x and this disparity."""
+    def above_floor(self, x: float, disparity: float, height: float) -> NDArray[np.float64]:
+        """Return the world point at column x and this disparity, ``height`` baselines above the floor."""
         point = self.at(x, 0, disparity)
-        point[1] = self.floor
+        point[1] = self.floor - height
         return point
 
     def paint(self, maker: TextureMaker, size: tuple[float, float], disparity: float, feature: float = 1.0) -> Texture:
@@ -156,20 +152,18 @@ class Room:
         columns, rows = (int(np.clip(round(s * disparity), 8, 4096)) for s in size)
         return maker(self.rng, rows, columns, self.feature * feature)
 
-    def pick(self, makers: tuple[TextureMaker, ...]) -> TextureMaker:
+    def pick(self, makers: tuple[TextureMaker, ...] = textures.OBJECT_TEXTURES) -> TextureMaker:
+        """Return one of the makers of textures."""
         return makers[int(self.rng.integers(len(makers)))]
-
-    def add(self, surface: Surface) -> None:
-        """Add a finite surface, moved back where it would come nearer than the search range allows."""
-        short = self.focal / (0.97 * self.max_disparity) - float(surface.corners()[:, 2].min())
-        if short > 0:
-            surface = replace(surface, center=surface.center + np.array([0.0, 0.0, short]))
-        self.surfaces.append(surface)
 
     def faded(self, picture: Texture) -> Texture:
         """Return a wall's picture with the contrast ``wall_contrast``."""
         mean = picture.mean(axis=(0, 1), keepdims=True)
         return np.asarray(mean + self.wall_contrast * (picture - mean), np.float32)
+
+    def plane(self, center: Array, axes: Array, size: tuple[float, float], picture: Texture, **more: Any) -> None:
+        """Add a rectangle of this (width, height) in baselines; ``more`` are attributes of :class:`Surface`."""
+        self.surfaces.append(Surface("plane", center, axes, np.array([*size, 2.0]) / 2, picture, **more))
 
     def board(
         self,
@@ -183,9 +177,25 @@ class Room:
     ) -> None:
         """Add a flat board centered at a pixel; ``size`` in pixels."""
         wide, tall = size[0] / disparity, size[1] / disparity
-        picture = self.paint(maker or self.pick(textures.OBJECT_TEXTURES), (wide, tall), disparity)
-        half = np.array([wide / 2, tall / 2, 1.0])
-        self.add(Surface("plane", self.at(x, y, disparity), turn, half, picture, outline))
+        picture = self.paint(maker or self.pick(), (wide, tall), disparity)
+        self.plane(self.at(x, y, disparity), turn, (wide, tall), picture, outline=outline)
+        self._move_back()
+
+    def stand(self, shape: Shape, x: float, disparity: float, size: tuple[float, float]) -> None:
+        """Add a ball, a cone or an open cylinder on the floor; ``size`` (radius, height) in pixels."""
+        r, tall = size[0] / disparity, size[1] / disparity
+        picture = self.paint(self.pick(), (2 * np.pi * r, np.pi * r if shape == "sphere" else tall), disparity)
+        turn = rotation(roll=self.rng.uniform(-0.5, 0.5)) if shape == "sphere" else rotation()
+        center, half = self.above_floor(x, disparity, tall / 2), np.array([r, tall / 2, r])
+        self.surfaces.append(Surface(shape, center, turn, half, picture))
+        self._move_back()
+
+    def _move_back(self) -> None:
+        """Move the last surface back where it comes nearer than the search range allows."""
+        last = self.surfaces[-1]
+        short = self.focal / (0.97 * self.max_disparity) - float(last.corners()[:, 2].min())
+        if short > 0:
+            self.surfaces[-1] = replace(last, center=last.center + np.array([0.0, 0.0, short]))
 
     def box(
         self,
@@ -199,39 +209,18 @@ class Room:
         """Add a box on the floor, turned about its upright axis; ``size`` (width, height, depth) in pixels."""
         wide, tall, deep = (s / disparity for s in size)
         turn = rotation(self.rng.uniform(-0.6, 0.6) if yaw is None else yaw)
-        maker = maker or self.pick(textures.OBJECT_TEXTURES)
-        middle = self.on_floor(x, disparity)
-        middle[1] -= tall / 2
+        maker = maker or self.pick()
+        middle = self.above_floor(x, disparity, tall / 2)
         reach = 0.5 * (abs(turn[0, 2]) * wide + abs(turn[2, 2]) * deep)
         middle[2] += max(0.0, self.focal / (0.97 * self.max_disparity) - (middle[2] - reach))
         quarter, up = rotation(np.pi / 2), rotation(pitch=np.pi / 2)
-        sides = (
+        for axes, side, shift in (
             (turn, (wide, tall), -turn[2] * deep / 2),
             (quarter @ turn, (deep, tall), -(quarter @ turn)[2] * wide / 2),
             (quarter.T @ turn, (deep, tall), -(quarter.T @ turn)[2] * wide / 2),
             (up @ turn, (wide, deep), np.array([0.0, -tall / 2, 0.0])),
-        )
-        for axes, (a, b), shift in sides:
-            picture = self.paint(maker, (a, b), disparity)
-            half = np.array([a / 2, b / 2, 1.0])
-            self.surfaces.append(Surface("plane", middle + shift, axes, half, picture, gloss=gloss))
-
-    def ball(self, x: float, disparity: float, radius: float) -> None:
-        """Add a ball on the floor; ``radius`` in pixels."""
-        r = radius / disparity
-        middle = self.on_floor(x, disparity)
-        middle[1] -= r
-        picture = self.paint(self.pick(textures.OBJECT_TEXTURES), (2 * np.pi * r, np.pi * r), disparity)
-        turn = rotation(roll=self.rng.uniform(-0.5, 0.5))
-        self.add(Surface("sphere", middle, turn, np.full(3, r), picture))
-
-    def stand(self, shape: Shape, x: float, disparity: float, size: tuple[float, float]) -> None:
-        """Add a cone or an open cylinder on the floor; ``size`` (radius, height) in pixels."""
-        r, tall = size[0] / disparity, size[1] / disparity
-        middle = self.on_floor(x, disparity)
-        middle[1] -= tall / 2
-        picture = self.paint(self.pick(textures.OBJECT_TEXTURES), (2 * np.pi * r, tall), disparity)
-        self.add(Surface(shape, middle, rotation(), np.array([r, tall / 2, r]), picture))
+        ):
+            self.plane(middle + shift, axes, side, self.paint(maker, side, disparity), gloss=gloss)
 
     def spread(self, count: int) -> list[tuple[float, float]]:
         """Return (column, disparity) of ``count`` places side by side, at mixed depths."""
@@ -239,46 +228,35 @@ class Room:
         depths = self.far + (self.near - self.far) * (self.rng.permutation(count) + 0.6) / (count + 0.4)
         return [(float(x), float(d)) for x, d in zip(columns, depths, strict=True)]
 
+    def add_walls(self) -> None:
+        """Add floor and back wall, and sometimes a side wall, which comes forward out of the picture."""
+        yaw, tall = self.rng.uniform(-0.25, 0.25), 1.5 * self.height / self.far
+        size = (2 * (0.75 * self.width / self.far + 2), tall)
+        picture = self.faded(self.paint(self.pick(textures.WALL_TEXTURES), size, self.far * 1.2))
+        center = np.array([0.0, 0.0, self.focal / self.far])
+        self.plane(center, rotation(yaw), size, picture, unbounded=True)
+        self.add_floor()
+        if self.rng.random() >= 0.5:
+            return
+        on_right = self.rng.random() < 0.5
+        near, share = 0.7 * self.max_disparity, self.rng.uniform(0.08, 0.2)
+        if on_right:  # at its edge, in both views, still within the range
+            first, last = self.at(self.width * (1 - share), 0, self.far), self.at(self.width + near, 0, near)
+        else:
+            first, last = self.at(0, 0, near), self.at(self.width * share, 0, self.far)
+        along, middle = last - first, (first + last) / 2
+        middle[1] = 0.0
+        size = (2 * float(np.hypot(along[0], along[2])), tall)
+        picture = self.faded(self.paint(self.pick(textures.WALL_TEXTURES), size, self.far * 1.2))
+        self.plane(middle, rotation(-np.arctan2(along[2], along[0])), size, picture, unbounded=True)
 
-def add_walls(room: Room) -> None:
-    """Add floor and back wall, and sometimes a side wall."""
-    yaw = room.rng.uniform(-0.25, 0.25)
-    deep = room.focal / room.far
-    half = np.array([0.75 * room.width / room.far + 2, 0.75 * room.height / room.far, 1.0])
-    picture = room.paint(room.pick(textures.WALL_TEXTURES), (2 * half[0], 2 * half[1]), room.far * 1.2)
-    room.surfaces.append(
-        Surface("plane", np.array([0.0, 0.0, deep]), rotation(yaw), half, room.faded(picture), unbounded=True)
-    )
-    lay_floor(room)
-    if room.rng.random() < 0.5:
-        _add_side_wall(room, on_right=room.rng.random() < 0.5)
-
-
-def _add_side_wall(room: Room, on_right: bool) -> None:
-    """Add a wall that comes forward out of the picture; at its edge (in both views) still within the range."""
-    near, share = 0.7 * room.max_disparity, room.rng.uniform(0.08, 0.2)
-    if on_right:
-        first, last = room.at(room.width * (1 - share), 0, room.far), room.at(room.width + near, 0, near)
-    else:
-        first, last = room.at(0, 0, near), room.at(room.width * share, 0, room.far)
-    along = last - first
-    length = float(np.hypot(along[0], along[2]))
-    half = np.array([length, 0.75 * room.height / room.far, 1.0])
-    picture = room.paint(room.pick(textures.WALL_TEXTURES), (2 * half[0], 2 * half[1]), room.far * 1.2)
-    middle = (first + last) / 2
-    middle[1] = 0.0
-    turn = rotation(-np.arctan2(along[2], along[0]))
-    room.surfaces.append(Surface("plane", middle, turn, half, room.faded(picture), unbounded=True))
-
-
-def lay_floor(room: Room) -> None:
-    """Add the floor alone."""
-    deep, near = room.focal / room.far, room.focal / room.max_disparity
-    half = np.array([0.75 * room.width / room.far, (deep - near) * 0.6, 1.0])
-    maker = room.pick(textures.FLOOR_TEXTURES)
-    picture = room.paint(maker, (2 * half[0], 1.2 * half[1]), room.far * 1.5, 1.3)
-    middle = np.array([0.5, room.floor, (deep + near) / 2])
-    room.surfaces.append(Surface("plane", middle, rotation(pitch=np.pi / 2), half, picture, unbounded=True))
+    def add_floor(self) -> None:
+        """Add the floor."""
+        deep, near = self.focal / self.far, self.focal / self.max_disparity
+        wide, long = 1.5 * self.width / self.far, (deep - near) * 1.2
+        picture = self.paint(self.pick(textures.FLOOR_TEXTURES), (wide, 0.6 * long), self.far * 1.5, 1.3)
+        center = np.array([0.5, self.floor, (deep + near) / 2])
+        self.plane(center, rotation(pitch=np.pi / 2), (wide, long), picture, unbounded=True)
 
 
 def _rays(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Vector, Vector]:
@@ -287,6 +265,18 @@ def _rays(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Vector,
     one = np.ones((1, 1), kind)
     direction = ((columns - room.center[0]) / room.focal, (rows - room.center[1]) / room.focal, one)
     return (one * right, one * 0, one * 0), direction
+
+
+def disparities(room: Room, right: bool = False) -> tuple[Array, NDArray[np.int16]]:
+    """Return disparity and index of the surface at the centers of one view's pixels, (H, W) float64 and int16."""
+    columns, rows = np.arange(room.width, dtype=np.float64)[None], np.arange(room.height, dtype=np.float64)[:, None]
+    depth, owner = trace(room, columns, rows, right)
+    return room.focal / depth, owner
+
+
+def levels8(image: Array) -> NDArray[np.uint8]:
+    """Return grey levels as 8-bit numbers."""
+    return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)
 
 
 def trace(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Array, NDArray[np.int16]]:
@@ -318,56 +308,60 @@ def trace(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Array, 
     return depth, owner
 
 
-def light_maps(room: Room) -> list[NDArray[np.float32] | None]:
-    """Return the light on the square of every plane with the soft shadows on it, (n, n) float32; None for others."""
-    return [_light_map(room, each) if each.shape == "plane" else None for each in room.surfaces]
-
-
-def _light_map(room: Room, surface: Surface) -> NDArray[np.float32]:
-    side = np.linspace(-1, 1, _LIGHTMAP_SIDE)
-    a, b = np.meshgrid(side * surface.half_size[0], side * surface.half_size[1])
-    x, y, z = (surface.center[i] + a * surface.axes[0, i] + b * surface.axes[1, i] for i in range(3))
-    to_light: Vector = (room.light[0] - x, room.light[1] - y, room.light[2] - z)
-    length = np.sqrt(to_light[0] ** 2 + to_light[1] ** 2 + to_light[2] ** 2)
-    normal = surface.axes[2]
-    facing = np.abs(normal[0] * to_light[0] + normal[1] * to_light[1] + normal[2] * to_light[2]) / length
-    lit = np.ones_like(facing)
-    for caster in room.surfaces:
-        if caster is not surface and not caster.unbounded:
-            t = caster.hit((x, y, z), to_light)
-            lit[(t > 1e-3) & (t < 1)] = 0.0
-    soft = cv2.GaussianBlur(lit, (0, 0), 1.3) if not lit.all() else lit
-    return np.asarray(_AMBIENT_LIGHT + (1.15 - _AMBIENT_LIGHT) * np.sqrt(facing) * (0.35 + 0.65 * soft), np.float32)
-
-
-def render(room: Room, lightmaps: list[NDArray[np.float32] | None], right: bool, rays: int) -> NDArray[np.float32]:
-    """Return one view, (H, W, 3) float32, nominally in [0, 1]."""
+def render(room: Room, rays: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the left and the right view, (H, W, 3) float32, nominally in [0, 1], of ``rays`` x ``rays`` a pixel."""
+    light_maps = [_light_map(room, each) if each.shape == "plane" else None for each in room.surfaces]
     offsets = (np.arange(rays) + 0.5) / rays - 0.5
     columns = (np.arange(room.width)[:, None] + offsets).ravel()[None].astype(np.float32)
-    image = np.empty((room.height, room.width, 3), np.float32)
-    for top in range(0, room.height, _BAND_ROWS):
+    views = [np.empty((room.height, room.width, 3), np.float32) for _ in range(2)]
+    for view, top in itertools.product((0, 1), range(0, room.height, _BAND_ROWS)):
         bottom = min(top + _BAND_ROWS, room.height)
         rows = (np.arange(top, bottom)[:, None] + offsets).ravel()[:, None].astype(np.float32)
-        depth, owner = trace(room, columns, rows, right)
+        depth, owner = trace(room, columns, rows, bool(view))
         colors = np.zeros((*owner.shape, 3), np.float32)
-        for index, surface in enumerate(room.surfaces):
+        for index, (surface, light_map) in enumerate(zip(room.surfaces, light_maps, strict=True)):
             mine = owner == index
             y, x = np.flatnonzero(mine.any(axis=1)), np.flatnonzero(mine.any(axis=0))
             if not y.size:
                 continue
             part = np.s_[y[0] : y[-1] + 1, x[0] : x[-1] + 1]
-            (ox, _, _), (dx, dy, _) = _rays(room, columns[:, part[1]], rows[part[0]], right)
+            (ox, _, _), (dx, dy, _) = _rays(room, columns[:, part[1]], rows[part[0]], bool(view))
             z = depth[part]
-            shaded = _shade(room, surface, lightmaps[index], (ox + z * dx, z * dy, z))
+            shaded = _shade(room, surface, light_map, (ox + z * dx, z * dy, z))
             colors[part][mine[part]] = shaded[mine[part]]
             if surface.gloss and room.surroundings is not None:
                 mirrored = np.repeat(np.repeat(room.surroundings[top:bottom], rays, axis=0), rays, axis=1)
                 colors[mine] += np.float32(surface.gloss) * mirrored[mine]
-        image[top:bottom] = cv2.resize(colors, (room.width, bottom - top), interpolation=cv2.INTER_AREA)
-    return image
+        views[view][top:bottom] = cv2.resize(colors, (room.width, bottom - top), interpolation=cv2.INTER_AREA)
+    return views[0], views[1]
 
 
-def _shade(room: Room, surface: Surface, lightmap: NDArray[np.float32] | None, point: Vector) -> NDArray[np.float32]:
+def _light_map(room: Room, plane: Surface) -> NDArray[np.float32]:
+    """Return the light on the square of a plane, with the soft shadows on it, (n, n) float32."""
+    side = np.linspace(-1, 1, _LIGHTMAP_SIDE)
+    a, b = np.meshgrid(side * plane.half_size[0], side * plane.half_size[1])
+    x, y, z = (plane.center[i] + a * plane.axes[0, i] + b * plane.axes[1, i] for i in range(3))
+    to_light: Vector = (room.light[0] - x, room.light[1] - y, room.light[2] - z)
+    lit = np.ones_like(x)
+    for caster in room.surfaces:
+        if caster is not plane and not caster.unbounded:
+            t = caster.hit((x, y, z), to_light)
+            lit[(t > 1e-3) & (t < 1)] = 0.0
+    soft = cv2.GaussianBlur(lit, (0, 0), 1.3) if not lit.all() else lit
+    return _light(np.abs(_facing(plane.axes[2], to_light)), 0.35 + 0.65 * soft)
+
+
+def _facing(normal: Any, to_light: Vector) -> Array:
+    x, y, z = to_light
+    return np.asarray((normal[0] * x + normal[1] * y + normal[2] * z) / np.sqrt(x * x + y * y + z * z))
+
+
+def _light(facing: Array, lit: Array | float = 1.0) -> NDArray[np.float32]:
+    """Return the light on points that face the lamp, by the cosine ``facing``, and get the share ``lit`` of it."""
+    return np.asarray(_AMBIENT_LIGHT + (1.15 - _AMBIENT_LIGHT) * np.sqrt(facing) * lit, np.float32)
+
+
+def _shade(room: Room, surface: Surface, light_map: NDArray[np.float32] | None, point: Vector) -> NDArray[np.float32]:
     """Return the colors of points that lie on a surface (others in the rectangle get some color)."""
     x, y, z = surface.local(point)
     if surface.shape != "plane":
@@ -379,13 +373,10 @@ def _shade(room: Room, surface: Surface, lightmap: NDArray[np.float32] | None, p
     # Rays of the rectangle that hit something else can lie far off, beyond what remap can index.
     column, row = np.clip(column, -20000, 20000), np.clip(row, -20000, 20000)
     paint = cv2.remap(surface.texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-    if lightmap is not None:
+    if light_map is not None:
         down, across = (np.float32((_LIGHTMAP_SIDE - 1) / max(side - 1, 1)) for side in (height, width))
-        light = cv2.remap(lightmap, column * across, row * down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        light = cv2.remap(light_map, column * across, row * down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     else:
-        nx, ny, nz = surface.normal(point)
         lx, ly, lz = (np.float32(room.light[i]) - point[i] for i in range(3))
-        facing = np.maximum(0.0, (nx * lx + ny * ly + nz * lz) / np.sqrt(lx * lx + ly * ly + lz * lz))
-        light = np.asarray(_AMBIENT_LIGHT + (1.15 - _AMBIENT_LIGHT) * np.sqrt(facing), np.float32)
-    shaded: NDArray[np.float32] = np.asarray(paint * light[:, :, None], np.float32)
-    return shaded
+        light = _light(np.maximum(0.0, _facing(surface.normal(point), (lx, ly, lz))))
+    return np.asarray(paint * light[:, :, None], np.float32)

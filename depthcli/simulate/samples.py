@@ -63,30 +63,46 @@ class SampleScene(Scene):
         return self.settings
 
 
-def _new(name: str, **settings: Any) -> SampleScene:
-    return SampleScene(name=name, folder=Path(), settings=settings)
+def sample_scenes(sample: str, values: Values) -> list[SampleScene]:
+    """Return the scenes of a kind of sample that the options ask for; ConfigError where options do not fit together."""
+    seed, folder = values["seed"], values.get("from_")
+    if folder is not None:
+        kinds: tuple[type[Scene], ...] = (RgbdScene, StereoScene) if sample == "transparent" else (StereoScene,)
+        lack = {"kinect": "no true disparity", "transparent": "no true depth"}.get(sample, "")
+        return [_scene_from(scene, seed, lack) for scene in discover_scenes(folder, kinds)]
+    if sample == "kinect":
+        if values["width"] < _MIN_WIDTH:
+            raise ConfigError(f"--width: at least {_MIN_WIDTH} for Kinect scenes (got {values['width']})")
+        names = ("camouflage", "planes", "foreground", "curved", *(_SEQUENCES if values["frames"] else ()))
+        settings = {name: {"kind": name, "seed": seed} for name in names}
+    elif sample == "transparent":
+        settings = {f"glass_{each}": {"seed": each} for each in (seed, seed + 1)}
+    elif sample == "registration":  # small, large and tiny errors in turn
+        largest = [_LARGEST_ERRORS[k % len(_LARGEST_ERRORS)] for k in range(values["count"])]
+        settings = {f"pair_{seed + k}": {"seed": seed + k, "largest": error} for k, error in enumerate(largest)}
+    else:  # the kinds in turn, the next seed after each round
+        top, chosen = values["width"] // 2, tuple(dict.fromkeys(values["kind"] or KINDS[:4]))
+        if values["max_disparity"] > top:
+            raise ConfigError(f"--max-disparity: at most width / 2 = {top} (got {values['max_disparity']})")
+        if unknown := [kind for kind in chosen if kind not in KINDS]:
+            raise ConfigError(f"--kind: no kind called {unknown[0]!r}; one of: {', '.join(KINDS)}")
+        turns = [(chosen[i % len(chosen)], seed + i // len(chosen)) for i in range(values["count"])]
+        settings = {f"{kind}_{each}": {"kind": kind, "seed": each} for kind, each in turns}
+    return [SampleScene(name=name, folder=Path(), settings=own) for name, own in settings.items()]
 
 
-def _scenes_from(
-    folder: Path, kinds: tuple[type[Scene], ...], settings: dict[str, Any], needs_truth: str = ""
-) -> list[SampleScene]:
-    """Return a scene to be generated for every scene of ``folder``; ``needs_truth`` says what one without truth lacks.
-
-    Each has the same ``settings``.
-    """
-    scenes = []
-    for scene in discover_scenes(folder, kinds):
-        truth = {role: getattr(scene, role, None) for role in ("depth_true", "disparity_left", "disparity_right")}
-        files = scene.input_files | {role: file for role, file in truth.items() if file is not None}
-        files |= {f"mask_{name}": file for name, file in getattr(scene, "masks", {}).items()}
-        problem = scene.problem
-        if needs_truth and not problem and not scene.has_truth:
-            problem = f"{scene.folder}: {needs_truth} to start from"
-        one = SampleScene(
-            name=scene.name, folder=scene.folder, problem=problem, origin=scene, files=files, settings=settings
-        )
-        scenes.append(one)
-    return scenes
+def _scene_from(scene: Scene, seed: int, lack: str) -> SampleScene:
+    """Return a scene to be generated from another one; ``lack`` says what one without truth lacks, if it needs it."""
+    truth = {role: getattr(scene, role, None) for role in ("depth_true", "disparity_left", "disparity_right")}
+    files = scene.input_files | {role: file for role, file in truth.items() if file is not None}
+    files |= {f"mask_{name}": file for name, file in getattr(scene, "masks", {}).items()}
+    problem = scene.problem
+    if lack and not problem and not scene.has_truth:
+        problem = f"{scene.folder}: {lack} to start from"
+    settings = {"seed": seed}
+    return SampleScene(
+        name=scene.name, folder=scene.folder, problem=problem, settings=settings, files=files, origin=scene
+    )
 
 
 def _write(folder: Path, images: Values, maps: Values, masks: Values, end: str = "") -> None:
@@ -98,96 +114,53 @@ def _write(folder: Path, images: Values, maps: Values, masks: Values, end: str =
             write_pfm(folder / f"{name}{end}.pfm", values)
 
 
-def _write_meta(folder: Path, meta: Values) -> None:
-    write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
-
-
-def _write_stereo(folder: Path, images: Values, maps: Values, masks: Values, meta: Values) -> dict[str, Any]:
-    """Write a scene in the layout ``scenes`` and return facts for the report."""
-    _write(folder, images, maps, masks)
-    height, width = images["left"].shape[:2]
+def _write_meta(folder: Path, **meta: Any) -> None:
     known = {key: value for key, value in meta.items() if value is not None}
-    fields = {"protocol": "middlebury_v2", "disp_scale": 1, "width": width, "height": height, **known}
-    _write_meta(folder, fields)
-    facts: dict[str, Any] = {"width": width, "height": height}
-    return facts | ({"nonocc": round(float(masks["nonocc"].mean()), 6)} if "nonocc" in masks else {})
-
-
-def _stereo_scenes(values: Values) -> list[SampleScene]:
-    # Scenes of the kinds in turn, the next seed after each round.
-    if values["max_disparity"] > values["width"] // 2:
-        raise ConfigError(
-            f"--max-disparity: at most width / 2 = {values['width'] // 2} (got {values['max_disparity']})"
-        )
-    kinds = tuple(dict.fromkeys(values["kind"] or KINDS[:4]))
-    for kind in kinds:
-        if kind not in KINDS:
-            raise ConfigError(f"--kind: no kind called {kind!r}; one of: {', '.join(KINDS)}")
-    chosen = [(kinds[i % len(kinds)], values["seed"] + i // len(kinds)) for i in range(values["count"])]
-    return [_new(f"{kind}_{seed}", kind=kind, seed=seed) for kind, seed in chosen]
+    write_text(folder / "meta.json", json.dumps(known, indent=1) + "\n")
 
 
 def _make_stereo(values: Values, scene: SampleScene, folder: Path) -> dict[str, Any]:
     """Write a pair, both true disparities, masks and meta.json; with ``speckles``, as of two kinds of camera."""
-    kind, seed = scene.settings["kind"], scene.settings["seed"]
-    size = (values["width"], values["height"], values["max_disparity"])
-    radiometry = Radiometry.of_strength(values["radiometric"])
-    chosen = {name: values[name] for name in ("noise", "wall_contrast", "brightness")}
-    made = make_scene(kind, seed, *size, radiometry=radiometry, **chosen)
-    left, right = made.left, made.right
+    seed, origin, masks = scene.settings["seed"], scene.origin, {}
+    maps: dict[str, Any] = {}
+    meta: dict[str, Any] = {"protocol": "middlebury_v2"}
+    if isinstance(origin, StereoScene):
+        pair = origin.load()
+        left, right = pair.left, pair.right
+        if origin.has_truth:
+            truth = origin.truth()
+            maps, masks = {"disp_left": truth.disparity, "disp_right": truth.right}, truth.masks
+        meta |= {"protocol": origin.protocol} if origin.protocol else {}
+        more = {
+            "max_disparity": origin.max_disparity,
+            "masks": "as in the source",
+            "source": f"generated by depthcli sample: cross-modal, from {scene.name}",
+            "notes": "left: grey of the scene's left image; right: infrared-like picture of its right image.",
+        }
+    else:
+        kind, size = scene.settings["kind"], (values["width"], values["height"], values["max_disparity"])
+        radiometry = Radiometry.of_strength(values["radiometric"])
+        chosen = {name: values[name] for name in ("noise", "wall_contrast", "brightness")}
+        made = make_scene(kind, seed, *size, radiometry=radiometry, **chosen)
+        left, right = made.left, made.right
+        maps = {"disp_left": made.disparity_left, "disp_right": made.disparity_right}
+        masks = {"nonocc": made.nonocc, "all": np.ones_like(made.nonocc), "disc": made.disc}
+        notes = "Disparity at pixel centers and masks are exact; no pixel is unknown."
+        if kind == "repetitive":
+            shortest, longest = np.nanmin(made.repetition), np.nanmax(made.repetition)
+            notes += f" The wall's pattern repeats after {shortest:.2f} to {longest:.2f} pixels."
+        source = f"generated by depthcli sample: kind {kind}, seed {seed}"
+        more = {"max_disparity": values["max_disparity"], "masks": "exact", "notes": notes, "source": source}
     if "speckles" in values:
         left, right = cross_modal_pair(left, right, seed, values["speckles"])
-    notes = "Disparity at pixel centers and masks are exact; no pixel is unknown."
-    if kind == "repetitive":
-        shortest, longest = np.nanmin(made.repetition), np.nanmax(made.repetition)
-        notes += f" The wall's pattern repeats after {shortest:.2f} to {longest:.2f} pixels."
-    masks = {"nonocc": made.nonocc, "all": np.ones_like(made.nonocc), "disc": made.disc}
-    source = f"generated by depthcli sample: kind {kind}, seed {seed}"
-    meta = {"max_disparity": values["max_disparity"], "masks": "exact", "notes": notes, "source": source}
-    maps = {"disp_left": made.disparity_left, "disp_right": made.disparity_right}
-    return _write_stereo(folder, {"left": left, "right": right}, maps, masks, meta)
-
-
-def _cross_modal_scenes(values: Values) -> list[SampleScene]:
-    if values["from_"] is None:
-        return _stereo_scenes(values)
-    return _scenes_from(values["from_"], (StereoScene,), {"seed": values["seed"]})
-
-
-def _make_cross_modal(values: Values, scene: SampleScene, folder: Path) -> dict[str, Any]:
-    """Write a pair as ``stereo`` does; of a scene of another folder, with its truth and masks."""
-    origin = scene.origin
-    if not isinstance(origin, StereoScene):
-        return _make_stereo(values, scene, folder)
-    scene.check()
-    pair = origin.load()
-    left, right = cross_modal_pair(pair.left, pair.right, scene.settings["seed"], values["speckles"])
-    meta = {
-        "max_disparity": origin.max_disparity,
-        "masks": "as in the source",
-        "protocol": origin.protocol or None,
-        "source": f"generated by depthcli sample: cross-modal, from {scene.name}",
-        "notes": "left: grey of the scene's left image; right: infrared-like picture of its right image.",
-    }
-    truth = origin.truth() if origin.has_truth else None
-    maps = {} if truth is None else {"disp_left": truth.disparity, "disp_right": truth.right}
-    masks = {} if truth is None else truth.masks
-    return _write_stereo(folder, {"left": left, "right": right}, maps, masks, meta)
-
-
-def _kinect_scenes(values: Values) -> list[SampleScene]:
-    # A frame of every kind and two sequences, or one frame a scene of ``--from``.
-    if values["from_"] is not None:
-        return _scenes_from(values["from_"], (StereoScene,), {"seed": values["seed"]}, "no true disparity")
-    if values["width"] < _MIN_WIDTH:
-        raise ConfigError(f"--width: at least {_MIN_WIDTH} for Kinect scenes (got {values['width']})")
-    kinds = ("camouflage", "planes", "foreground", "curved", *(_SEQUENCES if values["frames"] else ()))
-    return [_new(kind, kind=kind, seed=values["seed"]) for kind in kinds]
+    _write(folder, {"left": left, "right": right}, maps, masks)
+    facts: dict[str, Any] = {"width": left.shape[1], "height": left.shape[0]}
+    _write_meta(folder, **meta, disp_scale=1, **facts, **more)
+    return facts | ({"nonocc": round(float(masks["nonocc"].mean()), 6)} if "nonocc" in masks else {})
 
 
 def _make_kinect(values: Values, scene: SampleScene, folder: Path) -> dict[str, Any]:
     """Write color, measured and true depth, masks and meta.json."""
-    scene.check()
     seed, fattening, size = scene.settings["seed"], values["fattening"], (values["width"], values["height"])
     kind = scene.settings.get("kind", "")
     if kind in _SEQUENCES:
@@ -203,18 +176,9 @@ def _make_kinect(values: Values, scene: SampleScene, folder: Path) -> dict[str, 
         masks = {name: getattr(sample, name) for name in ("gap", "occluded", "specular", "mismatch", "measured")}
         _write(folder, {"color": sample.color}, maps, masks, f"_{number:05d}" if kind in _SEQUENCES else "")
     source = f"generated by depthcli sample --kinect, seed {seed}"
-    notes = "meters; depth_true and masks are exact"
-    _write_meta(folder, {"protocol": "depth", "fb": 43.5, "source": source, "notes": notes})
+    _write_meta(folder, protocol="depth", fb=43.5, source=source, notes="meters; depth_true and masks are exact")
     height, width = samples[0].truth.shape
     return {"width": width, "height": height, "frames": len(samples)}
-
-
-def _transparent_scenes(values: Values) -> list[SampleScene]:
-    # Two generated scenes, or one for every frame and pair of the folder.
-    seed = values["seed"]
-    if values["from_"] is None:
-        return [_new(f"glass_{each}", seed=each) for each in (seed, seed + 1)]
-    return _scenes_from(values["from_"], (RgbdScene, StereoScene), {"seed": seed}, "no true depth")
 
 
 def _make_transparent(values: Values, scene: SampleScene, folder: Path) -> dict[str, Any]:
@@ -222,23 +186,19 @@ def _make_transparent(values: Values, scene: SampleScene, folder: Path) -> dict[
 
     Sparse depth is emulated from the truth. The right view of a pair becomes infrared, a surface of it glass.
     """
-    scene.check()
     seed, origin = scene.settings["seed"], scene.origin
-    source = f"generated by depthcli sample --transparent, seed {seed}"
-    meta: dict[str, Any] = {"protocol": "depth", "source": source}
+    meta: dict[str, Any] = {"notes": "sparse: emulated from depth_true; the rest is the source's"}
     if isinstance(origin, RgbdScene):
         frame, true = origin.load(), origin.truth()
-        meta["notes"] = "sparse: emulated from depth_true; the rest is the source's"
         color, sensor, truth, masks = frame.color, frame.depth, true.depth, true.masks
     else:
-        meta |= {"fb": _FB, "notes": "meters; sparse: emulated from depth_true"}
         if isinstance(origin, StereoScene):
             pair, top = origin.load(), origin.max_disparity
             made = glass_of_pair(pair.left, pair.right, origin.truth().disparity, seed, values["speckles"])
         else:
             top = values["width"] // 8
             made = make_transparent_scene(seed, values["width"], values["height"], top, values["speckles"])
-        meta |= {} if top is None else {"max_disparity": top}
+        meta = {"fb": _FB, "notes": "meters; sparse: emulated from depth_true", "max_disparity": top}
         write_png(folder / "ir.png", made.infrared)
         write_text(folder / "calib.json", json.dumps({"rectified": True, "fb": _FB}) + "\n")
         sensor, truth = (depth_of_disparity(part, _FB) for part in (made.sensor, made.disparity))
@@ -246,14 +206,8 @@ def _make_transparent(values: Values, scene: SampleScene, folder: Path) -> dict[
     chosen = {"outliers": values["outliers"], "clustered": values["at_edges"], "seed": seed}
     sparse = sparse_samples(truth, color, values["share"], **chosen)
     _write(folder, {"color": color}, {"depth": sensor, "depth_true": truth, "sparse": sparse}, masks)
-    _write_meta(folder, meta)
+    _write_meta(folder, protocol="depth", source=f"generated by depthcli sample --transparent, seed {seed}", **meta)
     return {"width": color.shape[1], "height": color.shape[0]}
-
-
-def _registration_scenes(values: Values) -> list[SampleScene]:
-    # Pairs with small, large and tiny errors in turn.
-    errors = [(values["seed"] + k, _LARGEST_ERRORS[k % len(_LARGEST_ERRORS)]) for k in range(values["count"])]
-    return [_new(f"pair_{seed}", seed=seed, largest=largest) for seed, largest in errors]
 
 
 def _make_registration(values: Values, scene: SampleScene, folder: Path) -> dict[str, Any]:
@@ -266,7 +220,7 @@ def _make_registration(values: Values, scene: SampleScene, folder: Path) -> dict
     for stem, array in (volumes | {"error_true": error}).items():
         write_array(folder / f"{stem}.nii.gz", Grid((width, height, depth), _SPACING), array)
     source = f"generated by depthcli sample --registration, seed {seed}"
-    _write_meta(folder, {"protocol": "registration", "source": source, "notes": "error_true: exact, mm"})
+    _write_meta(folder, protocol="registration", source=source, notes="error_true: exact, mm")
     mean = round(float(error[pair.mask].mean()), 6)
     return {"width": width, "height": height, "slices": depth, "mean_error": mean}
 
@@ -274,8 +228,6 @@ def _make_registration(values: Values, scene: SampleScene, folder: Path) -> dict
 class SampleKind(NamedTuple):
     """A kind of generated scenes."""
 
-    scenes: Callable[[Values], list[SampleScene]]
-    """The scenes that the options ask for; ConfigError where options do not fit together."""
     make: Callable[[Values, SampleScene, Path], dict[str, Any]]
     """Writes one scene into an empty folder and returns facts for the report."""
     options: tuple[str, ...]
@@ -287,10 +239,10 @@ _OF_STEREO = ("count", "kind", "seed", *_SIZE, "noise", "radiometric", "brightne
 _OF_KINECT = ("seed", "width", "height", "frames", "fattening", "from_")
 _OF_GLASS = ("seed", "width", "height", "share", "outliers", "speckles", "at_edges", "from_")
 SAMPLE_KINDS = {
-    "stereo": SampleKind(_stereo_scenes, _make_stereo, _OF_STEREO),
-    "cross_modal": SampleKind(_cross_modal_scenes, _make_cross_modal, (*_OF_STEREO, "speckles", "from_")),
-    "kinect": SampleKind(_kinect_scenes, _make_kinect, _OF_KINECT),
-    "registration": SampleKind(_registration_scenes, _make_registration, ("count", "seed", "noise")),
-    "transparent": SampleKind(_transparent_scenes, _make_transparent, _OF_GLASS),
+    "stereo": SampleKind(_make_stereo, _OF_STEREO),
+    "cross_modal": SampleKind(_make_stereo, (*_OF_STEREO, "speckles", "from_")),
+    "kinect": SampleKind(_make_kinect, _OF_KINECT),
+    "registration": SampleKind(_make_registration, ("count", "seed", "noise")),
+    "transparent": SampleKind(_make_transparent, _OF_GLASS),
 }
 """By the name of their option, with underscores; ``stereo`` without one."""

@@ -17,18 +17,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import discontinuity_mask
 from depthcli.simulate import textures
-from depthcli.simulate.rendering import (
-    Array,
-    Outline,
-    Room,
-    Surface,
-    add_walls,
-    lay_floor,
-    light_maps,
-    render,
-    rotation,
-    trace,
-)
+from depthcli.simulate.rendering import Array, Outline, Room, disparities, levels8, render, rotation, trace
 
 Kind = Literal["planes", "foreground", "repetitive", "curved", "street"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -94,61 +83,41 @@ def make_scene(
         ``repetitive`` (a wall whose pattern repeats inside the search range, with unique stickers here and
         there), ``curved`` (balls, cones, tubs), ``street`` (a road between house fronts, cars, poles and trees under
         a bare sky: large slopes, and depths from the nearest to almost infinity)
-    seed : chooses the scene
-    width, height : pixels, at least 16
-    max_disparity : pixels, at least 4 and at most ``width / 2``; nothing in the scene is nearer
+    width, height : pixels, at least 16, else ValueError
+    max_disparity : pixels, at least 4 and at most ``width / 2``, else ValueError; nothing in the scene is nearer
     noise : standard deviation in grey levels of the noise of each camera
     radiometry : of the right camera; None = both cameras are alike
     wall_contrast : contrast of the walls' pictures: 1 = full, 0 = walls without texture (the repeated pattern
         of ``repetitive`` stays as it is)
     brightness : factor on the levels of both views, before noise is added; 0.08: levels up to about 20
     supersampling : rays per pixel, along each axis
-
-    Raises
-    ------
-    ValueError
-        For an unknown kind or an impossible size, range or amount.
     """
-    if kind not in KINDS:
-        raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
-    if width < 16 or height < 16:
-        raise ValueError(f"a scene is at least 16 x 16 pixels, got {width} x {height}")
-    if not 4 <= max_disparity <= width / 2:
-        raise ValueError(f"max_disparity must lie in 4 .. width / 2 = {width // 2}, got {max_disparity}")
-    if noise < 0 or not 0 <= wall_contrast <= 1 or not 0 <= brightness <= 1 or supersampling < 1:
-        raise ValueError("want noise >= 0, wall_contrast and brightness in 0 .. 1 and supersampling >= 1")
+    if width < 16 or height < 16 or not 4 <= max_disparity <= width / 2:
+        raise ValueError(f"expected 16 x 16 pixels or more, max_disparity in 4 .. {width // 2}, got {max_disparity}")
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     room = Room(rng, width, height, max_disparity, wall_contrast)
     _FURNISH[kind](room)
-    lightmaps = light_maps(room)
-    left = render(room, lightmaps, False, supersampling)
-    right = (radiometry or Radiometry()).apply(render(room, lightmaps, True, supersampling))
-    columns, rows = np.arange(room.width, dtype=np.float64)[None], np.arange(room.height, dtype=np.float64)[:, None]
-    depth, owner = trace(room, columns, rows, False)
-    disparity = room.focal / depth
-    depth_right, _ = trace(room, columns, rows, True)
-    matched = columns - disparity
-    visible_depth, _ = trace(room, matched, rows, True)
-    nonocc = (matched >= 0) & (visible_depth >= depth * (1 - 1e-9))
+    left, right = render(room, supersampling)
+    right = (radiometry or Radiometry()).apply(right)
+    disparity, owner = disparities(room)
+    disparity_right, _ = disparities(room, right=True)
+    matched = np.arange(width) - disparity
+    visible_depth, _ = trace(room, matched, np.arange(height, dtype=np.float64)[:, None], True)
+    nonocc = (matched >= 0) & (visible_depth >= room.focal / disparity * (1 - 1e-9))
     periods = np.array([s.period for s in room.surfaces])[owner]
-    repetition = np.where(periods > 0, periods * disparity, np.nan)
+    views = [image * np.float32(255 * brightness) for image in (left, right)]
+    if noise > 0:
+        views = [image + noise * rng.standard_normal(image.shape, np.float32) for image in views]
     return SyntheticScene(
-        left=_developed(room, left, brightness, noise),
-        right=_developed(room, right, brightness, noise),
+        left=levels8(views[0]),
+        right=levels8(views[1]),
         disparity_left=disparity.astype(np.float32),
-        disparity_right=(room.focal / depth_right).astype(np.float32),
+        disparity_right=disparity_right.astype(np.float32),
         nonocc=nonocc,
         disc=discontinuity_mask(disparity, nonocc),
-        repetition=repetition.astype(np.float32),
-        max_disparity=room.max_disparity,
+        repetition=np.where(periods > 0, periods * disparity, np.nan).astype(np.float32),
+        max_disparity=max_disparity,
     )
-
-
-def _developed(room: Room, image: NDArray[np.float32], brightness: float, noise: float) -> NDArray[np.uint8]:
-    grey_levels = image * np.float32(255 * brightness)
-    if noise > 0:
-        grey_levels = grey_levels + noise * room.rng.standard_normal(image.shape, np.float32)
-    return np.asarray(np.clip(np.rint(grey_levels), 0, 255), np.uint8)
 
 
 def _blob(rng: np.random.Generator) -> Outline:
@@ -175,7 +144,7 @@ def _disk(x: Array, y: Array) -> NDArray[np.bool_]:
 
 def _planes(room: Room) -> None:
     rng, w, h = room.rng, room.width, room.height
-    add_walls(room)
+    room.add_walls()
     for x, d in room.spread(3):
         size = (w * rng.uniform(0.22, 0.34), h * rng.uniform(0.35, 0.6))
         turn = rotation(rng.uniform(-0.7, 0.7), rng.uniform(-0.5, 0.5), rng.uniform(-0.3, 0.3))
@@ -187,7 +156,7 @@ def _planes(room: Room) -> None:
 
 def _foreground(room: Room) -> None:
     rng, w, h = room.rng, room.width, room.height
-    add_walls(room)
+    room.add_walls()
     for x, d in room.spread(4):
         outline = (_blob(rng), _disk, None)[int(rng.integers(3))]
         size = (w * rng.uniform(0.16, 0.26), h * rng.uniform(0.25, 0.42))
@@ -199,35 +168,32 @@ def _foreground(room: Room) -> None:
 
 def _curved(room: Room) -> None:
     rng, w, h = room.rng, room.width, room.height
-    add_walls(room)
+    room.add_walls()
     for index, (x, d) in enumerate(room.spread(6)):
-        match index % 3:
-            case 0:
-                room.ball(x, d, 0.5 * min(w * 0.75, h) * rng.uniform(0.2, 0.36))
-            case 1:
-                room.stand("cone", x, d, (w * rng.uniform(0.07, 0.1), h * rng.uniform(0.35, 0.6)))
-            case _:
-                room.stand("cylinder", x, d, (w * rng.uniform(0.05, 0.09), h * rng.uniform(0.15, 0.3)))
+        if index % 3 == 0:
+            radius = 0.5 * min(w * 0.75, h) * rng.uniform(0.2, 0.36)
+            room.stand("sphere", x, d, (radius, 2 * radius))
+        elif index % 3 == 1:
+            room.stand("cone", x, d, (w * rng.uniform(0.07, 0.1), h * rng.uniform(0.35, 0.6)))
+        else:
+            room.stand("cylinder", x, d, (w * rng.uniform(0.05, 0.09), h * rng.uniform(0.15, 0.3)))
 
 
 def _repetitive(room: Room) -> None:
     """Add a wall with a pattern that leans about the X axis only: one period and one disparity a row."""
     rng, w, h = room.rng, room.width, room.height
-    room.far = room.max_disparity * rng.uniform(0.4, 0.5)
-    texels = room.far
+    room.far = texels = room.max_disparity * rng.uniform(0.4, 0.5)
     # In baselines the period is the share of the disparity by which a wrong match is off: below 1, d - period
     # is a disparity, and at these depths so is d + period.
     tile = max(4, round(texels * rng.uniform(0.5, 0.75)))
-    period = tile / texels
     # The picture covers what the two views see of the wall and little more, so that its stickers are seen.
     skirting = room.center[1] + room.floor * texels
     wide, tall = int(w + 3 * texels), int(skirting * 1.15)
     picture = textures.repeated(rng, tall, wide, tile, int(rng.integers(16, 25)), min(w, h) * 0.13)
-    half = np.array([(wide - 1) / 2 / texels, (tall - 1) / 2 / texels, 1.0])
     middle = room.at((w + texels) / 2, skirting * 0.5, texels)
-    lean = rotation(pitch=rng.uniform(-0.25, 0.25))
-    room.surfaces.append(Surface("plane", middle, lean, half, picture, unbounded=True, period=period))
-    lay_floor(room)
+    lean, size = rotation(pitch=rng.uniform(-0.25, 0.25)), ((wide - 1) / texels, (tall - 1) / texels)
+    room.plane(middle, lean, size, picture, unbounded=True, period=tile / texels)
+    room.add_floor()
     for x, d in room.spread(2):
         size = (w * rng.uniform(0.14, 0.22), h * rng.uniform(0.25, 0.4))
         turn = rotation(rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2), rng.uniform(-0.4, 0.4))
@@ -241,28 +207,34 @@ def _street(room: Room) -> None:
     room.center = (w * rng.uniform(0.4, 0.6), h * rng.uniform(0.35, 0.48))
     room.floor = (h - room.center[1]) / (max_disparity * rng.uniform(0.4, 0.85))
     room.far = max(0.5, 0.02 * max_disparity)
-    half = np.array([2 * w / room.far, 2 * h / room.far, 1.0])
-    sky = np.full((8, 8, 3), rng.uniform(0.75, 0.97), np.float32)
-    behind = np.array([0.0, 0.0, room.focal / room.far])
-    room.surfaces.append(Surface("plane", behind, rotation(), half, sky, unbounded=True))
+    sky, behind = np.full((8, 8, 3), rng.uniform(0.75, 0.97), np.float32), room.focal / room.far
+    room.plane(np.array([0.0, 0.0, behind]), rotation(), (4 * w / room.far, 4 * h / room.far), sky, unbounded=True)
     room.light = np.array([rng.uniform(-40, 40), -60.0, rng.uniform(0, 30)])
     # The road.
     first, last = room.focal / max_disparity, room.focal / (0.1 * max_disparity)
-    half = np.array([2.0 * w / max_disparity, (last - first) / 2, 1.0])
-    picture = room.paint(textures.asphalt, (2 * half[0], 2 * half[1]), 0.4 * max_disparity)
+    size = (4 * w / max_disparity, last - first)
+    picture = room.paint(textures.asphalt, size, 0.4 * max_disparity)
     middle = np.array([rng.uniform(-1, 1), room.floor, (first + last) / 2])
-    room.surfaces.append(Surface("plane", middle, rotation(pitch=np.pi / 2), half, picture, unbounded=True))
-    sides = (room.center[0], w - room.center[0])
-    fronts = [side / (max_disparity * rng.uniform(0.25, 0.7)) for side in sides]
+    room.plane(middle, rotation(pitch=np.pi / 2), size, picture, unbounded=True)
+    # House by house along the road, beside the camera by ``fronts`` baselines.
+    fronts = [side / (max_disparity * rng.uniform(0.25, 0.7)) for side in (room.center[0], w - room.center[0])]
     for sign, away in zip((-1, 1), fronts, strict=True):
-        _house_fronts(room, sign, away)
+        z, end = room.focal / (0.97 * max_disparity), room.focal / (0.05 * max_disparity)
+        while z < end:
+            long, tall = z * rng.uniform(0.5, 1.2), room.floor * rng.uniform(2.5, 9)
+            near = room.focal / (z + 0.3 * long)
+            middle = np.array([sign * away * rng.uniform(1, 1.08), room.floor - tall / 2, z + long / 2])
+            maker = room.pick((*textures.WALL_TEXTURES, textures.windows, textures.windows, textures.windows))
+            picture = room.faded(room.paint(maker, (long, tall), min(near, 0.5 * max_disparity)))
+            room.plane(middle, rotation(sign * np.pi / 2), (long, tall), picture)
+            z += long * rng.uniform(1.0, 1.15)
     room.surroundings = textures.surroundings(rng, h, w, room.feature)
     gloss = rng.uniform(0.05, 0.35)
     # The nearest cars are cut off by the border of the image, on either side.
     for k, d in enumerate(max_disparity * np.array([0.93, 0.8, 0.5, 0.3, 0.17]) * rng.uniform(0.75, 1.0, 5)):
-        sign, size = (-1) ** (k + int(rng.integers(2))), room.floor * d
+        sign, unit = (-1) ** (k + int(rng.integers(2))), room.floor * d
         away = fronts[(sign + 1) // 2] * rng.uniform(0.55, 0.8)
-        measures = (size * rng.uniform(0.9, 1.1), size * rng.uniform(0.75, 0.95), size * rng.uniform(1.8, 2.4))
+        measures = (unit * rng.uniform(0.9, 1.1), unit * rng.uniform(0.75, 0.95), unit * rng.uniform(1.8, 2.4))
         room.box(room.center[0] + sign * away * d, d, measures, textures.bodywork, rng.uniform(-0.08, 0.08), gloss)
     for _ in range(int(rng.integers(3, 7))):
         d = max_disparity * rng.uniform(0.12, 0.6)
@@ -272,25 +244,9 @@ def _street(room: Room) -> None:
         y = room.center[1] + room.floor * d - tall / 2
         room.board(x, y, d, (thin, tall), rotation(), maker=textures.plaster)
         if rng.random() < 0.5:  # a crown, or a sign
-            size = room.floor * d * rng.uniform(0.25, 1.2)
+            wide = room.floor * d * rng.uniform(0.25, 1.2)
             outline, maker = (_blob(rng), textures.camouflage) if rng.random() < 0.6 else (_disk, textures.poster)
-            room.board(x, y - tall / 2, d * 1.01, (size, size), rotation(), outline, maker)
-
-
-def _house_fronts(room: Room, sign: int, away: float) -> None:
-    """Add house by house along the road, beside the camera by ``away`` baselines."""
-    rng, max_disparity = room.rng, room.max_disparity
-    turn = rotation(sign * np.pi / 2)
-    z, end = room.focal / (0.97 * max_disparity), room.focal / (0.05 * max_disparity)
-    while z < end:
-        long, tall = z * rng.uniform(0.5, 1.2), room.floor * rng.uniform(2.5, 9)
-        near = room.focal / (z + 0.3 * long)
-        half = np.array([long / 2, tall / 2, 1.0])
-        middle = np.array([sign * away * rng.uniform(1, 1.08), room.floor - tall / 2, z + long / 2])
-        maker = room.pick((*textures.WALL_TEXTURES, textures.windows, textures.windows, textures.windows))
-        picture = room.paint(maker, (long, tall), min(near, 0.5 * max_disparity))
-        room.surfaces.append(Surface("plane", middle, turn, half, room.faded(picture)))
-        z += long * rng.uniform(1.0, 1.15)
+            room.board(x, y - tall / 2, d * 1.01, (wide, wide), rotation(), outline, maker)
 
 
 _FURNISH: dict[Kind, Callable[[Room], None]] = {

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.frames import Image, color8
-from depthcli.simulate.rendering import Room, add_walls, light_maps, render, rotation, trace
+from depthcli.core.frames import Image, StereoPair, color8
+from depthcli.simulate.rendering import Room, disparities, levels8, render, rotation
 
 _OWN_SHARE = 0.55  # share of an object's own picture in what is seen of it
 _LENS = 0.35  # how far the picture behind is drawn towards an object's center
@@ -51,22 +51,18 @@ def make_transparent_scene(
     """
     rng = np.random.default_rng([seed, 0x61A5])
     room = Room(rng, width, height, max_disparity, 1.0)
-    add_walls(room)
-    places = room.spread(2)
-    for x, d in places:
+    room.add_walls()
+    for x, d in room.spread(2):
         size = (width * rng.uniform(0.2, 0.3), height * rng.uniform(0.25, 0.4))
         turn = rotation(rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2), rng.uniform(-0.3, 0.3))
         room.board(x, height * rng.uniform(0.25, 0.5), 0.5 * (d + room.far), size, turn)
-    views = [render(room, light_maps(room), right, 2) for right in (False, True)]
-    columns, rows = np.arange(width, dtype=np.float64)[None], np.arange(height, dtype=np.float64)[:, None]
-    behind = room.focal / trace(room, columns, rows, False)[0]
-    opaque = len(room.surfaces)
-    room.ball(width * rng.uniform(0.3, 0.45), 0.6 * max_disparity, 0.16 * height)
+    views, behind, opaque = render(room, 2), disparities(room)[0], len(room.surfaces)
+    radius = 0.16 * height
+    room.stand("sphere", width * rng.uniform(0.3, 0.45), 0.6 * max_disparity, (radius, 2 * radius))
     room.stand("cylinder", width * rng.uniform(0.6, 0.75), 0.7 * max_disparity, (0.06 * width, 0.3 * height))
-    lights = light_maps(room)
     mixed = []
-    for right, view in zip((False, True), views, strict=True):
-        owner, front = trace(room, columns, rows, right)[1], render(room, lights, right, 2)
+    for right, view, front in zip((False, True), views, render(room, 2), strict=True):
+        owner = disparities(room, right)[1]
         image = np.where((owner >= opaque)[:, :, None], front, view)
         for index in range(opaque, int(owner.max()) + 1):
             v, u = np.nonzero(owner == index)
@@ -74,12 +70,11 @@ def make_transparent_scene(
                 down, across = ((part + _LENS * (part.mean() - part)).astype(np.float32)[:, None] for part in (v, u))
                 shifted = cv2.remap(view, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
                 image[v, u] = _OWN_SHARE * front[v, u] + (1 - _OWN_SHARE) * shifted[:, 0]
-        mixed.append(np.asarray(image, np.float32))
-    depth, owner = trace(room, columns, rows, False)
-    truth, mask = (room.focal / depth).astype(np.float32), owner >= opaque
-    left, right_view = (np.clip(np.rint(255 * image), 0, 255).astype(np.uint8) for image in mixed)
+        mixed.append(levels8(255 * image))
+    disparity, owner = disparities(room)
+    truth, mask = disparity.astype(np.float32), owner >= opaque
     sensor = _sensor_through(truth, behind.astype(np.float32), mask, seed)
-    return TransparentScene(left, infrared_like(right_view, seed, speckles), truth, sensor, mask)
+    return TransparentScene(mixed[0], infrared_like(mixed[1], seed, speckles), truth, sensor, mask)
 
 
 def _sensor_through(
@@ -104,37 +99,29 @@ def glass_of_pair(
 ) -> TransparentScene:
     """Return a pair with known disparity as color and infrared; to the sensor, one of its surfaces is glass.
 
+    The surface is the connected one (steps of at most a pixel) of 1 to 15 % of the image that both views see and that
+    stands in front of most of its surroundings; where there is none, an ellipse in the middle. Behind it lies a
+    plane through the farther third of what surrounds it.
+
     Parameters
     ----------
     left, right : (H, W) grey or (H, W, 3) RGB, uint8 or uint16
     disparity : (H, W) float32, of the left view, pixels, NaN = unknown
     speckles : share of the infrared image's pixels with a projected dot, in [0, 1]
     """
-    mask, behind = _glass_of_object(disparity, seed)
-    sensor = _sensor_through(disparity, behind, mask, seed)
-    return TransparentScene(color8(left), infrared_like(right, seed, speckles), disparity, sensor, mask)
-
-
-def _glass_of_object(disparity: NDArray[np.float32], seed: int) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """Return a surface of a scene to be glass, (H, W) bool, and the disparity behind it, (H, W) float32, pixels.
-
-    The surface is the connected one (steps of at most a pixel) of 1 to 15 % of the image that both views see and that
-    stands in front of most of its surroundings; where there is none, an ellipse in the middle. Behind it lies a
-    plane through the farther third of what surrounds it.
-    """
-    best, best_share = np.zeros(disparity.shape, np.bool_), 0.4
-    for mask in _surfaces(disparity):
-        ring = _ring(mask, disparity)
-        front = float(np.mean(disparity[ring] < np.median(disparity[mask]) - 2)) if ring.any() else 0.0
-        if front > best_share:
-            best, best_share = mask, front
-    if not best.any():
-        rng = np.random.default_rng([seed, 0xE1])
+    mask, best_share = np.zeros(disparity.shape, np.bool_), 0.4
+    for surface in _surfaces(disparity):
+        around = disparity[_ring(surface, disparity)]
+        share = float(np.mean(around < np.median(disparity[surface]) - 2)) if around.size else 0.0
+        if share > best_share:
+            mask, best_share = surface, share
+    if not mask.any():
         height, width = disparity.shape
         y, x = np.mgrid[:height, :width]
-        at = rng.uniform(0.4, 0.6, 2) * (height, width)
-        best = (((x - at[1]) / (0.12 * width)) ** 2 + ((y - at[0]) / (0.16 * height)) ** 2 < 1) & np.isfinite(disparity)
-    return best, _behind(disparity, best)
+        at = np.random.default_rng([seed, 0xE1]).uniform(0.4, 0.6, 2) * (height, width)
+        mask = (((x - at[1]) / (0.12 * width)) ** 2 + ((y - at[0]) / (0.16 * height)) ** 2 < 1) & np.isfinite(disparity)
+    sensor = _sensor_through(disparity, _behind(disparity, mask), mask, seed)
+    return TransparentScene(color8(left), infrared_like(right, seed, speckles), disparity, sensor, mask)
 
 
 def _surfaces(disparity: NDArray[np.float32]) -> Iterator[NDArray[np.bool_]]:
@@ -144,17 +131,14 @@ def _surfaces(disparity: NDArray[np.float32]) -> Iterator[NDArray[np.bool_]]:
     grid[::2, ::2] = known
     grid[::2, 1::2] = np.abs(np.diff(disparity, axis=1)) <= 1
     grid[1::2, ::2] = np.abs(np.diff(disparity, axis=0)) <= 1
-    count, labels, facts, _ = cv2.connectedComponentsWithStats(grid, connectivity=4)
-    labels = labels[::2, ::2]
-    square = np.ones((5, 5), np.uint8)
-    columns = np.arange(disparity.shape[1])
-    for label in range(1, count):
-        if facts[label, cv2.CC_STAT_AREA] < 0.02 * disparity.size:
-            continue
-        plane = (labels == label).astype(np.uint8)
+    _, labels, facts, _ = cv2.connectedComponentsWithStats(grid, connectivity=4)
+    large = np.flatnonzero(facts[:, cv2.CC_STAT_AREA] >= 0.02 * disparity.size)
+    square, visible = np.ones((5, 5), np.uint8), np.arange(disparity.shape[1]) >= disparity
+    for label in large[large > 0]:
+        plane = (labels[::2, ::2] == label).astype(np.uint8)
         mask = cv2.morphologyEx(cv2.morphologyEx(plane, cv2.MORPH_OPEN, square), cv2.MORPH_CLOSE, square) > 0
         mask &= known
-        if 0.01 <= mask.mean() <= 0.15 and np.mean((columns >= disparity)[mask]) > 0.9:
+        if 0.01 <= mask.mean() <= 0.15 and np.mean(visible[mask]) > 0.9:
             yield mask
 
 
@@ -171,8 +155,7 @@ def _behind(disparity: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[
     far = np.abs(values - depth) < 3
     plane = np.array([0.0, 0.0, depth])
     if np.count_nonzero(far) > 50:
-        system = np.stack([x[far], y[far], np.ones(np.count_nonzero(far))], axis=1)
-        fitted = np.linalg.lstsq(system, values[far], rcond=None)[0]
+        fitted = np.linalg.lstsq(np.stack([x[far], y[far], np.ones(far.sum())], axis=1), values[far], rcond=None)[0]
         plane = fitted if np.abs(fitted[:2]).max() < 0.15 else plane
     rows, columns = np.mgrid[: disparity.shape[0], : disparity.shape[1]]
     behind = plane[0] * columns + plane[1] * rows + plane[2]
@@ -200,8 +183,6 @@ def sparse_samples(
     clustered : samples lie along edges of color, where stereo finds texture: a pixel's chance grows with the 1.5th
         power of the image's gradient; else all pixels are as likely
     """
-    if not (0 <= share <= 1 and 0 <= outliers <= 1 and noise >= 0):
-        raise ValueError(f"want shares in [0, 1] and noise >= 0, got {share}, {outliers}, {noise}")
     rng = np.random.default_rng([seed, 0x5A])
     known = np.flatnonzero(np.isfinite(depth))
     count = min(round(share * depth.size), known.size)
@@ -233,8 +214,6 @@ def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray
     image : (H, W, 3) RGB or (H, W) grey, uint8 or uint16
     speckles : share of the pixels that get a bright projected dot, in [0, 1]; a depth camera's pattern
     """
-    if not 0 <= speckles <= 1:
-        raise ValueError(f"speckles is a share in [0, 1], got {speckles}")
     rng = np.random.default_rng([seed, 0x17])
     top = np.float32(np.iinfo(image.dtype).max)
     light = image.astype(np.float32) / top
@@ -243,22 +222,18 @@ def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray
     height, width = light.shape
     grid = rng.standard_normal((5, 6)).astype(np.float32)
     field = cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC)
-    low, high = float(field.min()), float(field.max())
-    scaled = (field - low) / max(high - low, 1e-6)
+    scaled = (field - field.min()) / max(float(field.max()) - float(field.min()), 1e-6)
     gain = (_GAIN_RANGE[0] + (_GAIN_RANGE[1] - _GAIN_RANGE[0]) * scaled).astype(np.float32)
     result = 255 * np.power(light, np.float32(_GAMMA)) * gain
     if speckles > 0:
         dots = (rng.random((height, width)) < speckles).astype(np.float32)
         result += 400 * cv2.GaussianBlur(dots, (0, 0), 0.7)
     result += _NOISE_SIGMA * rng.standard_normal((height, width), np.float32)
-    return np.asarray(np.clip(np.rint(result), 0, 255), np.uint8)
+    return levels8(result)
 
 
 def cross_modal_pair(
     left: Image, right: Image, seed: int = 0, speckles: float = 0.0
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Return the left picture as grey, the right picture as infrared, (H, W) uint8; see :func:`infrared_like`."""
-    grey = left if left.ndim == 2 else cv2.cvtColor(left, cv2.COLOR_RGB2GRAY)
-    if grey.dtype == np.uint16:
-        grey = ((grey.astype(np.uint32) + 128) // 257).astype(np.uint8)
-    return np.asarray(grey, np.uint8), infrared_like(right, seed, speckles)
+    return StereoPair(left, right).grey8[0], infrared_like(right, seed, speckles)

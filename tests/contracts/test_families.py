@@ -16,7 +16,7 @@ from depthcli.evaluation.protocols import load, missing_scores, picture
 from depthcli.evaluation.scores import MapResult
 from depthcli.io.layouts import own_layouts
 from depthcli.io.walk import discover_scenes
-from depthcli.simulate.samples import SAMPLE_KINDS
+from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes
 from tests.contracts.checks import CHECKS
 from tests.contracts.layouts import check_layout
 
@@ -70,7 +70,7 @@ def test_samples_are_found_with_their_truth_and_are_the_same_again(name: str, tm
     small = {"count": 2, "width": 96, "height": 64, "max_disparity": 12}
     defaults = {key: each.default for key, each in inspect.signature(sample_command).parameters.items()}
     given = {key: small.get(key, defaults[key]) for key in sample.options}
-    scenes, written = sample.scenes(given), []
+    scenes, written = sample_scenes(name, given), []
     for root in (tmp_path / "once", tmp_path / "twice"):
         for scene in scenes:
             (root / scene.name).mkdir(parents=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from depthcli.simulate import textures
-from depthcli.simulate.rendering import Room, Surface, render, rotation, trace
+from depthcli.simulate.rendering import Room, Surface, disparities, render, rotation
 from depthcli.simulate.stereo_scenes import KINDS, Radiometry, SyntheticScene, make_scene
 
 CASES = [(kind, seed) for kind in KINDS for seed in (0, 3)]
@@ -65,14 +65,9 @@ def test_occlusion_is_what_a_left_right_check_finds(scenes, case):
             found[y, x] = neighbors.min() <= d + 0.6
     # The check sees the right view at whole pixels only, so it may differ at outlines.
     assert np.mean(found != scene.nonocc) < (0.016 if case[0] == "street" else 0.012)  # poles are all outline
-    outline = cv2.dilate((~scene.nonocc).astype(np.uint8), np.ones((3, 3))) - cv2.erode(
-        (~scene.nonocc).astype(np.uint8), np.ones((3, 3))
-    )
-    edge = (outline > 0) | (
-        cv2.dilate((~found).astype(np.uint8), np.ones((3, 3))) - cv2.erode((~found).astype(np.uint8), np.ones((3, 3)))
-        > 0
-    )
-    assert not ((found != scene.nonocc) & ~edge).any()
+    edges = (cv2.morphologyEx((~mask).astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3))) > 0
+             for mask in (scene.nonocc, found))  # fmt: skip
+    assert not ((found != scene.nonocc) & ~np.logical_or(*edges)).any()
     assert 0.02 < np.mean(~scene.nonocc) < 0.3
 
 
@@ -151,19 +146,9 @@ def test_radiometry_changes_the_right_view_only_and_as_said():
     assert Radiometry.of_strength(0) == Radiometry()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"kind": "forest"}, "kind"),
-        ({"width": 10}, "16 x 16"),
-        ({"max_disparity": 60}, "max_disparity"),
-        ({"max_disparity": 2}, "max_disparity"),
-        ({"noise": -1}, "noise"),
-        ({"wall_contrast": 2}, "wall_contrast"),
-    ],
-)
-def test_impossible_arguments_are_refused(change, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize("change", [{"width": 10}, {"max_disparity": 60}, {"max_disparity": 2}])
+def test_impossible_sizes_are_refused(change):
+    with pytest.raises(ValueError, match="max_disparity"):
         make_scene(**{"kind": "planes", "width": 96, "height": 72, "max_disparity": 12, **change})
 
 
@@ -205,16 +190,15 @@ def test_a_board_lies_where_pinhole_cameras_see_it():
         Surface("plane", room.at(32, 24, 2), rotation(), np.ones(3), black, unbounded=True),
         Surface("plane", room.at(25.5, 20, 8), rotation(), np.array([10.25, 8, 8]) / 8, white),
     ]
-    for right, shift in ((False, 0), (True, 8)):
-        picture = render(room, [None, None], right, 4)[:, :, 0]
-        seen = picture / picture[20, 20]
+    room.light = np.array([0.0, 0.0, -1e6])  # the same everywhere
+    for right, shift, picture in zip((False, True), (0, 8), render(room, 4), strict=True):
+        seen = picture[:, :, 0] / picture[20, 20, 0]
         # Edges at 15.25 and 35.75, rows 12 and 28: a pixel's value is the share of it that the board covers.
         np.testing.assert_allclose(seen[20, np.array([14, 15, 16, 35, 36, 37]) - shift] > 0, [0, 1, 1, 1, 1, 0])
         assert seen[20, 15 - shift] == pytest.approx(0.25, abs=0.03)
         assert seen[20, 36 - shift] == pytest.approx(0.25, abs=0.03)
         assert seen[12, 20] == pytest.approx(0.5, abs=0.03)
         assert seen[28, 20] == pytest.approx(0.5, abs=0.03)
-        columns, rows = np.arange(64.0)[None], np.arange(48.0)[:, None]
-        depth, owner = trace(room, columns, rows, right)
+        disparity, owner = disparities(room, right)
         np.testing.assert_array_equal(np.flatnonzero(owner[20] == 1), np.arange(16, 36) - shift)
-        np.testing.assert_allclose(room.focal / depth[20], np.where(owner[20] == 1, 8, 2))
+        np.testing.assert_allclose(disparity[20], np.where(owner[20] == 1, 8, 2))
