@@ -78,9 +78,9 @@ def run_batch(
             reporter.data(to_json({"command": batch.command, "scenes": names}) if options.json else lines)
         return 0
     rows = run_scenes(batch, scenes, options.output, how, reporter)
-    for line in batch.notes(rows) if batch.notes is not None else ():
+    for line in batch.notes(scenes, rows):
         reporter.info(f"warning: {line}")
-    problems = batch.problems(rows) if batch.problems is not None else []
+    problems = batch.problems(rows)
     for line in problems:
         reporter.error(line)
     failed = [row for row in rows if row["status"] == "failed"]
@@ -126,7 +126,7 @@ def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: E
         if not scene.problem:
             row["status"] = TO_DO if planner.finished(planner.task(scene, 0))[0] is None else DONE
             try:
-                row["memory"] = None if batch.memory is None else batch.memory(scene)
+                row["memory"] = batch.memory(scene)
             except InputError as error:
                 row |= {"status": BROKEN, "problem": str(error)}
         rows.append(row)

@@ -1,4 +1,4 @@
-"""What ``fuse`` computes of a pair: measures computed here and volumes made elsewhere, fused."""
+"""What ``fuse`` matches a pair by: measures computed here and volumes made elsewhere, fused."""
 
 from __future__ import annotations
 
@@ -8,43 +8,38 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.api.stereo import with_network
+from depthcli.commands._batch import run_batch
 from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.commands._pairs import MatchPairs, batch_of, config_with_calibration, run_batch
+from depthcli.commands._pairs import MatchPairs, pair_config
 from depthcli.commands._scenes import find_scenes
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import map_npy
 from depthcli.io.formats.networks import network_path
 from depthcli.io.scenes.stereo import StereoScene
 from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
 from depthcli.methods.stereo.stages import PairMatcher
-from depthcli.run.batch import Batch
 
 __all__ = ["prepare", "run_batch"]
 
 
 def prepare(
-    config: str,
-    pairs: SceneOptions,
-    run: RunOptions,
-    settings: Sequence[str | tuple[str, str]] | None,
-    maps: Sequence[str] | None = None,
-    **options: Any,
-) -> tuple[Batch[StereoScene], list[StereoScene]]:
+    config: str, pairs: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None, **options: Any
+) -> tuple[Fuse, list[StereoScene]]:
     """Return the batch of ``fuse`` with this config, and the pairs that the command line names."""
-    if maps:
-        raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
-    found = with_network(config_with_calibration("fuse", FuseConfig, config, pairs, settings, **options))
-    scenes = find_scenes((StereoScene,), pairs, run)
-    return batch_of("fuse", FusePairs(found), scenes), scenes
+    found = with_network(pair_config("fuse", FuseConfig, config, pairs, settings, **options))
+    return Fuse(found), find_scenes((StereoScene,), pairs, run)
 
 
 @dataclass(frozen=True)
-class FusePairs(MatchPairs):
-    """Matches one pair by fusion; volumes made elsewhere are read when the pair is matched."""
+class Fuse(MatchPairs):
+    """Matches pairs by fusion; volumes made elsewhere are read when a pair is matched."""
+
+    command = "fuse"
 
     config: FuseConfig
 
     def matcher(self, scene: StereoScene) -> PairMatcher:
+        """Return the fusion, with the volumes of the scene."""
         files = self._volumes(scene)
         if files and self.given_range(scene)[0] != 0:
             raise InputError(f"{scene.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,28 +40,10 @@ from depthcli.io.scenes.stereo import StereoScene
 from depthcli.methods.given_maps import UsesNetworks
 from depthcli.methods.given_maps.fusion import MAX_MAPS
 from depthcli.run.batch import Batch, Outcome
-from depthcli.run.console import SIZE, Column, Reporter, percent
+from depthcli.run.console import SIZE, number, percent
 from depthcli.run.report import read_report
 
 __all__ = ["prepare_fusion", "prepare_judgment", "run_batch"]
-
-
-class FuseMapsOptions(TypedDict):
-    """Options of a run of ``fuse maps``, as ``run.yaml`` holds them; None: not given."""
-
-    max_disparity: int | None
-    within: float
-    surfaces: bool
-
-
-class ConfidenceOptions(TypedDict):
-    """Options of a run of ``confidence``, as ``run.yaml`` holds them; None: not given."""
-
-    max_disparity: int | None
-    within: float
-    keep: float | None
-    threshold: float | None
-    measures: list[str]
 
 
 def prepare_fusion(
@@ -71,29 +54,15 @@ def prepare_fusion(
     within: float,
     surfaces: bool,
     settings: Sequence[str] | None,
-) -> tuple[Batch[MapsScene], list[MapsScene]]:
+) -> tuple[FuseMaps, list[MapsScene]]:
     """Return the batch of ``fuse maps``, and the pairs with their maps."""
     if not 1 <= len(maps) <= MAX_MAPS:
         raise ConfigError(f"--maps: give 1 to {MAX_MAPS} runs or maps (got {len(maps)})")
     unused = [name for name in ("calibration", "unit", "min_disparity") if getattr(pairs, name) is not None]
     if unused or settings:
         raise ConfigError(f"--{(unused or ['set'])[0].replace('_', '-')} does not go with fuse maps")
-    config = FuseMapsOptions(
-        max_disparity=_largest(pairs.max_disparity), within=_checked_within(within), surfaces=surfaces
-    )
-    batch = Batch(
-        command="fuse-maps",
-        config=config,
-        compute=_FuseMaps(config),
-        columns=(SIZE, Column("maps", lambda row: str(row.get("maps", "-"))),
-                 Column("expected right", percent("expected_right")), Column("measured", percent("measured"))),
-        settings=_settings,
-        memory=lambda scene: _memory_for(fusion_of(), scene, config["max_disparity"]),
-        palette=STATUS_PALETTE,
-        shown_as="middlebury-v2",
-        truth_kinds=(StereoScene,),
-    )  # fmt: skip
-    return batch, _find_scenes(pairs, coding, run, maps)
+    config = {"max_disparity": _largest(pairs.max_disparity), "within": within, "surfaces": surfaces}
+    return FuseMaps(config), _find_scenes(pairs, coding, run, maps)
 
 
 def prepare_judgment(
@@ -107,66 +76,86 @@ def prepare_judgment(
     within: float,
     measures: Sequence[str],
     threshold: float | None,
-) -> tuple[Batch[MapsScene], list[MapsScene], ScoredRunOptions]:
+) -> tuple[Confidence, list[MapsScene], ScoredRunOptions]:
     """Return the batch of ``confidence``, the pairs with their maps, and the options without a share in ``--keep``."""
-    share = _share(run.keep)
+    try:
+        share = float(run.keep or "")
+    except ValueError:  # names of files
+        share = None
+    if share is not None and not 0 < share <= 1:
+        raise ConfigError(f"--keep: expected a share above 0 and up to 1, or names of files (got {run.keep!r})")
     if share is not None and threshold is not None:
         raise ConfigError("--keep SHARE and --threshold exclude each other")
     try:
-        names = list(judge_of(_checked_within(within), measures).measures)
+        names = list(judge_of(within, measures).measures)
     except ConfigError as error:
         raise ConfigError(str(error).replace("measures: ", "--measure: ")) from None
-    config = ConfidenceOptions(
-        max_disparity=_largest(max_disparity), within=within, keep=share, threshold=threshold, measures=names
-    )
-    batch = Batch(
-        command="confidence",
-        config=config,
-        compute=_JudgeMaps(config),
-        columns=(SIZE, Column("density", percent("density")), Column("expected right", percent("expected_right")),
-                 Column("hidden", percent("hidden"))),
-        settings=_settings,
-        memory=lambda scene: _memory_for(judge_of(), scene, config["max_disparity"]),
-        palette=STATUS_PALETTE,
-        shown_as="middlebury-v2",
-        truth_kinds=(StereoScene,),
-    )  # fmt: skip
-    scenes = _find_scenes(pairs, coding, run, [maps], witnesses, [right_maps] if right_maps else [])
-    return batch, scenes, run if share is None else replace(run, keep=None)
+    config: dict[str, Any] = {"max_disparity": _largest(max_disparity), "within": within}
+    config |= {"keep": share, "threshold": threshold, "measures": names}
+    scenes = _find_scenes(pairs, coding, run, [maps], witnesses, right_maps)
+    return Confidence(config), scenes, run if share is None else replace(run, keep=None)
 
 
-def _share(text: str | None) -> float | None:
-    """Return ``--keep`` as a share; None where it is the names of files."""
-    try:
-        share = float(text or "")
-    except ValueError:
+def _largest(text: str | None) -> int | None:
+    """Return the largest disparity that the command line gives, or None; ConfigError for what is no number."""
+    if text is None:
         return None
-    if not 0 < share <= 1:
-        raise ConfigError(f"--keep: expected a share above 0 and up to 1, or names of files (got {text!r})")
-    return share
-
-
-def _settings(scene: MapsScene) -> dict[str, str]:
-    """Return by what the maps are read, and the range of the scene."""
-    maps = scene.maps if scene.right_map is None else (*scene.maps, scene.right_map)
-    coding = ", ".join(f"{one.scale} {one.invalid}" for one in maps)
-    return {"max_disparity": str(scene.max_disparity), "coding": coding}
+    if not text.isdigit() or not 1 <= int(text) <= 16383:
+        raise ConfigError(f"--max-disparity: expected a whole number from 1 to 16383 (got {text!r})")
+    return int(text)
 
 
 @dataclass(frozen=True)
-class _FuseMaps:
-    """Fuses the maps of one scene."""
+class _GivenMaps(Batch[MapsScene]):
+    """What both have in common; ``config`` holds the options, None where one is not given."""
 
-    config: FuseMapsOptions
+    palette = STATUS_PALETTE
+    shown_as = "middlebury-v2"
+    truth_kinds = (StereoScene,)
 
-    def __call__(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
-        config, clock = self.config, Clock()
+    config: Mapping[str, Any]
+
+    @abstractmethod
+    def method(self) -> UsesNetworks:
+        """Return what computes a scene."""
+
+    def settings(self, scene: MapsScene) -> dict[str, str]:
+        """Return by what the maps are read, and the range of the scene."""
+        maps = scene.maps if scene.right_map is None else (*scene.maps, scene.right_map)
+        coding = ", ".join(f"{one.scale} {one.invalid}" for one in maps)
+        return {"max_disparity": str(scene.max_disparity), "coding": coding}
+
+    def memory(self, scene: MapsScene) -> int | None:
+        """Estimate by the left image's size; None where the maps give the range."""
+        top = self.max_disparity(scene)
+        return None if top is None else self.method().peak_bytes(image_size(scene.left), top, len(scene.maps))
+
+    def max_disparity(self, scene: MapsScene) -> int | None:
+        """Return the largest disparity that the options or the scene give."""
+        given: int | None = self.config["max_disparity"]
+        return given or scene.max_disparity
+
+
+@dataclass(frozen=True)
+class FuseMaps(_GivenMaps):
+    """Fuses the maps of scenes."""
+
+    command = "fuse-maps"
+    columns = (SIZE, number("maps", "{}"), *map(percent, ("expected_right", "measured")))
+
+    def method(self) -> UsesNetworks:
+        """Return what fuses."""
+        return fusion_of(self.config["within"], self.config["surfaces"])
+
+    def compute(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
+        """Load a pair and its maps, fuse them, save."""
+        clock = Clock()
         clock.start("load")
         pair = scene.load()
         maps = {one.run: _loaded(one, pair.shape) for one in scene.maps}
         clock.start("other")
-        method = fusion_of(config["within"], config["surfaces"])
-        found = fused(method, pair, maps, config["max_disparity"] or scene.max_disparity, memory)
+        method = fusion_of(self.config["within"], self.config["surfaces"])
+        found = fused(method, pair, maps, self.max_disparity(scene), memory)
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder)
@@ -183,25 +172,31 @@ class _FuseMaps:
 
 
 @dataclass(frozen=True)
-class _JudgeMaps:
-    """Judges the map of one scene."""
+class Confidence(_GivenMaps):
+    """Judges the first map of scenes."""
 
-    config: ConfidenceOptions
+    command = "confidence"
+    columns = (SIZE, *map(percent, ("density", "expected_right", "hidden")))
 
-    def __call__(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
-        config, clock = self.config, Clock()
+    def method(self) -> UsesNetworks:
+        """Return what judges."""
+        return judge_of(self.config["within"], self.config["measures"])
+
+    def compute(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
+        """Load a pair and its maps, judge the first, save it with its confidence."""
+        config, clock, top = self.config, Clock(), self.max_disparity(scene)
         clock.start("load")
-        method, top = judge_of(config["within"], config["measures"]), config["max_disparity"] or scene.max_disparity
+        method = judge_of(config["within"], config["measures"])
         if scene.right is None:
             if len(scene.maps) > 1:
                 raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
             left = read_image(scene.left)
-            shape, values = left.shape[:2], _loaded(scene.maps[0], left.shape[:2])
+            values = _loaded(scene.maps[0], left.shape[:2])
             clock.start("other")
             found = judge_by_one_view(method, left, values, top)
         else:
             pair = scene.load()
-            shape, maps = pair.shape, {one.run: _loaded(one, pair.shape) for one in scene.maps}
+            maps = {one.run: _loaded(one, pair.shape) for one in scene.maps}
             right = None if scene.right_map is None else _loaded(scene.right_map, pair.shape)
             clock.start("other")
             found = judge(method, pair, maps, top, right, memory)
@@ -211,8 +206,8 @@ class _JudgeMaps:
         known = np.isfinite(found.values)
         hidden = (found.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
         columns = {
-            "width": shape[1],
-            "height": shape[0],
+            "width": found.values.shape[1],
+            "height": found.values.shape[0],
             "max_disparity": found.max_disparity,
             "density": round(float(np.isfinite(found.kept(config["keep"], config["threshold"])).mean()), 6),
             "expected_right": round(float(found.probability[known].mean()), 6) if known.any() else None,
@@ -222,13 +217,23 @@ class _JudgeMaps:
         return Outcome(columns, clock.seconds, [*absent, *found.warnings])
 
 
+def _loaded(one: GivenMap, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return a map; InputError where it cannot be read or has another size than the images."""
+    values = one.load()
+    if values.shape != shape:
+        raise InputError(
+            f"{one.path}: {values.shape[1]} x {values.shape[0]}, but the images are {shape[1]} x {shape[0]}"
+        )
+    return values
+
+
 def _find_scenes(
     pairs: PairOptions,
     coding: CodingOptions,
     run: RunOptions,
     first: Sequence[str],
     others: Sequence[str] = (),
-    right: Sequence[str] = (),
+    right: str | None = None,
 ) -> list[MapsScene]:
     """Return the scenes that the command line names, with their maps.
 
@@ -236,7 +241,7 @@ def _find_scenes(
     ----------
     first : places of the runs of which a scene needs one map at least
     others : places of further runs, whose maps may be absent
-    right : place of the run with maps of the right views; none or one
+    right : place of the run with maps of the right views
 
     Raises
     ------
@@ -244,8 +249,8 @@ def _find_scenes(
         As :func:`depthcli.commands._scenes.find_scenes`; no such run, or several files may be its maps.
     """
     places = find_runs([*first, *others])
-    own = dict(list(places.items())[: len(first)])
-    rights = find_runs(right) if right else {}
+    own = list(places)[: len(first)]
+    rights = find_runs([right]) if right else {}
     coded = {**rights, **places}
     pattern, patterns = by_run("--pattern", coding.pattern or [], coded, pattern_of)
     scale, scales = by_run("--scale", coding.scale or [], coded, positive)
@@ -257,72 +262,46 @@ def _find_scenes(
         for scene, name in zip(scenes, short, strict=True)
     }
     known: MapFiles = DisparityFiles()
-    options = {
-        name: MapNaming(patterns.get(name) or pattern or "", scales.get(name, scale), invalids.get(name, invalid))
-        for name in coded
-    }
-    for name, place in places.items():
-        if os.path.isfile(place) and len(scenes) > 1:
-            raise ConfigError(f"{place}: one map for {len(scenes)} scenes; give the folder of their maps")
-        options[name] = _recognized(name, place, options[name], scenes, names, run.reporter)
     right_files = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right", "{scene}"), known.suffixes)
-    found = []
+
+    def naming_of(name: str, usual: str) -> MapNaming:
+        return MapNaming(patterns.get(name, usual), scales.get(name, scale), invalids.get(name, invalid))
+
+    naming = {name: naming_of(name, pattern or "") for name in places}
+    for name, place in places.items():
+        if os.path.isfile(place):
+            if len(scenes) > 1:
+                raise ConfigError(f"{place}: one map for {len(scenes)} scenes; give the folder of their maps")
+        elif not read_report(place):  # maps of another program, which may have names of their own
+            found = _recognized(name, place, naming[name], scenes, names)
+            if found != naming[name]:
+                run.reporter.info(f"{name}: taken as its maps: {found.pattern} (--pattern says otherwise)")
+            naming[name] = found
+
+    def map_of(scene: StereoScene, name: str, place: Path, how: MapNaming, usual: MapFiles) -> GivenMap | None:
+        path = place if os.path.isfile(place) else how.files(usual).find(place, names[scene.name])
+        return None if path is None else GivenMap(name, path, how.scale, how.invalid)
+
+    made = []
     for scene in scenes:
-        maps, absent = [], []
-        for name, place in places.items():
-            path = _file(place, options[name].files(known), names[scene.name])
-            if path is None:
-                absent.append(name)
-            else:
-                maps.append(GivenMap(name, path, options[name].scale, options[name].invalid))
+        maps = {name: map_of(scene, name, place, naming[name], known) for name, place in places.items()}
+        other = {name: map_of(scene, name, at, naming_of(name, ""), right_files) for name, at in rights.items()}
+        absent = [name for name, one in maps.items() if one is None]
+        absent += [f"{name} (right view)" for name, one in other.items() if one is None]
         problem = ""
-        if not any(one.run in own for one in maps):
-            where = ", ".join(str(place) for place in own.values())
+        if all(maps[name] is None for name in own):
+            where = ", ".join(str(places[name]) for name in own)
             problem = f"{where}: no map of scene {scene.name}{known.searched(names[scene.name])}"
-        other = None
-        for name, place in rights.items():
-            how = MapNaming(patterns.get(name, ""), options[name].scale, options[name].invalid)
-            path = _file(place, how.files(right_files), names[scene.name])
-            if path is None:
-                absent.append(f"{name} (right view)")
-            else:
-                other = GivenMap(name, path, how.scale, how.invalid)
-        found.append(MapsScene.of(scene, tuple(maps), other, tuple(absent), problem))
-    return found
-
-
-def _largest(text: str | None) -> int | None:
-    """Return the largest disparity that the command line gives, or None; ConfigError for what is no number."""
-    if text is None:
-        return None
-    if not text.isdigit() or not 1 <= int(text) <= 16383:
-        raise ConfigError(f"--max-disparity: expected a whole number from 1 to 16383 (got {text!r})")
-    return int(text)
-
-
-def _checked_within(within: float) -> float:
-    if not 0.25 <= within <= 8:
-        raise ConfigError(f"--within: expected 0.25 to 8 pixels (got {within:g})")
-    return within
-
-
-def _file(place: Path, files: MapFiles, names: Sequence[str]) -> Path | None:
-    return place if os.path.isfile(place) else files.find(place, names)
+        there = tuple(one for one in maps.values() if one is not None)
+        made.append(MapsScene.of(scene, there, next(iter(other.values()), None), tuple(absent), problem))
+    return made
 
 
 def _recognized(
-    run: str,
-    place: Path,
-    options: MapNaming,
-    scenes: Sequence[StereoScene],
-    names: dict[str, list[str]],
-    reporter: Reporter,
+    run: str, place: Path, naming: MapNaming, scenes: Sequence[StereoScene], names: Mapping[str, Sequence[str]]
 ) -> MapNaming:
-    # The options with the pattern of the maps of a run that holds none under a usual name.
-    if not os.path.isdir(place) or read_report(place):
-        return options
+    """Return the naming with the pattern of the maps of a run that holds none under a usual name."""
     usable = {scene.name: scene for scene in scenes if not scene.problem}
-    protocol = protocols.load("middlebury-v2")()
 
     def fits(name: str, path: Path, tried: MapNaming) -> bool:
         with collected_warnings():
@@ -332,23 +311,5 @@ def _recognized(
             except DepthcliError:
                 return False
 
-    found = recognized(run, place, options, {name: (protocol.files, names[name]) for name in usable}, fits)
-    if found != options:
-        reporter.info(f"{run}: taken as its maps: {found.pattern} (--pattern says otherwise)")
-    return found
-
-
-def _memory_for(method: UsesNetworks, scene: MapsScene, max_disparity: int | None) -> int | None:
-    """Estimate the memory for a scene by the left image's size; None where the maps give the range."""
-    top = max_disparity or scene.max_disparity
-    return None if top is None else method.peak_bytes(image_size(scene.left), top, len(scene.maps))
-
-
-def _loaded(one: GivenMap, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return a map; InputError where it cannot be read or has another size than the images."""
-    values = one.load()
-    if values.shape != shape:
-        raise InputError(
-            f"{one.path}: {values.shape[1]} x {values.shape[0]}, but the images are {shape[1]} x {shape[0]}"
-        )
-    return values
+    usual = protocols.load("middlebury-v2")().files
+    return recognized(run, place, naming, {name: (usual, names[name]) for name in usable}, fits)

@@ -46,7 +46,7 @@ MaxDisparityOption: TypeAlias = Annotated[
     str | None, Option(metavar="N", help="Largest disparity searched, or auto: by key points.")
 ]
 WithinOption: TypeAlias = Annotated[
-    float, Option(metavar="PX", help="Error up to which a value of a given map is right, pixels.")
+    float, Option(metavar="PX", min=0.25, max=8, help="Error up to which a value of a given map is right, pixels.")
 ]
 DepthScaleOption: TypeAlias = Annotated[float | None, Option(metavar="CODES", help="Codes a meter of the depth files.")]
 HtmlOption: TypeAlias = Annotated[bool, Option("--html", help="Also write evaluation/report.html.")]

@@ -1,9 +1,10 @@
-"""What ``stereo`` computes of a pair: load or rectify it, find its search range, match it, write map and status."""
+"""What ``stereo`` and ``fuse`` compute of a pair: load or rectify it, find its range, match it, save it."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from abc import abstractmethod
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,46 +12,31 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from depthcli.api.matching import device_of, limits_of, match_pair, partly_used, read_rig, with_address
-from depthcli.commands._batch import config_of, run_batch
-from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.commands._rectified import check_unit, rectified_pair, sequence_range
-from depthcli.commands._scenes import find_scenes
+from depthcli.api.matching import limits_of, match_pair, partly_used, read_rig
+from depthcli.commands._batch import config_of
+from depthcli.commands._options import SceneOptions
+from depthcli.commands._rectify import calibration_files, check_unit, rectified_pair, sequence_range
 from depthcli.core.errors import ConfigError
 from depthcli.core.maps import Status
-from depthcli.core.method import device_implementation_of, used_files
 from depthcli.core.result import Clock
 from depthcli.core.scene import current_scene
 from depthcli.device import Device
 from depthcli.io.formats.images import image_size
 from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.methods.stereo.config import PairConfig, StereoConfig
-from depthcli.methods.stereo.matching import Limits, host_bytes
+from depthcli.methods.stereo.config import PairConfig
+from depthcli.methods.stereo.matching import host_bytes
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.batch import Batch, Outcome
-from depthcli.run.console import SIZE, Column, percent
+from depthcli.run.console import SIZE, percent
 from depthcli.run.json_csv import Row
-
-__all__ = ["MatchPairs", "batch_of", "config_with_calibration", "prepare", "run_batch"]
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
 _REASONS = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
-# Each reason, alone and filled.
-_LEGEND = (0, int(Status.SMOOTHED), *_REASONS, *(bit | int(Status.FILLED) for bit in _REASONS))
 
 
-def prepare(
-    config: str, pairs: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None, **options: Any
-) -> tuple[Batch[StereoScene], list[StereoScene]]:
-    """Return the batch of ``stereo`` with this config, and the pairs that the command line names."""
-    found = with_address(config_with_calibration("stereo", StereoConfig, config, pairs, settings, **options))
-    scenes = find_scenes((StereoScene,), pairs, run)
-    return batch_of("stereo", MatchPairs(found), scenes), scenes
-
-
-def config_with_calibration(
+def pair_config(
     command: str,
     model: type[PairConfigT],
     config: str,
@@ -72,59 +58,44 @@ def config_with_calibration(
     return found
 
 
-def batch_of(command: str, match: MatchPairs, scenes: Sequence[StereoScene]) -> Batch[StereoScene]:
-    """Return the batch of a command that matches pairs."""
-    return Batch(
-        command=command,
-        config=match.config,
-        compute=match,
-        columns=(SIZE, Column("density", percent("density")), Column("measured", percent("measured"))),
-        files=match.files,
-        settings=match.settings,
-        memory=match.memory,
-        notes=lambda rows: _unknown_ranges(match.config, scenes, rows),
-        palette=STATUS_PALETTE,
-        legend=_LEGEND,
-        shown_as="middlebury-v2",
-    )
-
-
 @dataclass(frozen=True)
-class MatchPairs:
-    """Matches one pair and writes the left view's map."""
+class MatchPairs(Batch[StereoScene]):
+    """Matches pairs and writes the left view's maps; a command says by what."""
+
+    columns = (SIZE, *map(percent, ("density", "measured")))
+    palette = STATUS_PALETTE
+    # Each reason, alone and filled.
+    legend = (0, int(Status.SMOOTHED), *_REASONS, *(bit | int(Status.FILLED) for bit in _REASONS))
+    shown_as = "middlebury-v2"
 
     config: PairConfig
 
+    @abstractmethod
     def matcher(self, scene: StereoScene) -> PairMatcher:
         """Return what matches the scene's pair."""
-        assert isinstance(self.config, StereoConfig)
-        return self.config.pipeline
 
     def device(self) -> Device | None:
         """Return the device to match on, None for the processor."""
-        return device_of(self.config) if isinstance(self.config, StereoConfig) else None
+        return None
 
-    def limits(self, memory: int) -> Limits:
-        """Return where a pair may be matched, and in how much memory."""
-        return limits_of(self.config, memory, self.device())
+    def device_column(self) -> Row:
+        """Return what the report says of the device."""
+        return {}
 
     def memory(self, scene: StereoScene) -> int | None:
         """Estimate by the left image's size; None where key points give the range."""
         low, top = self.given_range(scene)
         if not (isinstance(low, int) and isinstance(top, int)):
             return None
-        return host_bytes(self.matcher(scene), image_size(scene.left), top - low, self.limits(0))
+        limits = limits_of(self.config, 0, self.device())
+        return host_bytes(self.matcher(scene), image_size(scene.left), top - low, limits)
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
         """Return the files of the pair, the calibration that rectifies it, and the frames that give its range."""
-        names = () if self.config.calibration is None else self.config.calibration.files
-        frames = {
-            f"range_{k}_{role}": file
-            for k, frame in enumerate(self.range_frames(scene))
-            for role, file in frame.input_files.items()
-        }
-        calibrations = {f"calibration_{k}": Path(name) for k, name in enumerate(names)}
-        return scene.input_files | used_files(self.config) | calibrations | frames
+        files = scene.input_files | calibration_files(self.config.calibration)
+        for k, frame in enumerate(self.range_frames(scene)):
+            files |= {f"range_{k}_{role}": file for role, file in frame.input_files.items()}
+        return files
 
     def settings(self, scene: StereoScene) -> dict[str, str]:
         """Return the search range, which may come from a file beside the images."""
@@ -149,13 +120,11 @@ class MatchPairs:
         that of each pair by itself.
         """
         config = self.config
-        if "auto" in (config.min_disparity, config.max_disparity):
-            return ()
-        if config.max_disparity is not None or scene.max_disparity is not None:
+        if config.max_disparity is not None or config.min_disparity == "auto" or scene.max_disparity is not None:
             return ()
         return scene.sequence if config.calibration is not None or scene.frame_number is not None else ()
 
-    def __call__(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Match one pair: load or rectify, search range, match, save.
 
         Raises
@@ -164,20 +133,22 @@ class MatchPairs:
             The images cannot be used, too few key points match where they give the range, or ``memory`` is too little.
         """
         config, clock, facts, warnings = self.config, Clock(), dict[str, Any](), list[str]()
-        matcher, limits = self.matcher(scene), self.limits(memory)
-        known = save = None
+        matcher, limits = self.matcher(scene), limits_of(config, memory, self.device())
+        known = None
         if frames := self.range_frames(scene):
             clock.start("range")
             known = sequence_range(config.calibration, frames)
-        if config.calibration is None:
-            clock.start("load")
-            pair = scene.load()
-            if scene.right is not None and scene.frame_number is None:
-                current_scene().originals = pair, (scene.left, scene.right)
-        else:
-            clock.start("rectify")
-            pair, save, facts, warnings = rectified_pair(config.calibration, scene, folder)
-        with _meanwhile(save):
+        with contextlib.ExitStack() as side_work:
+            if config.calibration is None:
+                clock.start("load")
+                pair = scene.load()
+                if scene.right is not None and scene.frame_number is None:
+                    current_scene().originals = pair, (scene.left, scene.right)
+            else:
+                clock.start("rectify")
+                pair, save, facts, warnings = rectified_pair(config.calibration, scene, folder)
+                saved = side_work.enter_context(ThreadPoolExecutor(1)).submit(save)  # while the pair is matched
+                side_work.callback(saved.result)
             found = match_pair(matcher, pair, self.given_range(scene), limits, clock, known)
         clock.start("save")
         found.save(folder)
@@ -193,43 +164,20 @@ class MatchPairs:
             "measured": round(float(np.mean(found.measured)), 6),
             **({"bits": pair.bits} if partly_used(pair) else {}),
             **{name: float(value) for name, value in found.details.figures.items()},
-            **self._device_columns(),
+            **self.device_column(),
         }
         return Outcome(columns, clock.seconds, [*warnings, *found.warnings])
 
-    def _device_columns(self) -> dict[str, str]:
-        """Return the device, where the config names one."""
-        config, device = self.config, self.device()
-        if not isinstance(config, StereoConfig) or config.device == "cpu":
-            return {}
-        if device is None:
-            return {"device": config.device}
-        where = f"{device.info.address}, {device.info.name}"
-        if device_implementation_of(config.pipeline) is None:
-            where = f"cpu: {config.pipeline.method_name()} has no kernels for {where}"
-        return {"device": where}
-
-
-def _unknown_ranges(config: PairConfig, scenes: Sequence[StereoScene], rows: Sequence[Row]) -> list[str]:
-    """Return a line with the search range of scenes for which neither the config nor their files give one."""
-    if config.max_disparity is not None or config.calibration is not None:
-        return []
-    unknown = {scene.name for scene in scenes if not scene.problem and scene.max_disparity is None}
-    ends = [row["max_disparity"] for row in rows if row["scene"] in unknown and "max_disparity" in row]
-    if not ends:
-        return []
-    which = "the search range is" if len(ends) == 1 else f"the search ranges of {len(ends)} scenes are"
-    span = f"{ends[0]}" if len(set(ends)) == 1 else f"{min(ends)} to {max(ends)}"
-    return [f"{which} not known: --max-disparity auto was taken, which gives {span} px (max_disparity in report.csv)"]
-
-
-@contextlib.contextmanager
-def _meanwhile(task: Callable[[], None] | None) -> Iterator[None]:
-    """Do ``task`` in another thread while the block runs; raise its exception at the end of the block."""
-    if task is None:
-        yield
-        return
-    with ThreadPoolExecutor(1) as pool:
-        done = pool.submit(task)
-        yield
-        done.result()
+    def notes(self, scenes: Sequence[StereoScene], rows: Sequence[Row]) -> list[str]:
+        """Return a line with the search range of scenes for which neither the config nor their files give one."""
+        if self.config.max_disparity is not None or self.config.calibration is not None:
+            return []
+        unknown = {scene.name for scene in scenes if not scene.problem and scene.max_disparity is None}
+        ends = [row["max_disparity"] for row in rows if row["scene"] in unknown and "max_disparity" in row]
+        if not ends:
+            return []
+        which = "the search range is" if len(ends) == 1 else f"the search ranges of {len(ends)} scenes are"
+        span = f"{ends[0]}" if len(set(ends)) == 1 else f"{min(ends)} to {max(ends)}"
+        return [
+            f"{which} not known: --max-disparity auto was taken, which gives {span} px (max_disparity in report.csv)"
+        ]

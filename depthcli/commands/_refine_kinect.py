@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -28,16 +28,17 @@ from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts import Folder
 from depthcli.io.layouts.depth import cameras
-from depthcli.io.scenes import Scene
 from depthcli.io.scenes.rgbd import RgbdScene, SequenceScene, sequences
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import SequencePipeline, frame_by_frame
 from depthcli.run.batch import Batch, Outcome
-from depthcli.run.console import SIZE, Column, percent
+from depthcli.run.console import SIZE, percent
 from depthcli.run.json_csv import Row
 from depthcli.run.resources import check_memory
 
 __all__ = ["prepare", "run_batch"]
+
+FrameOrSequence: TypeAlias = RgbdScene | SequenceScene
 
 
 def prepare(
@@ -48,7 +49,7 @@ def prepare(
     intrinsics: str | None = None,
     depth_intrinsics: str | None = None,
     **options: Any,
-) -> tuple[Batch[Scene], list[Scene]]:
+) -> tuple[RefineKinect, list[FrameOrSequence]]:
     """Return the batch of ``refine-kinect`` with this config, and the frames or sequences that the options name."""
     if intrinsics is not None:
         _camera("--intrinsics", intrinsics)
@@ -56,41 +57,21 @@ def prepare(
     found = config_of("refine-kinect", RefineKinectConfig, config, settings, **options)
     check_limits(found.near, found.far)
     parse_mask(found.mask)  # a wrong share is an error before any frame is opened
-    scenes: list[Scene] = list(_frames(found, find_scenes((RgbdScene,), frames, run), frames, depth_intrinsics))
-    own = [scene for scene in scenes if isinstance(scene, RgbdScene) and not (scene.problem or scene.raw)]
+    scenes = find_scenes((RgbdScene,), frames, run)
+    if getattr(frames, "color", None) is not None:  # the cameras may lie in a meta.json beside the files
+        scenes = [replace(s, **cameras(Folder(s.folder, s.name, "", "").meta)) for s in scenes]
+    if depth_intrinsics is not None:
+        camera = _camera("--depth-intrinsics", depth_intrinsics)
+        scenes = [s if s.raw else replace(s, depth_intrinsics=camera) for s in scenes]
+    own = [scene for scene in scenes if not (scene.problem or scene.raw)]
     n_without = sum(frame.intrinsics is None for frame in own)
     if found.ply and found.intrinsics is None and n_without:
         run.reporter.info(
             f"warning: {n_without} of {len(own)} frames have no intrinsics; point clouds take those of a "
             "typical Kinect (fx, fy 525 at a width of 640); see --intrinsics, or meta.json"
         )
-    if isinstance(found.pipeline, SequencePipeline):
-        scenes = list(sequences(scenes))
-    refine = _Refine(found)
-    batch = Batch(
-        command="refine-kinect",
-        config=found,
-        compute=refine,
-        columns=(SIZE, *(Column(name, percent(name)) for name in ("known", "kept", "filled", "corrected"))),
-        settings=refine.settings,
-        memory=refine.memory,
-        palette=DEPTH_STATUS_PALETTE,
-        shown_as="depth",
-        truth_kinds=(RgbdScene,),  # the truth of a sequence is that of its frames
-    )
-    return batch, scenes
-
-
-def _frames(
-    config: RefineKinectConfig, scenes: Sequence[RgbdScene], source: SceneOptions, depth_intrinsics: str | None
-) -> list[RgbdScene]:
-    """Return the frames with what the options say of their cameras."""
-    if getattr(source, "color", None) is not None:  # the cameras may lie in a meta.json beside the files
-        scenes = [replace(s, **cameras(Folder(s.folder, s.name, "", "").meta)) for s in scenes]
-    if depth_intrinsics is not None:
-        camera = _camera("--depth-intrinsics", depth_intrinsics)
-        scenes = [s if s.raw else replace(s, depth_intrinsics=camera) for s in scenes]
-    return list(scenes)
+    units = sequences(scenes) if isinstance(found.pipeline, SequencePipeline) else scenes
+    return RefineKinect(found), cast("list[FrameOrSequence]", units)
 
 
 def _camera(option: str, text: str) -> tuple[float, float, float, float]:
@@ -105,111 +86,101 @@ def _camera(option: str, text: str) -> tuple[float, float, float, float]:
 
 
 @dataclass(frozen=True)
-class _Refine:
-    """Refines a frame, or the frames of a sequence in order."""
+class RefineKinect(Batch[FrameOrSequence]):
+    """Refines frames, or the frames of sequences in order."""
+
+    command = "refine-kinect"
+    columns = (SIZE, *map(percent, ("known", "kept", "filled", "corrected")))
+    palette = DEPTH_STATUS_PALETTE
+    shown_as = "depth"
+    truth_kinds = (RgbdScene,)  # the truth of a sequence is that of its frames
 
     config: RefineKinectConfig
 
-    def settings(self, scene: Scene) -> dict[str, str]:
-        first = _first_frame(scene)
-        if first is None:
-            return {}
+    def settings(self, scene: FrameOrSequence) -> dict[str, str]:
+        """Return what the layout or the options say of the cameras."""
+        frames = scene.frames if isinstance(scene, SequenceScene) else (scene,)
+        first = frames[0]
         scale = self.config.depth_scale or first.depth_scale
         found = {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
         if first.depth_intrinsics is not None:
             found["depth_camera"] = f"{first.depth_intrinsics} {first.depth_to_color}"
-        frames = scene.frames if isinstance(scene, SequenceScene) else ()
-        if any(frame.pose is not None for frame in frames):
+        if isinstance(scene, SequenceScene) and any(frame.pose is not None for frame in frames):
             found["poses"] = hashlib.sha256(repr([frame.pose for frame in frames]).encode()).hexdigest()[:16]
         return found
 
-    def memory(self, scene: Scene) -> int | None:
-        first = _first_frame(scene)
-        return None if first is None else self.config.pipeline.peak_bytes(first.frame_size())
+    def memory(self, scene: FrameOrSequence) -> int:
+        """Estimate by the size of the image, or of the first one."""
+        first = scene.frames[0] if isinstance(scene, SequenceScene) else scene
+        return self.config.pipeline.peak_bytes(first.frame_size())
 
-    def __call__(self, scene: Scene, folder: Path, memory: int) -> Outcome:
-        if isinstance(scene, SequenceScene):
-            return _refine_sequence(self.config, scene, folder, memory)
-        assert isinstance(scene, RgbdScene)
-        return _refine_frame(self.config, scene, folder, memory, lambda frame: self.config.pipeline(frame))
+    def compute(self, scene: FrameOrSequence, folder: Path, memory: int) -> Outcome:
+        """Refine a frame; or the frames of a sequence, each into a folder, with means of their facts."""
+        if isinstance(scene, RgbdScene):
+            return self._frame(scene, folder, memory, lambda frame: self.config.pipeline(frame))
+        step = frame_by_frame(self.config.pipeline)
+        outcomes: list[Outcome] = []
+        problems = []
+        for frame in scene.frames:
+            target = folder / frame.name.rpartition("/")[2]
+            try:
+                target.mkdir()
+                outcomes.append(self._frame(frame, target, memory, step))
+            except DepthcliError as error:  # the other frames are written; the state is kept across the gap
+                target.rmdir()
+                problems.append(f"{frame.name}: {error}")
+        if not outcomes:
+            raise InputError(problems[0])
+        facts = {"frames": len(outcomes), "frames_failed": len(problems), **outcomes[0].facts}
+        for key, value in outcomes[0].facts.items():
+            if isinstance(value, float):
+                facts[key] = round(sum(each.facts[key] for each in outcomes) / len(outcomes), 6)
+        if "motion" in facts:
+            runs = itertools.groupby(each.facts["motion"] for each in outcomes)
+            facts["motion"] = ", ".join(f"{len(list(run))} {motion}" for motion, run in runs)
+        seconds = {key: sum(each.seconds.get(key, 0.0) for each in outcomes) for key in outcomes[0].seconds}
+        warnings = [line for each in outcomes for line in each.warnings]
+        return Outcome(facts, seconds, [*problems, *dict.fromkeys(warnings)])
 
-
-def _first_frame(scene: Scene) -> RgbdScene | None:
-    first = scene.frames[0] if isinstance(scene, SequenceScene) else scene
-    return first if isinstance(first, RgbdScene) else None
-
-
-def _refine_sequence(config: RefineKinectConfig, scene: SequenceScene, folder: Path, memory: int) -> Outcome:
-    """Refine the frames in order, each into a folder of its own; return means of their facts and sums of seconds."""
-    step = frame_by_frame(config.pipeline)
-    outcomes: list[Outcome] = []
-    problems = []
-    for frame in scene.frames:
-        target = folder / frame.name.rpartition("/")[2]
-        try:
-            target.mkdir()
-            outcomes.append(_refine_frame(config, frame, target, memory, step))
-        except DepthcliError as error:  # the other frames are written; the state is kept across the gap
-            target.rmdir()
-            problems.append(f"{frame.name}: {error}")
-    if not outcomes:
-        raise InputError(problems[0])
-    facts = {"frames": len(outcomes), "frames_failed": len(problems), **outcomes[0].facts}
-    for key, value in outcomes[0].facts.items():
-        if isinstance(value, float):
-            facts[key] = round(sum(each.facts[key] for each in outcomes) / len(outcomes), 6)
-    if "motion" in facts:
-        runs = itertools.groupby(each.facts["motion"] for each in outcomes)
-        facts["motion"] = ", ".join(f"{len(list(run))} {motion}" for motion, run in runs)
-    seconds = {key: sum(each.seconds.get(key, 0.0) for each in outcomes) for key in outcomes[0].seconds}
-    warnings = [line for each in outcomes for line in each.warnings]
-    return Outcome(facts, seconds, [*problems, *dict.fromkeys(warnings)])
-
-
-def _refine_frame(
-    config: RefineKinectConfig,
-    scene: RgbdScene,
-    folder: Path,
-    memory: int,
-    refine: Callable[[RgbdFrame], DepthResult],
-) -> Outcome:
-    clock = Clock()
-    clock.start("load")
-    if config.depth_scale is not None and not scene.raw:
-        scene = replace(scene, depth_scale=config.depth_scale)
-    if config.intrinsics is not None and not scene.raw:
-        scene = replace(scene, intrinsics=config.intrinsics)
-    frame = scene.load()
-    height, width = frame.shape
-    check_memory(config.pipeline.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
-    found = refined_frame(config, frame, refine, clock, scene.depth_scale, 3 if scene.rotated else 0)
-    clock.start("save")
-    found.save(folder)
-    facts: Row = {
-        "width": width,
-        "height": height,
-        "known": share(np.isfinite(frame.depth)),
-        "kept": share(found.kept),
-        "filled": share(found.filled),
-        "corrected": share(found.corrected),
-        **{
-            bit.name.lower(): share((found.status & bit) != 0)
-            for bit in DepthStatus
-            if bit and bit.name and bit != DepthStatus.SAMPLED
-        },
-        "density": round(found.density, 6),
-        **{name: float(value) for name, value in found.details.figures.items()},
-        **found.details.words,
-    }
-    if frame.interpolated or scene.depth_intrinsics is not None:
-        facts["registered"] = "by both cameras" if scene.depth_intrinsics else "assumed"
-    warnings = [] if scene.raw else _scale_warnings(scene, frame)
-    _, beyond = beyond_png(found.values, scene.depth_scale)
-    warnings += [f"{beyond}; see --depth-scale"] if beyond else []
-    if found.cloud is not None:
-        facts["intrinsics"] = "of the camera" if frame.intrinsics else "typical"
-        warnings += empty_cloud(found.values, found.cloud)
-    return Outcome(facts, clock.seconds, warnings)
+    def _frame(
+        self, scene: RgbdScene, folder: Path, memory: int, refine: Callable[[RgbdFrame], DepthResult]
+    ) -> Outcome:
+        config, clock = self.config, Clock()
+        clock.start("load")
+        if not scene.raw:
+            scale, intrinsics = config.depth_scale or scene.depth_scale, config.intrinsics or scene.intrinsics
+            scene = replace(scene, depth_scale=scale, intrinsics=intrinsics)
+        frame = scene.load()
+        height, width = frame.shape
+        check_memory(config.pipeline.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
+        found = refined_frame(config, frame, refine, clock, scene.depth_scale, 3 if scene.rotated else 0)
+        clock.start("save")
+        found.save(folder)
+        facts: Row = {
+            "width": width,
+            "height": height,
+            "known": share(np.isfinite(frame.depth)),
+            "kept": share(found.kept),
+            "filled": share(found.filled),
+            "corrected": share(found.corrected),
+            **{
+                bit.name.lower(): share((found.status & bit) != 0)
+                for bit in DepthStatus
+                if bit and bit.name and bit != DepthStatus.SAMPLED
+            },
+            "density": round(found.density, 6),
+            **{name: float(value) for name, value in found.details.figures.items()},
+            **found.details.words,
+        }
+        if frame.interpolated or scene.depth_intrinsics is not None:
+            facts["registered"] = "by both cameras" if scene.depth_intrinsics else "assumed"
+        warnings = [] if scene.raw else _scale_warnings(scene, frame)
+        _, beyond = beyond_png(found.values, scene.depth_scale)
+        warnings += [f"{beyond}; see --depth-scale"] if beyond else []
+        if found.cloud is not None:
+            facts["intrinsics"] = "of the camera" if frame.intrinsics else "typical"
+            warnings += empty_cloud(found.values, found.cloud)
+        return Outcome(facts, clock.seconds, warnings)
 
 
 def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:

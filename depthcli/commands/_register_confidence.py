@@ -17,7 +17,7 @@ from depthcli.io.formats.volumes import written_suffix
 from depthcli.io.scenes.volume_pair import VolumePairScene
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.run.batch import Batch, Outcome
-from depthcli.run.console import Column, percent
+from depthcli.run.console import Column, number, percent
 from depthcli.run.json_csv import Row
 
 __all__ = ["prepare", "run_batch"]
@@ -31,49 +31,50 @@ def prepare(
     run: RunOptions,
     settings: Sequence[str | tuple[str, str]] | None,
     **options: Any,
-) -> tuple[Batch[VolumePairScene], list[VolumePairScene]]:
+) -> tuple[RegisterConfidence, list[VolumePairScene]]:
     """Return the batch of the command with this config, and the pairs that the command line names."""
     found = config_of("register-confidence", RegisterConfidenceConfig, config, settings, **options)
-    scenes = find_scenes((VolumePairScene,), volumes, run)
-    measure = _Measure(found)
-    columns = (
-        Column("size", lambda row: f"{row['width']}x{row['height']}x{row['slices']}" if "slices" in row else "-"),
-        _number("mean mm", "inside_mean", 2),
-        _number("95 % mm", "inside_95", 1),
-        _number("largest mm", "inside_max", 1),
-        _number("above 3 mm, mL", "above_3mm", 1),
-        Column("center, LPS", _center),
-        Column("at border", percent("border")),
-    )
-    batch = Batch(
-        command="register-confidence",
-        config=found,
-        compute=measure,
-        columns=columns,
-        settings=measure.settings,
-        memory=measure.memory,
-        notes=lambda rows: _unnumbered_labels(scenes, rows),
-        problems=_left_out,
-        shown_as="registration",
-        page_columns=tuple(column for column in columns if column.title not in ("mean mm", "95 % mm")),
-    )
-    return batch, scenes
+    return RegisterConfidence(found), find_scenes((VolumePairScene,), volumes, run)
+
+
+def _size(row: Row) -> str:
+    return f"{row['width']}x{row['height']}x{row['slices']}" if "slices" in row else "-"
+
+
+def _center(row: Row) -> str:
+    place = [row.get(f"above_{axis}") for axis in "xyz"]
+    return " ".join(f"{value:.0f}" for value in place if isinstance(value, int | float)) or "-"
 
 
 @dataclass(frozen=True)
-class _Measure:
-    """Computes confidence, expected error and, where matches are searched for, shift of one pair."""
+class RegisterConfidence(Batch[VolumePairScene]):
+    """Computes confidence, expected error and, where matches are searched for, shift of pairs."""
+
+    command = "register-confidence"
+    columns = (
+        Column("size", _size),
+        number("inside_mean", "{:.2f}", "mean mm"),
+        number("inside_95", "{:.1f}", "95 % mm"),
+        number("inside_max", "{:.1f}", "largest mm"),
+        number("above_3mm", "{:.1f}", "above 3 mm, mL"),
+        Column("center, LPS", _center),
+        percent("border", "at border"),
+    )
+    page_columns = (columns[0], *columns[3:])
+    shown_as = "registration"
 
     config: RegisterConfidenceConfig
 
     def memory(self, scene: VolumePairScene) -> int:
+        """Estimate by the size that the fixed volume says."""
         return peak_bytes(self.config, *scene.size(self.config.pipeline.voxel_limit))
 
     def settings(self, scene: VolumePairScene) -> dict[str, str]:
         """Return the names of the labels of label maps."""
         return {"labels": f"{scene.labels}"} if scene.labels else {}
 
-    def __call__(self, scene: VolumePairScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: VolumePairScene, folder: Path, memory: int) -> Outcome:
+        """Load the volumes, search around every voxel, save the maps and the figures of regions."""
         config, clock = self.config, Clock()
         clock.start("load")
         loaded = scene.load(config.field, config.pipeline.voxel_limit)
@@ -87,37 +88,22 @@ class _Measure:
         facts |= region_figures(found.details, loaded, scene)
         return Outcome(facts, clock.seconds, list(found.warnings))
 
+    def problems(self, rows: Sequence[Row]) -> list[str]:
+        """Return a line for each region whose mask could not be used."""
+        found = ((row, value) for row in rows for key, value in row.items() if key.startswith("region_error_"))
+        return [f"{row['scene']}: left out, as a region: {value}" for row, value in found if value]
 
-def _number(title: str, key: str, digits: int) -> Column:
-    return Column(title, lambda row: f"{row[key]:.{digits}f}" if key in row else "-")
-
-
-def _center(row: Row) -> str:
-    place = [row.get(f"above_{axis}") for axis in "xyz"]
-    return " ".join(f"{value:.0f}" for value in place if isinstance(value, int | float)) or "-"
-
-
-def _left_out(rows: Sequence[Row]) -> list[str]:
-    """Return a line for each region whose mask could not be used."""
-    found = ((row, value) for row in rows for key, value in row.items() if key.startswith("region_error_"))
-    return [f"{row['scene']}: left out, as a region: {value}" for row, value in found if value]
-
-
-def _unnumbered_labels(scenes: Sequence[VolumePairScene], rows: Sequence[Row]) -> list[str]:
-    """Return a line for each label map of which some pairs hold the first label alone, so that it has no number."""
-    start = "region_volume_"
-    own = {str(row["scene"]): {key.removeprefix(start) for key in row if key.startswith(start)} for row in rows}
-    masks = {scene.name: {name for name, _ in scene.regions} for scene in scenes if own.get(scene.name)}
-    numbered = {
-        found[1]
-        for scene, names in own.items()
-        for name in names - masks.get(scene, set())
-        if (found := _NUMBERED.fullmatch(name))
-    }
-    lines = []
-    for name in sorted(numbered):
-        if alone := [scene for scene, names in own.items() if name in names]:
-            others = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
-            what = f"mask_{name} holds one label in {alone[0]}{others}"
-            lines.append(f"{what}: the region {name} there, not {name}_1; name its labels in meta.json")
-    return lines
+    def notes(self, scenes: Sequence[VolumePairScene], rows: Sequence[Row]) -> list[str]:
+        """Return a line for each label map of which some pairs hold the first label alone, so that it has no number."""
+        start = "region_volume_"
+        own = {str(row["scene"]): {key.removeprefix(start) for key in row if key.startswith(start)} for row in rows}
+        masks = {scene.name: {name for name, _ in scene.regions} for scene in scenes if own.get(scene.name)}
+        unmasked = {name for scene, names in own.items() for name in names - masks.get(scene, set())}
+        numbered = {found[1] for name in unmasked if (found := _NUMBERED.fullmatch(name))}
+        lines = []
+        for name in sorted(numbered):
+            if alone := [scene for scene, names in own.items() if name in names]:
+                others = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
+                what = f"mask_{name} holds one label in {alone[0]}{others}"
+                lines.append(f"{what}: the region {name} there, not {name}_1; name its labels in meta.json")
+        return lines

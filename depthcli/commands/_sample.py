@@ -12,7 +12,7 @@ from depthcli.commands._batch import run_batch
 from depthcli.core.errors import ConfigError
 from depthcli.core.result import Clock
 from depthcli.run.batch import Batch, Outcome
-from depthcli.run.console import SIZE, Column, percent
+from depthcli.run.console import SIZE, percent
 from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene, sample_scenes
 
 __all__ = ["prepare", "run_batch"]
@@ -21,7 +21,7 @@ _BY_SCENE = frozenset({"count", "kind", "seed", "from_"})
 """Options that choose scenes and say nothing about one of them beyond its settings."""
 
 
-def prepare(values: Mapping[str, Any], command: Callable[..., int]) -> tuple[Batch[SampleScene], list[SampleScene]]:
+def prepare(values: Mapping[str, Any], command: Callable[..., int]) -> tuple[Sample, list[SampleScene]]:
     """Return the batch that generates scenes of the kind that the options name, and these scenes.
 
     Parameters
@@ -45,24 +45,24 @@ def prepare(values: Mapping[str, Any], command: Callable[..., int]) -> tuple[Bat
             raise ConfigError(f"--{option} has no effect on {name.replace('_', '-')} scenes")
     own = {option: values[option] for option in kind.options}
     config = {"sample": name, **{key: value for key, value in own.items() if key not in _BY_SCENE}}
-    batch = Batch(
-        command="sample",
-        config=config,
-        compute=_Make(config),
-        columns=(SIZE, Column("visible", percent("nonocc"))),
-        settings=lambda scene: {key: str(value) for key, value in scene.settings.items()},
-    )
-    return batch, sample_scenes(name, own)
+    return Sample(config), sample_scenes(name, own)
 
 
 @dataclass(frozen=True)
-class _Make:
-    """Generates one scene."""
+class Sample(Batch[SampleScene]):
+    """Generates scenes."""
+
+    command = "sample"
+    columns = (SIZE, percent("nonocc", "visible"))
 
     config: Mapping[str, Any]
 
-    def __call__(self, scene: SampleScene, folder: Path, memory: int) -> Outcome:
-        scene.check()
+    def settings(self, scene: SampleScene) -> dict[str, str]:
+        """Return what the scene is made by beside the config."""
+        return {key: str(value) for key, value in scene.settings.items()}
+
+    def compute(self, scene: SampleScene, folder: Path, memory: int) -> Outcome:
+        """Generate one scene."""
         clock = Clock()
         clock.start("make")
         facts = SAMPLE_KINDS[self.config["sample"]].make(self.config, scene, folder)

@@ -14,7 +14,7 @@ from dataclasses import replace
 from decimal import Decimal
 from typing import Any, TypeAlias
 
-from depthcli.commands import _fuse, _pairs, _refine_kinect, _register_confidence, _transparent
+from depthcli.commands import _fuse, _refine_kinect, _register_confidence, _stereo, _transparent
 from depthcli.commands._batch import DONE, plan_of, run_batch
 from depthcli.commands._evaluation import viewers
 from depthcli.commands._options import RunOptions, SceneOptions
@@ -36,7 +36,7 @@ Combination: TypeAlias = tuple[str, ...]
 """A value for every key."""
 
 _PREPARE: Mapping[str, Any] = {
-    "stereo": _pairs.prepare,
+    "stereo": _stereo.prepare,
     "fuse": _fuse.prepare,
     "refine-kinect": _refine_kinect.prepare,
     "transparent": _transparent.prepare,
@@ -197,7 +197,7 @@ def run_sweep(
         same = [name for name, (_, batch, _) in runs.items() if batch.config == own[1].config]
         own_run = same[0] if same else _OWN
         if not same:
-            values = own[1].config.model_dump(mode="json", by_alias=True)  # type: ignore[union-attr]
+            values = own[1].config.model_dump(mode="json", by_alias=True)
             tried[_OWN] = tuple(value_text(values, key) for key in axes)
             runs = {_OWN: own, **runs}
     if options.dry_run:

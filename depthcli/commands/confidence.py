@@ -41,9 +41,9 @@ def confidence(
     ] = None,
 ) -> int:
     """Judge the map of every scene; ``--keep SHARE`` and ``--threshold`` leave doubtful pixels out of disp_left."""
-    from depthcli.commands import _given_maps
+    from depthcli.commands._given_maps import prepare_judgment, run_batch
 
-    batch, scenes, run = _given_maps.prepare_judgment(
+    batch, scenes, run = prepare_judgment(
         maps, witness or [], right_maps, pairs, coding, run, max_disparity, within, measure or [], threshold
     )
-    return _given_maps.run_batch(batch, scenes, run, pairs)
+    return run_batch(batch, scenes, run, pairs)

@@ -24,6 +24,6 @@ class DepthRunOptions(RunOptions):
 
 def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     """Turn every map of the run into depth; return the exit code."""
-    from depthcli.commands._depth import depth_of_maps
+    from depthcli.commands._depth import prepare, run_batch
 
-    return depth_of_maps(maps, clouds, run)
+    return run_batch(*prepare(maps, clouds, run), run)

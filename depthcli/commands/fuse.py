@@ -24,6 +24,7 @@ from depthcli.commands._options import (
     SetOption,
     WithinOption,
 )
+from depthcli.core.errors import ConfigError
 
 
 def fuse(
@@ -45,6 +46,8 @@ def fuse(
 
         prepared = _given_maps.prepare_fusion(maps or [], pairs, coding, run, within, surfaces, set)
         return _given_maps.run_batch(*prepared, run, pairs)
-    from depthcli.commands import _fuse
+    if maps:
+        raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
+    from depthcli.commands._fuse import prepare, run_batch
 
-    return _fuse.run_batch(*_fuse.prepare(config, pairs, run, set, maps=maps), run, pairs)
+    return run_batch(*prepare(config, pairs, run, set), run, pairs)

@@ -15,6 +15,6 @@ from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
 
 def rectify(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> int:
     """Rectify every pair; return the exit code."""
-    from depthcli.commands._rectified import rectify_pairs
+    from depthcli.commands._rectify import prepare, run_batch
 
-    return rectify_pairs(pairs, how, run)
+    return run_batch(*prepare(pairs, how, run), run, pairs)

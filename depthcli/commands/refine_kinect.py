@@ -34,10 +34,10 @@ def refine_kinect(
     far: Annotated[float | None, Option("--far", metavar="METERS", help="Farthest depth of point clouds.")] = None,
 ) -> int:
     """Refine single frames, or sequences where the method carries state from frame to frame."""
-    from depthcli.commands import _refine_kinect
+    from depthcli.commands._refine_kinect import prepare, run_batch
 
-    batch, scenes = _refine_kinect.prepare(
+    prepared = prepare(
         config, frames, run, set, depth_scale=depth_scale, ply=ply or None, intrinsics=intrinsics, mask=mask,
         near=near, far=far, depth_intrinsics=depth_intrinsics,
     )  # fmt: skip
-    return _refine_kinect.run_batch(batch, scenes, run, frames)
+    return run_batch(*prepared, run, frames)

@@ -51,9 +51,7 @@ def register_confidence(
     ] = False,
 ) -> int:
     """Estimate the error of every registration, by a search around every voxel."""
-    from depthcli.commands import _register_confidence
+    from depthcli.commands._register_confidence import prepare, run_batch
 
-    batch, scenes = _register_confidence.prepare(
-        config, volumes, run, set, field=field, neurological=neurological or None
-    )
-    return _register_confidence.run_batch(batch, scenes, run, volumes)
+    prepared = prepare(config, volumes, run, set, field=field, neurological=neurological or None)
+    return run_batch(*prepared, run, volumes)

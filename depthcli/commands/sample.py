@@ -74,7 +74,6 @@ def sample(
 ) -> int:
     """Generate the scenes of one kind into a run folder."""
     values = dict(locals())
-    from depthcli.commands import _sample
+    from depthcli.commands._sample import prepare, run_batch
 
-    batch, scenes = _sample.prepare(values, sample)
-    return _sample.run_batch(batch, scenes, run)
+    return run_batch(*prepare(values, sample), run)

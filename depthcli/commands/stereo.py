@@ -14,16 +14,28 @@ import typer
 from typer import Option
 
 from depthcli.commands._options import ConfigArgument, RangeOptions, ScoredRunOptions, SetOption
-from depthcli.run.console import Reporter
+from depthcli.run.console import Reporter, aligned
 
 
-def _listed(device: str | None) -> str | None:
-    if device == "list":
-        from depthcli.commands._devices import print_devices
+def _listed(name: str | None) -> str | None:
+    """Print the devices, with their measured bandwidth, and why there is none of a kind, for ``--device list``."""
+    if name != "list":
+        return name
+    from depthcli.device import DeviceError, devices, open_device, why_no_device
 
-        print_devices(Reporter())
-        raise typer.Exit
-    return device
+    lines = [("device", "name", "memory", "bandwidth", "driver")]
+    for info in devices():
+        try:
+            device = open_device(info.address)
+            speed = "-" if device is None else f"{device.measure_bandwidth() / 1e9:.1f} GB/s"
+        except DeviceError as error:
+            speed = str(error)
+        lines.append((info.address, info.name, f"{info.memory / 2**30:.1f} GiB", speed, info.driver))
+    if len(lines) > 1:
+        Reporter().data(aligned(lines))
+    if reason := why_no_device():
+        Reporter().info(reason)
+    raise typer.Exit
 
 
 def stereo(
@@ -44,7 +56,6 @@ def stereo(
     ] = None,
 ) -> int:
     """Match every pair by a pipeline of ``methods/stereo/pipeline``, here or on a device."""
-    from depthcli.commands import _pairs
+    from depthcli.commands._stereo import prepare, run_batch
 
-    batch, scenes = _pairs.prepare(config, pairs, run, set, device=device)
-    return _pairs.run_batch(batch, scenes, run, pairs)
+    return run_batch(*prepare(config, pairs, run, set, device=device), run, pairs)

@@ -18,7 +18,6 @@ def transparent(
     set: SetOption = None,
 ) -> int:
     """Complete every frame from its sparse depth, given or matched between color and infrared."""
-    from depthcli.commands import _transparent
+    from depthcli.commands._transparent import prepare, run_batch
 
-    batch, scenes = _transparent.prepare(config, frames, run, set, depth_scale=depth_scale)
-    return _transparent.run_batch(batch, scenes, run, frames)
+    return run_batch(*prepare(config, frames, run, set, depth_scale=depth_scale), run, frames)

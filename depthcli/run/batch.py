@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from depthcli.core.errors import ConfigError
 from depthcli.io.scenes import Scene
 from depthcli.run.resources import available_memory, cores
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
     from depthcli.io.formats.pictures import Palette
     from depthcli.run.console import Column
     from depthcli.run.json_csv import Row
@@ -89,38 +88,40 @@ def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[int, int
     return int(found[1]), int(found[2])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Batch(Generic[SceneT]):
-    """A command's work on its scenes. Picklable: ``compute`` goes to worker processes.
+class Batch(ABC, Generic[SceneT]):
+    """A command's work on its scenes, which ``run`` is given; it goes to worker processes, so that it is picklable."""
 
-    Attributes
-    ----------
-    command : name of the command
-    config : the config, or the options of a command without one; it decides with all versions which run this is
-    compute : computes a scene with at most so many bytes of memory, and writes its files into an empty folder
-    columns : of the printed table, beside scene, status, seconds and memory
-    files : returns role -> file, for all files whose content the result depends on
-    settings : returns what the result depends on beside config and files: facts that the layout found
-    memory : estimates the peak memory in bytes from the headers of the files; None where that is not known
-    notes : returns warnings about a whole run, once its rows are there
-    problems : returns what could not be done of scenes that are done, a line each; the exit code is 3 then
-    palette, legend : colors of the status maps, and the combinations of status bits that the legend shows
-    shown_as : protocol of its maps, which says how the page shows them where there is no truth
-    page_columns : columns that this page shows beside its own figures; None: ``columns``
-    truth_kinds : kinds of scene that ``--evaluate`` looks for in the input; none: those of the scenes
-    """
+    command: ClassVar[str]
+    columns: ClassVar[tuple[Column, ...]] = ()  # of the printed table, beside scene, status, seconds and memory
+    palette: ClassVar[Palette | None] = None  # colors of the status maps
+    legend: ClassVar[tuple[int, ...] | None] = None  # combinations of status bits that their legend shows
+    shown_as: ClassVar[str] = ""  # protocol that says how the page shows maps without truth
+    page_columns: ClassVar[tuple[Column, ...] | None] = None  # that this page shows beside its own; None: ``columns``
+    truth_kinds: ClassVar[tuple[type[Scene], ...]] = ()  # that ``--evaluate`` looks for; none: those of the scenes
 
-    command: str
-    config: BaseModel | Mapping[str, object]
-    compute: Callable[[SceneT, Path, int], Outcome]
-    columns: tuple[Column, ...]
-    files: Callable[[SceneT], dict[str, Path]] | None = None
-    settings: Callable[[SceneT], dict[str, str]] = lambda _: {}
-    memory: Callable[[SceneT], int | None] | None = None
-    notes: Callable[[Sequence[Row]], list[str]] | None = None
-    problems: Callable[[Sequence[Row]], list[str]] | None = None
-    palette: Palette | None = None
-    legend: tuple[int, ...] | None = None
-    shown_as: str = ""
-    page_columns: tuple[Column, ...] | None = None
-    truth_kinds: tuple[type[Scene], ...] = ()
+    config: Any
+    """The config, a mapping for commands without one; it decides with all versions which run this is."""
+
+    @abstractmethod
+    def compute(self, scene: SceneT, folder: Path, memory: int) -> Outcome:
+        """Compute a scene with at most ``memory`` bytes, and write its files into an empty folder."""
+
+    def files(self, scene: SceneT) -> dict[str, Path]:
+        """Return role -> file, for all files whose content the result depends on beside those that the config names."""
+        return scene.input_files
+
+    def settings(self, scene: SceneT) -> dict[str, str]:
+        """Return what the result depends on beside config and files: facts that the layout found."""
+        return {}
+
+    def memory(self, scene: SceneT) -> int | None:
+        """Estimate the peak memory in bytes from the headers of the files; None where that is not known."""
+        return None
+
+    def notes(self, scenes: Sequence[SceneT], rows: Sequence[Row]) -> list[str]:
+        """Return warnings about a whole run."""
+        return []
+
+    def problems(self, rows: Sequence[Row]) -> list[str]:
+        """Return what could not be done of scenes that are done, a line each; the exit code is 3 then."""
+        return []

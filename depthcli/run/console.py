@@ -164,9 +164,18 @@ class Column:
     text: Callable[[Row], str]
 
 
-def percent(key: str) -> Callable[[Row], str]:
-    """Return the function that gives the text of a column whose values are shares."""
-    return lambda row: f"{100 * row[key]:.1f} %" if isinstance(row.get(key), int | float) else "-"
+def percent(key: str, title: str = "") -> Column:
+    """Return the column of a share, as a percentage, under the name of its key or ``title``."""
+
+    def text(row: Row) -> str:
+        return f"{100 * row[key]:.1f} %" if isinstance(row.get(key), int | float) else "-"
+
+    return Column(title or key.replace("_", " "), text)
+
+
+def number(key: str, form: str, title: str = "") -> Column:
+    """Return the column of a number in a format such as ``{:.2f} px``; its title is that of the key, or ``title``."""
+    return Column(title or key.replace("_", " "), lambda row: "-" if row.get(key) is None else form.format(row[key]))
 
 
 SIZE = Column("size", lambda row: f"{row['width']}x{row['height']}" if "width" in row else "-")

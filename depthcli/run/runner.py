@@ -14,8 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel
-
 from depthcli.core.errors import ConfigError, IncompleteError, OutputError
 from depthcli.core.method import used_files, used_plugins
 from depthcli.core.registry import plugins_in
@@ -132,12 +130,7 @@ class Planner:
         return (known.row if known is not None and known.is_done(task.target, task.run, task.inputs) else None), known
 
     def _files(self, scene: Any) -> dict[str, Path]:
-        if scene.problem:
-            return {}
-        if self.batch.files is not None:
-            return self.batch.files(scene)
-        own: dict[str, Path] = scene.input_files
-        return own | (used_files(self.batch.config) if isinstance(self.batch.config, BaseModel) else {})
+        return {} if scene.problem else self.batch.files(scene) | used_files(self.batch.config)
 
 
 class _Run:

@@ -182,7 +182,6 @@ def test_what_is_wrong_with_one_scene_fails_alone(
     [
         (("--keep", "0.8", "--threshold", "0.5"), "--keep SHARE and --threshold exclude each other"),
         (("--measure", "sharpness"), "--measure: no measure called 'sharpness'; one of: all, left_right"),
-        (("--within", "20"), "--within: expected 0.25 to 8 pixels (got 20)"),
         (("--pattern", "other={scene}.pfm"), "--pattern other={scene}.pfm: no run is called 'other'; one of: sgm"),
     ],
 )

@@ -13,7 +13,7 @@ import pytest
 
 import depthcli
 from depthcli.cli import main
-from depthcli.commands import _rectified
+from depthcli.commands import _rectify
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
@@ -202,7 +202,7 @@ def check_depth(scenes: Path, taken: Rig, tmp_path: Path, alpha: float = 0.0) ->
     assert np.mean(np.abs(error) < 0.04) > 0.93
 
 
-def test_a_rectified_pair_has_rows_that_correspond_and_the_right_depth(pinhole: Shot, tmp_path: Path):
+def test_a_rectify_pair_has_rows_that_correspond_and_the_right_depth(pinhole: Shot, tmp_path: Path):
     taken = pinhole.rig
     how = ("--name", "room", "--calibration", opencv(tmp_path / "c.yml", taken))
     assert run("rectify", "--left", pinhole.left, "--right", pinhole.right, *how, "-o", tmp_path / "scenes", "-q") == 0
@@ -296,8 +296,8 @@ def test_a_calibration_costs_a_video_once(video: list[str | Path], tmp_path: Pat
 
         monkeypatch.setattr(place, name, call)
 
-    counted(_rectified, "match_views")
-    counted(_rectified, "range_of_key_points")
+    counted(_rectify, "match_views")
+    counted(_rectify, "range_of_key_points")
     counted(Camera, "undistortion_maps")
     assert run(*video, "-o", tmp_path / "run", "-q") == 0
     assert calls == {"match_views": 1, "range_of_key_points": 3, "undistortion_maps": 2}

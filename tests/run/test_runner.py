@@ -46,13 +46,15 @@ class Text(Scene):
 
 
 @dataclass(frozen=True)
-class Repeat:
+class Repeat(Batch[Text]):
     """Writes the scene's text ``factor`` times; words in the text make it go wrong."""
+
+    command = "repeat"
 
     config: Config
     log: Path | None = None
 
-    def __call__(self, scene: Text, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: Text, folder: Path, memory: int) -> Outcome:
         text = scene.load()
         if self.log is not None:
             with self.log.open("a") as log:
@@ -86,9 +88,8 @@ class Repeat:
         return Outcome({"length": len(text)}, {"work": 0.5}, ["short"] if len(text) == 1 else [])
 
 
-def batch_of(factor: int = 2, log: Path | None = None) -> Batch[Text]:
-    config = Config(factor=factor)
-    return Batch(command="repeat", config=config, compute=Repeat(config, log), columns=())
+def batch_of(factor: int = 2, log: Path | None = None) -> Repeat:
+    return Repeat(Config(factor=factor), log)
 
 
 class Folder:

@@ -32,12 +32,16 @@ class ConstantConfig(RootConfig):
 
 
 @dataclass(frozen=True)
-class Constant:
-    """Computes one scene; it is sent to worker processes."""
+class Constant(Batch[StereoScene]):
+    """Computes scenes; it is sent to worker processes."""
+
+    command = "constant"
+    columns = (SIZE,)
+    shown_as = "middlebury-v2"
 
     config: ConstantConfig
 
-    def __call__(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Write ``disp_left.pfm``."""
         height, width = scene.load().shape
         write_pfm(folder / "disp_left.pfm", np.full((height, width), self.config.disparity, np.float32))
@@ -50,12 +54,5 @@ def constant(config: ConfigArgument, pairs: PairOptions, run: ScoredRunOptions, 
 
     ``run_batch`` goes through the scenes, with progress, resuming, reports and workers.
     """
-    found = config_of("constant", ConstantConfig, config, set)
-    batch = Batch(
-        command="constant",
-        config=found,
-        compute=Constant(found),
-        columns=(SIZE,),
-        shown_as="middlebury-v2",
-    )
+    batch = Constant(config_of("constant", ConstantConfig, config, set))
     return run_batch(batch, find_scenes((StereoScene,), pairs, run), run, pairs)

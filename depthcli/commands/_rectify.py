@@ -6,9 +6,9 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,25 +35,17 @@ from depthcli.methods.stereo.rectification import (
 )
 from depthcli.methods.stereo.search_range import KeyPointRange, range_of_key_points
 from depthcli.run.batch import Batch, Outcome
-from depthcli.run.console import SIZE, Column, percent
+from depthcli.run.console import SIZE, number, percent
 from depthcli.run.json_csv import Row
+
+__all__ = ["check_unit", "prepare", "rectified_pair", "run_batch", "sequence_range"]
 
 _MAX_ROW_ERROR = 1.0  # median row error of a calibrated pair, pixels; with more a scene has a warning
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
 
 
-class RectifyConfig(TypedDict):
-    """Options of a run of ``rectify``, as ``run.yaml`` holds them."""
-
-    uncalibrated: bool
-    unit: str
-    fisheye: bool
-    alpha: float
-    cameras: str
-
-
-def rectify_pairs(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> int:
-    """Rectify every pair that the options name; return the exit code."""
+def prepare(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> tuple[Rectify, list[StereoScene]]:
+    """Return the batch of ``rectify``, and the pairs that the options name."""
     files = tuple(path.absolute() for path in how.calibration or ())
     if how.uncalibrated == bool(files):
         raise ConfigError("give --calibration FILE, or --uncalibrated")
@@ -67,16 +59,8 @@ def rectify_pairs(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> i
     if files:
         lens = {"unit": how.unit, "fisheye": how.fisheye, "alpha": how.alpha, "cameras": (int(first), int(second))}
         calibration = Calibration.model_validate({"files": [str(file) for file in files], **lens})
-    scenes = find_scenes((StereoScene,), pairs, run)
-    compute = _Rectify(calibration)
-    config = RectifyConfig(
-        uncalibrated=how.uncalibrated, unit=how.unit, fisheye=how.fisheye, alpha=how.alpha, cameras=how.cameras
-    )
-    columns = (SIZE, _pixels("row_error_before"), _pixels("row_error"), Column("overlap", percent("overlap")))
-    batch = Batch(
-        command="rectify", config=config, compute=compute, columns=columns, files=compute.files, memory=compute.memory
-    )
-    return run_batch(batch, scenes, run, pairs)
+    config = {key: getattr(how, key) for key in ("uncalibrated", "unit", "fisheye", "alpha", "cameras")}
+    return Rectify(config, calibration), find_scenes((StereoScene,), pairs, run)
 
 
 def check_unit(unit: str) -> None:
@@ -85,26 +69,31 @@ def check_unit(unit: str) -> None:
         raise ConfigError(f"--unit: must be {', '.join(UNITS)} (got {unit!r})")
 
 
-def _pixels(key: str) -> Column:
-    return Column(key.replace("_", " "), lambda row: f"{row[key]:.2f} px" if row.get(key) is not None else "-")
-
-
 @dataclass(frozen=True)
-class _Rectify:
-    """Rectifies one pair; ``calibration`` None: by its key points alone."""
+class Rectify(Batch[StereoScene]):
+    """Rectifies pairs; ``calibration`` None: by their key points alone."""
 
+    command = "rectify"
+    columns = (
+        SIZE,
+        number("row_error_before", "{:.2f} px"),
+        number("row_error", "{:.2f} px"),
+        percent("overlap"),
+    )
+
+    config: Mapping[str, object]
     calibration: Calibration | None
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
-        names = () if self.calibration is None else self.calibration.files
-        return scene.input_files | {f"calibration_{k}": Path(name) for k, name in enumerate(names)}
+        """Return the files of the pair and of the calibration."""
+        return scene.input_files | calibration_files(self.calibration)
 
     def memory(self, scene: StereoScene) -> None:
         """Return None, since it is little more than the images; InputError where the calibration cannot be read."""
         if self.calibration is not None:
             read_rig(self.calibration)
 
-    def __call__(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Rectify the pair, and find its search range.
 
         Frames of a video that a calibration rectifies have one search range, and rows are compared in the first alone.
@@ -114,7 +103,7 @@ class _Rectify:
         left, right = scene.load_views()
         clock.start("key points")
         frames = scene.sequence if scene.frame_number is not None and self.calibration is not None else ()
-        points = None if frames and not scene.is_first else match_rows(left, right)
+        points = None if frames and not scene.is_first else match_views(_grey8(left), _grey8(right))
         clock.start("warp")
         found: RectifiedRig | RectifyingHomographies
         if self.calibration is not None:
@@ -125,27 +114,35 @@ class _Rectify:
                 raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
             assert points is not None  # calibrated videos alone go without
             found = rectify_uncalibrated(*points, sizes[0])
-        views = found.images(left, right)
-        rows, warnings = ({}, []) if points is None else row_errors(points, found)
+        *views, overlap = found.images(left, right)
+        rows, warnings = ({}, []) if points is None else _row_errors(points, found)
         clock.start("save")
-        meta: Row = {"source": f"rectified by depthcli from {scene.name}"}
         facts: Row = {"width": found.size[0], "height": found.size[1], **rows}
-        facts["overlap"] = round(float(np.mean(views[2])), 6)
-        same = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
+        facts["overlap"] = round(float(np.mean(overlap)), 6)
+        search: Row = {}
         try:
-            alike = views[:2] if same else [_grey8(view) for view in views[:2]]
             shared = sequence_range(self.calibration, frames) if frames else None
-            found_range = (shared or range_of_key_points(StereoPair(*alike))).suggested
-            search = {"min_disparity": found_range.min_disparity, "max_disparity": found_range.max_disparity}
-            meta |= search
-            facts |= search
+            alike = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
+            pair = StereoPair(views[0], views[1]) if alike else StereoPair(_grey8(views[0]), _grey8(views[1]))
+            span = (shared or range_of_key_points(pair)).suggested
+            search = {"min_disparity": span.min_disparity, "max_disparity": span.max_disparity}
         except InputError as error:
             warnings.append(str(error))
+        facts |= search
         if isinstance(found, RectifiedRig):
             facts |= {"focal": found.geometry.left.fx, "baseline": found.geometry.baseline}
-        _save_views(folder, {"left": views[0], "right": views[1]}, found, meta.get("max_disparity"))
+            write_geometry(folder / "calib.txt", found.geometry, search.get("max_disparity"))
+        for name, view in zip(("left", "right"), views, strict=True):
+            write_png(folder / f"{name}.png", view)
+        meta = {"source": f"rectified by depthcli from {scene.name}", **search}
         write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
         return Outcome(facts, clock.seconds, warnings)
+
+
+def calibration_files(calibration: Calibration | None) -> dict[str, Path]:
+    """Return role -> file of a calibration; None has none."""
+    names = () if calibration is None else calibration.files
+    return {f"calibration_{k}": Path(name) for k, name in enumerate(names)}
 
 
 def rectified_pair(
@@ -156,12 +153,18 @@ def rectified_pair(
     Rows are compared in single pairs and the first frames of sequences: the others have the same cameras.
     """
     left, right = scene.load_views()
-    found = rectified_rig(calibration, left, right)
-    pair, view = _pair_of(found, scene, left, right)
-    facts, warnings = row_errors(match_rows(left, right), found) if scene.is_first else ({}, [])
+    rig = rectified_rig(calibration, left, right)
+    pair, view = _pair_of(rig, scene, left, right)
+    points = match_views(_grey8(left), _grey8(right)) if scene.is_first else None
+    facts, warnings = ({}, []) if points is None else _row_errors(points, rig)
     if scene.has_truth:
         warnings.append("the map is that of the rectified image, the scene's ground truth is not: do not compare them")
-    return pair, partial(_save_views, folder, {"left": view}, found), facts, warnings
+
+    def save() -> None:
+        write_png(folder / "left.png", view)
+        write_geometry(folder / "calib.txt", rig.geometry)
+
+    return pair, save, facts, warnings
 
 
 def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene]) -> KeyPointRange | None:
@@ -171,8 +174,7 @@ def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene
     points match, or which cannot be read, do not count. Without a calibration the frames are rectified.
     """
     files = {file for frame in frames for file in frame.input_files.values()}
-    if calibration is not None:
-        files |= {Path(file) for file in calibration.files}
+    files |= set(calibration_files(calibration).values())
     return _sequence_range(calibration, tuple(frames), file_states(*sorted(files)))
 
 
@@ -186,8 +188,8 @@ def _sequence_range(
             if calibration is None:
                 pair = frame.load()
             else:
-                left, right = frame.load_views()
-                pair = _pair_of(rectified_rig(calibration, left, right), frame, left, right)[0]
+                views = frame.load_views()
+                pair, _ = _pair_of(rectified_rig(calibration, *views), frame, *views)
             one = range_of_key_points(pair)
         except InputError:  # where no frame has a range, every one is on its own
             continue
@@ -204,29 +206,11 @@ def _pair_of(
     return pair_of(views[0], views[1], (scene.left, scene.right)), views[0]
 
 
-def _save_views(
-    folder: Path,
-    views: Mapping[str, NDArray[np.generic]],
-    rig: RectifiedRig | RectifyingHomographies,
-    max_disparity: int | None = None,
-) -> None:
-    """Write each view as ``<name>.png`` and, where ``rig`` has metric depth, ``calib.txt`` with the search range."""
-    for name, view in views.items():
-        write_png(folder / f"{name}.png", view)
-    if isinstance(rig, RectifiedRig):
-        write_geometry(folder / "calib.txt", rig.geometry, max_disparity)
-
-
-def match_rows(left: NDArray[np.generic], right: NDArray[np.generic]) -> tuple[Points, Points]:
-    """Return matched key points of the images as they were taken."""
-    return match_views(_grey8(left), _grey8(right))
-
-
-def row_errors(points: tuple[Points, Points], rig: RectifiedRig | RectifyingHomographies) -> tuple[Row, list[str]]:
+def _row_errors(points: tuple[Points, Points], rig: RectifiedRig | RectifyingHomographies) -> tuple[Row, list[str]]:
     """Return how far the rows of matched points are apart before and after, and warnings where that is too much."""
     moved = rig.points(*points)
-    after = _rounded(row_error(*moved))
-    facts = {"matches": len(points[0]), "row_error_before": _rounded(row_error(*points)), "row_error": after}
+    errors = (row_error(*points), row_error(*moved))
+    before, after = (None if math.isnan(error) else round(error, 4) for error in errors)
     warnings = []
     if isinstance(rig, RectifiedRig) and (after or 0) > _MAX_ROW_ERROR:
         warnings.append(
@@ -240,13 +224,9 @@ def row_errors(points: tuple[Points, Points], rig: RectifiedRig | RectifyingHomo
                 f"the disparities of most matched key points lie within {high - low:.1f} px: the cameras stand at one "
                 "place, or see one flat thing; there is no depth to be found"
             )
-    return facts, warnings
+    return {"matches": len(points[0]), "row_error_before": before, "row_error": after}, warnings
 
 
 def _grey8(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Return any image as (H, W) uint8."""
     return StereoPair(image, image).grey8[0]
-
-
-def _rounded(value: float) -> float | None:
-    return None if math.isnan(value) else round(value, 4)
