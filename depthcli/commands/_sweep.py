@@ -253,7 +253,7 @@ def _print_result(
         found = effects(axes, {tried[run]: figures[run] for run in order if run != _OWN}, headline.larger_is_better)
         for run in order:
             row = {**where, "run": run, **dict(zip(axes, tried[run], strict=True)), headline.heading: figures[run]}
-            own = {"missing": section.n_missing(run), "own_values": run == own_run}
+            own = {"missing": len(section.missing[run]), "own_values": run == own_run}
             rows.append(row | {"seconds": seconds[run]} | own)
         about = {"headline": headline.heading, "unit": headline.unit, "larger_is_better": headline.larger_is_better}
         own_rows = {"best": order[0], "runs": rows[-len(order) :], "sensitivity": found}

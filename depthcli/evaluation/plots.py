@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.curves import PERCENTAGES, ConfidenceCurve, Reliability, Sparsification
+from depthcli.evaluation.scores import MEAN, Score
 from depthcli.evaluation.statistics import mean_of_known
 
 if TYPE_CHECKING:
@@ -33,8 +34,8 @@ def plots(section: Section) -> dict[str, str]:
     what = f"{metric}, {section.regions[0]}"
     if len(section.scenes) > 2:
         made[f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"] = _boxes(section, what)
-    if (curves := _by_threshold(section)) is not None:
-        made["Against the threshold, over all scenes; dots: thresholds of the tables"] = curves
+    if lines := {run: scores for run in section.runs if (scores := section.threshold_curve(run))}:
+        made["Against the threshold, over all scenes; dots: thresholds of the tables"] = _by_threshold(section, lines)
     if any(not math.isnan(r.seconds) for r in section.results):
         of_all = f"{metric}, {' + '.join(section.figure_regions)}"
         made[f"Time against {of_all}: means of a scene"] = _times(section, of_all)
@@ -42,38 +43,33 @@ def plots(section: Section) -> dict[str, str]:
 
 
 def _boxes(section: Section, what: str) -> str:
+    """Return the spread of the main region's headline over the scenes, a row for each run."""
     key = (section.protocol.headline, section.regions[0])
-    rows = [[r.by_key[key].value for r in section.results_of(run) if key in r.by_key] for run in section.runs]
-    kept = [(run, [v for v in row if not math.isnan(v)]) for run, row in zip(section.runs, rows, strict=True)]
-    kept = [(run, row) for run, row in kept if row]
-    with _figure(height=1.2 + 0.32 * len(kept)) as (axes, out):
-        place = list(range(len(kept), 0, -1))
+    values = {run: [section.score(run, scene, key).value for scene in section.scenes] for run in section.runs}
+    rows = {run: known for run, row in values.items() if (known := [v for v in row if not math.isnan(v)])}
+    with _figure(height=1.2 + 0.32 * len(rows)) as (axes, out):
+        places = range(len(rows), 0, -1)
         style: dict[str, Any] = {"widths": 0.55, "showfliers": False, "medianprops": {"color": "black"}}
-        axes.boxplot([row for _, row in kept], positions=place, orientation="horizontal", **style)
-        for i, (_, row) in enumerate(kept):
-            axes.plot(
-                row, [place[i]] * len(row), linestyle="", marker="o", ms=4, alpha=0.7, color=_COLORS[i % len(_COLORS)]
-            )
-        axes.set_yticks(place, [_plain(run) for run, _ in kept])
+        axes.boxplot(list(rows.values()), positions=list(places), orientation="horizontal", **style)
+        for i, (place, row) in enumerate(zip(places, rows.values(), strict=True)):
+            axes.plot(row, [place] * len(row), **_dot(i, 4) | {"marker": "o"}, alpha=0.7)
+        axes.set_yticks(list(places), [_plain(run) for run in rows])
         axes.set_xlabel(_plain(what))
         axes.set_xlim(left=0)
     return out[0]
 
 
-def _by_threshold(section: Section) -> str | None:
-    """Lines of what the protocol has at many thresholds; dots: those of the tables."""
-    lines = {run: scores for run in section.runs if (scores := section.threshold_curve(run))}
-    if not lines:
-        return None
+def _by_threshold(section: Section, lines: Mapping[str, Sequence[Score]]) -> str:
+    """Return lines of what the protocol has at many thresholds; dots: those of the tables."""
     some = next(iter(lines.values()))[0]
+    keys = [(m, region) for m, region in section.keys if m.threshold is not None and region == some.region]
+    keys = [key for key in keys if key[0] == replace(some.metric, threshold=key[0].threshold)]
     with _figure() as (axes, out):
         for i, run in enumerate(section.runs):
             points = [(s.metric.threshold, s.value) for s in lines.get(run, ()) if s.metric.threshold is not None]
             _line(axes, i, run, points, marker="")
-            keys = [(m, region) for m, region in section.keys if m.threshold is not None and region == some.region]
-            keys = [key for key in keys if key[0] == replace(some.metric, threshold=key[0].threshold)]
-            shown = [(key[0].threshold or 0.0, section.mean(run, key).value) for key in keys]
-            dots = [(x, y) for x, y in shown if points and x <= points[-1][0]]  # of the tables
+            shown = [(key[0].threshold or 0.0, section.score(run, MEAN, key).value) for key in keys]
+            dots = [(x, y) for x, y in shown if points and x <= points[-1][0]]
             axes.plot([x for x, _ in dots], [y for _, y in dots], **_dot(i, 4))
         axes.set_xlabel(_plain(section.protocol.presentation.threshold_axis))
         axes.set_ylabel(_plain(f"{some.metric.name}, {some.metric.unit}, {some.region}"))
@@ -114,16 +110,15 @@ def _confidences(section: Section) -> dict[str, str]:
             groups.setdefault((c.region, c.of), {}).setdefault(name, []).append(c)
     made, reliabilities = {}, {}
     for (region, of), curves in groups.items():
-        mean = {
-            (name, kind): tuple(map(mean_of_known, zip(*(getattr(c.line, kind) for c in found), strict=True)))
-            for name, found in curves.items()
+        errors, best = (
+            {name: tuple(map(mean_of_known, zip(*(getattr(c.line, kind) for c in found), strict=True)))
+             for name, found in curves.items()}
             for kind in ("errors", "best")
-        }
-        order = sorted(curves, key=lambda name: sum(mean[name, "errors"]))
-        drawn = [Line(name, PERCENTAGES, mean[name, "errors"]) for name in order]
-        drawn += [Line("", PERCENTAGES, best, True) for best in dict.fromkeys(mean[name, "best"] for name in curves)]
-        y_label = "share of wrong pixels" if of == "bad" else f"mean error, {section.protocol.presentation.unit}"
+        )  # fmt: skip
+        drawn = [Line(name, PERCENTAGES, errors[name]) for name in sorted(curves, key=lambda name: sum(errors[name]))]
+        drawn += [Line("", PERCENTAGES, line, True) for line in dict.fromkeys(best.values())]
         what = "share of wrong pixels" if of == "bad" else "mean error"
+        y_label = what if of == "bad" else f"{what}, {section.protocol.presentation.unit}"
         caption = f"Sparsification, {region}: {what} of the most confident pixels; dotted: the best ranking"
         made[caption] = line_plot(drawn, "", _SHARE_AXIS, y_label, any_names=True)
         known = {name: [c.reliability for c in found if c.reliability] for name, found in curves.items()}

@@ -1,9 +1,8 @@
-"""Tables, and their one renderer: aligned text, Markdown, LaTeX, CSV and HTML."""
+"""Tables, and their one renderer: aligned text, Markdown, LaTeX and CSV; the page renders its own by its template."""
 
 from __future__ import annotations
 
 import csv
-import html
 import io
 import math
 import os
@@ -15,7 +14,6 @@ from typing import Any, Self
 from urllib.parse import quote
 
 from depthcli.core.text import csv_cell, one_line
-from depthcli.evaluation.columns import heading_help
 
 BEST, SECOND = 1, 2
 
@@ -32,6 +30,11 @@ class Number(str):
         made.value, made.digits = float(value), digits
         return made
 
+    @property
+    def plain(self) -> str:
+        """All digits, empty for NaN."""
+        return "" if math.isnan(self.value) else repr(self.value)
+
 
 @dataclass(frozen=True)
 class Table:
@@ -39,7 +42,7 @@ class Table:
 
     title: str
     header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]  # one cell a column; those that are a :class:`Number` can be ranked
+    rows: Sequence[tuple[str, ...]]  # one cell a column; those that are a :class:`Number` can be ranked
     note: str = ""
     better: tuple[bool | None, ...] = ()  # of columns, whether larger numbers are better; None: not ranked
     scenes: tuple[str, ...] = ()  # of columns, full name of the scene that one speaks of, or empty
@@ -52,31 +55,30 @@ class Table:
         def part(cells: tuple[Any, ...]) -> tuple[Any, ...]:
             return tuple(cells[j] for j in chosen) if cells else ()
 
-        rows, better, scenes = tuple(map(part, self.rows)), part(self.better), part(self.scenes)
+        rows, better, scenes = [part(row) for row in self.rows], part(self.better), part(self.scenes)
         return replace(self, header=part(self.header), rows=rows, better=better, scenes=scenes)
 
     def fitted(self, width: int, spare: Sequence[str] = (), names: Sequence[str] = ()) -> Table:
         """Return the table with lines of at most ``width`` characters, where that is possible.
 
         Columns of ``spare`` are left out in that order; if it is too wide still, the texts of the columns ``names`` are
-        shortened, the longest ones first.
+        shortened.
         """
         table = self
         for heading in spare:
-            if _width(table) <= width:
-                break
-            table = table.only(set(table.header) - {heading})
-        places = [table.header.index(name) for name in names]
-        longest = max((len(row[j]) for row in table.rows for j in places), default=0)
-        while _width(table) > width and longest > _MIN_NAME:
-            longest -= 1
-            rows = [list(row) for row in self.only(table.header).rows]
-            for row in rows:
-                for j in places:
-                    name, half = one_line(row[j]), (longest - 3) // 2
-                    if len(name) > longest:
-                        row[j] = f"{name[: longest - 3 - half]}...{name[len(name) - half :]}"
-            table = replace(table, rows=tuple(map(tuple, rows)))
+            if _width(table) > width:
+                table = table.only(set(table.header) - {heading})
+        for j in (table.header.index(name) for name in names):
+            longest = max(map(len, table.column(j)), default=0)
+            limit = max(_MIN_NAME, longest - max(0, _width(table) - width))
+            half = (limit - 3) // 2
+            rows = []
+            for row in table.rows:
+                name = one_line(row[j])
+                if len(name) > limit:
+                    name = f"{name[: limit - 3 - half]}...{name[len(name) - half :]}"
+                rows.append((*row[:j], name, *row[j + 1 :]))
+            table = replace(table, rows=rows)
         return table
 
     def column(self, j: int) -> list[str]:
@@ -141,21 +143,10 @@ class Table:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(["table", *map(csv_cell, self.header)])
-        writer.writerows([csv_cell(self.title), *map(_plain, row)] for row in self.rows)
+        for row in self.rows:
+            cells = [cell.plain if isinstance(cell, Number) else csv_cell(cell) for cell in row]
+            writer.writerow([csv_cell(self.title), *cells])
         return text.getvalue()
-
-    def html(self) -> str:
-        """Return a table of the page, its columns sortable."""
-        helps = [(html.escape(heading), html.escape(heading_help(heading))) for heading in self.header]
-        head = "".join(f'<th title="{text}">{name}</th>' if text else f"<th>{name}</th>" for name, text in helps)
-        caption = f"<caption>{html.escape(self.title)}</caption>\n" if self.title else ""
-        note = f'<p class="note">{html.escape(self.note)}</p>\n' if self.note else ""
-        rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in cells) for cells in self.rows)
-        body = "".join(f"<tr>{cells}</tr>\n" for cells in rows)
-        return (
-            f'<div class="wide"><table class="sortable">\n{caption}<thead><tr>{head}</tr>\n</thead>\n'
-            f"<tbody>{body}</tbody>\n</table></div>\n{note}"
-        )
 
 
 def _width(table: Table) -> int:
@@ -164,7 +155,7 @@ def _width(table: Table) -> int:
 
 def _numeric(table: Table) -> list[bool]:
     """Return whether each column holds numbers alone; the first never does."""
-    return [j > 0 and all(map(_is_number, table.column(j))) for j in range(len(table.header))]
+    return [j > 0 and all(map(_NUMERIC.fullmatch, table.column(j))) for j in range(len(table.header))]
 
 
 def _formatted(table: Table, best: str, second: str, escape: Callable[[str], str]) -> list[list[str]]:
@@ -184,6 +175,7 @@ _LATEX |= {"<": r"\textless{}", ">": r"\textgreater{}"}
 _LATEX |= {"[": "{[}", "]": "{]}"}  # behind the end of a row they would be its distance to the next
 
 _NO_LABEL = re.compile(r"[^A-Za-z0-9_.:-]+")
+_NUMERIC = re.compile(r"[-+.\de]*\**")
 _MIN_NAME = 12  # characters of a name that is shortened
 
 _MARKDOWN = re.compile(r"[\\`|<\[\]]|&(?=#?\w+;)")
@@ -206,17 +198,3 @@ def markdown_code(name: str) -> str:
 def markdown_link(path: str) -> str:
     """Return a relative path as the target of a link, whatever bytes it holds."""
     return quote(os.fsencode(path))
-
-
-def _plain(cell: str) -> object:
-    if not isinstance(cell, Number):
-        return csv_cell(cell)
-    return "" if math.isnan(cell.value) else repr(cell.value)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text.strip("*") or "0")
-    except ValueError:
-        return text in ("", "-")
-    return True

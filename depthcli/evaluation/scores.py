@@ -231,11 +231,6 @@ class MapResult:
     error: str = ""  # why there is no map to score
     pooling_data: Any = field(default=None, repr=False, compare=False)  # what the protocol needs to pool scenes
 
-    @cached_property
-    def by_key(self) -> dict[Key, Score]:
-        """(metric, region) -> score."""
-        return {score.key: score for score in self.scores}
-
     @property
     def picture(self) -> str:
         """Path of its error picture in the output folder."""

@@ -12,7 +12,7 @@ from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.protocols import missing_scores, registration
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol, error_classes
-from depthcli.evaluation.scores import MapResult
+from depthcli.evaluation.scores import COMMON_MEAN, MEAN, MapResult
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.scenes.volume_pair import RegistrationTruth
 
@@ -108,8 +108,8 @@ def test_what_a_run_lacks_changes_no_other_runs_figures():
     alone = Section("set", PROTOCOL, ("whole",), tuple(whole))
     beside = Section("set", PROTOCOL, ("whole", "lacking"), (*whole, *lacking))
     key = (PROTOCOL.headline, "voxels")
-    means = [section.mean("whole", key) for section in (alone, beside)]
+    means = [section.score("whole", MEAN, key) for section in (alone, beside)]
     assert means[0] == means[1]
-    common = [beside.mean(run, key, common=True) for run in ("whole", "lacking")]
+    common = [beside.score(run, COMMON_MEAN, key) for run in ("whole", "lacking")]
     assert common[0] == common[1]
     assert common[0].value == pytest.approx(values(PROTOCOL.mean(whole[:2]))["Spearman"])
