@@ -97,8 +97,8 @@ def test_the_demo_ends_with_the_address_of_its_page(checkout: Path, tmp_path: Pa
 
 @pytest.mark.parametrize(("device", "code"), [("cuda:77", 1), ("opencl", 0)])
 def test_a_gpu_is_measured_section_by_section(tmp_path: Path, device: str, code: int):
-    if device == "opencl" and not opencl.list_devices():
-        pytest.skip(opencl.why_no_device())
+    if device == "opencl" and not opencl.find_devices()[0]:
+        pytest.skip(opencl.find_devices()[1])
     command = [sys.executable, str(ROOT / "scripts" / "gpu_check"), str(tmp_path), "--tiny", "--seconds", "500"]
     done = subprocess.run([*command, "--device", device, "--only", "device,pipelines,video"],
                           env=os.environ | {"PYTHONPATH": str(ROOT)},

@@ -1,13 +1,8 @@
 """Devices beside the processor that run kernels: GPUs, through OpenCL or CUDA.
 
-Start at :func:`open_device`: the text of ``--device`` -> a :class:`Device`, to and from which arrays are copied
-(``upload``, ``download``) and on which kernels run (``launch``; ``finish`` waits for them). Without opening any,
-:func:`devices` lists all and :func:`find_device` says which one a text names, as :class:`DeviceInfo`.
-
-| module | what it holds |
-|---|---|
-| ``dialect`` | ``Kernels``: C text that is written once, in OpenCL C, and macros by which CUDA understands it |
-| ``opencl``, ``cuda`` | one back end each, through pyopencl or CuPy: optional packages, imported at the first request |
+:func:`open_device` gives the :class:`Device` that the text of ``--device`` names; :func:`devices` lists all without
+opening any. Kernels are C text that is written once, in OpenCL C, with macros by which CUDA understands it
+(``dialect``). ``opencl`` and ``cuda`` are the back ends, whose packages are imported at the first request.
 """
 
 from __future__ import annotations
@@ -72,79 +67,71 @@ class Launch:
     nbytes: int  # of all arrays among its arguments, each counted once: a lower bound of the memory traffic
 
 
-class Driver(ABC):
-    """A back end's way to one device. Methods raise whatever the package behind it raises, or DeviceError."""
-
-    errors: tuple[type[Exception], ...] = (Exception,)  # of the package; they become DeviceError
-    has_double = True  # whether kernels may use double precision
-
-    @abstractmethod
-    def allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
-        """Return the back end's own uninitialized buffer."""
-
-    @abstractmethod
-    def copy_to_device(self, target: Any, array: NDArray[Any]) -> None: ...
-
-    @abstractmethod
-    def copy_to_host(self, target: NDArray[Any], source: Any) -> None: ...
-
-    @abstractmethod
-    def compile(self, kernels: Kernels, name: str) -> Any:
-        """Return the back end's own kernel."""
-
-    @abstractmethod
-    def enqueue(
-        self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any], timed: bool
-    ) -> Any:
-        """Enqueue the kernel; return what :meth:`seconds` needs where it is ``timed``."""
-
-    @abstractmethod
-    def wait(self) -> None: ...
-
-    @abstractmethod
-    def seconds(self, event: Any) -> float:
-        """Return how long a finished kernel ran."""
-
-    def message(self, error: Exception) -> str:
-        """Return the rest of a sentence about the device that failed."""
-        return f"failed: {first_line(error)}"
-
-
-class Device:
+class Device(ABC):
     """A device with one queue: commands run in the order in which they are given.
 
-    Every method raises DeviceError where the driver fails, or the device has too little memory.
+    Every public method raises DeviceError where the driver fails, or the device has too little memory. A back end
+    implements those that begin with an underscore; what its package raises (``errors``) is translated here.
     """
 
-    def __init__(self, info: DeviceInfo, driver: Driver) -> None:
+    errors: tuple[type[Exception], ...] = (Exception,)
+    has_double = True
+    """Whether kernels may use double precision."""
+
+    def __init__(self, info: DeviceInfo) -> None:
         self.info = info
-        self.has_double = driver.has_double
         self.launches: list[Launch] | None = None
         """Timings of the kernels that ran. None: no timings are taken. To take them, assign a list: every call of
         :meth:`finish` appends the kernels since the last one."""
-        self._driver = driver
         self._kernels: dict[tuple[Kernels, str], Any] = {}
         self._events: list[tuple[str, Any, int]] = []
+
+    @abstractmethod
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any: ...
+
+    @abstractmethod
+    def _write(self, target: Any, array: NDArray[Any]) -> None: ...
+
+    @abstractmethod
+    def _read(self, target: NDArray[Any], source: Any) -> None: ...
+
+    @abstractmethod
+    def _compile(self, kernels: Kernels, name: str) -> Any: ...
+
+    @abstractmethod
+    def _enqueue(
+        self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any], timed: bool
+    ) -> Any:
+        """Enqueue the kernel; return what :meth:`_seconds` needs where it is ``timed``."""
+
+    @abstractmethod
+    def _wait(self) -> None: ...
+
+    @abstractmethod
+    def _seconds(self, event: Any) -> float: ...
+
+    def _message(self, error: Exception) -> str:
+        return f"failed: {first_line(error)}"
 
     def upload(self, array: NDArray[Any]) -> DeviceArray:
         """Return a copy of ``array`` on the device."""
         array = np.ascontiguousarray(array)
         target = self.empty(array.shape, array.dtype)
         if array.size:
-            self._guarded(self._driver.copy_to_device, target.handle, array)
+            self._guarded(self._write, target.handle, array)
         return target
 
     def download(self, array: DeviceArray) -> NDArray[Any]:
         """Return a copy of ``array`` on the host; waits for the kernels that compute it."""
         target: NDArray[Any] = np.empty(array.shape, array.dtype)
-        if array.size:
-            self._guarded(self._driver.copy_to_host, target, array.handle)
+        if target.size:
+            self._guarded(self._read, target, array.handle)
         return target
 
     def empty(self, shape: Sequence[int], dtype: DTypeLike) -> DeviceArray:
         """Return an uninitialized array."""
         sizes, kind = tuple(int(n) for n in shape), np.dtype(dtype)
-        return DeviceArray(sizes, kind, self._guarded(self._driver.allocate, sizes, kind))
+        return DeviceArray(sizes, kind, self._guarded(self._allocate, sizes, kind))
 
     def launch(self, kernels: Kernels, name: str, size: Sequence[int], group: Sequence[int], *arguments: Any) -> None:
         """Enqueue a kernel and return at once; its first launch compiles it.
@@ -155,12 +142,18 @@ class Device:
         """
         kernel = self._kernels.get((kernels, name))
         if kernel is None:
-            kernel = self._kernels[kernels, name] = self._guarded(self._driver.compile, kernels, name)
+            kernel = self._kernels[kernels, name] = self._guarded(self._compile, kernels, name)
         n_groups = tuple(-(-int(n) // g) for n, g in zip(size, group, strict=True))
         if 0 in n_groups:
             return
-        values, timed = [_argument(a) for a in arguments], self.launches is not None
-        event = self._guarded(self._driver.enqueue, kernel, n_groups, tuple(group), values, timed)
+        values = list(arguments)
+        for k, argument in enumerate(arguments):
+            if isinstance(argument, DeviceArray):
+                values[k] = argument.handle
+            elif isinstance(argument, int | float):
+                values[k] = np.int32(argument) if isinstance(argument, int) else np.float32(argument)
+        timed = self.launches is not None
+        event = self._guarded(self._enqueue, kernel, n_groups, tuple(group), values, timed)
         if timed:
             nbytes = sum(argument.nbytes for argument in arguments if isinstance(argument, DeviceArray))
             self._events.append((name, event, nbytes))
@@ -168,10 +161,10 @@ class Device:
     def finish(self) -> None:
         """Wait until all commands are done, and take the timings that :attr:`launches` asks for."""
         events, self._events = self._events, []
-        self._guarded(self._driver.wait)
+        self._guarded(self._wait)
         if self.launches is not None:
             for name, event, nbytes in events:
-                self.launches.append(Launch(name, self._guarded(self._driver.seconds, event), nbytes))
+                self.launches.append(Launch(name, self._guarded(self._seconds, event), nbytes))
 
     def measure_bandwidth(self) -> float:
         """Measure the bandwidth of the device's memory by copying a large array: bytes read and written per second."""
@@ -198,8 +191,8 @@ class Device:
             return action(*arguments)
         except DeviceError as error:
             raise DeviceError(f"{self.info.address} ({self.info.name}) {error}") from error
-        except self._driver.errors as error:
-            raise DeviceError(f"{self.info.address} ({self.info.name}) {self._driver.message(error)}") from error
+        except self.errors as error:
+            raise DeviceError(f"{self.info.address} ({self.info.name}) {self._message(error)}") from error
 
 
 def first_line(error: Exception) -> str:
@@ -207,23 +200,14 @@ def first_line(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
-def _argument(value: Any) -> Any:
-    if isinstance(value, DeviceArray):
-        return value.handle
-    if isinstance(value, int):
-        return np.int32(value)
-    return np.float32(value) if isinstance(value, float) else value
-
-
 def devices() -> list[DeviceInfo]:
     """Return all devices that the installed packages and drivers know, GPUs first."""
-    found = [info for kind in KINDS for info in _backend(kind).list_devices()]
-    return sorted(found, key=lambda info: not info.is_gpu)
+    return sorted((info for kind in KINDS for info in _found(kind)[0]), key=lambda info: not info.is_gpu)
 
 
 def why_no_device() -> str:
-    """Return, for each of OpenCL and CUDA that has no device here, the reason; "" where both have one."""
-    return "; ".join(f"{kind}: {_backend(kind).why_no_device()}" for kind in KINDS if not _backend(kind).list_devices())
+    """Return why OpenCL or CUDA has no device here; "" where both have one."""
+    return "; ".join(f"{kind}: {_found(kind)[1]}" for kind in KINDS if not _found(kind)[0])
 
 
 def find_device(wanted: str) -> DeviceInfo | None:
@@ -240,13 +224,13 @@ def find_device(wanted: str) -> DeviceInfo | None:
     kind, _, number = wanted.partition(":")
     if kind not in KINDS or not (number.isdigit() or wanted == kind):
         raise ConfigError(f"device {wanted}: want cpu, auto, opencl or cuda, or one of several by opencl:N, cuda:N")
-    found: list[DeviceInfo] = _backend(kind).list_devices()
+    found, why_none = _found(kind)
     for info in sorted(found, key=lambda info: not info.is_gpu):
-        if info.address == wanted or wanted == kind:
+        if wanted in (info.address, kind):
             return info
     if found:
         raise DeviceError(f"device {wanted}: there is none; there are {', '.join(i.address for i in found)}")
-    raise DeviceError(f"device {wanted}: no device: {_backend(kind).why_no_device()}")
+    raise DeviceError(f"device {wanted}: no device: {why_none}")
 
 
 _open: dict[str, Device] = {}
@@ -258,9 +242,15 @@ def open_device(wanted: str) -> Device | None:
     if info is None:
         return None
     if info.address not in _open:
-        _open[info.address] = Device(info, _backend(info.address.partition(":")[0]).open_driver(info))
+        _open[info.address] = _backend(info.address.partition(":")[0]).open_device(info)
     return _open[info.address]
 
 
 def _backend(kind: str) -> Any:
     return importlib.import_module(f"depthcli.device.{kind}")
+
+
+def _found(kind: str) -> tuple[list[DeviceInfo], str]:
+    # The devices of a back end, in its driver's order; why there is none.
+    found: tuple[list[DeviceInfo], str] = _backend(kind).find_devices()
+    return found

@@ -17,7 +17,7 @@ Sums and products are never fused, so that results are those of the processor's 
 from __future__ import annotations
 
 import importlib.resources
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 OPENCL = """
 #pragma OPENCL FP_CONTRACT OFF
@@ -87,25 +87,20 @@ DEVICE int no_value(float v) { return v != v; }
 """
 
 
+@dataclass(frozen=True)
 class Kernels:
-    """The kernels of ``files`` of C text in a ``package``, joined, with ``macros`` that are defined before the text."""
+    """The kernels of a ``file`` of C text in a ``package``, with ``macros`` that are defined before the text."""
 
-    def __init__(self, package: str, *files: str, **macros: str | int) -> None:
-        self._package = package
-        self._files = files
-        self._macros = macros
-        self._variants: dict[tuple[tuple[str, str | int], ...], Kernels] = {}
+    package: str
+    file: str
+    macros: tuple[tuple[str, str | int], ...] = ()
 
     def with_macros(self, **macros: str | int) -> Kernels:
-        """Return the same files with further macros; equal macros give the same object, which is compiled once."""
-        key = tuple(sorted(macros.items()))
-        if key not in self._variants:
-            self._variants[key] = Kernels(self._package, *self._files, **{**self._macros, **macros})
-        return self._variants[key]
+        """Return the same file with other macros."""
+        return replace(self, macros=tuple(sorted(macros.items())))
 
-    @cached_property
+    @property
     def text(self) -> str:
-        """Return the macros and the files as one text."""
-        folder = importlib.resources.files(self._package)
-        lines = [f"#define {name} {value}\n" for name, value in sorted(self._macros.items())]
-        return "".join([*lines, COMMON, *(folder.joinpath(name).read_text("utf-8") for name in self._files)])
+        """Return the macros and the file as one text."""
+        lines = [f"#define {name} {value}\n" for name, value in self.macros]
+        return "".join([*lines, COMMON, importlib.resources.files(self.package).joinpath(self.file).read_text("utf-8")])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.device import DeviceError, DeviceInfo, Driver, Kernels, first_line
+from depthcli.device import Device, DeviceError, DeviceInfo, Kernels, first_line
 from depthcli.device.dialect import OPENCL
 
 
@@ -32,21 +32,17 @@ def _handles() -> tuple[list[tuple[DeviceInfo, Any]], str]:
         except cl.Error:
             continue
         for handle in handles:
+            name, driver = handle.name.strip(), platform.name.strip()
             try:
                 _try_out(cl, handle)
             except (cl.Error, MemoryError) as error:
                 # PoCL shows processors that its compiler does not know: https://github.com/pocl/pocl/issues/1049
-                why = f"{handle.name.strip()} ({platform.name.strip()}) runs no kernel: {_message(error)}"
+                why = f"{name} ({driver}) runs no kernel: {_message(error)}"
                 continue
-            info = DeviceInfo(
-                address=f"opencl:{len(found)}",
-                name=handle.name.strip(),
-                memory=handle.global_mem_size,
-                is_gpu=bool(handle.type & cl.device_type.GPU),
-                driver=f"{platform.name.strip()}, {handle.version.strip()}",
-            )
-            found.append((info, handle))
-    return found, "" if found else why
+            address, is_gpu = f"opencl:{len(found)}", bool(handle.type & cl.device_type.GPU)
+            driver = f"{driver}, {handle.version.strip()}"
+            found.append((DeviceInfo(address, name, handle.global_mem_size, is_gpu, driver), handle))
+    return found, why
 
 
 def _try_out(cl: Any, handle: Any) -> None:
@@ -59,32 +55,29 @@ def _try_out(cl: Any, handle: Any) -> None:
         queue.finish()
 
 
-def list_devices() -> list[DeviceInfo]:
-    """Return the devices of all OpenCL drivers, in the drivers' order."""
-    return [info for info, _ in _handles()[0]]
+def find_devices() -> tuple[list[DeviceInfo], str]:
+    """Return the devices of all OpenCL drivers, in the drivers' order, and why there is none."""
+    found, why = _handles()
+    return [info for info, _ in found], why
 
 
-def why_no_device() -> str:
-    """Return the reason, for the user, why :func:`list_devices` returns none; "" where it returns some."""
-    return _handles()[1]
-
-
-def open_driver(info: DeviceInfo) -> Driver:
+def open_device(info: DeviceInfo) -> Device:
     """Open the device of ``info``."""
-    return OpenClDriver(next(handle for own, handle in _handles()[0] if own == info))
+    return _OpenClDevice(info, next(handle for own, handle in _handles()[0] if own == info))
 
 
-class OpenClDriver(Driver):
-    """One device behind an OpenCL driver."""
-
-    def __init__(self, handle: Any) -> None:
+class _OpenClDevice(Device):
+    def __init__(self, info: DeviceInfo, handle: Any) -> None:
         import pyopencl as cl
         import pyopencl.tools
 
+        super().__init__(info)
         self.errors = (cl.Error, MemoryError)
         self.has_double = "cl_khr_fp64" in handle.extensions  # an optional extension of OpenCL 1.2
         self._cl = cl
-        self._handle = handle
+        self._options = ["-cl-std=CL1.2"]
+        if handle.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
+            self._options.append("-cl-fp32-correctly-rounded-divide-sqrt")
         # The compiler's own cache of programs would print its messages.
         os.environ.setdefault("PYOPENCL_COMPILER_OUTPUT", "0")
         try:
@@ -92,49 +85,47 @@ class OpenClDriver(Driver):
             profiling = cl.command_queue_properties.PROFILING_ENABLE
             self._queue = cl.CommandQueue(self._context, properties=profiling)
         except self.errors as error:
-            raise DeviceError(f"{handle.name.strip()} {self.message(error)}") from error
+            raise DeviceError(f"{info.name} {self._message(error)}") from error
         self._pool = pyopencl.tools.MemoryPool(pyopencl.tools.ImmediateAllocator(self._queue))
         self._programs: dict[Kernels, Any] = {}
 
-    def message(self, error: Exception) -> str:
+    def _message(self, error: Exception) -> str:
         return f"failed: {_message(error)}"
 
-    def allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
         size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
         try:
             return self._pool.allocate(max(1, size))
         except self.errors as error:
             raise DeviceError(f"has no room for {size >> 20} MiB more") from error
 
-    def copy_to_device(self, target: Any, array: NDArray[Any]) -> None:
+    def _write(self, target: Any, array: NDArray[Any]) -> None:
         self._cl.enqueue_copy(self._queue, target, array, is_blocking=True)
 
-    def copy_to_host(self, target: NDArray[Any], source: Any) -> None:
+    def _read(self, target: NDArray[Any], source: Any) -> None:
         self._cl.enqueue_copy(self._queue, target, source, is_blocking=True)
 
-    def compile(self, kernels: Kernels, name: str) -> Any:
+    def _compile(self, kernels: Kernels, name: str) -> Any:
         if kernels not in self._programs:
-            options = ["-cl-std=CL1.2"]
-            if self._handle.single_fp_config & self._cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
-                options.append("-cl-fp32-correctly-rounded-divide-sqrt")
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
-                    self._programs[kernels] = self._cl.Program(self._context, OPENCL + kernels.text).build(options)
+                    program = self._cl.Program(self._context, OPENCL + kernels.text).build(self._options)
             except self._cl.Error as error:
                 raise DeviceError(f"fails: its compiler refuses {name}: {_message(error)}") from error
+            self._programs[kernels] = program
         return self._cl.Kernel(self._programs[kernels], name)
 
-    def enqueue(
+    def _enqueue(
         self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any], timed: bool
     ) -> Any:
         size = tuple(n * g for n, g in zip(n_groups, group, strict=True))
         return kernel(self._queue, size, group, *arguments)
 
-    def wait(self) -> None:
+    def _wait(self) -> None:
         self._queue.finish()
 
-    def seconds(self, event: Any) -> float:
+    def _seconds(self, event: Any) -> float:
         return float(event.profile.end - event.profile.start) * 1e-9
 
 

@@ -51,7 +51,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 # Without nnan/ninf: NaN means "no value" in our maps and must survive.
 _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": _FASTMATH}
+_OPTIONS: dict[str, Any] = {"no_cfunc_wrapper": True, "nogil": True, "error_model": "numpy", "fastmath": _FASTMATH}
 
 
 def jit(function: _F) -> _F:

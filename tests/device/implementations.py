@@ -11,7 +11,6 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Family, device_implementation_of
 from depthcli.device import Kernels, open_device
-from depthcli.methods.stereo.aggregation import _device as aggregations
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.aggregation.cross import Cross
@@ -50,7 +49,7 @@ def device():
 def implementations(family):
     package = importlib.import_module(f"depthcli.methods.stereo.{family}._device")
     own = [name for name, value in vars(package).items() if getattr(value, "__module__", "") == package.__name__]
-    return [name for name in own if name.islower() and not name.startswith(("_", "naive_"))]
+    return [name for name in own if name.islower() and not name.startswith("_")]
 
 
 def test_every_device_implementation_has_the_name_of_a_method():
@@ -81,10 +80,9 @@ def test_costs_are_the_same_bytes(device, cost, height, width, disparities):
 
 
 @pytest.mark.parametrize("window", [1, 5, 41])
-@pytest.mark.parametrize("way", ["", "naive_"], ids=["fast", "naive"])
 @pytest.mark.parametrize("size", SIZES)
-def test_constant_windows_are_the_same_bytes(device, window, way, size):
-    _same_aggregation(device, ConstantWindow(window=window), way, size)
+def test_constant_windows_are_the_same_bytes(device, window, size):
+    _same_aggregation(device, ConstantWindow(window=window), size)
 
 
 @pytest.mark.parametrize(
@@ -92,26 +90,23 @@ def test_constant_windows_are_the_same_bytes(device, window, way, size):
     [{}, {"iterations": 1, "smoothing": False, "length": 5}, {"support": "intersection", "iterations": 3}],
     ids=["reference", "short", "intersection"],
 )
-@pytest.mark.parametrize("way", ["", "naive_"], ids=["fast", "naive"])
 @pytest.mark.parametrize("size", FEW)
-def test_cross_supports_are_the_same_bytes(device, options, way, size):
-    _same_aggregation(device, Cross(**options), way, size)
+def test_cross_supports_are_the_same_bytes(device, options, size):
+    _same_aggregation(device, Cross(**options), size)
 
 
 @pytest.mark.parametrize("options", [{"window": 5}, {"window": 35, "norm": "squared", "color_space": "rgb"}])
-@pytest.mark.parametrize("way", ["", "naive_"], ids=["fast", "naive"])
 @pytest.mark.parametrize("size", FEW)
-def test_adaptive_weights_differ_by_rounding_alone(device, options, way, size):
-    _same_aggregation(device, AdaptiveWeight(**options), way, size, 1)
+def test_adaptive_weights_differ_by_rounding_alone(device, options, size):
+    _same_aggregation(device, AdaptiveWeight(**options), size, 1)
 
 
-def _same_aggregation(device, method, way, size, tolerance=0):
+def _same_aggregation(device, method, size, tolerance=0):
     pair = blocky_pair(*size[:2])
     for dtype in (np.uint8, np.uint16):
         volume = random_volume(*size, dtype)
         expected = method(volume, pair)
-        run = getattr(aggregations, way + method.method_name())
-        found = run(method, DeviceVolume.upload(device, volume), DevicePair(device, pair)).download()
+        found = run_stage(method, DeviceVolume.upload(device, volume), DevicePair(device, pair)).download()
         assert found.costs.dtype == expected.costs.dtype and found.scale == expected.scale
         apart = np.abs(found.costs.astype(int) - expected.costs.astype(int))
         assert apart.max() <= tolerance

@@ -18,7 +18,7 @@ import depthcli.device.cuda
 import depthcli.device.opencl
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError
-from depthcli.device import Device, DeviceError, DeviceInfo, Driver, Kernels, Launch, find_device
+from depthcli.device import Device, DeviceError, DeviceInfo, Kernels, Launch, find_device
 from depthcli.device.cuda import OPTIONS
 from depthcli.device.dialect import COMMON, CUDA
 from tests.device import nvrtc
@@ -28,8 +28,9 @@ _LIMIT = 400  # seconds
 
 @pytest.mark.system
 def test_device_implementations_in_a_process_of_their_own():
-    if not depthcli.device.opencl.list_devices():
-        pytest.skip(depthcli.device.opencl.why_no_device())
+    found, why = depthcli.device.opencl.find_devices()
+    if not found:
+        pytest.skip(why)
     tests = Path(__file__).with_name("implementations.py")
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", str(tests)],
@@ -87,8 +88,9 @@ def test_a_processor_that_pocl_does_not_know_is_no_device(monkeypatch, error):
     monkeypatch.setitem(sys.modules, "pyopencl", Pocl(error))
     depthcli.device.opencl._handles.cache_clear()
     try:
-        assert len(depthcli.device.opencl.list_devices()) == (0 if error else 1)
-        assert ("unknown target CPU 'generic'" in depthcli.device.opencl.why_no_device()) == bool(error)
+        found, why = depthcli.device.opencl.find_devices()
+        assert len(found) == (0 if error else 1)
+        assert ("unknown target CPU 'generic'" in why) == bool(error)
     finally:
         depthcli.device.opencl._handles.cache_clear()
 
@@ -122,36 +124,36 @@ def test_without_devices_all_that_needs_one_is_skipped_with_the_reason(tmp_path)
         assert "pyopencl is not installed" in run.stdout + run.stderr
 
 
-class Memory(Driver):
+class Memory(Device):
     """The memory of the host as a device; its only kernel adds one."""
 
     errors = (ZeroDivisionError,)
 
-    def allocate(self, shape, dtype):
+    def _allocate(self, shape, dtype):
         return np.empty(shape, dtype)
 
-    def copy_to_device(self, target, array):
+    def _write(self, target, array):
         target[...] = array
 
-    copy_to_host = copy_to_device
+    _read = _write
 
-    def compile(self, kernels, name):
+    def _compile(self, kernels, name):
         return {"add_one": lambda array: array.__iadd__(1), "fail": lambda array: 1 // 0}[name]
 
-    def enqueue(self, kernel, n_groups, group, arguments, timed):
+    def _enqueue(self, kernel, n_groups, group, arguments, timed):
         assert (n_groups, group) == ((3, 2), (4, 8))
         kernel(*arguments)
-        return "event" if timed else None
+        return 0.5 if timed else None
 
-    def wait(self):
+    def _wait(self):
         pass
 
-    def seconds(self, event):
-        return {"event": 0.5}[event]
+    def _seconds(self, event):
+        return event
 
 
 def test_arrays_go_to_a_device_and_kernels_run_and_are_timed_there():
-    device = Device(DeviceInfo("opencl:0", "memory", 1 << 30, True, "none"), Memory())
+    device = Memory(DeviceInfo("opencl:0", "memory", 1 << 30, True, "none"))
     kernels, there = Kernels("depthcli.device", "benchmarks.cl"), device.upload(np.arange(6, dtype=np.uint8)[::2])
     device.launch(kernels, "add_one", (9, 16), (4, 8), there)
     device.launch(kernels, "add_one", (0, 16), (4, 8), there)  # nothing to do
@@ -170,9 +172,8 @@ SLOW = DeviceInfo("opencl:0", "a processor", 1 << 34, False, "somebody else's")
 
 @pytest.fixture
 def two_devices(monkeypatch):
-    monkeypatch.setattr(depthcli.device.opencl, "list_devices", lambda: [SLOW, GPU])
-    monkeypatch.setattr(depthcli.device.cuda, "list_devices", list)
-    monkeypatch.setattr(depthcli.device.cuda, "why_no_device", lambda: "nothing there")
+    monkeypatch.setattr(depthcli.device.opencl, "find_devices", lambda: ([SLOW, GPU], ""))
+    monkeypatch.setattr(depthcli.device.cuda, "find_devices", lambda: ([], "nothing there"))
 
 
 def test_what_names_mean(two_devices, monkeypatch):
@@ -187,13 +188,12 @@ def test_what_names_mean(two_devices, monkeypatch):
     for name in ("gpu", "opencl:", "opencl:x", "cuda:-1"):
         with pytest.raises(ConfigError, match="want cpu, auto"):
             find_device(name)
-    monkeypatch.setattr(depthcli.device.opencl, "list_devices", lambda: [SLOW])
+    monkeypatch.setattr(depthcli.device.opencl, "find_devices", lambda: ([SLOW], ""))
     assert find_device("auto") is None  # without a card the processor
 
 
 def test_no_device_is_one_line_before_anything_is_written(tmp_path, capsys, made_scenes, monkeypatch):
-    monkeypatch.setattr(depthcli.device.opencl, "list_devices", list)
-    monkeypatch.setattr(depthcli.device.opencl, "why_no_device", lambda: "no driver")
+    monkeypatch.setattr(depthcli.device.opencl, "find_devices", lambda: ([], "no driver"))
     code = main(["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "run"), "--device", "opencl"])
     assert code == 2
     assert capsys.readouterr().err.strip() == "depthcli: device opencl: no device: no driver"
@@ -202,8 +202,7 @@ def test_no_device_is_one_line_before_anything_is_written(tmp_path, capsys, made
 
 def test_devices_says_why_there_is_none(capsys, monkeypatch):
     for kind in (depthcli.device.opencl, depthcli.device.cuda):
-        monkeypatch.setattr(kind, "list_devices", list)
-        monkeypatch.setattr(kind, "why_no_device", lambda: "no driver")
+        monkeypatch.setattr(kind, "find_devices", lambda: ([], "no driver"))
     assert main(["stereo", "--device", "list"]) == 0
     out, err = capsys.readouterr()
     assert out == ""

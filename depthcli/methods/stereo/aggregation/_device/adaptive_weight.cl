@@ -44,24 +44,6 @@ DEVICE OUT mean_of(float sum, float weights, float own, float factor, float roun
     return (OUT)(weights > 0 ? sum / weights * factor + rounding : own * factor);
 }
 
-KERNEL void naive_weights(GLOBAL const COST *RESTRICT costs, GLOBAL const float *RESTRICT left,
-                          GLOBAL const float *RESTRICT right, GLOBAL OUT *RESTRICT means, int height, int width,
-                          int n_disparities, int radius, float log_color, float log_space, float factor, float rounding)
-{
-    OWN_CELL;
-    index_t cell = ((index_t)y * width + x) * n_disparities + d;
-    float sum = 0, weights = 0;
-    if (d <= x)
-        for (int v = larger(0, y - radius); v <= smaller(height - 1, y + radius); v++)
-            for (int u = larger(d, x - radius); u <= smaller(width - 1, x + radius); u++) {
-                float weight = weight_of(left, width, y, x, v, u, log_color, log_space) *
-                               weight_of(right, width, y, x - d, v, u - d, log_color, log_space);
-                sum += weight * (float)costs[((index_t)v * width + u) * n_disparities + d];
-                weights += weight;
-            }
-    means[cell] = mean_of(sum, weights, (float)costs[cell], factor, rounding);
-}
-
 // The weights of a window row are computed once a group, into local memory, for the left pixels of the tile and for
 // all right pixels that they may match; sums stay in registers.
 KERNEL void shared_weights(GLOBAL const COST *RESTRICT costs, GLOBAL const float *RESTRICT left,

@@ -10,19 +10,6 @@ DEVICE ushort mean_of(uint sum, int rows, int columns, float factor)
     return (ushort)(int)((float)(int)sum * scale + 0.5f);
 }
 
-KERNEL void naive_window(GLOBAL const COST *RESTRICT costs, GLOBAL ushort *RESTRICT means, int height, int width,
-                         int n_disparities, int radius, float factor)
-{
-    OWN_CELL;
-    int top = larger(0, y - radius), bottom = smaller(height, y + radius + 1);
-    int left = larger(0, x - radius), right = smaller(width, x + radius + 1);
-    uint sum = 0;
-    for (int v = top; v < bottom; v++)
-        for (int u = left; u < right; u++)
-            sum += costs[((index_t)v * width + u) * n_disparities + d];
-    means[((index_t)y * width + x) * n_disparities + d] = mean_of(sum, bottom - top, right - left, factor);
-}
-
 // Running sums down the columns; a thread a column of cells and a band of rows. ``row`` = W * D.
 KERNEL void column_sums(GLOBAL const COST *RESTRICT costs, GLOBAL SUM *RESTRICT sums, int height, int row, int radius,
                         int band)

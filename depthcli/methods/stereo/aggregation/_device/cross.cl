@@ -78,29 +78,9 @@ DEVICE ushort mean_of(uint sum, float inverse)
     return (ushort)(int)((float)(int)sum * factor + 0.5f);
 }
 
-// The naive way: one thread per cell, which reads its whole support.
-KERNEL void naive_cross(GLOBAL const ushort *RESTRICT costs, GLOBAL const uchar *RESTRICT arms,
-                        GLOBAL const float *RESTRICT inverse, GLOBAL ushort *RESTRICT means,
-                        int height, int width, int n_disparities, int across)
-{
-    OWN_CELL;
-    index_t plane = (index_t)height * width, here = (index_t)y * width + x;
-    index_t along = across ? 1 : width, step = across ? width : 1;
-    GLOBAL const uchar *first = arms + (across ? 0 : 2) * plane, *second = arms + (across ? 2 : 0) * plane;
-    uint total = 0;
-    for (int k = -(int)second[here]; k <= (int)second[here + plane]; k++) {
-        index_t at = here + k * step;
-        uint sum = 0;
-        for (int n = -(int)first[at]; n <= (int)first[at + plane]; n++)
-            sum += costs[(at + n * along) * n_disparities + d];
-        total += rounded(sum);
-    }
-    means[here * n_disparities + d] = mean_of(total, inverse[here]);
-}
-
 // Sums from a line's start up to and with each cell, along x or y; a thread a line of cells.
 // ``lines``: threads' lines; ``inner``: cells between neighbors on a line; ``count``: cells of a line.
-DEVICE index_t line_start(int i, int across, int width, int n_disparities, int count)
+DEVICE index_t line_start(int i, int across, int n_disparities, int count)
 {
     return across ? (index_t)(i / n_disparities) * count * n_disparities + i % n_disparities : i;
 }
@@ -109,7 +89,7 @@ KERNEL void prefix(GLOBAL const ushort *RESTRICT source, GLOBAL uint *RESTRICT s
                    int count, int across)
 {
     OWN_INDEX(i, lines);
-    index_t at = line_start(i, across, width, n_disparities, count), step = across ? n_disparities : (index_t)width * n_disparities;
+    index_t at = line_start(i, across, n_disparities, count), step = across ? n_disparities : (index_t)width * n_disparities;
     uint sum = 0;
     for (int k = 0; k < count; k++, at += step) {
         sum += source[at];
@@ -130,4 +110,54 @@ KERNEL void spans(GLOBAL const uint *RESTRICT sums, GLOBAL const uchar *RESTRICT
     if (place > before)
         sum -= sums[(here - (before + 1) * step) * n_disparities + d];
     out[here * n_disparities + d] = last ? mean_of(sum, inverse[here]) : rounded(sum);
+}
+
+// Means over cross supports whose arms are cut to those of the match: they depend on d. Words of the first pass hold
+// the sum of an arm above 9 bits of its length; of the second, sum << 32 | number.
+#define LENGTH_BITS 9
+
+DEVICE int cut_arm(GLOBAL const uchar *RESTRICT arms, GLOBAL const uchar *RESTRICT target, index_t here, int x, int d)
+{
+    return smaller(arms[here], d <= x ? target[here - d] : 255);
+}
+
+KERNEL void prefix_spans(GLOBAL const uint *RESTRICT words, GLOBAL ulong *RESTRICT sums, int lines, int width,
+                         int n_disparities, int count, int across)
+{
+    OWN_INDEX(i, lines);
+    index_t at = line_start(i, across, n_disparities, count), step = across ? n_disparities : (index_t)width * n_disparities;
+    ulong sum = 0;
+    for (int k = 0; k < count; k++, at += step) {
+        uint word = words[at];
+        sum += ((ulong)(word >> LENGTH_BITS) << 32) | (word & ((1u << LENGTH_BITS) - 1));
+        sums[at] = sum;
+    }
+}
+
+#define SPAN \
+    OWN_CELL; \
+    index_t plane = (index_t)height * width, here = (index_t)y * width + x, step = across ? 1 : width; \
+    index_t side = (across ? 0 : 2) * plane; \
+    int before = cut_arm(arms + side, target + side, here, x, d); \
+    int after = cut_arm(arms + side + plane, target + side + plane, here, x, d); \
+    int inside = (across ? x : y) > before; \
+    index_t high = (here + after * step) * n_disparities + d, low = (here - (before + 1) * step) * n_disparities + d;
+
+KERNEL void cut_spans(GLOBAL const uint *RESTRICT sums, GLOBAL const uchar *RESTRICT arms,
+                      GLOBAL const uchar *RESTRICT target, GLOBAL uint *RESTRICT words, int height, int width,
+                      int n_disparities, int across)
+{
+    SPAN
+    uint sum = sums[high] - (inside ? sums[low] : 0);
+    words[here * n_disparities + d] = (sum << LENGTH_BITS) | (uint)(before + after + 1);
+}
+
+KERNEL void cut_means(GLOBAL const ulong *RESTRICT sums, GLOBAL const uchar *RESTRICT arms,
+                      GLOBAL const uchar *RESTRICT target, GLOBAL ushort *RESTRICT means, int height, int width,
+                      int n_disparities, int across)
+{
+    SPAN
+    ulong sum = sums[high] - (inside ? sums[low] : 0);
+    float number = (float)(int)(uint)sum;
+    means[here * n_disparities + d] = (ushort)(int)((float)(int)(sum >> 32) / number + 0.5f);
 }

@@ -61,16 +61,8 @@ def _winners(volume: DeviceVolume) -> tuple[DeviceArray, DeviceArray]:
     for diagonal in (0, 1):
         best = device.empty((height, width), np.uint16)
         device.launch(
-            _KERNELS.with_macros(COST=volume.c_type),
-            "winners",
-            (_LANES, width, height),
-            (_LANES, _PIXELS, 1),
-            volume.costs,
-            best,
-            height,
-            width,
-            n_disparities,
-            diagonal,
-        )
+            _KERNELS.with_macros(COST=volume.c_type), "winners", (_LANES, width, height), (_LANES, _PIXELS, 1),
+            volume.costs, best, height, width, n_disparities, diagonal,
+        )  # fmt: skip
         found.append(best)
     return found[0], found[1]
