@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +64,7 @@ def consecutive(parent):
     return labels
 
 
-@dataclass(frozen=True)
-class RegionPixels:
+class RegionPixels(NamedTuple):
     """The pixels of every region of a label map."""
 
     order: NDArray[np.int64]  # (P,) int64 flat pixel indices, region by region, raster order inside
@@ -208,15 +207,6 @@ def joined_regions(count, edges):
     for e in range(len(edges)):
         join(parent, edges[e, 0], edges[e, 1])
     return consecutive(parent)
-
-
-def merge_small_labels(pieces: NDArray[np.int32], parents: NDArray[np.int32], min_size: int) -> NDArray[np.int32]:
-    """Join pieces of fewer than ``min_size`` pixels to the piece of the same parent with the longest common boundary.
-
-    ``parents`` (H, W) is the label map whose regions were divided into the ``pieces`` (H, W); a piece that is the only
-    one of its parent stays as it is.
-    """
-    return merge_small_regions(pieces, parents, min_size, by_boundary=True)
 
 
 def adjacency(

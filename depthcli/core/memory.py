@@ -68,8 +68,13 @@ def kept() -> int:
         return sum(block.size for block in _free)
 
 
-def release() -> None:
-    """Return every free block to the operating system (between scenes of different size)."""
+def release(above: int = -1) -> None:
+    """Return every free block to the operating system where they have more than ``above`` bytes.
+
+    This is for work that goes on with arrays of another size.
+    """
+    if kept() <= above:
+        return
     with _lock:
         _free.clear()
     if _trim is not None:

@@ -131,14 +131,13 @@ def test_a_full_disk_only_means_that_nothing_is_kept(tmp_path: Path):
 SUMS = """
 import hashlib, numpy as np
 from depthcli.methods.stereo.segments import planes as energy
-from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlanes
 from depthcli.algorithms.regions import RegionPixels
 rng = np.random.default_rng(0)
 labels = np.arange(100, dtype=np.int32).reshape(10, 10).repeat(10, 0).repeat(10, 1)
 values = (rng.random((100, 100)) * 50).astype(np.float32)
-planes = SegmentPlanes(rng.normal(size=(30, 3)) * [0.01, 0.01, 20], np.arange(30), np.zeros((30, 2)))
-sums = energy.discrepancy(values, RegionPixels.of(labels), planes, 10.0, 2.0)
-print(hashlib.sha256(sums.tobytes()).hexdigest(), energy._discrepancy.stats.cache_hits.total())
+planes = rng.normal(size=(30, 3)) * [0.01, 0.01, 20]
+sums = energy.discrepancy(values, *RegionPixels.of(labels), planes, 10.0, 2.0)
+print(hashlib.sha256(sums.tobytes()).hexdigest(), energy.discrepancy.stats.cache_hits.total())
 """
 
 

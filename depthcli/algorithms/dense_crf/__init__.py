@@ -14,7 +14,7 @@ whose inner sums over all j are Gaussian filters on a permutohedral lattice: lin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,10 @@ from depthcli.kernels.lanes import LANES, exp_minus, lane_min, lane_sum, load, m
 
 _TILE = 16  # points whose labels are processed together: they stay in the first-level cache
 _BLOCK = 4 * LANES  # labels that are held in registers together
+_NEVER = np.float32(1e30)  # energy of the labels that fill up a vector
 
 
-@dataclass(frozen=True)
-class GaussianKernel:
+class GaussianKernel(NamedTuple):
     """One Gaussian kernel, by which close points influence each other."""
 
     features: NDArray[np.float32]  # (N, d) float32, 1 <= d <= 8, each divided by its standard deviation
@@ -45,57 +45,44 @@ def mean_field(
     ValueError: features are not finite, or too many or too far apart for the lattice.
     """
     count, labels = unary.shape
-    q: NDArray[np.float32] = memory.empty((count, labels), np.float32)
-    joined = _JoinedLattices.of([kernel for kernel in kernels if kernel.weight > 0 and iterations], count)
-    corners, slots, weights = joined.slots.shape[1], joined.slots.reshape(-1), joined.weights.reshape(-1)
     width = -(-labels // LANES) * LANES
-    n_rows = sum(lattice.vertices + 1 for lattice in joined.lattices)
-    partial, near, far = (_aligned(rows * width) for rows in (joined.vertex.size, n_rows, n_rows))
-    energies, marginals = np.ascontiguousarray(unary).reshape(-1), q.reshape(-1)
+    if width > labels:
+        unary = np.pad(unary, ((0, 0), (0, width - labels)), constant_values=_NEVER)
+    kernels = [kernel for kernel in kernels if kernel.weight > 0 and iterations]
+    lattices = [Lattice.of(kernel.features) for kernel in kernels]
+    # The lattices side by side, for one pass over the points: the C corners of all simplices of a point, and their
+    # weights with the normalization and the square root of the kernel's weight, so that spreading and reading with them
+    # and adding all columns gives the message; less a point's message to itself.
+    corners = sum(lattice.slots.shape[1] for lattice in lattices)
+    slots: NDArray[np.int32] = memory.empty((count, corners), np.int32)
+    weights: NDArray[np.float32] = memory.empty((count, corners), np.float32)
+    own = np.zeros(count, np.float32)
+    # The row of every slot in arrays of all vertices, where a row of zeros follows each lattice; and (B, 2 K), the
+    # slots of a band in each of the K lattices, as first and last + 1.
+    rows, bands = [np.zeros(0, np.int32)], [np.zeros((-(-count // BAND), 0), np.int64)]
+    slot = row = column = 0
+    for kernel, lattice in zip(kernels, lattices, strict=True):
+        density = lattice.filter(np.ones((count, 1), np.float32))[:, 0]
+        share, scale = lattice.own_share(density), np.float32(kernel.weight)
+        source = (lattice.slots, lattice.weights, density, share, scale, np.int32(slot), column)
+        _join(*source, slots, weights, own)
+        rows.append(lattice.vertex + np.int32(row))
+        bands.append(np.stack([lattice.first_slot[:-1], lattice.first_slot[1:]], axis=1) + slot)
+        slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
+        column += lattice.slots.shape[1]
+    partial, near, far = (_aligned(size * width) for size in (slot, row, row))
+    q: NDArray[np.float32] = memory.empty((count, width), np.float32)
+    arrays = np.ascontiguousarray(unary).reshape(-1), q.reshape(-1), near
+    graph = slots.reshape(-1), np.concatenate(rows), weights.reshape(-1), corners, own
     last = iterations if corners else 0
     for step in range(last + 1):
         slot = row = 0
-        for lattice in joined.lattices if step else ():
+        for lattice in lattices if step else ():
             blur(lattice, width, partial[slot * width :], near[row * width :], far[row * width :])
             slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
-        graph = (near, slots, joined.vertex, weights, corners, joined.own)
-        cut, more = min(truncation, labels), step < last
-        update(energies, marginals, labels, *graph, cut, joined.bands, width, step > 0, more, partial)
-    return q
-
-
-@dataclass(frozen=True)
-class _JoinedLattices:
-    # The lattices of all kernels side by side, for one pass over the points.
-
-    lattices: tuple[Lattice, ...]
-    slots: NDArray[np.int32]  # (N, C), columns are the corners of all lattices
-    # (N, C), with the normalization and the square root of the kernel's weight: spreading and reading with the same
-    # weights and adding all columns gives the message
-    weights: NDArray[np.float32]
-    own: NDArray[np.float32]  # (N,), a point's message to itself
-    vertex: NDArray[np.int32]  # (T,) row of every slot in arrays of all vertices; a row of zeros follows each lattice
-    bands: NDArray[np.int64]  # (B, 2 K), the slots of band b in each of the K lattices, as first and last + 1
-
-    @classmethod
-    def of(cls, kernels: Sequence[GaussianKernel], count: int) -> _JoinedLattices:
-        lattices = tuple(Lattice.of(kernel.features) for kernel in kernels)
-        corners = sum(lattice.slots.shape[1] for lattice in lattices)
-        slots: NDArray[np.int32] = memory.empty((count, corners), np.int32)
-        weights: NDArray[np.float32] = memory.empty((count, corners), np.float32)
-        own = np.zeros(count, np.float32)
-        vertex, bands = [np.zeros(0, np.int32)], [np.zeros((-(-count // BAND), 0), np.int64)]
-        slot = row = column = 0
-        for kernel, lattice in zip(kernels, lattices, strict=True):
-            density = lattice.filter(np.ones((count, 1), np.float32))[:, 0]
-            share, scale = lattice.own_share(density), np.float32(kernel.weight)
-            source = (lattice.slots, lattice.weights, density, share, scale, np.int32(slot), column)
-            join_lattices(*source, slots, weights, own)
-            vertex.append(lattice.vertex + np.int32(row))
-            bands.append(np.stack([lattice.first_slot[:-1], lattice.first_slot[1:]], axis=1) + slot)
-            slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
-            column += lattice.slots.shape[1]
-        return cls(lattices, slots, weights, own, np.concatenate(vertex), np.concatenate(bands, axis=1))
+        cut, joined = min(truncation, labels), np.concatenate(bands, axis=1)
+        _update(*arrays, *graph, cut, joined, width, step > 0, step < last, partial)
+    return q if width == labels else np.ascontiguousarray(q[:, :labels])
 
 
 def _aligned(size: int) -> NDArray[np.float32]:
@@ -106,8 +93,8 @@ def _aligned(size: int) -> NDArray[np.float32]:
 
 
 @parallel_jit
-def join_lattices(slots, weights, density, share, weight, offset, column, all_slots, all_weights, own):
-    """Write slots and normalized weights of one lattice to the columns from ``column`` on of those of all lattices."""
+def _join(slots, weights, density, share, weight, offset, column, all_slots, all_weights, own):
+    # Writes slots and normalized weights of one lattice to the columns from ``column`` on of those of all lattices.
     for n in prange(own.size):
         scale = np.sqrt(weight / density[n])
         own[n] += share[n] * scale * scale
@@ -117,41 +104,31 @@ def join_lattices(slots, weights, density, share, weight, offset, column, all_sl
 
 
 @parallel_jit
-def update(
-    unary, q, labels, near, slots, vertex, weights, corners, own, truncation, bands, width, receive, send, partial
-):
-    """Write the marginals of all points to ``q``, and spread them over the slots in ``partial`` if ``send``.
-
-    They are those of the energies with the messages in ``near`` if ``receive``; else of the energies alone,
-    softmax(-unary).
-    """
+def _update(unary, q, near, slots, vertex, weights, corners, own, truncation, bands, width, receive, send, partial):
+    # Writes the marginals of all points to ``q``, and spreads them over the slots in ``partial`` if ``send``. They are
+    # those of the energies with the messages in ``near`` if ``receive``; else of the energies alone, softmax(-unary).
     count = own.size
     # Rows of a tile lie one behind the other, with zeros between them for the windows that reach beyond their ends.
     margin = truncation - 1
     lead = -(-margin // LANES) * LANES
-    stride = -(-(labels + margin) // LANES) * LANES
+    stride = -(-(width + margin) // LANES) * LANES
     for b in prange(bands.shape[0]):
         if send:
             _clear(partial, bands, b, width)
         # Windows read as far behind the last row as they are long.
         message = np.zeros(_TILE * stride + 4 * lead + LANES, np.float32)
         once, twice = np.zeros_like(message), np.zeros_like(message)
-        total, spare = np.ones(_TILE, np.float32), np.zeros(LANES, np.float32)
+        total = np.ones(_TILE, np.float32)
         stop = min(count, (b + 1) * BAND)
         for first in range(b * BAND, stop, _TILE):
             size = min(_TILE, stop - first)
             if receive:
-                _read(
-                    near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride,
-                    spare,
-                )  # fmt: skip
+                _read(near, width, slots, vertex, weights, corners, own, q, first, size, message, lead, stride)
                 # min(|k|, T) is T less a triangle, which is a window of length T over another one. T times the sum
                 # of all messages is the same for every label of a point, and makes no difference to its marginals.
                 _window(message, truncation, once)
                 _window(once, truncation, twice)
-            _energies(unary, labels, first, size, twice, lead - margin, stride, once)
-            _softmax(once, stride, labels, width, size, total)
-            _write(once, stride, total, q, first, labels, size)
+            _softmax(unary, twice, lead - margin, stride, width, first, size, once, total, q)
             if send:
                 _spread(once, stride, total, slots, weights, corners, first, size, width, partial)
 
@@ -187,12 +164,12 @@ def _spread(tile, stride, total, slots, weights, corners, first, size, width, pa
 
 
 @jit
-def _read(near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride, spare):
+def _read(near, width, slots, vertex, weights, corners, own, q, first, size, message, lead, stride):
     # Writes the messages of points to the rows of a tile: values of their vertices without their own share.
     for p in range(size):
-        begin, at, to = (first + p) * corners, (first + p) * labels, lead + p * stride
+        begin, at, to = (first + p) * corners, (first + p) * width, lead + p * stride
         share = splat(-own[first + p])
-        for k in range(0, labels - _BLOCK + 1, _BLOCK):
+        for k in range(0, width - _BLOCK + 1, _BLOCK):
             v0, v1 = share * load(q, at + k), share * load(q, at + k + LANES)
             v2, v3 = share * load(q, at + k + 2 * LANES), share * load(q, at + k + 3 * LANES)
             for c in range(begin, begin + corners):
@@ -205,13 +182,8 @@ def _read(near, width, slots, vertex, weights, corners, own, q, labels, first, s
             store(message, to + k + LANES, v1)
             store(message, to + k + 2 * LANES, v2)
             store(message, to + k + 3 * LANES, v3)
-        for k in range(labels - labels % _BLOCK, labels, LANES):
-            if k + LANES <= labels:
-                value = share * load(q, at + k)
-            else:  # the next point's marginals lie behind
-                for rest in range(k, labels):
-                    spare[rest - k] = q[at + rest]
-                value = share * load(spare, 0)
+        for k in range(width - width % _BLOCK, width, LANES):
+            value = share * load(q, at + k)
             for c in range(begin, begin + corners):
                 value += splat(weights[c]) * load(near, vertex[slots[c]] * width + k)
             store(message, to + k, value)
@@ -240,48 +212,26 @@ def _window(source, length, target):
 
 
 @jit
-def _energies(unary, labels, first, size, gain, begin, stride, tile):
-    # tile = unary - gain, row by row.
+def _softmax(unary, gain, begin, stride, width, first, size, tile, total, q):
+    # tile = exp(smallest energy - energy) of the energies unary - gain, row by row; total = sums of the rows; q = tile
+    # divided by them.
     for p in range(size):
-        at, source, to = (first + p) * labels, begin + p * stride, p * stride
-        for k in range(0, labels - LANES + 1, LANES):
-            store(tile, to + k, load(unary, at + k) - load(gain, source + k))
-        for k in range(labels - labels % LANES, labels):
-            tile[to + k] = unary[at + k] - gain[source + k]
-
-
-@jit
-def _softmax(tile, stride, labels, width, size, total):
-    # tile = exp(smallest energy - energy), row by row, 0 behind the labels; total = sums of the rows.
-    for p in range(size):
-        at = p * stride
-        for k in range(labels, width):
-            tile[at + k] = np.float32(3e38)
-        low = load(tile, at)
-        for k in range(LANES, width, LANES):
-            low = minimum(low, load(tile, at + k))
+        source, at = (first + p) * width, p * stride
+        low = splat(np.float32(3e38))
+        for k in range(0, width, LANES):
+            energy = load(unary, source + k) - load(gain, begin + at + k)
+            store(tile, at + k, energy)
+            low = minimum(low, energy)
         total[p] = lane_min(low)
     # A loop of its own: the exponentials of a point need not wait for its smallest energy.
     for p in range(size):
-        at = p * stride
+        at, to = p * stride, (first + p) * width
         low, sums = splat(total[p]), splat(np.float32(0.0))
         for k in range(0, width, LANES):
             power = exp_minus(load(tile, at + k) - low)
             store(tile, at + k, power)
             sums += power
         total[p] = lane_sum(sums)
-        for k in range(labels, width):
-            tile[at + k] = np.float32(0.0)
-
-
-@jit
-def _write(tile, stride, total, q, first, labels, size):
-    # q = the rows of a tile divided by their ``total``.
-    for p in range(size):
-        factor = np.float32(1.0) / total[p]
-        factors = splat(factor)
-        at, to = p * stride, (first + p) * labels
-        for k in range(0, labels - LANES + 1, LANES):
+        factors = splat(np.float32(1.0) / total[p])
+        for k in range(0, width, LANES):
             store(q, to + k, factors * load(tile, at + k))
-        for k in range(labels - labels % LANES, labels):
-            q[to + k] = factor * tile[at + k]

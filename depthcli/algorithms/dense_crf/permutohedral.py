@@ -60,19 +60,19 @@ class Lattice:
         capacity = 8192
         while True:  # a band with more vertices than there is room for gives their number, and all begin again
             keys = np.empty((max(bands, 1), capacity), np.uint64)
-            embed(features, scales, shifts, BAND, slots, weights, keys, sizes)
+            _embed(features, scales, shifts, BAND, slots, weights, keys, sizes)
             if bands == 0 or sizes.max() <= capacity:
                 break
             capacity = int(sizes.max()) + 16
         first_slot = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         vertex, own = np.empty(int(first_slot[-1]), np.int32), np.empty(int(first_slot[-1]), np.uint64)
-        table, place, n_vertices = merge_vertices(keys, sizes, vertex, own, first_slot)
+        table, place, n_vertices = _merge_vertices(keys, sizes, vertex, own, first_slot)
         slots += np.repeat(first_slot[:-1], BAND)[:count, None].astype(np.int32)
         counts = np.bincount(vertex, minlength=n_vertices)
         order = np.argsort(vertex, kind="stable").astype(np.int32)
         first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         neighbors = np.empty((d + 1, 2, n_vertices), np.int32)
-        find_neighbors(own, table, place, shifts, neighbors)
+        _find_neighbors(own, table, place, shifts, neighbors)
         return cls(slots, weights, vertex, first_slot, order, first, neighbors)
 
     @property
@@ -93,7 +93,7 @@ class Lattice:
         share[0] = 1 + 2 * 0.5 ** (d + 1)
         factors = share[np.abs(steps[:, None] - steps[None, :])].astype(np.float32)
         result = np.empty(len(self.weights), np.float32)
-        compute_own_share(self.slots, self.vertex, self.weights, self.neighbors, factors, density, result)
+        _compute_own_share(self.slots, self.vertex, self.weights, self.neighbors, factors, density, result)
         return result
 
     def filter(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -102,9 +102,9 @@ class Lattice:
         sizes = (self.vertex.size, self.vertices + 1, self.vertices + 1)
         partial, near, far = (memory.empty((rows * width,), np.float32) for rows in sizes)
         result = np.empty(values.shape, np.float32)
-        spread(values, self.slots, self.weights, self.first_slot, BAND, partial.reshape(-1, width))
+        _spread(values, self.slots, self.weights, self.first_slot, BAND, partial.reshape(-1, width))
         blur(self, width, partial, near, far)
-        read(near.reshape(-1, width), self.slots, self.vertex, self.weights, result)
+        _read(near.reshape(-1, width), self.slots, self.vertex, self.weights, result)
         return result
 
 
@@ -119,9 +119,9 @@ def blur(
     source, target = (near, far) if steps % 2 == 0 else (far, near)
     end = lattice.vertices * width
     source[end : end + width] = target[end : end + width] = 0
-    gather_vertices(partial, lattice.order, lattice.first, source, width)
+    _gather_vertices(partial, lattice.order, lattice.first, source, width)
     for axis in range(steps):
-        blur_axis(source, lattice.neighbors[axis, 0], lattice.neighbors[axis, 1], target, width)
+        _blur_axis(source, lattice.neighbors[axis, 0], lattice.neighbors[axis, 1], target, width)
         source, target = target, source
 
 
@@ -168,12 +168,9 @@ def _steps(shifts):
 
 
 @parallel_jit
-def embed(features, scales, shifts, band, slots, weights, keys, sizes):
-    """Find the simplex of every point: write its vertices to ``slots`` and its barycentric weights to ``weights``.
-
-    Slots count from 0 in every band. ``keys`` gets the keys of their vertices, ``sizes`` their number per band, which
-    is also right where ``keys`` has no room for all.
-    """
+def _embed(features, scales, shifts, band, slots, weights, keys, sizes):
+    # Find the simplex of every point: write its vertices, as slots that count from 0 in every band, and its barycentric
+    # weights; ``keys`` gets the vertices' keys, ``sizes`` their number per band, right even without room for all keys.
     count, d = features.shape
     size = d + 1
     for b in prange(sizes.size):
@@ -265,11 +262,8 @@ def _nearest(elevated, base, rest, rank, off):
 
 
 @jit
-def merge_vertices(keys, sizes, vertex, own, first_slot):
-    """Write the vertex of every slot to ``vertex`` and the vertices' keys to ``own``.
-
-    Returns the hash table of the vertices (keys, numbers) and their number.
-    """
+def _merge_vertices(keys, sizes, vertex, own, first_slot):
+    # Write the vertex of every slot and the vertices' keys; return their hash table (keys, numbers) and their number.
     total = first_slot[-1]
     capacity = 1024
     while capacity < 2 * total:
@@ -290,8 +284,8 @@ def merge_vertices(keys, sizes, vertex, own, first_slot):
 
 
 @parallel_jit
-def find_neighbors(own, table, place, shifts, neighbors):
-    """Write the two neighbors of every vertex along every axis; the number of vertices stands for none."""
+def _find_neighbors(own, table, place, shifts, neighbors):
+    # Write the two neighbors of every vertex along every axis; the number of vertices stands for none.
     axes, _, vertices = neighbors.shape
     steps, wrap = _steps(shifts)
     none = np.uint64(0)
@@ -307,8 +301,8 @@ def find_neighbors(own, table, place, shifts, neighbors):
 
 
 @parallel_jit
-def spread(values, slots, weights, first_slot, band, partial):
-    """Add (N, C) values, weighted, to the (T, C) slots of their simplices: ``partial``."""
+def _spread(values, slots, weights, first_slot, band, partial):
+    # Add (N, C) values, weighted, to the (T, C) slots of their simplices: ``partial``.
     count, corners = slots.shape
     for b in prange(first_slot.size - 1):
         partial[first_slot[b] : first_slot[b + 1]] = np.float32(0.0)
@@ -320,8 +314,8 @@ def spread(values, slots, weights, first_slot, band, partial):
 
 
 @parallel_jit
-def read(values, slots, vertex, weights, result):
-    """Write to ``result`` (N, C) the weighted sums of the (V + 1, C) ``values`` at the vertices of every simplex."""
+def _read(values, slots, vertex, weights, result):
+    # Write to ``result`` (N, C) the weighted sums of the (V + 1, C) ``values`` at the vertices of every simplex.
     count, corners = slots.shape
     for n in prange(count):
         for k in range(result.shape[1]):
@@ -333,8 +327,8 @@ def read(values, slots, vertex, weights, result):
 
 
 @parallel_jit
-def compute_own_share(slots, vertex, weights, neighbors, factors, density, result):
-    """Write to ``result`` the weight of every point's own value (see ``Lattice.own_share``)."""
+def _compute_own_share(slots, vertex, weights, neighbors, factors, density, result):
+    # Write to ``result`` the weight of every point's own value (see ``Lattice.own_share``).
     axes = factors.shape[0]
     for n in prange(result.size):
         total = np.float32(0.0)
@@ -375,8 +369,8 @@ def _response(slots, vertex, neighbors, start, stop, turn):
 
 
 @parallel_jit
-def gather_vertices(partial, order, first, values, width):
-    """Write to ``values`` the sum of the slots of every vertex; all are rows of ``width`` numbers."""
+def _gather_vertices(partial, order, first, values, width):
+    # Write to ``values`` the sum of the slots of every vertex; all are rows of ``width`` numbers.
     for v in prange(first.size - 1):
         to = v * width
         for k in range(0, width - LANES + 1, LANES):
@@ -387,8 +381,8 @@ def gather_vertices(partial, order, first, values, width):
 
 
 @parallel_jit
-def blur_axis(source, left, right, target, width):
-    """Write to ``target`` the vertices' rows of ``width`` numbers, blurred by [1/2 1 1/2] along one axis."""
+def _blur_axis(source, left, right, target, width):
+    # Write to ``target`` the vertices' rows of ``width`` numbers, blurred by [1/2 1 1/2] along one axis.
     half = splat(np.float32(0.5))
     for v in prange(left.size):
         at, low, high = v * width, left[v] * width, right[v] * width

@@ -70,13 +70,6 @@ def match_rectified(
     return Matches(one, other, x, left.y[one], x - right.x[other], distance[one])
 
 
-@jit
-def _comparable(shift, low, high, sign, other_sign, scale, other_scale, max_scale_ratio):
-    if shift < low or shift > high or sign != other_sign:
-        return False
-    return scale <= max_scale_ratio * other_scale and other_scale <= max_scale_ratio * scale
-
-
 @parallel_jit
 def _nearest(
     x,
@@ -95,48 +88,41 @@ def _nearest(
     max_scale_ratio,
 ):
     # Nearest candidate of each key point, -1 where there is none or the second is too near; and its distance.
-    count = x.size
-    nearest = np.full(count, -1, np.int32)
-    distance = np.full(count, np.inf, np.float32)
-    for k in prange(count):
-        here = descriptors[k]
-        best = np.float32(np.inf)
+    nearest = np.full(x.size, -1, np.int32)
+    distance = np.full(x.size, np.inf, np.float32)
+    for k in prange(x.size):
         winner = -1
-        for j in range(low[k], high[k]):
-            shift = x[k] - other_x[j]
-            if not _comparable(
-                shift, min_shift, max_shift, sign[k], other_sign[j], scale[k], other_scale[j], max_scale_ratio
-            ):
-                continue
-            there = other_descriptors[j]
-            total = np.float32(0.0)
-            for i in range(here.size):
-                difference = here[i] - there[i]
-                total += difference * difference
-            if total < best:
-                best = total
-                winner = j
-        if winner < 0:
-            continue
-        second = np.float32(np.inf)
-        for j in range(low[k], high[k]):
-            shift = x[k] - other_x[j]
-            if not _comparable(
-                shift, min_shift, max_shift, sign[k], other_sign[j], scale[k], other_scale[j], max_scale_ratio
-            ):
-                continue
-            if abs(other_x[j] - other_x[winner]) < 2.0:
-                continue
-            there = other_descriptors[j]
-            total = np.float32(0.0)
-            for i in range(here.size):
-                difference = here[i] - there[i]
-                total += difference * difference
-            second = min(second, total)
-        if ratio >= 1.0 or best < ratio * ratio * second:
+        best = second = np.float32(np.inf)
+        for turn in range(2):  # then the best candidate that lies elsewhere than the nearest one
+            for j in range(low[k], high[k]):
+                shift = x[k] - other_x[j]
+                if shift < min_shift or shift > max_shift or sign[k] != other_sign[j]:
+                    continue
+                if scale[k] > max_scale_ratio * other_scale[j] or other_scale[j] > max_scale_ratio * scale[k]:
+                    continue
+                if turn == 1 and abs(other_x[j] - other_x[winner]) < 2.0:
+                    continue
+                total = _squared_distance(descriptors[k], other_descriptors[j])
+                if turn == 1:
+                    second = min(second, total)
+                elif total < best:
+                    best = total
+                    winner = j
+            if winner < 0:
+                break
+        if winner >= 0 and (ratio >= 1.0 or best < ratio * ratio * second):
             nearest[k] = winner
             distance[k] = np.sqrt(best)
     return nearest, distance
+
+
+@jit
+def _squared_distance(here, there):
+    total = np.float32(0.0)
+    for i in range(here.size):
+        difference = here[i] - there[i]
+        total += difference * difference
+    return total
 
 
 def consistent(matches: Matches, neighbors: int = 8, agreeing: int = 2, tolerance: float = 2.0) -> Matches:

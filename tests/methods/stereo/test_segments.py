@@ -14,7 +14,7 @@ from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
 from depthcli.methods.stereo.segments import planes as energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, Split, segment_window
-from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges, search_ranges
+from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.run.presets import find_config
 from depthcli.simulate.stereo_scenes import make_scene
@@ -63,10 +63,11 @@ def test_ranges_follow_equations_2_3_to_2_5():
     labels[:, 3:6] = 1
     labels[:, 6:] = 2
     matches = _matches((0, 0, 10.2), (1, 1, 12.6), (4, 2, 1.0))
-    ranges = search_ranges(labels, matches, 20, 0.25)
-    assert ranges.tolist() == [[5, 18], [0, 6], [0, 20]]
-    assert search_ranges(labels, None, 20, 0.25).tolist() == [[0, 20]] * 3
-    assert search_ranges(labels, _matches((4, 2, 19.5)), 20, 0.0).tolist() == [[0, 20], [19, 20], [0, 20]]
+    ranges = Ranges(margin=0.25)
+    assert ranges(labels, matches, 20).limits.tolist() == [[5, 18], [0, 6], [0, 20]]
+    assert ranges(labels, None, 20).limits.tolist() == [[0, 20]] * 3
+    tight = Ranges(margin=0)(labels, _matches((4, 2, 19.5)), 20)
+    assert tight.limits.tolist() == [[0, 20], [19, 20], [0, 20]]
 
 
 @pytest.mark.parametrize(("dtype", "limit"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, np.inf)])
@@ -151,7 +152,7 @@ def test_discrepancy_is_equation_2_9(truncation):
     trusted[_labels() == 3] = False
     rows = [(0.1, 0.0, 2.0), (0.0, 0.2, 1.0), (0.0, 0.0, 3.0)]
     members = RegionPixels.of(_labels(), trusted, 4)
-    unary = energy.discrepancy(values, members, _planes(*rows), 10.0, truncation)
+    unary = energy.discrepancy(values, *members, np.array(rows), 10.0, min(truncation, 1e6))
     assert np.allclose(unary, naive.discrepancy(values, trusted, _labels(), rows, 10.0, truncation), rtol=1e-4)
     assert np.all(unary[3] == 0)  # nothing trusted: any plane
 
@@ -163,14 +164,14 @@ def test_matching_cost_sums_the_volume():
     rows = [(0.1, 0.0, 2.0), (0.0, 0.0, 5.0), (0.0, 0.0, 9.0)]
     members = RegionPixels.of(_labels(), trusted, 4)
     expected = naive.matching_cost(costs, trusted, _labels(), rows)
-    assert np.allclose(energy.matching_cost(CostVolume(costs, 2.0), members, _planes(*rows), 3.0), expected * 1.5)
+    assert np.allclose(energy.matching_cost(costs, *members, np.array(rows), 1.5), expected * 1.5)
 
 
 def test_visibility_charges_planes_in_front_of_what_the_right_view_sees():
     labels = np.zeros((1, 10), np.int32)
     right = np.full((1, 10), 3, np.uint16)
     members = RegionPixels.of(labels, np.arange(10)[None] >= 6)
-    unary = energy.visibility(right, members, _planes((0, 0, 3), (0, 0, 4), (0, 0, 5), (0, 0, 9)), 2.0)
+    unary = energy.visibility(right, *members, np.array([(0, 0, 3), (0, 0, 4), (0, 0, 5), (0, 0, 9.0)]), 2.0)
     assert unary.tolist() == [[0, 0, 8, 2]]  # at 9 only x = 9 points into the right image
 
 

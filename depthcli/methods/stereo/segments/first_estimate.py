@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
-from depthcli.algorithms.regions import RegionGraph, RegionPixels, connected_components_of_labels, merge_small_labels
+from depthcli.algorithms.regions import RegionGraph, RegionPixels, connected_components_of_labels, merge_small_regions
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, parallel_jit, prange
@@ -86,13 +86,9 @@ def _segment_window(costs, labels, radius, refinement, kind, out):
                 target[i] = np.uint16(np.int32(np.float32(total[i]) * factor + half))
 
 
-def has_information(volume: CostVolume) -> bool:
-    """Return whether any pixel has different costs inside the right image; in a uniform image none has."""
-    return bool(_has_information(volume.costs))
-
-
 @jit
-def _has_information(costs):
+def has_information(costs):
+    """Return whether any pixel has different costs inside the right image; in a uniform image none has."""
     height, width, n_disparities = costs.shape
     for y in range(height):
         for x in range(width):
@@ -110,13 +106,7 @@ def _distrust_constant_costs(costs, trusted):
             if not trusted[y, x]:
                 continue
             row = costs[y, x, : min(n_disparities, x + 1)]
-            low = np.int64(65536)
-            high = np.int64(-1)
-            for i in range(row.size):
-                cost = np.int64(row[i])
-                low = min(low, cost)
-                high = max(high, cost)
-            trusted[y, x] = high > low or n_disparities == 1
+            trusted[y, x] = row.max() > row.min() or n_disparities == 1
 
 
 def grid_cells(shape: tuple[int, ...], cell: int) -> tuple[NDArray[np.int64], int]:
@@ -155,11 +145,12 @@ class Split(ConfigModel):
             not_planar = np.zeros(count, bool)
             not_planar[active] = planes.support < (1 - self.misfits) * members.sizes[active]
             grid, n_cells = grid_cells(labels.shape, cell)
-            # Every (segment, cell) pair becomes a value of its own; pieces of less than a quarter cell are merged back.
+            # Every (segment, cell) pair becomes a value of its own; pieces of less than a quarter cell
+            # join the piece of the same segment with the longest common boundary.
             keys = labels.astype(np.int64) * n_cells + np.where(not_planar[labels], grid, 0)
             _, cut = np.unique(keys, return_inverse=True)
             pieces = connected_components_of_labels(cut.reshape(labels.shape).astype(np.int32))
-            labels = merge_small_labels(pieces, labels, cell * cell // 4)
+            labels = merge_small_regions(pieces, labels, cell * cell // 4, by_boundary=True)
         return labels
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, Se
 from depthcli.algorithms.regions import RegionGraph, RegionPixels, joined_regions
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.segments.first_estimate import SegmentedImage
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -82,44 +82,30 @@ def assign(
     if own_planes is None:
         return None
     limits = candidates.same_slope, candidates.same_offset, candidates.max_planes
-    weights = smoothness(segments.graph, energy.smoothness, energy.color_scale)
+    edges, weights = segments.graph.edges, smoothness(segments.graph, energy.smoothness, energy.color_scale)
     planes, _ = own_planes.distinct(*limits)
     initial: NDArray[np.int32] | None = None
     for k in range(rounds):
         if initial is not None:
             clock.start("planes")
-            group_planes, group = _regrouped(segments, initial, candidates)
+            same = initial[edges[:, 0]] == initial[edges[:, 1]]
+            groups = joined_regions(len(initial), edges[same])
+            members = RegionPixels.of(groups[segments.labels], segments.first.trusted, int(groups.max()) + 1)
+            large = np.flatnonzero(members.sizes >= _MIN_GROUP_SIZE)
+            group_planes = candidates(segments.first.values, members, large)
             planes, representative = SegmentPlanes.joined(group_planes, own_planes).distinct(*limits)
-            initial = np.where(group >= 0, representative[group], -1).astype(np.int32)
+            initial = np.full(len(members.sizes), -1, np.int32)
+            initial[large] = representative[: len(large)]
+            initial = initial[groups]
         clock.start("data_term")
         unary = energy(segments, volume, planes)
         cheapest = np.argmin(unary, axis=1).astype(np.int32)
         initial = cheapest if initial is None else np.where(initial < 0, cheapest, initial)
         clock.start("expansion")
-        last = k + 1 == rounds
-        labels, lowest = alpha_expansion(
-            unary, segments.graph.edges, weights, initial, max_sweeps=sweeps if last else min(max(sweeps // 2, 1), 2)
-        )
-        initial = labels
-    energy_before = potts_energy(cheapest, unary, segments.graph.edges, weights)
-    return Assignment(planes, labels, energy_before, lowest)
-
-
-def _regrouped(
-    segments: SegmentedImage, labels: NDArray[np.int32], fit: SegmentPlaneFit
-) -> tuple[SegmentPlanes, NDArray[np.int64]]:
-    """Return planes fitted to groups of connected segments that share a label, and the index of every segment's.
-
-    The index is -1 where the group is too small for a plane.
-    """
-    edges = segments.graph.edges
-    same = labels[edges[:, 0]] == labels[edges[:, 1]]
-    groups = joined_regions(len(labels), edges[same])
-    members = RegionPixels.of(groups[segments.labels], segments.first.trusted, int(groups.max()) + 1)
-    chosen = np.flatnonzero(members.sizes >= _MIN_GROUP_SIZE)
-    index = np.full(len(members.sizes), -1, np.int64)
-    index[chosen] = np.arange(len(chosen))
-    return fit(segments.first.values, members, chosen), index[groups]
+        n_sweeps = sweeps if k + 1 == rounds else min(max(sweeps // 2, 1), 2)
+        initial, lowest = alpha_expansion(unary, edges, weights, initial, max_sweeps=n_sweeps)
+    assert initial is not None
+    return Assignment(planes, initial, potts_energy(cheapest, unary, edges, weights), lowest)
 
 
 class Energy(ConfigModel):
@@ -144,47 +130,48 @@ class Energy(ConfigModel):
 
     def __call__(self, segments: SegmentedImage, volume: CostVolume, planes: SegmentPlanes) -> NDArray[np.float64]:
         """Return the cost of every plane in every segment, (n, L) float64."""
-        unary = out_of_range(segments.everything, segments.labels.shape[1], planes, segments.max_disparity)
+        first, coefficients = segments.first, planes.coefficients
+        width = segments.labels.shape[1]
+        unary = out_of_range(width, *segments.everything, coefficients, segments.max_disparity)
         if self.data_term == "dedc":
-            truncation = np.inf if self.truncation is None else self.truncation
-            unary += discrepancy(segments.first.values, segments.trusted, planes, self.data_weight, truncation)
+            truncation = min(1e6 if self.truncation is None else self.truncation, 1e6)
+            unary += discrepancy(first.values, *segments.trusted, coefficients, self.data_weight, truncation)
         else:
-            unary += matching_cost(volume, segments.trusted, planes, self.cost_weight)
+            unary += matching_cost(volume.costs, *segments.trusted, coefficients, self.cost_weight / volume.scale)
         if self.visibility:
-            unary += visibility(segments.first.right, segments.untrusted, planes, self.visibility)
-        return unary
+            unary += visibility(first.right, *segments.untrusted, coefficients, self.visibility)
+        return np.asarray(unary, np.float64)
 
 
-def discrepancy(
-    values: NDArray[np.float32], trusted: RegionPixels, planes: SegmentPlanes, weight: float, truncation: float
-) -> NDArray[np.float64]:
-    """Compute the disparity estimate discrepancy cost (thesis, eq. 2.9) of planes in segments, (n, L) float64.
+# The terms: costs of L planes, ``coefficients`` (L, 3), in n segments, (n, L) float64. The pixels of segment t are
+# ``order[starts[t] : starts[t + 1]]``, as in RegionPixels.
 
-    ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m trusted pixels, n of which have the
-    plane's disparity (to the nearest pixel). In a segment without trusted pixels every plane costs 0. Differences above
-    ``truncation`` count as much as it; inf: the sum as defined.
-    """
-    unary = np.zeros((len(trusted.starts) - 1, len(planes)))
-    segments = trusted.order, trusted.starts
-    _discrepancy(values.ravel(), values.shape[1], *segments, planes.coefficients, weight, min(truncation, 1e6), unary)
-    return unary
+
+@jit
+def _coordinates(pixels, width):
+    x, y = np.empty(pixels.size, np.float32), np.empty(pixels.size, np.float32)
+    for i in range(pixels.size):
+        x[i], y[i] = np.float32(pixels[i] % width), np.float32(pixels[i] // width)
+    return x, y
 
 
 @parallel_jit
-def _discrepancy(values, width, order, starts, coefficients, weight, truncation, unary):
+def discrepancy(values, order, starts, coefficients, weight, truncation):
+    """Compute the disparity estimate discrepancy cost (thesis, eq. 2.9), of trusted pixels.
+
+    ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m pixels, n of which have the plane's disparity (to
+    the nearest pixel). In a segment without pixels every plane costs 0. Differences above ``truncation`` count as it.
+    """
+    unary = np.zeros((starts.size - 1, coefficients.shape[0]))
     for t in prange(unary.shape[0]):
-        first = starts[t]
-        m = starts[t + 1] - first
+        pixels = order[starts[t] : starts[t + 1]]
+        m = pixels.size
         if m == 0:
             continue
-        px = np.empty(m, np.float32)
-        py = np.empty(m, np.float32)
+        px, py = _coordinates(pixels, values.shape[1])
         pd = np.empty(m, np.float32)
         for i in range(m):
-            pixel = order[first + i]
-            px[i] = pixel % width
-            py[i] = pixel // width
-            pd[i] = values[pixel]
+            pd[i] = values[pixels[i] // values.shape[1], pixels[i] % values.shape[1]]
         max_difference = np.float32(truncation)
         half = np.float32(0.5)
         for label in range(coefficients.shape[0]):
@@ -198,55 +185,37 @@ def _discrepancy(values, width, order, starts, coefficients, weight, truncation,
                 n += np.int32(difference <= half)
                 total += min(difference, max_difference)
             unary[t, label] = weight * total * np.exp(-n / m)
-
-
-def matching_cost(
-    volume: CostVolume, trusted: RegionPixels, planes: SegmentPlanes, weight: float
-) -> NDArray[np.float64]:
-    """Sum the matching costs of a segment's trusted pixels at every plane's disparity; (n, L) float64.
-
-    Disparities are rounded and limited to the volume's. The sum is in units of the measure, times ``weight``.
-    """
-    unary = np.zeros((len(trusted.starts) - 1, len(planes)))
-    width = volume.costs.shape[1]
-    costs = volume.costs.reshape(-1, volume.n_disparities)
-    _matching_cost(costs, width, trusted.order, trusted.starts, planes.coefficients, weight / volume.scale, unary)
     return unary
 
 
 @parallel_jit
-def _matching_cost(costs, width, order, starts, coefficients, weight, unary):
-    n_disparities = costs.shape[1]
+def matching_cost(costs, order, starts, coefficients, weight):
+    """Sum the (H, W, D) matching costs of trusted pixels at every plane's disparity, rounded and limited, weighted."""
+    unary = np.zeros((starts.size - 1, coefficients.shape[0]))
+    _, width, n_disparities = costs.shape
     for t in prange(unary.shape[0]):
         for i in range(starts[t], starts[t + 1]):
-            pixel = order[i]
-            x = pixel % width
-            y = pixel // width
-            row = costs[pixel]
+            x = order[i] % width
+            y = order[i] // width
+            row = costs[y, x]
             for label in range(coefficients.shape[0]):
                 a, b, c = coefficients[label, 0], coefficients[label, 1], coefficients[label, 2]
                 d = min(max(int(np.floor(a * x + b * y + c + 0.5)), 0), n_disparities - 1)
                 unary[t, label] += row[d]
         for label in range(coefficients.shape[0]):
             unary[t, label] *= weight
+    return unary
 
 
-def visibility(
-    right: NDArray[Any], untrusted: RegionPixels, planes: SegmentPlanes, weight: float
-) -> NDArray[np.float64]:
-    """Compute the cost of planes that put pixels in front of the right view's surface; (n, L) float64.
+@parallel_jit
+def visibility(right, order, starts, coefficients, weight):
+    """Compute the cost of planes that put untrusted pixels in front of the ``right`` view's surface, (H, W).
 
     A pixel that failed the left-right check is occluded or mismatched. With a disparity more than a pixel above that
     of the right view at its match it would be visible there, and the right view would have matched it: every such pixel
     costs ``weight``. A match outside the right image costs nothing.
     """
-    unary = np.zeros((len(untrusted.starts) - 1, len(planes)))
-    _visibility(right, untrusted.order, untrusted.starts, planes.coefficients, weight, unary)
-    return unary
-
-
-@parallel_jit
-def _visibility(right, order, starts, coefficients, weight, unary):
+    unary = np.zeros((starts.size - 1, coefficients.shape[0]))
     width = right.shape[1]
     for t in prange(unary.shape[0]):
         for i in range(starts[t], starts[t + 1]):
@@ -257,31 +226,20 @@ def _visibility(right, order, starts, coefficients, weight, unary):
                 target = int(np.floor(x - d + 0.5))
                 if 0 <= target < width and d > right[y, target] + 1.0:
                     unary[t, label] += weight
-
-
-def out_of_range(
-    everything: RegionPixels, width: int, planes: SegmentPlanes, max_disparity: float
-) -> NDArray[np.float64]:
-    """Compute the prohibitive cost of planes that leave [0, ``max_disparity``] by more than a pixel; (n, L) float64."""
-    unary = np.zeros((len(everything.starts) - 1, len(planes)))
-    _out_of_range(everything.order, everything.starts, width, planes.coefficients, max_disparity, unary)
     return unary
 
 
 @parallel_jit
-def _out_of_range(order, starts, width, coefficients, max_disparity, unary):
+def out_of_range(width, order, starts, coefficients, max_disparity):
+    """Compute the prohibitive cost of planes that leave [0, ``max_disparity``] by more than a pixel, of all pixels."""
+    unary = np.zeros((starts.size - 1, coefficients.shape[0]))
     lowest, highest = np.float32(-1), np.float32(max_disparity + 1)
     for t in prange(unary.shape[0]):
-        count = starts[t + 1] - starts[t]
-        x, y = np.empty(count, np.float32), np.empty(count, np.float32)
-        for i in range(count):
-            pixel = order[starts[t] + i]
-            x[i] = np.float32(pixel % width)
-            y[i] = np.float32(pixel // width)
+        x, y = _coordinates(order[starts[t] : starts[t + 1]], width)
         x0, x1 = np.float32(width), np.float32(0)
-        for i in range(count):
+        for i in range(x.size):
             x0, x1 = min(x0, x[i]), max(x1, x[i])
-        y0, y1 = (y[0], y[count - 1]) if count else (np.float32(0), np.float32(0))
+        y0, y1 = (y[0], y[x.size - 1]) if x.size else (np.float32(0), np.float32(0))
         for label in range(coefficients.shape[0]):
             a = np.float32(coefficients[label, 0])
             b = np.float32(coefficients[label, 1])
@@ -292,10 +250,11 @@ def _out_of_range(order, starts, width, coefficients, max_disparity, unary):
             if low >= -0.99 and high <= max_disparity + 0.99:
                 continue
             outside = np.int32(0)
-            for i in range(count):
+            for i in range(x.size):
                 d = a * x[i] + b * y[i] + c
                 outside += np.int32((d < lowest) | (d > highest))
             unary[t, label] = 1000.0 * outside
+    return unary
 
 
 def smoothness(graph: RegionGraph, weight: float, color_scale: float) -> NDArray[np.float64]:

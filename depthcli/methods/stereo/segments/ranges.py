@@ -49,14 +49,40 @@ class Ranges(ConfigModel):
     )
 
     def __call__(self, labels: NDArray[np.int32], matches: Matches | None, max_disparity: int) -> SearchRanges:
-        """Return the ranges of the segments ``labels`` (H, W), 0 .. n - 1."""
+        """Return the ranges of the segments ``labels`` (H, W), 0 .. n - 1 (thesis, eq. 2.2-2.5).
+
+        A range is that of the disparities of the segment's key points, widened on both sides; segments without key
+        points keep the whole range. The minus before theta 2 (thesis, eq. 2.4) would exclude the key points themselves;
+        a plus is used.
+        """
         zones = labels
         if self.cell:
             # In a segment of large extent, such as the bars of a fence, distant key points say nothing about a place.
             grid, n_cells = grid_cells(labels.shape, self.cell)
             _, zones = np.unique(labels.astype(np.int64) * n_cells + grid, return_inverse=True)
             zones = np.asarray(zones.reshape(labels.shape), np.int32)
-        limits = search_ranges(zones, matches, max_disparity, self.margin, self.neighbors, self.reach)
+        count = int(zones.max()) + 1
+        low = np.full(count, np.inf)
+        high = np.full(count, -np.inf)
+        if matches is not None:
+            rows = np.clip(np.rint(matches.y).astype(int), 0, zones.shape[0] - 1)
+            columns = np.clip(np.rint(matches.x).astype(int), 0, zones.shape[1] - 1)
+            np.minimum.at(low, zones[rows, columns], matches.disparity)
+            np.maximum.at(high, zones[rows, columns], matches.disparity)
+        if matches is not None and 0 < self.neighbors <= len(matches):
+            flat = zones.ravel()
+            sizes = np.maximum(np.bincount(flat), 1)
+            y, x = np.divmod(np.arange(flat.size), zones.shape[1])
+            centers = np.bincount(flat, x) / sizes, np.bincount(flat, y) / sizes
+            index, squared = nearest_points(*centers, matches.x, matches.y, self.neighbors)
+            near = matches.disparity[index]
+            within = np.sqrt(squared[:, -1]) <= self.reach
+            low = np.where(within, np.minimum(low, near.min(axis=1)), low)
+            high = np.where(within, np.maximum(high, near.max(axis=1)), high)
+        widening = self.margin * max_disparity
+        limits = np.empty((count, 2), np.int32)
+        limits[:, 0] = np.clip(np.floor(np.where(np.isinf(low), 0, low - widening)), 0, max_disparity)
+        limits[:, 1] = np.clip(np.ceil(np.where(np.isinf(high), max_disparity, high + widening)), 0, max_disparity)
         return SearchRanges(zones, limits)
 
     def penalize(self, volume: CostVolume, ranges: SearchRanges) -> CostVolume:
@@ -90,54 +116,3 @@ def _penalize(costs, zones, ranges, penalty, limit, out):
                 row[d] = min(row[d] + penalty, limit)
             for d in range(high + 1, n_disparities):
                 row[d] = min(row[d] + penalty, limit)
-
-
-def search_ranges(
-    labels: NDArray[np.int32],
-    matches: Matches | None,
-    max_disparity: int,
-    margin: float,
-    neighbors: int = 0,
-    reach: float = np.inf,
-) -> NDArray[np.int32]:
-    """Return the lowest and the highest disparity to search in every segment (thesis, eq. 2.2-2.5).
-
-    The range of the disparities of the segment's key points, widened on both sides by ``margin`` times
-    ``max_disparity``; segments without key points keep the whole range. The minus before theta 2
-    (thesis, eq. 2.4) would exclude the key points themselves; a plus is used.
-
-    Parameters
-    ----------
-    labels : (H, W) segments 0 .. n - 1
-    neighbors : number of key points nearest to the segment's center that count as its own, so that segments without
-        any are limited too; 0: those inside the segment (thesis, eq. 2.2-2.5)
-    reach : where the farthest of these ``neighbors`` is farther from the center than this, none counts, pixels
-
-    Returns
-    -------
-    (n, 2) int32, both ends inclusive
-    """
-    count = int(labels.max()) + 1
-    low = np.full(count, np.inf)
-    high = np.full(count, -np.inf)
-    if matches is not None:
-        rows = np.clip(np.rint(matches.y).astype(int), 0, labels.shape[0] - 1)
-        columns = np.clip(np.rint(matches.x).astype(int), 0, labels.shape[1] - 1)
-        segment = labels[rows, columns]
-        np.minimum.at(low, segment, matches.disparity)
-        np.maximum.at(high, segment, matches.disparity)
-        if neighbors and len(matches) >= neighbors:
-            flat = labels.ravel()
-            sizes = np.maximum(np.bincount(flat), 1)
-            y, x = np.divmod(np.arange(flat.size), labels.shape[1])
-            centers = np.bincount(flat, x) / sizes, np.bincount(flat, y) / sizes
-            index, squared = nearest_points(*centers, matches.x, matches.y, neighbors)
-            near = matches.disparity[index]
-            within = np.sqrt(squared[:, -1]) <= reach
-            low = np.where(within, np.minimum(low, near.min(axis=1)), low)
-            high = np.where(within, np.maximum(high, near.max(axis=1)), high)
-    widening = margin * max_disparity
-    ranges = np.empty((count, 2), np.int32)
-    ranges[:, 0] = np.clip(np.floor(np.where(np.isinf(low), 0, low - widening)), 0, max_disparity)
-    ranges[:, 1] = np.clip(np.ceil(np.where(np.isinf(high), max_disparity, high + widening)), 0, max_disparity)
-    return ranges

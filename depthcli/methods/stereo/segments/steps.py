@@ -73,7 +73,7 @@ class SegmentSteps(ConfigModel):
             left, right = map(self.keypoints, pair.grey8)
             matches = consistent(match_rectified(left, right, max_disparity))
         clock.start("window")
-        informative = has_information(volume)
+        informative = has_information(volume.costs)
         if self.window_radius:
             volume = segment_window(volume, labels, self.window_radius)
         clock.start("first_estimate")
@@ -97,7 +97,16 @@ class SegmentSteps(ConfigModel):
             values = assignment.planes.at(assignment.labels[labels], max_disparity)
             disparity = map_with_status(values, first)
         disparity = refined(disparity, self.refinement, RefinementContext(pair, optimized, first.right))
-        result = StereoResult(disparity, figures=_figures(segments, assignment, matches))
+        figures: dict[str, float] = {
+            "segments": len(segments.graph.sizes),
+            "keypoints": 0 if matches is None else len(matches),
+            "trusted": float(first.trusted.mean()),
+            "planes": 0 if assignment is None else len(assignment.planes),
+            "planes_used": 0 if assignment is None else len(np.unique(assignment.labels)),
+            "energy_before": 0.0 if assignment is None else assignment.energy_before,
+            "energy": 0.0 if assignment is None else assignment.energy,
+        }
+        result = StereoResult(disparity, figures=figures)
         if self.details:
             clock.start("details")
             result.tables = _tables(segments, assignment, matches, ranges.by_segment(labels))
@@ -118,19 +127,6 @@ def map_with_status(values: NDArray[np.float32], first: FirstEstimate) -> Dispar
     reason = np.where(hidden & ~first.trusted, Status.OCCLUDED, Status.MISMATCH) | Status.FILLED
     agrees = first.trusted & (np.abs(values - first.values) <= 1)
     return DisparityMap(values, np.where(agrees, Status.SMOOTHED, reason).astype(np.uint8))
-
-
-def _figures(segments: SegmentedImage, assignment: Assignment | None, matches: Matches | None) -> dict[str, float]:
-    """Return numbers for the scene's row of the report."""
-    return {
-        "segments": len(segments.graph.sizes),
-        "keypoints": 0 if matches is None else len(matches),
-        "trusted": float(segments.first.trusted.mean()),
-        "planes": 0 if assignment is None else len(assignment.planes),
-        "planes_used": 0 if assignment is None else len(np.unique(assignment.labels)),
-        "energy_before": 0.0 if assignment is None else assignment.energy_before,
-        "energy": 0.0 if assignment is None else assignment.energy,
-    }
 
 
 def _tables(
@@ -164,25 +160,19 @@ def _tables(
 
 
 def _pictures(pair: StereoPair, labels: NDArray[np.int32], matches: Matches | None) -> dict[str, NDArray[Any]]:
-    """Return the segments as numbers and in colors, and the matched key points of both images joined by lines."""
-    result: dict[str, NDArray[Any]] = {"segments_preview": _colored(labels, pair.color8[0])}
+    """Return the segments as numbers and in mean colors with white rims, and the matched key points, see _lines."""
+    flat, channels = labels.ravel(), pair.color8[0].reshape(-1, 3)
+    sizes = np.maximum(np.bincount(flat), 1)[:, None]
+    means = np.stack([np.bincount(flat, channels[:, c]) for c in range(3)], axis=1) / sizes
+    picture = np.rint(means).astype(np.uint8)[labels]
+    picture[:, 1:][labels[:, 1:] != labels[:, :-1]] = 255
+    picture[1:][labels[1:] != labels[:-1]] = 255
+    result: dict[str, NDArray[Any]] = {"segments_preview": picture}
     if labels.max() <= 0xFFFF:
         result["segments"] = labels.astype(np.uint16)
     if matches is not None:
         result["keypoints"] = _lines(pair, matches)
     return result
-
-
-def _colored(labels: NDArray[np.int32], image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    # Every segment in its mean color, boundaries in white.
-    flat = labels.ravel()
-    sizes = np.maximum(np.bincount(flat), 1)[:, None]
-    channels = image.reshape(-1, 3)
-    means = np.stack([np.bincount(flat, channels[:, c]) for c in range(3)], axis=1) / sizes
-    picture = np.rint(means).astype(np.uint8)[labels]
-    picture[:, 1:][labels[:, 1:] != labels[:, :-1]] = 255
-    picture[1:][labels[1:] != labels[:-1]] = 255
-    return picture
 
 
 def _lines(pair: StereoPair, matches: Matches) -> NDArray[np.uint8]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import NamedTuple, cast
@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core import memory
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 
@@ -55,11 +54,6 @@ class Tile:
     def n_disparities(self) -> int:
         """Return the number of cells of a pixel: the disparities, and one between spans."""
         return sum(span.n for span in self.spans) + len(self.spans) - 1
-
-    @property
-    def recycled_bytes(self) -> int:
-        """Return the size of the pool's blocks that only the next tile can use."""
-        return 2 * self.shape[0] * self.shape[1] * self.n_disparities
 
     @property
     def inside(self) -> tuple[slice, slice]:
@@ -191,34 +185,23 @@ class Memory(NamedTuple):
 
     def tiles(
         self, pair: StereoPair, candidates: Candidates, margins: Margins, need: Callable[[Tile], int]
-    ) -> TilePlan:
-        """Return tiles of ``pair`` that fit, each taking ``need`` bytes; InputError where not even the smallest do."""
+    ) -> list[tuple[Tile, int]]:
+        """Return tiles of ``pair`` that fit, in order, and how many free bytes the pool of arrays may have before each.
+
+        A tile takes ``need`` bytes. InputError where not even the smallest fit.
+        """
         held = self.beside(pair).held
         pixels = pair.shape[0] * pair.shape[1]
         free = self.allowed - held - _MATCHING_BYTES * pixels
-        tiles = candidates.tiles(margins, lambda tile: need(tile) <= free)
+
+        def left(tile: Tile) -> int:  # with the pool's blocks that only the next tile can use
+            return free - need(tile) - 2 * tile.shape[0] * tile.shape[1] * tile.n_disparities
+
+        tiles = candidates.tiles(margins, lambda tile: left(tile) >= 0)
         if tiles is None or held + _FINISHING_BYTES * pixels > self.allowed:
-            smallest = need(candidates.tile(0, 1, 0, 1, margins))
-            total = held + max(_FINISHING_BYTES * pixels, _MATCHING_BYTES * pixels + smallest)
+            smallest = self.allowed - left(candidates.tile(0, 1, 0, 1, margins))
+            total = max(held + _FINISHING_BYTES * pixels, smallest)
             raise InputError(
                 f"needs at least {-(-total >> 20)} MiB of memory even in tiles, {self.allowed >> 20} MiB may be used"
             )
-        return TilePlan(tiles, need, free)
-
-
-@dataclass(frozen=True)
-class TilePlan:
-    """Tiles in the order in which they are matched, each in at most ``free`` bytes."""
-
-    tiles: list[Tile]
-    need: Callable[[Tile], int]
-    free: int
-
-    def __len__(self) -> int:
-        return len(self.tiles)
-
-    def __iter__(self) -> Iterator[Tile]:
-        for tile in self.tiles:
-            if memory.kept() + self.need(tile) > self.free:
-                memory.release()  # blocks of other sizes, which the next tile cannot use
-            yield tile
+        return [(tile, left(tile)) for tile in tiles]

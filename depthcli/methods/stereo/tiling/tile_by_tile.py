@@ -105,13 +105,14 @@ def match_by_costs(
 
     def need(tile: Tile) -> int:
         height, width = tile.shape
-        beside = tile.recycled_bytes + _PIXEL_BYTES * width * (height + tile.n_disparities)
+        beside = _PIXEL_BYTES * width * (height + tile.n_disparities)
         return stages.volume_bytes(tile.shape, tile.n_disparities - 1) + beside
 
     plan = available.tiles(pair, candidates, margins, need)
     found = TiledWinners(pair.shape, any(isinstance(step, Subpixel) for step in stages.refinement))
     confidence: dict[str, NDArray[np.float32]] = {}
-    for tile in plan:
+    for tile, may_keep in plan:
+        memory.release(may_keep)
         volume, spans = _tile_volume(stages, pair, tile, prior, clock)
         clock.start("optimization")
         volume = stages.optimization(volume, tile.cut(pair))
@@ -138,11 +139,12 @@ def match_by_patches(
         pair,
         candidates,
         Margins(halo, min(halo, _PATH_HALO // 2), True),
-        lambda tile: matcher.peak_bytes(tile.shape, tile.n_disparities - 1) + tile.recycled_bytes,
+        lambda tile: matcher.peak_bytes(tile.shape, tile.n_disparities - 1),
     )
     values, status = np.zeros(pair.shape, np.float32), np.zeros(pair.shape, np.uint8)
     confidence: dict[str, NDArray[np.float32]] = {}
-    for tile in plan:
+    for tile, may_keep in plan:
+        memory.release(may_keep)
         clock.start("tiles")
         (span,) = tile.spans
         part = matcher(tile.cut(pair, span.low), span.n - 1)
@@ -228,56 +230,45 @@ def _add_penalty(costs, spans, low, high, corner, penalty, largest):
 def refined_map(
     steps: Sequence[Refinement], found: TiledWinners, pair: StereoPair, max_disparity: int, prior: Prior | None = None
 ) -> DisparityMap:
-    """Return the map of all winners after all ``steps``; before the first that fills, the prior fills empty pixels."""
+    """Return the map of all winners after all ``steps``; before the first that fills, the prior fills empty pixels.
+
+    A step is applied to one band of rows at a time, where it looks no farther.
+    """
+    height, width = pair.shape
     disparity = DisparityMap(found.left.astype(np.float32), np.zeros(pair.shape, np.uint8))
     first = next((k for k, step in enumerate(steps) if step.fills), len(steps))
+    right = found.right()
     for k, step in enumerate(steps):
         if k == first and prior is not None:
-            doubled = np.repeat(np.repeat(np.float32(2) * prior.values, 2, 0), 2, 1)
-            doubled = doubled[: pair.shape[0], : pair.shape[1]]
+            doubled = np.repeat(np.repeat(np.float32(2) * prior.values, 2, 0), 2, 1)[:height, :width]
             disparity = with_filled(disparity, np.where(np.isnan(disparity.values), doubled, disparity.values))
-        disparity = _refined_in_bands(step, disparity, found, pair, max_disparity, prior if k < first else None)
+        halo = step.halo()
+        band = height if halo is None else max(4 * halo, _BAND_PIXELS // width, 1)
+        values, status = np.empty_like(disparity.values), np.empty_like(disparity.status)
+        for y in range(0, height, band):
+            rows = slice(max(0, y - (halo or 0)), min(height, y + band + (halo or 0)))
+            minima = found.minima[rows] if found.minima.size else found.left[rows].astype(np.float32)
+            context = RefinementContext(
+                StereoPair(pair.left[rows], pair.right[rows], pair.bits),
+                CostMinima(found.left[rows], minima, max_disparity + 1),
+                right[rows],
+            )
+            given = DisparityMap(disparity.values[rows], disparity.status[rows])
+            part = step(given, context)
+            if prior is not None and k < first and isinstance(step, SpeckleFilter):
+                # Speckles are the same parts of the scene at every size, so they have more pixels here than at the
+                # smallest one. Thin structures stay; what is removed has the value of the smaller image afterwards.
+                mild, size = part, step.size * 4 ** (prior.levels - 1)
+                part = step.model_copy(update={"size": size})(given, context)
+                v, u = np.nonzero(mild.valid & ~part.valid)
+                low, high = prior.thin[:, (v + rows.start) // 2, u // 2]
+                stays = (mild.values[v, u] >= low) & (mild.values[v, u] <= high)
+                v, u = v[stays], u[stays]
+                part.values[v, u], part.status[v, u] = mild.values[v, u], mild.status[v, u]
+            inside = slice(y - rows.start, min(y + band, height) - rows.start)
+            values[y : y + band], status[y : y + band] = part.values[inside], part.status[inside]
+        disparity = DisparityMap(values, status)
     return disparity
-
-
-def _refined_in_bands(
-    step: Refinement,
-    disparity: DisparityMap,
-    found: TiledWinners,
-    pair: StereoPair,
-    max_disparity: int,
-    prior: Prior | None,
-) -> DisparityMap:
-    """Return the map after one step, applied to one band of rows at a time where the step looks no farther."""
-    height, width = pair.shape
-    right = found.right()
-    halo = step.halo()
-    band = height if halo is None else max(4 * halo, _BAND_PIXELS // width, 1)
-    values, status = np.empty_like(disparity.values), np.empty_like(disparity.status)
-    for y in range(0, height, band):
-        rows = slice(max(0, y - (halo or 0)), min(height, y + band + (halo or 0)))
-        minima = found.minima[rows] if found.minima.size else found.left[rows].astype(np.float32)
-        context = RefinementContext(
-            StereoPair(pair.left[rows], pair.right[rows], pair.bits),
-            CostMinima(found.left[rows], minima, max_disparity + 1),
-            right[rows],
-        )
-        part = DisparityMap(disparity.values[rows], disparity.status[rows])
-        if prior is not None and isinstance(step, SpeckleFilter):
-            # Speckles are the same parts of the scene at every size, so they have more pixels here than at the
-            # smallest one. Thin structures stay; what is removed has the value of the smaller image afterwards.
-            mild = step(part, context)
-            part = step.model_copy(update={"size": step.size * 4 ** (prior.levels - 1)})(part, context)
-            v, u = np.nonzero(mild.valid & ~part.valid)
-            low, high = prior.thin[:, (v + rows.start) // 2, u // 2]
-            stays = (mild.values[v, u] >= low) & (mild.values[v, u] <= high)
-            v, u = v[stays], u[stays]
-            part.values[v, u], part.status[v, u] = mild.values[v, u], mild.status[v, u]
-        else:
-            part = step(part, context)
-        inside = slice(y - rows.start, min(y + band, height) - rows.start)
-        values[y : y + band], status[y : y + band] = part.values[inside], part.status[inside]
-    return DisparityMap(values, status)
 
 
 @parallel_jit
