@@ -17,27 +17,17 @@ from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 
-MIN_CORNERS = 6
-"""Fewest corners of a photo that count; four fit any camera."""
+MIN_CORNERS = 6  # fewest corners of a photo that count; four fit any camera
+MIN_PHOTOS = 3  # fewest photos that a camera is found from
+MIN_TILT = 15.0  # degrees between the board in two photos below which the focal length is not determined
+OUTLIER_PX = 0.3  # errors up to this are those of good photos, however small those of the others are
 
-_TURNS = (0, 1, 2, 3)  # quarter turns of a square board
 _WINDOW = 0.25  # of the spacing of corners: half the window in which a corner's edges are fitted
-_FREE_SHARE = 1.0  # of the space up to the next marker, whose corner is farther away than its edges are
 _BLUR = (0.4, 0.2)  # standard deviation, pixels, alone and for each of half the window: fewer steps along edges
 _AGREEMENT = 0.15  # pixels
 _MIN_WINDOW, _MAX_WINDOW = 3, 25  # pixels; smaller ones hold too few
 _REFINEMENT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
 _FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-
-MIN_PHOTOS = 3
-"""Fewest photos that a camera is found from."""
-
-MIN_TILT = 15.0
-"""Degrees between the board in two photos below which the focal length is not determined."""
-
-OUTLIER_PX = 0.3
-"""Errors up to this, pixels, are those of good photos, however small those of the others are."""
-
 _OUTLIER_DEVIATIONS = 3.0
 _DEVIATION = 1.4826  # median absolute deviations to standard deviations
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-9)
@@ -95,8 +85,8 @@ class Board(ABC):
         grid = places.reshape(self.rows, self.columns, 2)
         steps = np.concatenate([np.linalg.norm(np.diff(grid, axis=k), axis=-1).ravel() for k in (0, 1)])
         steps = steps[~np.isnan(steps)]
-        half = min(int(share * steps.min()), _MAX_WINDOW) if len(steps) else 0
-        half = max(half, _MIN_WINDOW)
+        half = int(share * steps.min()) if len(steps) else 0
+        half = min(max(half, _MIN_WINDOW), _MAX_WINDOW)
         smooth = cv2.GaussianBlur(grey, (0, 0), _BLUR[0] + _BLUR[1] * half)
         start = np.ascontiguousarray(corners.pixels, np.float32).reshape(-1, 1, 2)
         wide, narrow = (
@@ -137,7 +127,7 @@ class Chessboard(Board):
             first = np.indices(levels.shape).sum(axis=0) % 2 == 0
             grid = grid if levels[first].mean() < levels[~first].mean() else grid[::-1, ::-1]
         else:
-            grid = max(self._turned(grid), key=lambda each: float(_direction(each) @ (1, 0.5)))
+            grid = self._turned(grid, np.array([1, 0.5]))
         return Corners(ids, grid.reshape(-1, 2))
 
     def alike(self, left: Corners, right: Corners) -> Corners:
@@ -145,13 +135,12 @@ class Chessboard(Board):
         if (self.columns + self.rows) % 2:
             return right
         wanted, grid = (each.pixels.reshape(self.rows, self.columns, 2) for each in (left, right))
-        axis = _direction(wanted)
-        best = max(self._turned(grid), key=lambda each: float(_direction(each) @ axis))
-        return Corners(right.ids, best.reshape(-1, 2))
+        return Corners(right.ids, self._turned(grid, _direction(wanted)).reshape(-1, 2))
 
-    def _turned(self, grid: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        turns = _TURNS if self.columns == self.rows else _TURNS[::2]
-        return [np.rot90(grid, k) for k in turns]
+    def _turned(self, grid: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+        # The grid of corners, turned so that its rows run along ``axis``.
+        turns = range(0, 4, 1 if self.columns == self.rows else 2)
+        return max((np.rot90(grid, k) for k in turns), key=lambda each: float(_direction(each) @ axis))
 
 
 def _direction(grid: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -179,8 +168,8 @@ class CharucoBoard(Board):
         numbers = np.asarray(ids, np.int64).ravel()
         order = np.argsort(numbers, kind="stable")
         found = Corners(numbers[order], np.asarray(pixels, np.float64).reshape(-1, 2)[order])
-        free = (self.square - self.marker) / 2 / self.square  # of a square, between a corner and the next marker
-        refined, sure = self._refined(grey, found, _FREE_SHARE * free)
+        # Up to the next marker, whose corner is farther away than its edges are.
+        refined, sure = self._refined(grey, found, (self.square - self.marker) / 2 / self.square)
         numbers = found.ids[sure]  # in a doubtful window is a part of a marker
         n_lines = min(len(np.unique(numbers // self.columns)), len(np.unique(numbers % self.columns)))
         if len(numbers) < MIN_CORNERS or n_lines < 2:  # one line does not say where the plane lies
@@ -281,7 +270,7 @@ def _fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: b
     try:
         if fisheye:
             start = np.zeros((3, 3)), np.zeros((4, 1))
-            views = _doubles(objects), _doubles(pixels)
+            views = ([each[None].astype(np.float64) for each in points] for points in (objects, pixels))
             _, matrix, lens, turns, shifts = _cv2.fisheye.calibrate(
                 *views, size, *start, flags=_FISHEYE, criteria=_CRITERIA
             )
@@ -316,7 +305,7 @@ def _fit_rig(
     try:
         if cameras[0].fisheye:
             flags = _FISHEYE_FLAGS.CALIB_USE_INTRINSIC_GUESS if refine else _FISHEYE_FLAGS.CALIB_FIX_INTRINSIC
-            views = (_doubles(objects), _doubles(left), _doubles(right))
+            views = ([each[None].astype(np.float64) for each in points] for points in (objects, left, right))
             parts = _cv2.fisheye.stereoCalibrate(*views, *lenses, size, flags=flags | _FISHEYE, criteria=_CRITERIA)
         else:
             flags = cv2.CALIB_USE_INTRINSIC_GUESS if refine else cv2.CALIB_FIX_INTRINSIC
@@ -343,10 +332,6 @@ def _fit_rig(
 def _arrays(board: Board, views: Iterable[Corners]) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
     listed: list[Corners] = list(views)
     return [board.points[each.ids] for each in listed], [each.pixels.astype(np.float32) for each in listed]
-
-
-def _doubles(views: list[NDArray[np.float32]]) -> list[NDArray[np.float64]]:
-    return [each[None].astype(np.float64) for each in views]
 
 
 def _projected(
