@@ -52,8 +52,6 @@ def export(
         raise ConfigError(f"--split: must be {' or '.join(bench.scenes)} (got {split!r})")
     splits = [split] if split else list(bench.scenes)
     entries, problems = _find_maps(run, bench, splits, seconds)
-    if wrong := bench.check_name(method):
-        problems.insert(0, f"--method: {wrong}")
     sizes: dict[str, tuple[int, int]] = {}
     submission = Submission(method, sparse, sizes)
     with reporter:
@@ -69,7 +67,7 @@ def export(
             for line in lines:
                 reporter.info(f"warning: {line}")
             reporter.step()
-    problems += bench.problems_together(submission)
+    problems = bench.together(submission) + problems
     if problems:
         head = f"{run}: not as {for_} takes it, nothing written:"
         raise ConfigError("\n".join([head, *(f"  {line}" for line in problems)]))

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,159 +41,140 @@ class Submission(NamedTuple):
     sizes: Mapping[str, tuple[int, int]]
 
 
-class Benchmark(ABC):
-    """One benchmark."""
+@dataclass(frozen=True)
+class Benchmark:
+    """One benchmark; maps are (H, W) in pixels, NaN = no value."""
 
-    protocol: ClassVar[str]  # name of the evaluation protocol, which knows where a run holds its maps
-    scenes: ClassVar[Mapping[str, tuple[str, ...]]]  # of every split, which is submitted whole or not at all
-    timed: ClassVar[bool] = False  # every map needs its run time
-
-    def check_name(self, method: str) -> str:
-        """Return what is wrong with the name of a method, or an empty text."""
-        return ""
+    protocol: str  # name of the evaluation protocol, which knows where a run holds its maps
+    scenes: Mapping[str, tuple[str, ...]]  # of every split, which is submitted whole or not at all
+    timed: bool  # every map needs its run time
+    limits: Callable[[Entry, NDArray[np.float32], Submission], list[str]]  # returns what breaks the benchmark's rules
+    # Returns path in the archive -> content for the files of one map.
+    files: Callable[[Entry, NDArray[np.float32], Submission], dict[str, bytes]]
+    together: Callable[[Submission], list[str]] = lambda _: []  # returns what is wrong with a submission as a whole
 
     def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
-        """Return the reasons why a map, (H, W) in pixels, NaN = no value, cannot be submitted."""
+        """Return the reasons why a map cannot be submitted."""
         found, (height, width) = [], values.shape
         if entry.size is not None and entry.size != (width, height):
             found.append(f"the map is {width} x {height}, the image {entry.size[0]} x {entry.size[1]}")
-        with np.errstate(invalid="ignore"):
-            if (values < 0).any():
-                found.append(f"negative disparities, down to {np.nanmin(values):.4g}")
+        if (values < 0).any():
+            found.append(f"negative disparities, down to {np.nanmin(values):.4g}")
         if np.isnan(values).all():
             found.append("no pixel has a value")
         if self.timed and math.isnan(entry.seconds):
             found.append("no run time: the run has no report of this scene; say it with --seconds")
-        return found
-
-    def problems_together(self, submission: Submission) -> list[str]:
-        """Return what is wrong with all maps together."""
-        return []
-
-    @abstractmethod
-    def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
-        """Return path in the archive -> content for the files of one map."""
+        return found + self.limits(entry, values, submission)
 
 
-class MiddleburyV3Benchmark(Benchmark):
-    """PFM maps and times in the folders ``trainingX`` and ``testX``, X being the resolution."""
+_MIDDLEBURY_SCENES = {
+    TRAINING: ("Adirondack", "ArtL", "Jadeplant", "Motorcycle", "MotorcycleE", "Piano", "PianoL", "Pipes",
+               "Playroom", "Playtable", "PlaytableP", "Recycle", "Shelves", "Teddy", "Vintage"),
+    TEST: ("Australia", "AustraliaP", "Bicycle2", "Classroom2", "Classroom2E", "Computer", "Crusade", "CrusadeP",
+           "Djembe", "DjembeL", "Hoops", "Livingroom", "Newkuba", "Plants", "Staircase"),
+}  # fmt: skip
+MIDDLEBURY_FACTORS: Mapping[str, int] = {"F": 1, "H": 2, "Q": 4}
+"""Resolution of Middlebury v3 -> size of the full images / that of this resolution."""
 
-    protocol = "middlebury-v3"
-    timed = True
-    scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        TRAINING: ("Adirondack", "ArtL", "Jadeplant", "Motorcycle", "MotorcycleE", "Piano", "PianoL", "Pipes",
-                   "Playroom", "Playtable", "PlaytableP", "Recycle", "Shelves", "Teddy", "Vintage"),
-        TEST: ("Australia", "AustraliaP", "Bicycle2", "Classroom2", "Classroom2E", "Computer", "Crusade", "CrusadeP",
-               "Djembe", "DjembeL", "Hoops", "Livingroom", "Newkuba", "Plants", "Staircase"),
-    }  # fmt: skip
-    factors: ClassVar[Mapping[str, int]] = {"F": 1, "H": 2, "Q": 4}  # size of the full images / that of a resolution
-    # Those of 2014 are 2632 to 2964 pixels wide; three come from older sets.
-    width = 2800
-    others: ClassVar[Mapping[str, int]] = {"ArtL": 1388, "Computer": 1328, "Teddy": 1800}
-
-    def check_name(self, method: str) -> str:
-        """Return what is wrong with the name as part of a file's name, in which ``_s`` marks sparse maps."""
-        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_+.-]{0,39}", method) or method.endswith("_s") or method == "GT":
-            return f"expected letters, digits and _ + . - for file names, no _s at the end, not GT (got {method!r})"
-        return ""
-
-    def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
-        """Return also a reason for holes in a dense submission."""
-        holes = 0 if submission.sparse else int(np.isnan(values).sum())
-        why = [f"{holes} pixels without a value; fill them, or submit sparse maps with --sparse"]
-        return super().problems(entry, values, submission) + why * bool(holes)
-
-    def problems_together(self, submission: Submission) -> list[str]:
-        """Return a reason where the maps have several resolutions."""
-        found: dict[str, list[str]] = {}
-        for scene, (width, _) in submission.sizes.items():
-            found.setdefault(self.resolution(scene, width), []).append(scene)
-        several = "; ".join(f"{r}: {', '.join(scenes)}" for r, scenes in sorted(found.items()))
-        return [f"maps of several resolutions: {several}"] if len(found) > 1 else []
-
-    @classmethod
-    def resolution(cls, scene: str, width: int) -> str:
-        """Return F, H or Q, by the width of a map of the benchmark's scene."""
-        full = cls.others.get(scene, cls.width)
-        return min(cls.factors, key=lambda name: abs(math.log(full / cls.factors[name] / width)))
-
-    def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
-        """Return ``disp0METHOD.pfm``, or ``disp0METHOD_s.pfm``, and ``timeMETHOD.txt``."""
-        folder = f"{entry.split}{self.resolution(entry.scene, submission.sizes[entry.scene][0])}/{entry.scene}"
-        kind = "_s" if submission.sparse else ""
-        return {
-            f"{folder}/disp0{submission.method}{kind}.pfm": encode_pfm(values),
-            f"{folder}/time{submission.method}.txt": f"{round(entry.seconds, 6)}\n".encode(),
-        }
+# Full images of 2014 are 2632 to 2964 pixels wide; three come from older sets.
+_WIDTH = 2800
+_WIDTHS = {"ArtL": 1388, "Computer": 1328, "Teddy": 1800}
 
 
-class Eth3dBenchmark(Benchmark):
-    """PFM maps and run times in the folder ``low_res_two_view``."""
-
-    protocol = "eth3d"
-    timed = True
-    scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        TRAINING: (*(f"{place}_{n}{kind}" for place in ("delivery_area", "electro", "playground")
-                     for n in (1, 2, 3) for kind in "ls"),
-                   "facade_1s", "forest_1s", "forest_2s", "terrace_1s", "terrace_2s",
-                   "terrains_1l", "terrains_1s", "terrains_2l", "terrains_2s"),
-        TEST: (*(f"{place}_{n}{kind}" for place in ("storage_room", "tunnel") for n in (1, 2, 3) for kind in "ls"),
-               *(f"{place}_1{kind}" for place in ("lakeside", "sand_box") for kind in "ls"),
-               *(f"storage_room_2_{n}{kind}" for n in (1, 2) for kind in "ls")),
-    }  # fmt: skip
-
-    def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
-        """Return also a reason for values beyond the width, which the benchmark counts as missing."""
-        found = super().problems(entry, values, submission)
-        with np.errstate(invalid="ignore"):
-            if (values > values.shape[1]).any():
-                found.append(f"disparities beyond the image's width, up to {np.nanmax(values):.4g}")
-        return found
-
-    def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
-        """Return ``SCENE.pfm`` and ``SCENE.txt``."""
-        return {
-            f"low_res_two_view/{entry.scene}.pfm": encode_pfm(values),
-            f"low_res_two_view/{entry.scene}.txt": f"runtime {round(entry.seconds, 6)}\n".encode(),
-        }
+def middlebury_resolution(scene: str, width: int) -> str:
+    """Return F, H or Q, by the width of a map of the benchmark's scene."""
+    full = _WIDTHS.get(scene, _WIDTH)
+    return min(MIDDLEBURY_FACTORS, key=lambda name: abs(math.log(full / MIDDLEBURY_FACTORS[name] / width)))
 
 
-class Kitti2015Benchmark(Benchmark):
-    """16-bit PNG maps in the folder ``disp_0``."""
+def _middlebury_problems(submission: Submission) -> list[str]:
+    """Return what is wrong with a submission to Middlebury v3 as a whole: the method's name, several resolutions.
 
-    protocol = "kitti-2015"
-    scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {TEST: tuple(f"{n:06d}_10" for n in range(200))}
-    folder = "disp_0/"
+    The name is part of files' names, in which ``_s`` marks sparse maps.
+    """
+    found: dict[str, list[str]] = {}
+    for scene, (width, _) in submission.sizes.items():
+        found.setdefault(middlebury_resolution(scene, width), []).append(scene)
+    several = "; ".join(f"{r}: {', '.join(scenes)}" for r, scenes in sorted(found.items()))
+    problems, method = [f"maps of several resolutions: {several}"] if len(found) > 1 else [], submission.method
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_+.-]{0,39}", method) or method.endswith("_s") or method == "GT":
+        what = "expected letters, digits and _ + . - for file names, no _s at the end, not GT"
+        problems.insert(0, f"--method: {what} (got {method!r})")
+    return problems
 
-    def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
-        """Return also reasons for values that a code cannot hold, and for maps of training images of the same names."""
-        found = super().problems(entry, values, submission)
-        with np.errstate(invalid="ignore"):
-            if (np.rint(values.astype(np.float64) * KITTI_SCALE) > 65535).any():
-                found.append(f"disparities up to {np.nanmax(values):.4g}; a 16-bit code holds less than 256")
-        if entry.image is not None and "training" in entry.image.parts:
-            found.append(f"made from {entry.image}, a training image; the benchmark takes the test images' maps")
-        return found
 
-    def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
-        """Return the one file of a map, ``NNNNNN_10.png``."""
-        name = f"{self.folder}{entry.scene}.png"
-        data = encode_disparity_png(values)
+def _holes(entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
+    n_holes = int(np.isnan(values).sum())
+    why = f"{n_holes} pixels without a value; fill them, or submit sparse maps with --sparse"
+    return [] if submission.sparse or not n_holes else [why]
+
+
+def _middlebury_files(entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
+    """Return ``disp0METHOD.pfm``, or ``disp0METHOD_s.pfm``, and ``timeMETHOD.txt``."""
+    folder = f"{entry.split}{middlebury_resolution(entry.scene, submission.sizes[entry.scene][0])}/{entry.scene}"
+    kind = "_s" if submission.sparse else ""
+    return {
+        f"{folder}/disp0{submission.method}{kind}.pfm": encode_pfm(values),
+        f"{folder}/time{submission.method}.txt": f"{round(entry.seconds, 6)}\n".encode(),
+    }
+
+
+_ETH3D_SCENES = {
+    TRAINING: (*(f"{place}_{n}{kind}" for place in ("delivery_area", "electro", "playground")
+                 for n in (1, 2, 3) for kind in "ls"),
+               "facade_1s", "forest_1s", "forest_2s", "terrace_1s", "terrace_2s",
+               "terrains_1l", "terrains_1s", "terrains_2l", "terrains_2s"),
+    TEST: (*(f"{place}_{n}{kind}" for place in ("storage_room", "tunnel") for n in (1, 2, 3) for kind in "ls"),
+           *(f"{place}_1{kind}" for place in ("lakeside", "sand_box") for kind in "ls"),
+           *(f"storage_room_2_{n}{kind}" for n in (1, 2) for kind in "ls")),
+}  # fmt: skip
+
+
+def _beyond_width(entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
+    """Return a reason for values beyond the width, which ETH3D counts as missing."""
+    beyond = (values > values.shape[1]).any()
+    return [f"disparities beyond the image's width, up to {np.nanmax(values):.4g}"] if beyond else []
+
+
+def _eth3d_files(entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
+    """Return ``SCENE.pfm`` and ``SCENE.txt``."""
+    return {
+        f"low_res_two_view/{entry.scene}.pfm": encode_pfm(values),
+        f"low_res_two_view/{entry.scene}.txt": f"runtime {round(entry.seconds, 6)}\n".encode(),
+    }
+
+
+def _not_in_codes(entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
+    """Return reasons for values that a code of KITTI cannot hold, and for maps of training images of the same names."""
+    found = []
+    if (np.rint(values.astype(np.float64) * KITTI_SCALE) > 65535).any():
+        found.append(f"disparities up to {np.nanmax(values):.4g}; a 16-bit code holds less than 256")
+    if entry.image is not None and "training" in entry.image.parts:
+        found.append(f"made from {entry.image}, a training image; the benchmark takes the test images' maps")
+    return found
+
+
+def _kitti(protocol: str, n_scenes: int, folder: str) -> Benchmark:
+    """Return a benchmark of 16-bit PNG maps in a folder of the archive, ``NNNNNN_10.png``."""
+
+    def files(entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
+        name, data = f"{folder}{entry.scene}.png", encode_disparity_png(values)
         if data is None:
             raise OutputError(f"{name}: cannot be encoded as PNG")
         return {name: data}
 
-
-class Kitti2012Benchmark(Kitti2015Benchmark):
-    """16-bit PNG maps in the archive's root."""
-
-    protocol = "kitti-2012"
-    scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {TEST: tuple(f"{n:06d}_10" for n in range(195))}
-    folder = ""
+    scenes = {TEST: tuple(f"{n:06d}_10" for n in range(n_scenes))}
+    return Benchmark(protocol, scenes, False, _not_in_codes, files)
 
 
-BENCHMARKS: Mapping[str, type[Benchmark]] = {
-    each.protocol: each for each in (MiddleburyV3Benchmark, Kitti2012Benchmark, Kitti2015Benchmark, Eth3dBenchmark)
+BENCHMARKS: Mapping[str, Benchmark] = {
+    each.protocol: each
+    for each in (
+        Benchmark("middlebury-v3", _MIDDLEBURY_SCENES, True, _holes, _middlebury_files, _middlebury_problems),
+        _kitti("kitti-2012", 195, ""),
+        _kitti("kitti-2015", 200, "disp_0/"),
+        Benchmark("eth3d", _ETH3D_SCENES, True, _beyond_width, _eth3d_files),
+    )
 }
 
 
@@ -202,4 +183,4 @@ def benchmark(name: str) -> Benchmark:
     found = BENCHMARKS.get(name.lower().replace("_", "-"))
     if found is None:
         raise ConfigError(f"--for: no benchmark called {name!r}; one of: {', '.join(BENCHMARKS)}")
-    return found()
+    return found

@@ -8,8 +8,7 @@ import os
 import re
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -123,15 +122,17 @@ def evaluate_runs(
     else:
         chosen = kinds if scored_by is None else [scored_by.kind]
         found = [s for s in discover_scenes(truth, chosen, layout, scenes, reporter.info) if s.problem or s.has_truth]
-        if not any(scene.has_truth and not scene.problem for scene in found):
+        if all(scene.problem for scene in found):
             nothing = f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)"
             raise InputError(found[0].problem if found else nothing)
     if len(found) > 1 and any(place.is_file() for place in places.values()):
         raise InputError(f"a single map needs a single scene, {truth} has {len(found)}: give a file, or --scenes")
     writing = staging_folder(Path(output), "evaluate", RESULTS, reporter.info) if output is not None else None
     with writing or contextlib.nullcontext() as folder:
-        own = viewers if folder is not None else ()
-        scoring = _Scoring(places, truth, folder, scored_by, settings, own, dict(map_options or {}), rows)
+        shown_by = viewers if folder is not None else ()
+        reports = {run: read_report(place) if rows is None else rows for run, place in places.items()}
+        naming = dict(map_options or {})
+        scoring = _Scoring(places, reports, truth, folder, scored_by, settings, shown_by, naming)
         with reporter:
             results = scoring.all_results(found, reporter)
         for name, value in vars(settings).items():
@@ -145,14 +146,14 @@ def evaluate_runs(
         report = EvaluationReport(tuple(places), tuple(results), scoring.protocols, origin(truth), hints, used)
         if conditions:
             names = {scene.name for scene in found}
-            known = {run: {k: row for k, row in of.items() if k in names} for run, of in scoring.reports.items()}
+            known = {run: {k: row for k, row in of.items() if k in names} for run, of in reports.items()}
             report = replace(report, flags=flag_rows(conditions, _flag_columns(report, known), reporter))
         if folder is not None:
             scores = to_json(report.to_dict())
             write_text(folder / "scores.csv", to_csv(report.records()))
             write_text(folder / "scores.json", scores)
             write_text(folder / "report.md", report_markdown(report))
-            for viewer in own:
+            for viewer in shown_by:
                 try:
                     viewer.write(report, scores, {run: saved_config(place) for run, place in places.items()})
                 except DepthcliError as error:  # the scores are there
@@ -201,37 +202,30 @@ def _flag_columns(report: EvaluationReport, known: Mapping[str, Mapping[str, Row
     return list(rows.values())
 
 
+@dataclass
 class _Scoring:
     """An evaluation under way; see ``evaluate_runs`` for the arguments."""
 
-    def __init__(
-        self,
-        runs: dict[str, Path],
-        truth: Path,
-        output: Path | None,
-        protocol: AnyProtocol | None,
-        settings: Settings,
-        viewers: Sequence[Viewer],
-        map_options: dict[str, MapNaming],
-        rows: Mapping[str, Row] | None,
-    ) -> None:
-        self.runs, self.truth, self.output, self.protocol, self.settings = runs, truth, output, protocol, settings
-        self.viewers, self.map_options, self.rows = viewers, map_options, rows
-        self.protocols: dict[str, AnyProtocol] = {}  # by name, those that were used
-        self.hints: list[str] = []  # what was assumed, one line each
-        self.maps: set[Path] = set()  # files that were read
-        self.unlike: dict[str, list[tuple[str, str]]] = {}  # protocol -> its scenes, with what they look like instead
-
-    @cached_property
-    def reports(self) -> dict[str, Mapping[str, Row]]:
-        """Run -> scene -> row of the run's own report."""
-        return {run: read_report(place) if self.rows is None else self.rows for run, place in self.runs.items()}
+    runs: Mapping[str, Path]
+    reports: Mapping[str, Mapping[str, Row]]  # run -> scene -> row of the run's own report
+    truth: Path
+    output: Path | None
+    protocol: AnyProtocol | None  # of all scenes; None: what every scene names
+    settings: Settings
+    viewers: Sequence[Viewer]
+    naming: dict[str, MapNaming]
+    protocols: dict[str, AnyProtocol] = field(default_factory=dict)  # by name, those that were used
+    hints: list[str] = field(default_factory=list)  # what was assumed, one line each
+    maps: set[Path] = field(default_factory=set)  # files that were read
+    unlike: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # protocol -> scenes that look otherwise
 
     def all_results(self, scenes: Sequence[Scene], reporter: Reporter) -> list[MapResult]:
         """Return the results of every scene and run; a line of progress for each scene."""
         short = [scene.name.rpartition("/")[2] for scene in scenes]
-        unique = [short.count(name) == 1 for name in short]
-        names = {s.name: names_in_run(s.name, self.truth, only) for s, only in zip(scenes, unique, strict=True)}
+        names = {
+            scene.name: names_in_run(scene.name, self.truth, short.count(name) == 1)
+            for scene, name in zip(scenes, short, strict=True)
+        }
         self._recognize_maps(scenes, names)
         for viewer in self.viewers:
             assert self.output is not None
@@ -253,21 +247,18 @@ class _Scoring:
 
         def fits(name: str, path: Path, options: MapNaming) -> bool:
             scene, protocol = usable[name]
-            with collected_warnings():
-                try:
-                    self._reader(protocol, options).read(path, scene, protocol.truth(scene))
-                except DepthcliError:
-                    return False
-            return True
+            with collected_warnings(), contextlib.suppress(DepthcliError):
+                self._reader(protocol, options).read(path, scene, protocol.truth(scene))
+                return True
+            return False
 
         files = {name: (protocol.files, names[name]) for name, (_, protocol) in usable.items()}
         for run, place in self.runs.items():
+            given = self.naming.setdefault(run, MapNaming())
             if place.is_dir() and not self.reports[run]:
-                given = self.map_options.get(run, MapNaming())
-                found = recognized(run, place, given, files, fits)
-                if found != given:
-                    self.map_options[run] = found
-                    self.hints.append(f"{run}: taken as its maps: {found.pattern} (--maps says otherwise)")
+                self.naming[run] = recognized(run, place, given, files, fits)
+                if self.naming[run] != given:
+                    self.hints.append(f"{run}: taken as its maps: {self.naming[run].pattern} (--maps says otherwise)")
 
     def _reader(self, protocol: AnyProtocol, options: MapNaming) -> AnyProtocol:
         """Return the protocol with the settings of one run, by which its maps are read."""
@@ -314,7 +305,7 @@ class _Scoring:
     def _result(self, start: MapResult, protocol: AnyProtocol, scene: Scene, truth: Any, names: list[str]) -> MapResult:
         """Find, read, score and draw one run's map; if that fails, return the worst scores with the reason."""
         place, rows = self.runs[start.run], self.reports[start.run]
-        options = self.map_options.get(start.run, MapNaming())
+        options = self.naming[start.run]
         files = options.files(protocol.files)
         row: Row = next((rows[name] for name in names if name in rows), {})
         try:

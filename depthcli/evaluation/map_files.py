@@ -30,18 +30,11 @@ ValueT = TypeVar("ValueT")
 
 @dataclass(frozen=True)
 class MapFiles:
-    """Names under which a run folder may hold the maps of its scenes.
+    """Names under which a run folder may hold the maps of its scenes."""
 
-    Attributes
-    ----------
-    places : path of the map of ``{scene}`` in the run folder, without the ending; the first that exists is taken
-    suffixes : endings of a map; the first that exists is taken
-    other_places : names of other forms that ``candidates`` knows, in words
-    """
-
-    places: tuple[str, ...]
-    suffixes: tuple[str, ...]
-    other_places: tuple[str, ...] = ()
+    places: tuple[str, ...]  # path of the map of ``{scene}`` in the run folder, without the ending; the first is taken
+    suffixes: tuple[str, ...]  # endings of a map; the first that exists is taken
+    other_places: tuple[str, ...] = ()  # names of other forms that ``candidates`` knows, in words
 
     @property
     def endings(self) -> tuple[str, ...]:
@@ -194,44 +187,41 @@ def recognized(
         Several patterns are as frequent, and not exactly one of them is that of files that can be read; the message
         names the files and gives a ``--maps``.
     """
-    if options.pattern:
-        return options
-    for files, names in scenes.values():
-        try:
-            if files.find(folder, names) is not None:
-                return options
-        except InputError:  # several files claim to be the map: an error of that scene alone
+    try:
+        if options.pattern or any(files.find(folder, names) for files, names in scenes.values()):
             return options
+    except InputError:  # several files claim to be the map: an error of that scene alone
+        return options
     suffixes = tuple({suffix: None for files, _ in scenes.values() for suffix in files.endings})
-    found: dict[str, list[str]] = {}
+    paths = list(itertools.islice(_map_paths(folder, suffixes), _MAX_LISTED))
     words = [(scene, re.compile(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])"))
              for scene, (_, names) in scenes.items() for name in names]  # fmt: skip
-    for path in itertools.islice(_map_paths(folder, suffixes), _MAX_LISTED):
+    found: dict[str, dict[str, None]] = {}  # pattern -> its scenes
+    for path in paths:
         for scene, word in words:
             pattern, n_replaced = word.subn("{scene}", path)
             if n_replaced:
                 stem = pattern.rpartition("/")[2].lower().split(".")[0]
                 if stem not in _OTHER_STEMS and not _OTHER_WORDS.search(stem):
-                    found.setdefault(pattern, []).append(scene)
+                    found.setdefault(pattern, {})[scene] = None
                 break
-    max_scenes = max((len(set(of)) for of in found.values()), default=0)
-    likely = [pattern for pattern, of in sorted(found.items()) if len(set(of)) == max_scenes][:_N_SHOWN]
-    if not likely:
+    if not found:
         return options
-    if len(likely) == 1:
-        return replace(options, pattern=likely[0])
-    fitting = []
-    for pattern in likely:
-        chosen, scene = replace(options, pattern=pattern), found[pattern][0]
-        place = chosen.files(scenes[scene][0]).find(folder, scenes[scene][1])
-        if place is not None and fits(scene, place, chosen):
-            fitting.append(chosen)
+    max_scenes = max(map(len, found.values()))
+    likely = [pattern for pattern, of in sorted(found.items()) if len(of) == max_scenes][:_N_SHOWN]
+    fitting = likely
+    if len(likely) > 1:
+        fitting = []
+        for pattern in likely:
+            chosen, scene = replace(options, pattern=pattern), next(iter(found[pattern]))
+            place = chosen.files(scenes[scene][0]).find(folder, scenes[scene][1])
+            if place is not None and fits(scene, place, chosen):
+                fitting.append(pattern)
     if len(fitting) == 1:
-        return fitting[0]
-    shown_files = ", ".join(itertools.islice(_map_paths(folder, suffixes), _N_SHOWN))
-    best = fitting[0].pattern if fitting else likely[0]
+        return replace(options, pattern=fitting[0])
     why = f"{len(fitting)} kinds of file can be the maps" if fitting else "no file there can be read as a map"
-    raise InputError(f"{shown(folder)}: {why} ({shown_files}, ...); say which: --maps '{run}={best}'")
+    files_there, best = ", ".join(paths[:_N_SHOWN]), (fitting or likely)[0]
+    raise InputError(f"{shown(folder)}: {why} ({files_there}, ...); say which: --maps '{run}={best}'")
 
 
 def _map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.evaluation.benchmarks import BENCHMARKS, TEST, TRAINING, MiddleburyV3Benchmark
+from depthcli.evaluation.benchmarks import BENCHMARKS, TEST, TRAINING
 from depthcli.io.formats.disparity import read_disparity, write_pfm
 
-V3, ETH, K12, K15 = (BENCHMARKS[name]() for name in ("middlebury-v3", "eth3d", "kitti-2012", "kitti-2015"))
+V3, ETH, K12, K15 = (BENCHMARKS[name] for name in ("middlebury-v3", "eth3d", "kitti-2012", "kitti-2015"))
 
 
 def run_of(folder: Path, scenes: Iterable[str], size: Callable[[str], int], prefix: str = "", **facts: object) -> Path:
@@ -30,7 +30,7 @@ def run_of(folder: Path, scenes: Iterable[str], size: Callable[[str], int], pref
 
 
 def quarter(scene: str) -> int:
-    return MiddleburyV3Benchmark.others.get(scene, MiddleburyV3Benchmark.width) // 4
+    return BENCHMARKS["middlebury-v3"].others.get(scene, BENCHMARKS["middlebury-v3"].width) // 4
 
 
 def export(run: Path, name: str, target: Path, *more: str) -> int:

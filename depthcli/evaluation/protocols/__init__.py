@@ -54,24 +54,15 @@ class SliceAxis(NamedTuple):
 
 @dataclass(frozen=True)
 class ShownMap:
-    """A run's map as it is shown, read without a look at any truth.
+    """A run's map as it is shown, read without a look at any truth."""
 
-    Attributes
-    ----------
-    values : (H, W), or (Z, Y, X) of a volume, float, in the presentation's unit; NaN = none
-    confidence : name -> array of that shape, higher is surer
-    expected_error : array of that shape in the presentation's unit, NaN = none; or None
-    axes : of a volume; empty: it is an image
-    figures : heading with unit -> number, by which scenes are ordered: larger is worse, the first counts most
-    note : explanation of the figures
-    """
-
-    values: NDArray[np.floating[Any]]
-    confidence: dict[str, NDArray[Any]] = field(default_factory=dict)
-    expected_error: NDArray[np.floating[Any]] | None = None
-    axes: tuple[SliceAxis, ...] = ()
+    values: NDArray[np.floating[Any]]  # (H, W), or (Z, Y, X) of a volume, in the presentation's unit; NaN = none
+    confidence: dict[str, NDArray[Any]] = field(default_factory=dict)  # name -> array of that shape, higher is surer
+    expected_error: NDArray[np.floating[Any]] | None = None  # of that shape, NaN = none; or None
+    axes: tuple[SliceAxis, ...] = ()  # of a volume; empty: it is an image
+    # Heading with unit -> number, by which scenes are ordered: larger is worse, the first counts most.
     figures: dict[str, float] = field(default_factory=dict)
-    note: str = ""
+    note: str = ""  # explanation of the figures
 
 
 def planes_beside(path: Path, files: MapFiles) -> dict[str, NDArray[Any]]:
@@ -94,53 +85,34 @@ def _first_image(scene: Scene) -> NDArray[np.uint8] | None:
 
 @dataclass(frozen=True)
 class Presentation:
-    """How a protocol's tables are worded and its maps are shown; it computes no score.
+    """How a protocol's tables are worded and its maps are shown; it computes no score."""
 
-    Attributes
-    ----------
-    title, note : heading of the tables, and explanation of the numbers below them
-    unit, digits : of the errors, and decimals of the scores
-    mean_heading : heading of the means over the scenes
-    scene_rows : tables have a row for every scene beside those of the means
-    quantity : what a map holds, in a word
-    threshold_axis : label of the axis of a plot against the threshold
-    error_pictures : a picture of right, wrong and missing pixels is written for every map
-    visible_region : name of the region that both views see, outside of which pixels are shown as occluded; or empty
-    palette : colors and words of the status map beside a map
-    opacity : initial opacity of a map's colors over the scene's image, 0 to 1
-    verdicts : words for a pixel that is right, and for one that is wrong
-    scale : lowest and highest value of the colors if no truth is known; None: by the map
-    show : returns one run's map as it is shown if no truth is known; InputError if it cannot be read
-    image : returns the picture of a scene that is shown beneath its maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey
-        levels of a volume; None if there is none
-    on_grid : returns an array of a region's shape as an image or volume, NaN or False where it has no point, given the
-        truth; None: the points lie on no grid and cannot be shown
-    axes : returns the axes of what is shown if it is a volume, given the truth; empty: it is an image
-    at_points : returns whether the truth is known at few points, so that the whole map is shown
-    tables : returns further tables of a run, from what the protocol keeps of every scene with a map
-    """
-
-    title: str = ""
-    unit: str = ""
-    note: str = ""
-    digits: int = 2
-    mean_heading: str = "mean"
-    scene_rows: bool = True
-    quantity: str = "value"
-    threshold_axis: str = "threshold"
-    error_pictures: bool = False
-    visible_region: str = ""
-    palette: Palette = field(default_factory=dict)
-    opacity: float = 1.0
-    verdicts: tuple[str, str] = ("right", "wrong")
-    scale: tuple[float, float] | None = None
+    title: str = ""  # heading of the tables
+    unit: str = ""  # of the errors
+    note: str = ""  # explanation of the numbers, below the tables
+    digits: int = 2  # decimals of the scores
+    mean_heading: str = "mean"  # of the means over the scenes
+    scene_rows: bool = True  # tables have a row for every scene beside those of the means
+    quantity: str = "value"  # what a map holds, in a word
+    threshold_axis: str = "threshold"  # label of a plot's axis
+    error_pictures: bool = False  # a picture of right, wrong and missing pixels is written for every map
+    visible_region: str = ""  # name of the region that both views see, pixels outside being shown as occluded; or empty
+    palette: Palette = field(default_factory=dict)  # colors and words of the status map beside a map
+    opacity: float = 1.0  # initial one of a map's colors over the scene's image, 0 to 1
+    verdicts: tuple[str, str] = ("right", "wrong")  # words for a pixel that is right, and for one that is wrong
+    scale: tuple[float, float] | None = None  # of the colors if no truth is known; None: by the map
+    # Returns one run's map as it is shown if no truth is known; InputError if it cannot be read.
     show: Callable[[Path, Scene, MapFiles], ShownMap] = lambda path, _, files: ShownMap(
         read_plane(path), planes_beside(path, files)
     )
+    # Returns what is shown beneath maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey levels of a volume; or None.
     image: Callable[[Scene], NDArray[np.uint8] | None] = _first_image
+    # Returns an array of a region's shape as an image or volume, NaN or False where it has no point, given the truth;
+    # None: the points lie on no grid and cannot be shown.
     on_grid: Callable[[NDArray[Any], Any], NDArray[Any] | None] = lambda points, _: points if points.ndim > 1 else None
-    axes: Callable[[Any], tuple[SliceAxis, ...]] = lambda _: ()
-    at_points: Callable[[Any], bool] = lambda _: False
+    axes: Callable[[Any], tuple[SliceAxis, ...]] = lambda _: ()  # of what is shown if it is a volume, given the truth
+    at_points: Callable[[Any], bool] = lambda _: False  # whether the truth is of few points: the whole map is shown
+    # Returns further tables of a run, from what the protocol keeps of every scene with a map.
     tables: Callable[[str, Sequence[Any]], list[Table]] = lambda _, __: []
 
     @property
@@ -182,24 +154,14 @@ TruthT = TypeVar("TruthT", bound=Truth)
 
 @dataclass(frozen=True)
 class Settings:
-    """Options of an evaluation; every protocol takes those that apply to it (``Protocol.takes``).
+    """Options of an evaluation; every protocol takes those that apply to it (``Protocol.takes``)."""
 
-    Attributes
-    ----------
-    scale : codes per unit of maps that hold integer codes; None: by the file's kind and the scene
-    resolution : size of the ground truth if a benchmark has several (Middlebury v3: F, H or Q)
-    threshold : of the headline, in the protocol's unit, instead of the benchmark's
-    resize : (width, height) that depth maps and their truth are brought to, nearest neighbor, as ClearGrasp does
-    invalid : value of the files of disparity maps that stands for no value, before ``scale``; None: it is recognized
-    any_scale : ``scale`` is of all files, not only of those that may hold integer codes
-    """
-
-    scale: float | None = None
-    resolution: str | None = None
-    threshold: float | None = None
-    resize: tuple[int, int] | None = None
-    invalid: float | None = None
-    any_scale: bool = False
+    scale: float | None = None  # codes per unit of maps that hold integer codes; None: by the file's kind and the scene
+    resolution: str | None = None  # size of the ground truth if a benchmark has several (Middlebury v3: F, H or Q)
+    threshold: float | None = None  # of the headline, in the protocol's unit, instead of the benchmark's
+    resize: tuple[int, int] | None = None  # (width, height) of depth maps and truth, nearest neighbor (ClearGrasp)
+    invalid: float | None = None  # value of disparity files that is no value, before ``scale``; None: it is recognized
+    any_scale: bool = False  # ``scale`` is of all files, not only of those that may hold integer codes
 
     def __post_init__(self) -> None:
         if self.resolution not in (None, "F", "H", "Q"):
@@ -212,34 +174,20 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
     ``truth`` prepares a scene's ground truth once and ``read`` one run's estimate for it; all other methods open no
     file. Boolean and error arrays have the shape of the regions.
 
-    A protocol has to have the attributes without a default, ``headline``, ``truth``, ``read``, ``values``, ``error``
-    and ``scores``, and ``wrong`` if the headline has no threshold. Everything else is overridden where a benchmark
-    differs.
-
-    Attributes
-    ----------
-    name : its module's or its plug-in's, with dashes
-    kind : kind of scene that is scored
-    files : where a run folder may hold the maps
-    presentation : words, units and colors of tables and pictures
-    headline : the metric that ranks runs; ``scores`` has it for every region
-    takes : names of the settings that make a difference
-    region_order : names of regions in the order of tables; the first one present is the main region
-    averages_regions : the single figure of a run is the mean over all regions, not the main region's
-    curve_regions : regions of the confidence curves; empty: the main region
-    weights : short name of a scene -> its weight in means, if not 1
-    pool : makes one score of those of one metric and region in several scenes, with the scenes' weights
+    A protocol has to have the attributes without a default, ``truth``, ``read``, ``values``, ``error`` and ``scores``,
+    and ``wrong`` if the headline has no threshold. Everything else is overridden where a benchmark differs.
     """
 
-    kind: ClassVar[type[Scene]]
-    files: ClassVar[MapFiles]
+    kind: ClassVar[type[Scene]]  # of scene that is scored
+    files: ClassVar[MapFiles]  # where a run folder may hold the maps
     presentation: ClassVar[Presentation]
-    headline: Metric
-    takes: ClassVar[tuple[str, ...]] = ("scale", "threshold")
-    region_order: ClassVar[tuple[str, ...]] = ("nonocc", "all", "disc")
-    averages_regions: ClassVar[bool] = False
-    curve_regions: ClassVar[tuple[str, ...]] = ()
-    weights: ClassVar[Mapping[str, float]] = {}
+    headline: Metric  # the metric that ranks runs; ``scores`` has it for every region
+    takes: ClassVar[tuple[str, ...]] = ("scale", "threshold")  # names of the settings that make a difference
+    region_order: ClassVar[tuple[str, ...]] = ("nonocc", "all", "disc")  # in tables; the first present is the main one
+    averages_regions: ClassVar[bool] = False  # the single figure of a run is the mean over all regions
+    curve_regions: ClassVar[tuple[str, ...]] = ()  # of the confidence curves; empty: the main region
+    weights: ClassVar[Mapping[str, float]] = {}  # short name of a scene -> its weight in means, if not 1
+    # Makes one score of those of one metric and region in several scenes, with the scenes' weights.
     pool: ClassVar[staticmethod[[Sequence[Score], Sequence[float]], Score]] = staticmethod(mean_of_scenes)
 
     def __init__(self, settings: Settings | None = None) -> None:

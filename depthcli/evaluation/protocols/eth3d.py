@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score
 
 QUANTILES = (50, 90, 95, 99)  # percent, as printed by the program
 MISSING_NOT_COUNTED = "estimated pixels only; an empty map counts as bad"
@@ -38,23 +38,19 @@ class Eth3dProtocol(DisparityProtocol):
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute ``bad`` at four thresholds, ``coverage``, ``avgerr``, ``rms`` and quantiles."""
-        return [score for tally in self.tallies(estimate, truth) for score in self._metrics(tally)]
-
-    def _metrics(self, tally: Tally) -> list[Score]:
-        valid = tally.valid
-        if valid.size:
-            scores = [tally.rate(self.at(t), valid > np.float32(t)) for t in self.all_thresholds]
-        else:
-            scores = [tally.rate(self.at(t), np.isnan(tally.error)) for t in self.all_thresholds]
-        coverage = Metric("coverage", "%", worst=0.0, larger_is_better=True)
-        mean, rms = tally.means()
-        # In single precision, as there; the places of the quantiles too.
-        square = float(np.mean(valid * valid, dtype=np.float64)) if valid.size else math.nan
-        rms = replace(rms, value=float(np.sqrt(np.float32(square))))
-        scores += [tally.number(coverage, tally.density, tally.error.size), mean, rms]
-        ordered = np.sort(valid)
-        for q in QUANTILES:
-            place = int(np.float32(valid.size) * np.float32(q / 100))
-            value = float(ordered[place]) if valid.size else math.nan
-            scores.append(tally.number(Metric(f"A{q}", "px", convention=ESTIMATED_ONLY), value, valid.size))
+        scores = []
+        for tally in self.tallies(estimate, truth):
+            valid, n_valid = tally.valid, tally.valid.size
+            for t in self.all_thresholds:
+                scores.append(tally.rate(self.at(t), valid > np.float32(t) if n_valid else np.isnan(tally.error)))
+            coverage = Metric("coverage", "%", worst=0.0, larger_is_better=True)
+            mean, rms = tally.means()
+            # In single precision, as there; the places of the quantiles too.
+            square = float(np.mean(valid * valid, dtype=np.float64)) if n_valid else math.nan
+            rms = replace(rms, value=float(np.sqrt(np.float32(square))))
+            scores += [tally.number(coverage, tally.density, tally.error.size), mean, rms]
+            ordered = np.sort(valid)
+            for q in QUANTILES:
+                value = float(ordered[int(np.float32(n_valid) * np.float32(q / 100))]) if n_valid else math.nan
+                scores.append(tally.number(Metric(f"A{q}", "px", convention=ESTIMATED_ONLY), value, n_valid))
         return scores

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.evaluation.benchmarks import TRAINING, MiddleburyV3Benchmark
+from depthcli.evaluation.benchmarks import BENCHMARKS, MIDDLEBURY_FACTORS, TRAINING, middlebury_resolution
 from depthcli.evaluation.protocols._disparity import (
     PRESENTATION,
     Disparity,
@@ -21,7 +21,7 @@ from depthcli.evaluation.protocols._disparity import (
     size,
 )
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
-from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Metric, Score, Tally, float_sum
+from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Metric, Score, float_sum
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.scenes import Scene
 from depthcli.io.scenes.stereo import StereoTruth
@@ -77,9 +77,9 @@ class MiddleburyV3Protocol(DisparityProtocol):
         """
         truth = super().truth(scene)
         name, resolution = scene.name.rpartition("/")[2], self.settings.resolution or "F"
-        if self.settings.resolution is None and name in MiddleburyV3Benchmark.scenes[TRAINING]:
-            resolution = MiddleburyV3Benchmark.resolution(name, truth.values.shape[1])
-        return replace(truth, factor=MiddleburyV3Benchmark.factors[resolution])
+        if self.settings.resolution is None and name in BENCHMARKS["middlebury-v3"].scenes[TRAINING]:
+            resolution = middlebury_resolution(name, truth.values.shape[1])
+        return replace(truth, factor=MIDDLEBURY_FACTORS[resolution])
 
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
         """Return the map in pixels; -inf of a PFM stays, which the SDK clips to the search range like any number."""
@@ -119,27 +119,21 @@ class MiddleburyV3Protocol(DisparityProtocol):
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute ``bad`` and ``totbad`` at four thresholds, ``invalid``, ``avgerr``, ``rms`` and quantiles."""
-        return [score for tally in self.tallies(estimate, truth) for score in _metrics(self, tally, truth.factor)]
-
-
-def _metrics(protocol: MiddleburyV3Protocol, tally: Tally, factor: int) -> list[Score]:
-    error, valid, missing = tally.error, tally.valid, np.isnan(tally.error)
-    scores = []
-    for name, convention, extra in (("bad", MISSING_APART, False), ("totbad", MISSING_IS_BAD, True)):
-        for t in protocol.all_thresholds:
-            here = t / factor
-            label = f"{name} {t:g}" + (f" ({here:g})" if factor > 1 else "")
-            metric = Metric(name, "%", t, convention, 100.0, label=label)
-            wrong = error > np.float32(here)
-            if extra:
-                wrong |= missing
-            scores.append(tally.rate(metric, wrong))
-    scores.append(tally.rate(Metric("invalid", "%", None, MISSING_APART, 100.0), missing))
-    mean, *others = tally.means()
-    average = float_sum(valid.astype(np.float32)) / valid.size if valid.size else math.nan
-    scores += [replace(mean, value=average), *others]
-    ordered = np.sort(valid)
-    for q in QUANTILES:
-        value = float(ordered[max(0, -(-q * valid.size // 100) - 1)]) if valid.size else math.nan
-        scores.append(tally.number(Metric(f"A{q}", "px", convention=ESTIMATED_ONLY), value, valid.size))
-    return scores
+        scores = []
+        for tally in self.tallies(estimate, truth):
+            missing = np.isnan(tally.error)
+            for name, convention, counted in (("bad", MISSING_APART, False), ("totbad", MISSING_IS_BAD, missing)):
+                for t in self.all_thresholds:
+                    here = t / truth.factor
+                    label = f"{name} {t:g}" + (f" ({here:g})" if truth.factor > 1 else "")
+                    wrong = (tally.error > np.float32(here)) | counted
+                    scores.append(tally.rate(Metric(name, "%", t, convention, 100.0, label=label), wrong))
+            scores.append(tally.rate(Metric("invalid", "%", None, MISSING_APART, 100.0), missing))
+            mean, rms = tally.means()
+            n_valid, ordered = tally.valid.size, np.sort(tally.valid)
+            average = float_sum(tally.valid.astype(np.float32)) / n_valid if n_valid else math.nan
+            scores += [replace(mean, value=average), rms]
+            for q in QUANTILES:
+                value = float(ordered[max(0, -(-q * n_valid // 100) - 1)]) if n_valid else math.nan
+                scores.append(tally.number(Metric(f"A{q}", "px", convention=ESTIMATED_ONLY), value, n_valid))
+        return scores
