@@ -7,14 +7,14 @@ import contextlib
 import json
 import math
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from depthcli.core.errors import ConfigError, InputError, OutputError
+from depthcli.core.errors import InputError
 from depthcli.core.text import without_secrets
 from depthcli.evaluation import tables
 from depthcli.evaluation.columns import heading_help
@@ -86,7 +86,7 @@ class Page:
 
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
         """Begin a scene, to which the maps that follow belong."""
-        self._save()
+        self._save(self._scene)
         self._scene = view_with_truth(protocol, scene, truth)
 
     def add_map(self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, Any]) -> None:
@@ -102,7 +102,7 @@ class Page:
     def write(
         self, report: EvaluationReport | None, scores: str, configs: Mapping[str, str], flags: Flags | None = None
     ) -> None:
-        """Write ``report.html``; ConfigError if Jinja2 or matplotlib is not installed.
+        """Write ``report.html``.
 
         Parameters
         ----------
@@ -111,14 +111,14 @@ class Page:
         configs : run -> its resolved config, or empty
         flags : the flagged scenes, which are shown first; None: those of the report
         """
-        self._save()
+        self._save(self._scene)
         flags = flags or (report.flags if report else Flags())
         rank = {each.scene: k for k, each in reversed([*enumerate(flags.flagged)])}
         self._saved.sort(key=lambda saved: rank.get(saved.view.name, len(rank)))
         scored, without = list(self._saved), self._add_run()
         factor = max(1, math.ceil(math.sqrt(sum(saved.size for saved in self._saved) / self.budget)))
         page = {
-            "runs": [self.run.name] if report is None and self.run is not None else report.runs if report else [],
+            "runs": report.runs if report else [self.run.name] if self.run else [],
             "assets": [f"{_ASSETS}/{saved.file.name}" if factor > 1 else None for saved in self._saved],
             "keys": [saved.file.stem for saved in self._saved],
             "scale": packing.map_colors().tolist(),
@@ -143,36 +143,71 @@ class Page:
         )  # fmt: skip
         write_text(self.folder / self.file, text)
         if factor == 1:
-            try:
-                shutil.rmtree(self.folder / _ASSETS, ignore_errors=not self._saved)
-            except OSError as error:
-                raise OutputError(f"{self.folder / _ASSETS}: cannot be removed ({error.strerror or error})") from error
+            shutil.rmtree(self.folder / _ASSETS, ignore_errors=True)
 
     def _add_run(self) -> dict[str, Any] | None:
-        """Add the scenes without truth, the worst first; return their table."""
+        """Add the scenes without truth, the worst first; return what the template shows of them.
+
+        Failed scenes come first, then those with pictures by the figures of their maps, then the others. ``by`` is the
+        heading of the first figure; a failed scene has the reason in its second cell.
+        """
         if self.run is None:
             return None
-        n_scored, problems = len(self._saved), dict[str, str]()
-        for view in _views(self.run, problems):
-            self._scene = view
-            self._save()
-        views = {saved.view.name: saved.view for saved in self._saved[n_scored:]}
-        table = _table_without_truth(self.run, views, problems)
-        order = {view.name: number for number, view in enumerate(table["views"])}
-        self._saved[n_scored:] = sorted(self._saved[n_scored:], key=lambda saved: order[saved.view.name])
-        return table
+        run, n_scored, problems, views = self.run, len(self._saved), dict[str, str](), dict[str, SceneView]()
+        row_of = {scene.name: run.rows.get(scene.name, {}) for scene in run.scenes}
+        done = [scene for scene in run.scenes if row_of[scene.name].get("status") != "failed"]
+        done.sort(key=lambda scene: _doubt(row_of[scene.name]))
+        for scene in done[:_MAX_SHOWN]:
+            try:
+                views[scene.name] = _view(run, scene)
+            except InputError as error:
+                problems[scene.name] = str(error)
+            else:
+                self._save(views[scene.name])
+        failed = [name for name, row in row_of.items() if row.get("status") == "failed" or name in problems]
+        worst = {
+            name: [math.inf if math.isnan(v) else -v for v in view.figures.values()] for name, view in views.items()
+        }
+        names = [*sorted(failed), *sorted(views, key=lambda name: (worst[name], name))]
+        self._saved[n_scored:] = sorted(self._saved[n_scored:], key=lambda saved: names.index(saved.view.name))
+        names += [scene.name for scene in done[_MAX_SHOWN:]]
+        shown = {name: view.figures | view.mean_confidence for name, view in views.items()}
+        keys = list(dict.fromkeys(key for figures in shown.values() for key in figures))
+        rows = []
+        for name in names:
+            row, figures = row_of[name], shown.get(name, {})
+            reason, seconds = (
+                str(row.get("error") or problems.get(name, "")),
+                math.fsum(row.get("seconds", {}).values()),
+            )
+            cells = [reason or str(row.get("status") or "done")]
+            cells += [str(Number(figures[key])) if key in figures else "-" for key in keys]
+            cells += [column.text(row) if row and not reason else "-" for column in run.columns]
+            rows.append((name, [*cells, f"{seconds:.2f}" if seconds else "-"]))
+        header = ["status", *keys, *(column.title for column in run.columns), "seconds"]
+        filled = [k for k in range(len(header)) if any(cells[k] != "-" for _, cells in rows)]
+        return {
+            "run": run.name,
+            "header": ["scene", *(header[k] for k in filled)],
+            "rows": [(name, [cells[k] for k in filled]) for name, cells in rows],
+            "note": "; ".join(dict.fromkeys(view.note for view in views.values() if view.note)),
+            "by": keys[0] if keys else "",
+            "n_failed": len(failed),
+            "n_left_out": len(done[_MAX_SHOWN:]),
+            "views": [saved.view for saved in self._saved[n_scored:]],
+        }
 
-    def _save(self) -> None:
-        if self._scene is None:
+    def _save(self, view: SceneView | None) -> None:
+        """Write the pictures of a complete scene, so that they are in memory no longer."""
+        self._scene = None
+        if view is None:
             return
-        view, number = self._scene, len(self._saved)
         view.close()
-        file = self.folder / _ASSETS / f"scene-{number}.js"
+        file = self.folder / _ASSETS / f"scene-{len(self._saved)}.js"
         text = f'depthcli("{file.stem}", {_script_json(json.dumps(view.data))});\n'
         write_text(file, text)
         view.data = {}
         self._saved.append(_SavedScene(view, file, len(text)))
-        self._scene = None
 
 
 def _embedded(saved: _SavedScene, factor: int) -> str:
@@ -241,70 +276,19 @@ def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
     return {"name": view.name, "protocol": view.protocol, "thumbs": view.thumbs.get("", {}), "runs": runs}
 
 
-def _views(run: RunWithoutTruth, problems: dict[str, str]) -> Iterator[SceneView]:
-    """Yield the view of every scene whose map can be read; of very many scenes, of the worst by the report.
-
-    ``problems`` gets the reason of each that cannot.
-    """
-    protocol = run.protocol
-    done = [scene for scene in run.scenes if run.rows.get(scene.name, {}).get("status") != "failed"]
-    for scene in sorted(done, key=lambda scene: _doubt(run.rows.get(scene.name, {})))[:_MAX_SHOWN]:
-        try:
-            path = protocol.files.find(run.folder, [scene.name])
-            if path is None:
-                raise InputError(f"no map there{protocol.files.searched([scene.name])}")
-            with collected_warnings():
-                shown = protocol.presentation.show(path, scene, protocol.files)
-                nothing, scale = np.zeros(shown.values.shape, np.bool_), protocol.presentation.scale
-                palette = protocol.presentation.palette if run.palette is None else run.palette
-                scale = scale or scale_of(shown.values)
-                view = SceneView(scene, protocol, nothing, nothing, None, shown.axes, scale, palette)
-                view.add_shown(run.name, path, shown)
-        except InputError as error:
-            problems[scene.name] = str(error)
-        else:
-            yield view
-
-
-def _table_without_truth(
-    run: RunWithoutTruth, views: Mapping[str, SceneView], problems: Mapping[str, str]
-) -> dict[str, Any]:
-    """Return what the template shows of scenes without truth: failed ones first, then by the figures, the worst first.
-
-    ``by`` is the heading of the figure that orders the scenes; a failed scene has the reason in its second cell.
-    """
-
-    def rank(name: str) -> tuple[float, ...]:
-        if name not in views:
-            failed = run.rows.get(name, {}).get("status") == "failed" or name in problems
-            return (-2.0,) if failed else (0.0, *_doubt(run.rows.get(name, {})))
-        return (-1.0, *(math.inf if math.isnan(value) else -value for value in views[name].figures.values()))
-
-    shown = {name: view.figures | view.mean_confidence for name, view in views.items()}
-    keys = list(dict.fromkeys(key for figures in shown.values() for key in figures))
-    names = sorted((scene.name for scene in run.scenes), key=lambda name: (rank(name), name))
-    rows = []
-    for name in names:
-        row, figures = run.rows.get(name, {}), shown.get(name, {})
-        reason = str(row.get("error") or problems.get(name, ""))
-        cells = [reason or str(row.get("status") or "done")]
-        cells += [str(Number(figures[key])) if key in figures else "-" for key in keys]
-        cells += [column.text(row) if row and not reason else "-" for column in run.columns]
-        seconds = math.fsum(row.get("seconds", {}).values())
-        rows.append((name, [*cells, f"{seconds:.2f}" if seconds else "-"]))
-    n_failed = sum(rank(name) == (-2.0,) for name in names)
-    header = ["status", *keys, *(column.title for column in run.columns), "seconds"]
-    filled = [k for k in range(len(header)) if any(cells[k] != "-" for _, cells in rows)]
-    return {
-        "run": run.name,
-        "header": ["scene", *(header[k] for k in filled)],
-        "rows": [(name, [cells[k] for k in filled]) for name, cells in rows],
-        "note": "; ".join(dict.fromkeys(view.note for view in views.values() if view.note)),
-        "by": keys[0] if keys else "",
-        "n_failed": n_failed,
-        "n_left_out": len(names) - len(views) - n_failed,
-        "views": [views[name] for name in names if name in views],
-    }
+def _view(run: RunWithoutTruth, scene: Scene) -> SceneView:
+    """Return the view of a scene without truth; InputError where its map cannot be read."""
+    protocol, presentation = run.protocol, run.protocol.presentation
+    path = protocol.files.find(run.folder, [scene.name])
+    if path is None:
+        raise InputError(f"no map there{protocol.files.searched([scene.name])}")
+    with collected_warnings():
+        shown = presentation.show(path, scene, protocol.files)
+        nothing, scale = np.zeros(shown.values.shape, np.bool_), presentation.scale or scale_of(shown.values)
+        palette = presentation.palette if run.palette is None else run.palette
+        view = SceneView(scene, protocol, nothing, nothing, None, shown.axes, scale, palette)
+        view.add_shown(run.name, path, shown)
+    return view
 
 
 def _doubt(row: Row) -> tuple[float, ...]:
@@ -314,15 +298,12 @@ def _doubt(row: Row) -> tuple[float, ...]:
 
 
 def _template() -> Any:
-    try:
-        import jinja2
-    except ImportError as error:  # pragma: no cover
-        raise ConfigError(f"--html wants Jinja2 ({error})") from error
+    import jinja2  # takes a tenth of a second to import
+
     options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "undefined": jinja2.StrictUndefined}
     environment = jinja2.Environment(autoescape=True, **options)
     environment.globals["help"] = heading_help
-    environment.filters["short"] = tables.short
-    environment.filters["number"] = Number
+    environment.filters |= {"short": tables.short, "number": Number}
     return environment.from_string(_file("page.html"))
 
 

@@ -57,11 +57,10 @@ class SceneView:
         (height of a pixel over its width), ``width``, ``height``, ``factor`` (it is thinned by), ``image`` (data URI),
         packed ``truth`` and ``region`` (1: known, 2: occluded), and ``runs``: name -> packed ``values``, ``error``,
         ``wrong``, ``status``, and ``confidence`` by measure
-    thumbs : run (empty: the scene itself) -> kind of picture -> data URI
+    thumbs : run (empty: the scene itself) -> what a small picture shows -> data URI
     figures, note : without truth: heading with unit -> number, by which scenes are ordered, and their explanation
     mean_confidence : without truth: heading -> mean of a confidence map
-    captions : without truth: kind of small picture -> what it shows, with the ends of its scale
-    legend : without truth: (words, CSS color) of the statuses in the small picture
+    legend : without truth: words -> CSS color of the statuses in the small picture
     sheet : data URI of a volume's preview, instead of small pictures; or None
     """
 
@@ -82,8 +81,7 @@ class SceneView:
         self.thumbs: dict[str, dict[str, str]] = {}
         self.figures: dict[str, float] = {}
         self.mean_confidence: dict[str, float] = {}
-        self.captions: dict[str, str] = {}
-        self.legend: list[tuple[str, str]] = []
+        self.legend: dict[str, str] = {}
         self.note = ""
         self.sheet: str | None = None
         # What small error pictures are drawn from, once the scale is known: run -> kinds of pixel, errors, quantile.
@@ -102,13 +100,14 @@ class SceneView:
         }  # fmt: skip
         for cut in self._cuts:
             plane = known[cut.index]
-            name = plane_name = "" if cut.axis < 0 else f"{cut.place + 1} of {cut.n_places}"
+            name = plane_name = ""
             rows, columns = [axis for k, axis in enumerate(axes) if k != cut.axis] or (None, None)
-            plane_name = f"axis {cut.axis}"
+            if cut.axis >= 0:
+                plane_name, name = f"axis {cut.axis}", f"{cut.place + 1} of {cut.n_places}"
             if axes:
                 axis = axes[cut.axis]
-                plane_name, place = axis.plane, side_and_distance(axis.ends, axis.first + axis.step * cut.place)
-                name = f"{plane_name}, {place}, {name}"
+                place = side_and_distance(axis.ends, axis.first + axis.step * cut.place)
+                plane_name, name = axis.plane, f"{axis.plane}, {place}, {name}"
             picture = self._image_of(cut)
             self.data["views"].append({
                 "name": name, "axis": cut.axis, "plane": plane_name, "axes": [columns, rows],
@@ -175,29 +174,24 @@ class SceneView:
         if shown.axes and (preview := _preview(path.with_name("preview.png"))):  # three slices say more than one
             self.sheet, self.thumbs = preview, {}
             return
-        words, cut = self.protocol.presentation, self._start.index
-        thumbs = self.thumbs.setdefault(run, {})
-        thumbs["map"] = self._map_thumb(shown.values[cut])
+        words, cut, top = self.protocol.presentation, self._start.index, self.data["top"]
         low, high = (f"{float(f'{self.data[end]:.4g}'):g}" for end in ("low", "high"))
-        self.captions["map"] = f"{words.quantity}, {low} to {high} {words.unit}"
+        thumbs = self.thumbs.setdefault(run, {})
+        thumbs[f"{words.quantity}, {low} to {high} {words.unit}"] = self._map_thumb(shown.values[cut])
         if error is not None:
-            thumbs["expected error"] = _png(packing.map_picture(_small(error[cut]), 0.0, self.data["top"]))
-            self.captions["expected error"] = f"expected error, 0 to {self.data['top']:g} {words.unit}"
+            picture = packing.map_picture(_small(error[cut]), 0.0, top)
+            thumbs[f"expected error, 0 to {top:g} {words.unit}"] = _png(picture)
         if status is not None:
             table = np.full((256, 3), packing.NO_VALUE, np.uint8)
             for value, entry in self.data["status"].items():
                 table[int(value)] = entry["color"]
                 color = "rgb({},{},{})".format(*entry["color"])
-                if color not in (known for _, known in self.legend):
-                    self.legend.append((entry["words"].removesuffix(", smoothed"), color))
+                if color not in self.legend.values():
+                    self.legend[entry["words"].removesuffix(", smoothed")] = color
             thumbs["status"] = _png(table[_small(status[cut])])
-        more = len(confidence) - _MAX_CONFIDENCES
         for name, plane in list(confidence.items())[:_MAX_CONFIDENCES]:
             grey = confidence_picture(_small(plane[cut]))
-            thumbs[_words(name)] = _png(np.repeat(grey[..., None], 3, axis=2))
-            self.captions[_words(name)] = f"{_words(name)}, dark: unsure"
-        if more > 0:
-            self.captions[_words(name)] += f"; {more} more in the viewer"
+            thumbs[f"{_words(name)}, dark: unsure"] = _png(np.repeat(grey[..., None], 3, axis=2))
 
     def close(self) -> None:
         """Scale the errors by the median of the runs' 90 % quantiles over wrong pixels, and draw their pictures."""
