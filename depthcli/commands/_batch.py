@@ -21,7 +21,7 @@ from depthcli.run.folder import LEGEND_FILE, refusal
 from depthcli.run.json_csv import Row, to_json
 from depthcli.run.presets import find_config, find_preset
 from depthcli.run.report import report_document
-from depthcli.run.runner import Planner, run_scenes
+from depthcli.run.runner import Plan, run_scenes
 from depthcli.run.workers import BUG
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
@@ -120,18 +120,18 @@ def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: E
 
     A row has ``scene``, ``status`` (``DONE``, ``TO_DO`` or ``BROKEN``), ``memory`` (bytes or None) and ``problem``.
     """
-    planner, rows = Planner(batch, scenes, output, how), []
+    planned, rows = Plan(batch, scenes, output, how), []
     for scene in how.own(scenes):
         row: Row = {"scene": scene.name, "status": BROKEN, "memory": None, "problem": scene.problem}
         if not scene.problem:
-            row["status"] = TO_DO if planner.finished(planner.task(scene, 0))[0] is None else DONE
+            row["status"] = TO_DO if planned.finished(planned.task(scene, 0))[0] is None else DONE
             try:
                 row["memory"] = batch.memory(scene)
             except InputError as error:
                 row |= {"status": BROKEN, "problem": str(error)}
         rows.append(row)
     refused = ""
-    if refusal(output, planner.work.text):
+    if refusal(output, planned.work.text):
         refused = f"{output}: holds a run made with another config; needs --overwrite"
     config = batch.config
     values = config.model_dump(mode="json", by_alias=True) if isinstance(config, BaseModel) else dict(config)

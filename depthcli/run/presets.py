@@ -6,7 +6,7 @@ import importlib.util
 import itertools
 import textwrap
 import warnings
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -15,8 +15,14 @@ from pydantic import BaseModel
 
 from depthcli.core.config_file import to_yaml
 from depthcli.core.errors import ConfigError
+from depthcli.core.method import Method
 from depthcli.core.registry import Plugin, PluginWarning, plugins_in
 from depthcli.core.text import did_you_mean
+
+THESIS = "thesis/"
+"""Prefix of presets that reproduce a table or figure of the thesis."""
+
+_GROUP = "depthcli.presets"  # of entry points such as "package:folder", which holds COMMAND/NAME.yaml
 
 
 def preset_folder() -> Path:
@@ -24,13 +30,6 @@ def preset_folder() -> Path:
     package = Path(__file__).resolve().parent.parent
     shipped = package / "configs"
     return shipped if shipped.is_dir() else package.parent / "configs"
-
-
-THESIS = "thesis/"
-"""Prefix of presets that reproduce a table or figure of the thesis."""
-
-
-_GROUP = "depthcli.presets"  # of entry points such as "package:folder", which holds COMMAND/NAME.yaml
 
 
 @dataclass(frozen=True)
@@ -125,8 +124,11 @@ def find_config(command: str, config: str) -> Path:
 
 def describe(config: BaseModel, title: str) -> str:
     """Return a resolved config as YAML with every field, its description above it, and ``title`` as first comment."""
-    fields = "\n".join(_lines(config, 0, getattr(config, "flattened", ""), gap=("",)))
-    return "".join(f"# {line}\n" for line in title.splitlines()) + "\n" + fields.strip() + "\n"
+    flat: str = getattr(config, "flattened", "")
+    method = getattr(config, flat) if flat else None
+    lines = [*_method_lines(method), *_field_lines(config, flat, gap=[""])]
+    lines += _field_lines(method, gap=[""]) if isinstance(method, BaseModel) else []
+    return "".join(f"# {line}\n" for line in title.splitlines()) + "\n" + "\n".join(lines).strip() + "\n"
 
 
 def leading_comment(text: str) -> str:
@@ -135,57 +137,39 @@ def leading_comment(text: str) -> str:
     return "\n".join(line.removeprefix("#").strip() for line in lines)
 
 
-def _lines(model: BaseModel, depth: int, flat: str, gap: tuple[str, ...] = ()) -> Iterator[str]:
-    inner = getattr(model, flat, None) if flat else None
-    pad = "  " * depth
-    if isinstance(inner, BaseModel):
-        doc = (type(inner).__doc__ or "").strip().split("\n\n")[0]
-        yield from _comment(" ".join(doc.split()), pad)
-        yield f"{pad}{flat}: {inner.model_dump(mode='json')[flat]}"
+def _method_lines(method: object) -> list[str]:
+    """Return the line that names a method, under the first paragraph of its docstring; nothing for other values."""
+    if not isinstance(method, Method):
+        return []
+    key, name = next(iter(method.model_dump(mode="json").items()))
+    return [*_comment((method.__doc__ or "").strip().split("\n\n")[0]), f"{key}: {name}"]
+
+
+def _field_lines(model: BaseModel, flat: str = "", gap: Sequence[str] = ()) -> list[str]:
+    """Return the fields of a model but ``flat``, each under its description, with ``gap`` before it."""
+    lines: list[str] = []
     # What every config has comes first in the model and last in the text.
     for name, info in sorted(type(model).model_fields.items(), key=lambda field: field[0] == "plugins"):
         if name == flat or info.exclude:
             continue
-        yield from gap
-        if info.description:
-            yield from _comment(info.description, pad)
-        yield from _value(info.alias or name, getattr(model, name), depth)
-    if isinstance(inner, BaseModel):
-        yield from _lines(inner, depth, "", gap)
+        key, value = info.alias or name, getattr(model, name)
+        elements = list(value) if isinstance(value, list | tuple) else []
+        lines += [*gap, *_comment(info.description or "")]
+        if isinstance(value, BaseModel):
+            lines += [f"{key}:", *(f"  {line}" for line in _method_lines(value) + _field_lines(value))]
+        elif any(isinstance(element, BaseModel) for element in elements):
+            lines.append(f"{key}:")
+            for element in elements:
+                inside = [str(element)]
+                if isinstance(element, BaseModel):
+                    inside = _method_lines(element) + _field_lines(element)
+                # Comments stand before the dash, so that the element starts with its first key.
+                first = next(k for k, line in enumerate(inside) if not line.startswith("#"))
+                lines += [*inside[:first], f"- {inside[first]}", *(f"  {line}" for line in inside[first + 1 :])]
+        else:
+            lines += to_yaml({key: elements if isinstance(value, tuple) else value}).splitlines()
+    return lines
 
 
-def _value(name: str, value: object, depth: int) -> Iterator[str]:
-    pad = "  " * depth
-    elements = list(value) if isinstance(value, list | tuple) else []
-    if isinstance(value, BaseModel):
-        yield f"{pad}{name}:"
-        yield from _model(value, depth + 1)
-    elif any(isinstance(element, BaseModel) for element in elements):
-        yield f"{pad}{name}:"
-        for element in elements:
-            dash = "- "
-            for line in _model(element, 0) if isinstance(element, BaseModel) else [str(element)]:
-                # A comment stands before the dash, so that the element starts with its first key.
-                comment = dash == "- " and line.lstrip().startswith("#")
-                yield f"{pad}{'' if comment else dash}{line}"
-                dash = dash if comment else "  "
-    else:
-        yield from (
-            pad + line for line in to_yaml({name: elements if isinstance(value, tuple) else value}).splitlines()
-        )
-
-
-def _model(value: BaseModel, depth: int) -> Iterator[str]:
-    pad = "  " * depth
-    doc = " ".join((type(value).__doc__ or "").strip().split("\n\n")[0].split())
-    own = type(value).model_fields
-    extra = {key: v for key, v in value.model_dump(mode="json").items() if key not in own}
-    if extra:
-        yield from _comment(doc, pad)
-    for key, name in extra.items():
-        yield f"{pad}{key}: {name}"
-    yield from _lines(value, depth, "")
-
-
-def _comment(text: str, pad: str) -> Iterator[str]:
-    yield from textwrap.wrap(text, 100, initial_indent=f"{pad}# ", subsequent_indent=f"{pad}# ")
+def _comment(text: str) -> list[str]:
+    return textwrap.wrap(" ".join(text.split()), 100, initial_indent="# ", subsequent_indent="# ")

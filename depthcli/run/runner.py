@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,11 +35,10 @@ from depthcli.run.records import (
     write_record,
 )
 from depthcli.run.report import write_report
-from depthcli.run.workers import Task, Work, compute_here, compute_in_processes, compute_on_cluster
+from depthcli.run.workers import GOES_ON, Task, Work, compute_here, compute_in_processes, compute_on_cluster
 
 # Digests that are remembered: calibrations and videos belong to several scenes that follow each other.
 _MAX_REMEMBERED = 16
-_GOES_ON = "the same command goes on where it stopped"
 
 
 def run_scenes(
@@ -62,16 +61,14 @@ def run_scenes(
     IncompleteError
         Everything was computed, but the report cannot be written; or the connection to the scheduler was lost.
     """
-    own = how.own(scenes)
-    planner = Planner(batch, scenes, output, how)
-    planner.check_names(own)
+    own, plan = how.own(scenes), Plan(batch, scenes, output, how)
+    plan.check_names(own)
     with FolderLock(output, reporter.info) as lock:
-        lock.set_up(planner.work.text, how.overwrite)
-        planner.check_records(own)
-        return _Run(planner, own, lock, reporter).rows_of_all()
+        lock.set_up(plan.work.text, how.overwrite)
+        return _Run(plan, own, lock, reporter).rows_of_all()
 
 
-class Planner:
+class Plan:
     """Says which scenes of a run are done, and makes tasks of the others."""
 
     def __init__(self, batch: Batch[Any], scenes: Sequence[Any], output: Path, how: Execution) -> None:
@@ -87,28 +84,18 @@ class Planner:
 
     def check_names(self, scenes: Sequence[Any]) -> None:
         """Raise ConfigError where a name cannot name a folder, or the folder is a link or holds the scene's input."""
-        output = self.output
         for scene in scenes:
-            if any(not part or part.startswith(".") or "\0" in part for part in scene.name.split("/")):
-                raise ConfigError(
-                    f"{scene.name!r} is no name for a folder of results; choose another name for the scene"
-                )
-            target = os.path.realpath(output / scene.name)  # Path.resolve() raises for loops of links
+            parts = scene.name.split("/")
+            if any(not part or part.startswith(".") or "\0" in part for part in parts):
+                problem = "is no name for a folder of results; choose another name for the scene"
+                raise ConfigError(f"{scene.name!r} {problem}")
+            target = os.path.realpath(self.output / scene.name)  # Path.resolve() raises for loops of links
             if any(target == os.path.dirname(os.path.realpath(file)) for file in self._files(scene).values()):
-                raise ConfigError(
-                    f"{output}: {scene.name} would be written over its own input; choose another --output"
-                )
-            if target != os.path.join(os.path.realpath(output), *scene.name.split("/")):
-                raise ConfigError(
-                    f"{output}: {scene.name} is a link to {target}; give the folder that it leads to instead"
-                )
-
-    def check_records(self, scenes: Sequence[Any]) -> None:
-        """Raise ConfigError where results would replace a scene of another run."""
-        for scene in scenes if not self.how.overwrite else []:
-            known = read_record(self.output / scene.name)
-            if known is not None and known.run != self.identity and known.row.get("status") == "done":
-                raise ConfigError(f"{self.output / scene.name}: {OTHER_RUN}")
+                problem = "would be written over its own input; choose another --output"
+                raise ConfigError(f"{self.output}: {scene.name} {problem}")
+            if target != os.path.join(os.path.realpath(self.output), *parts):
+                problem = f"is a link to {target}; give the folder that it leads to instead"
+                raise ConfigError(f"{self.output}: {scene.name} {problem}")
 
     def task(self, scene: Any, number: int) -> Task:
         """Return the task that computes a scene, with the digests of all that its result depends on."""
@@ -136,57 +123,84 @@ class Planner:
 class _Run:
     """The scenes of one call: rows of the finished scenes, tasks for the others, their results."""
 
-    def __init__(self, planner: Planner, scenes: Sequence[Any], lock: FolderLock, reporter: Reporter) -> None:
-        self.planner, self.scenes, self.lock, self.reporter = planner, scenes, lock, reporter
-        self.output, self.how = planner.output, planner.how
+    def __init__(self, plan: Plan, scenes: Sequence[Any], lock: FolderLock, reporter: Reporter) -> None:
+        self.plan, self.scenes, self.lock, self.reporter = plan, scenes, lock, reporter
         self.warnings = WarningCounts(reporter)
         self.rows: dict[str, Row] = {}
-        self.n_unclaimed = 0
+        self.n_elsewhere = 0  # scenes that other processes compute
 
     def rows_of_all(self) -> list[Row]:
         """Compute what is not done, write the report, and return the rows in the order of the scenes."""
-        tasks, stopped, disk_full = self._plan(), False, ""
-        names = {scene.name for scene in self.scenes}
+        how, reporter, output = self.plan.how, self.reporter, self.plan.output
+        tasks, stopped, disk_full, problem = self._tasks(), False, "", ""
+        todo, work, jobs = self._claimed(tasks), self.plan.work, min(how.jobs, len(tasks))
+        if how.scheduler is not None and tasks:
+            computed = compute_on_cluster(todo, work, reporter, self.plan.workspace)
+        elif jobs > 1:
+            computed = compute_in_processes(todo, work, reporter, jobs)
+        else:
+            computed = compute_here(todo, work, reporter)
         try:
-            with self.reporter, contextlib.closing(self._computed(tasks)) as computed:
-                self.reporter.start(len(self.scenes), len(self.rows), self.planner.batch.command)
+            with reporter, contextlib.closing(computed):
+                reporter.start(len(self.scenes), len(self.rows), self.plan.batch.command)
                 for row in computed:
                     if disk_full := row.get("disk_full", ""):
                         break
-                    self._add(row)
-                    if stopped := self.how.fail_fast and row["status"] == "failed":
+                    name, failed = row["scene"], row["status"] == "failed"
+                    self.lock.release(name)
+                    if failed:
+                        reporter.error(f"{name}: {row['error']}")
+                    else:
+                        reporter.detail(f"{name}: {sum(row['seconds'].values()):.2f} s")
+                    self._take(row)
+                    reporter.step(failed)
+                    if stopped := how.fail_fast and failed:
                         break
         finally:
-            problem = self._finish()
-        failed = sum(row["status"] == "failed" for row in self.rows.values())
-        left = len(names) - len(self.rows) - self.n_unclaimed
-        counts = f"{len(self.rows) - failed} of {len(names)} scenes done, {failed} failed, {left} not computed"
+            self.warnings.close()
+            discard(self.plan.workspace)
+            with self.lock.reporting():
+                try:
+                    write_report(output, self.plan.batch.command, self.plan.identity)
+                except OutputError as error:  # a scene that cannot be written reports that itself
+                    problem = str(error)
+            if self.lock.last():
+                remove_leftovers(output)
+        n_failed = sum(row["status"] == "failed" for row in self.rows.values())
+        n_all = len({scene.name for scene in self.scenes})
+        left = n_all - len(self.rows) - self.n_elsewhere
+        counts = f"{len(self.rows) - n_failed} of {n_all} scenes done, {n_failed} failed, {left} not computed"
         if disk_full:
-            raise OutputError(f"{disk_full}; stopped, {counts}; make room there, {_GOES_ON}")
+            raise OutputError(f"{disk_full}; stopped, {counts}; make room there, {GOES_ON}")
         if stopped:
-            self.reporter.info(f"stopped at the first failure, {counts}; {_GOES_ON}")
-        if self.n_unclaimed:
-            self.reporter.info(f"{self.n_unclaimed} scenes are being computed by other processes")
+            reporter.info(f"stopped at the first failure, {counts}; {GOES_ON}")
+        if self.n_elsewhere:
+            reporter.info(f"{self.n_elsewhere} scenes are being computed by other processes")
         if problem:
             raise IncompleteError(problem)
         return [self.rows[scene.name] for scene in self.scenes if scene.name in self.rows]
 
-    def _plan(self) -> list[Task]:
-        """Return the tasks of the scenes that are not done; take the rows of the others."""
-        tasks = []
+    def _tasks(self) -> list[Task]:
+        """Return the tasks of the scenes that are not done; take the rows of the others.
+
+        ConfigError where results of another run, or of another input of the same name, would be replaced.
+        """
+        tasks, replaces = [], self.plan.how.overwrite
         for number, scene in enumerate(self.scenes):
-            task = self.planner.task(scene, number)
-            row, known = self.planner.finished(task)
-            if row is not None and known is not None:
+            task = self.plan.task(scene, number)
+            row, known = self.plan.finished(task)
+            if known is not None and row is not None:
                 if row.get("source") != task.source:  # the inputs have moved
                     row["source"] = task.source
                     write_record(task.target, replace(known, row=row))
                 self._take(row)
                 continue
-            origin = known.row.get("source") if known is not None and known.run == task.run and known.files else None
-            if origin and origin != task.source and not self.how.overwrite:
+            if known is not None and known.run != task.run and known.row.get("status") == "done" and not replaces:
+                raise ConfigError(f"{task.target}: {OTHER_RUN}")
+            source = known.row.get("source") if known is not None and known.run == task.run and known.files else None
+            if source and source != task.source and not replaces:
                 raise ConfigError(
-                    f"{self.output}: holds the result of another {scene.name!r}, made from {origin}; this one is "
+                    f"{self.plan.output}: holds the result of another {scene.name!r}, made from {source}; this one is "
                     f"{task.source}; choose another --output, or --overwrite it"
                 )
             tasks.append(task)
@@ -194,57 +208,20 @@ class _Run:
             self.reporter.info(f"{len(self.rows)} of {len(self.scenes)} scenes are done already")
         return tasks
 
-    def _computed(self, tasks: list[Task]) -> Generator[Row, None, None]:
-        work, reporter, jobs = self.planner.work, self.reporter, min(self.how.jobs, len(tasks))
-        if not tasks:
-            return
-        if self.how.scheduler is not None:
-            yield from compute_on_cluster(self._claimed(tasks), work, reporter, self.planner.workspace)
-        elif jobs > 1:
-            yield from compute_in_processes(self._claimed(tasks), work, reporter, jobs)
-        else:
-            yield from compute_here(self._claimed(tasks), work, reporter)
-
     def _claimed(self, tasks: Sequence[Task]) -> Iterator[Task]:
         """Yield the tasks that no other process computes, or has computed since."""
         for task in tasks:
             if self.lock.claim(task.scene.name):
-                row, _ = self.planner.finished(task)
+                row, _ = self.plan.finished(task)
                 if row is None:
                     yield task
                     continue
                 self._take(row)
                 self.lock.release(task.scene.name)
             else:
-                self.n_unclaimed += 1
+                self.n_elsewhere += 1
             self.reporter.step()
 
     def _take(self, row: Row) -> None:
-        """Take the row of a scene, and say its warnings."""
         self.rows[row["scene"]] = row
         self.warnings.add(row["scene"], row.get("warnings") or [])
-
-    def _add(self, row: Row) -> None:
-        """Take the row of a scene that was just computed."""
-        name, failed = row["scene"], row["status"] == "failed"
-        self.lock.release(name)
-        if failed:
-            self.reporter.error(f"{name}: {row['error']}")
-        else:
-            self.reporter.detail(f"{name}: {sum(row['seconds'].values()):.2f} s")
-        self._take(row)
-        self.reporter.step(failed)
-
-    def _finish(self) -> str:
-        """Remove what is not of the run any more, and write the report; return why it cannot be written, or empty."""
-        self.warnings.close()
-        discard(self.planner.workspace)
-        problem = ""
-        with self.lock.reporting():
-            try:
-                write_report(self.output, self.planner.batch.command, self.planner.identity)
-            except OutputError as error:  # a scene that cannot be written reports that itself
-                problem = str(error)
-        if self.lock.last():
-            remove_leftovers(self.output)
-        return problem

@@ -18,7 +18,7 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from multiprocessing import connection, resource_tracker
@@ -39,12 +39,13 @@ from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, se
 from depthcli.run import resources
 from depthcli.run.batch import Execution, Outcome
 from depthcli.run.console import Reporter, silence_warnings
-from depthcli.run.folder import run_text, saved_config
+from depthcli.run.folder import run_text
 from depthcli.run.json_csv import Row
 from depthcli.run.records import Record, digest, digests_below, file_digest, install, record_failure
 
 BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
+GOES_ON = "the same command goes on where it stopped"
 
 _MAX_TRACE_NAME = 200  # bytes of a scene's name in that of its traceback; a file's name has 255
 _HEAD_START = 1.0  # seconds in which the first worker can show that kernels have to be compiled
@@ -107,6 +108,12 @@ class Task:
     def record(self, row: Row, files: dict[str, str]) -> Record:
         """Return the record of the scene with this row."""
         return Record(self.scene.name, self.run, self.inputs, files, row)
+
+    def died(self, reason: str, work: Work) -> Row:
+        """Return the row of the scene, recorded as failed, whose worker was killed each time."""
+        row = self.failed(reason)
+        record_failure(self.target, self.record(row, {}), work.how.overwrite)
+        return row
 
 
 def compute_scene(task: Task, work: Work, limit: int) -> Row:
@@ -210,7 +217,7 @@ def _report_compilation(reporter: Reporter, kernels: int, seconds: float) -> Non
         reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s{kept}")
 
 
-def compute_here(tasks: Iterable[Task], work: Work, reporter: Reporter) -> Iterator[Row]:
+def compute_here(tasks: Iterable[Task], work: Work, reporter: Reporter) -> Generator[Row, None, None]:
     """Yield the rows of the tasks, computed one by one in this process."""
     use_threads(work.how.threads_each())
     with CompileWatch(lambda _: _announce_compilation(reporter)) as watch:
@@ -230,7 +237,9 @@ class _Worker:
     tries: int = 0
 
 
-def compute_in_processes(tasks: Iterable[Task], work: Work, reporter: Reporter, jobs: int) -> Iterator[Row]:
+def compute_in_processes(
+    tasks: Iterable[Task], work: Work, reporter: Reporter, jobs: int
+) -> Generator[Row, None, None]:
     """Yield the rows of the tasks, computed by ``jobs`` processes, in the order in which they are finished.
 
     The first scene is computed alone for a moment. If kernels have to be compiled for it, the other processes wait
@@ -273,9 +282,7 @@ def compute_in_processes(tasks: Iterable[Task], work: Work, reporter: Reporter, 
                     killed = worker.process.exitcode == -signal.SIGKILL
                     code = f"exit code {worker.process.exitcode}"
                     why = "killed, probably out of memory; see --max-memory" if killed else code
-                    row = task.failed(f"the worker process died {_MAX_TRIES} times ({why})")
-                    record_failure(task.target, task.record(row, {}), work.how.overwrite)
-                    message = row, 0, 0.0
+                    message = task.died(f"the worker process died {_MAX_TRIES} times ({why})", work), 0, 0.0
                 if message == "begun":
                     alone_until = min(alone_until, time.monotonic() + _HEAD_START)
                 elif message == "compiling":
@@ -348,7 +355,9 @@ def _serve(pipe: connection.Connection, work: Work) -> None:
             pipe.send(_counted(task, work, limit, watch))
 
 
-def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, workspace: Path) -> Iterator[Row]:
+def compute_on_cluster(
+    tasks: Iterable[Task], work: Work, reporter: Reporter, workspace: Path
+) -> Generator[Row, None, None]:
     """Yield the rows of the tasks, computed by the workers of a dask.distributed cluster, as they are finished.
 
     The workers must have the same file system at the same paths. A scene whose worker dies is computed by another one.
@@ -360,20 +369,21 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
     IncompleteError
         The connection to the scheduler was lost.
     """
-    address, output = work.how.scheduler or "", workspace.parent
-    lost = f"{address}: the scheduler was lost; the same command goes on where it stopped"
+    address = work.how.scheduler or ""
+    lost = f"{address}: the scheduler was lost; {GOES_ON}"
     if files := sorted({plugin.package for plugin in work.plugins if plugin.is_file}):
         raise ConfigError(f"--scheduler: {', '.join(files)}: workers have no plug-in files; install it as a package")
     workspace.mkdir(parents=True, exist_ok=True)
     (workspace / _RUNNING_FILE).touch()
     client, wait = _connected(address)
-    waiting, running = iter(tasks), dict[Any, Task]()
+    waiting, running, n_workers = iter(tasks), dict[Any, Task](), -1
     try:
-        n_workers = _check_workers(client, work, output)
-        reporter.info(f"{n_workers} workers at {address}" + ("" if n_workers else "; waiting for some"))
         while True:
             with contextlib.suppress(OSError, TimeoutError):  # the scheduler was just lost
-                n_workers = len(client.scheduler_info(n_workers=-1)["workers"])
+                found = len(client.scheduler_info(n_workers=-1)["workers"])
+                if n_workers < 0:
+                    reporter.info(f"{found} workers at {address}" + ("" if found else "; waiting for some"))
+                n_workers = found
             while client.status == "running" and len(running) < 2 * max(n_workers, 1):
                 if (task := next(waiting, None)) is None:
                     break
@@ -385,18 +395,17 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
                 wait(list(running), timeout=1, return_when="FIRST_COMPLETED")
             for future in [future for future in running if future.status in ("finished", "error")]:
                 task = running.pop(future)
-                if future.status == "finished":
+                error = future.exception() if future.status == "error" else None
+                if error is None:
                     row, kernels, seconds = future.result()
                     _report_compilation(reporter, kernels, seconds)
+                elif type(error).__name__ == "KilledWorker":
+                    row = task.died("its worker died several times, probably out of memory; see --max-memory", work)
                 else:
-                    error = future.exception()
-                    if isinstance(error, ConfigError):
-                        raise ConfigError(f"{address}: {error}") from error
-                    killed = type(error).__name__ == "KilledWorker"
-                    bug = f"{BUG}{type(error).__name__}: {error}".splitlines()[0][:300]
-                    why = "its worker died several times, probably out of memory; see --max-memory"
-                    row = task.failed(why if killed else bug)
-                    record_failure(task.target, task.record(row, {}), work.how.overwrite)
+                    reason = (str(error).splitlines() or [type(error).__name__])[0][:300]
+                    if not isinstance(error, ConfigError):
+                        reason = f"its workers have no such depthcli, or not its plug-ins ({reason})"
+                    raise ConfigError(f"{address}: {reason}") from error
                 yield row
             if client.status != "running":
                 raise IncompleteError(lost)
@@ -408,24 +417,6 @@ def compute_on_cluster(tasks: Iterable[Task], work: Work, reporter: Reporter, wo
             if client.status == "running":
                 client.cancel(list(running))
             client.close(timeout=2)
-
-
-def _check_workers(client: Any, work: Work, output: Path) -> int:
-    """Return the number of workers; ConfigError unless all have this depthcli, its plug-ins and see the run folder."""
-    address = work.how.scheduler
-    try:
-        identities = client.run(_identity_here, work)
-        folders = client.run(saved_config, output.absolute())
-    except Exception as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ConfigError(f"{address}: its workers have no such depthcli, or not its plug-ins ({reason})") from error
-    for worker, identity in identities.items():
-        if identity != _identity_here(work):
-            raise ConfigError(f"{address}: {_other_code(worker)}")
-        if folders[worker] != saved_config(output):
-            place = output.absolute()
-            raise ConfigError(f"{address}: worker {worker} does not see {place}; all need a common file system")
-    return len(identities)
 
 
 def _connected(address: str) -> tuple[Any, Any]:
@@ -455,14 +446,19 @@ def _compute_there(data: bytes) -> tuple[Row, int, float]:
     """Compute a scene on a worker of a cluster; return its row, the number of compiled kernels and their seconds."""
     from distributed import get_worker
 
+    worker = get_worker()
     task, work, identity, folder = pickle.loads(data)
-    if identity != _identity_here(work):  # a worker that joined later
-        raise ConfigError(_other_code(get_worker().address))
+    if identity != _identity_here(work):
+        raise ConfigError(
+            f"worker {worker.address} has another depthcli, or other versions of Python, its libraries or plug-ins, "
+            f"than this machine; end it or install the same there; {GOES_ON}"
+        )
     with _cluster_lock, CompileWatch(lambda _: None) as watch:
         os.chdir(folder)  # paths may be relative to where the run was started
-        if not (task.hidden.parent / _RUNNING_FILE).exists():
-            return task.failed(f"{task.hidden.parent}: the run has ended, or the file system is not shared"), 0, 0.0
-        use_threads(work.how.threads or get_worker().state.nthreads)
+        running = task.hidden.parent / _RUNNING_FILE
+        if not running.exists():  # or the run has ended meanwhile
+            raise ConfigError(f"worker {worker.address} does not see {running}; all need a common file system")
+        use_threads(work.how.threads or worker.state.nthreads)
         # A worker that was believed to be dead may still compute the scene in its own folder.
         own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
         return _counted(own, work, work.how.max_memory or resources.available_memory(), watch)
@@ -478,10 +474,3 @@ def _sources() -> str:  # once a process: code that was loaded stays when its fi
     folder = Path(__file__).parent.parent
     files = sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".cl", ".json"))
     return digest("".join(f"{path.relative_to(folder)} {file_digest(path)}" for path in files).encode())
-
-
-def _other_code(worker: str) -> str:
-    return (
-        f"worker {worker} has another depthcli, or other versions of Python, its libraries or plug-ins, than this "
-        "machine; end it or install the same there; the same command goes on where it stopped"
-    )
