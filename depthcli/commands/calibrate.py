@@ -32,6 +32,6 @@ def calibrate(
     overwrite: Annotated[bool, Option("--overwrite", help="Replace an earlier calibration.")] = False,
 ) -> int:
     """Calibrate the cameras that took the photos; return the exit code, 3 where a photo could not be read."""
-    from depthcli.commands._calibration import calibrate_cameras
+    from depthcli.commands._calibrate import calibrate_cameras
 
     return calibrate_cameras(photos, board, printing, output, fisheye, overwrite)
