@@ -108,7 +108,10 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         Reporter.command_line = shlex.join(["depthcli", *words])
         _load_plugins(words)
-        return _run(words)
+        code = int(app(words, prog_name="depthcli", standalone_mode=False) or 0)
+        if code == 130:
+            raise KeyboardInterrupt
+        return code
     except IncompleteError as error:
         _print_error(f"depthcli: {error}")
         return SOME_FAILED
@@ -118,10 +121,22 @@ def main(arguments: list[str] | None = None) -> int:
     except _Terminated:
         _print_error("depthcli: terminated; the same command goes on where it stopped")
         return 143
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         _print_error("depthcli: interrupted; the same command goes on where it stopped")
         return 130
-    except Exception:
+    except SystemExit as error:
+        if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
+            raise
+        return 0  # the reader of a help text has closed the pipe (--help | head)
+    except Exception as error:
+        if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage, as typer tells it
+            with contextlib.suppress(OSError):
+                error.show()
+            return 2
+        if isinstance(error, OSError) and error.filename is None and error.errno in _STREAM_ERRORS:
+            Reporter.close(sys.stdout)
+            _print_error(f"depthcli: stdout: cannot be written ({error.strerror})")
+            return SOME_FAILED
         _print_error(traceback.format_exc().rstrip())
         _print_error("depthcli: this is a bug, not something you did; please report the lines above")
         return 1
@@ -132,32 +147,6 @@ def main(arguments: list[str] | None = None) -> int:
             sys.stderr.flush()
         except (OSError, ValueError):  # the interpreter's last flush would fail, and with it the exit code
             Reporter.close(sys.stderr)
-
-
-def _run(words: list[str]) -> int:
-    """Parse the command line, run its command and return the exit code; what typer raises becomes one of ours."""
-    try:
-        code = int(app(words, prog_name="depthcli", standalone_mode=False) or 0)
-    except typer.Abort:
-        code = 130
-    except SystemExit as error:
-        if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
-            raise
-        return 0  # the reader of a help text has closed the pipe (--help | head)
-    except OSError as error:
-        if error.filename is not None or error.errno not in _STREAM_ERRORS:
-            raise
-        Reporter.close(sys.stdout)
-        raise IncompleteError(f"stdout: cannot be written ({error.strerror})") from error
-    except Exception as error:
-        if getattr(error, "exit_code", None) != 2 or not hasattr(error, "show"):
-            raise
-        with contextlib.suppress(OSError):
-            error.show()
-        return 2
-    if code == 130:
-        raise KeyboardInterrupt
-    return code
 
 
 def _load_plugins(words: Sequence[str]) -> None:

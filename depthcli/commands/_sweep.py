@@ -9,6 +9,7 @@ import json
 import math
 import random
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
@@ -19,7 +20,7 @@ from depthcli.commands._batch import DONE, plan_of, run_batch
 from depthcli.commands._evaluation import viewers
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError
-from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import mean_of_known
@@ -119,17 +120,14 @@ def folder_names(axes: Axes, chosen: Sequence[Combination]) -> list[str]:
         parts = key.split(".")
         tails = [".".join(parts[-n:]) for n in range(1, len(parts) + 1)]
         short.append(next(t for t in tails if sum(f".{other}".endswith(f".{t}") for other in axes) == 1))
-    texts = []
-    for values in chosen:
-        plain = [re.sub(r"[^\w.+-]+", "-", value).strip("-") or "empty" for value in values]
-        texts.append(",".join(f"{key}={value}" for key, value in zip(short, plain, strict=True)))
-    names = []
-    for text, values in zip(texts, chosen, strict=True):
-        if texts.count(text) > 1 or len(text) > _MAX_NAME_LENGTH:
+    plain = [[re.sub(r"[^\w.+-]+", "-", value).strip("-") or "empty" for value in values] for values in chosen]
+    names = [",".join(f"{key}={value}" for key, value in zip(short, values, strict=True)) for values in plain]
+    counts = Counter(names)
+    for place, (name, values) in enumerate(zip(names, chosen, strict=True)):
+        if counts[name] > 1 or len(name) > _MAX_NAME_LENGTH:
             # The suffix depends on the values alone, so that an extended sweep finds its earlier runs.
             suffix = hashlib.sha256("\0".join(values).encode()).hexdigest()[:8]
-            text = f"{text[: _MAX_NAME_LENGTH - 12]}-{suffix}"
-        names.append(text)
+            names[place] = f"{name[: _MAX_NAME_LENGTH - 12]}-{suffix}"
     return names
 
 
@@ -194,20 +192,28 @@ def run_sweep(
     runs, own_run = {name: prepared(name, values) for name, values in tried.items()}, ""
     with contextlib.suppress(ConfigError):  # a config that needs the values of --over has none of its own
         own = prepared(_OWN, ())
-        same = [name for name, (_, batch, _) in runs.items() if batch.config == own[1].config]
-        own_run = same[0] if same else _OWN
-        if not same:
+        own_run = next((name for name, (_, batch, _) in runs.items() if batch.config == own[1].config), _OWN)
+        if own_run == _OWN:
             values = own[1].config.model_dump(mode="json", by_alias=True)
             tried[_OWN] = tuple(value_text(values, key) for key in axes)
             runs = {_OWN: own, **runs}
     if options.dry_run:
-        return _print_plan(command, runs, options)
+        rows = []
+        for name, (run, batch, scenes) in runs.items():
+            plan = plan_of(batch, scenes, run.output, run.execution)
+            done = sum(row["status"] == DONE for row in plan["scenes"])
+            rows.append({"run": name, "scenes": len(plan["scenes"]), "done": done, "refused": plan["refused"]})
+        lines = [("run", "", "scenes", "done")]
+        lines += [(row["run"], row["refused"], str(row["scenes"]), str(row["done"])) for row in rows]
+        text = f"{aligned(lines)}\n\nnothing was computed\n"
+        reporter.data(to_json({"command": command, "runs": rows}) if options.json else text)
+        return 0
     for table in _TABLES:
         if (output / table).exists() and not (output / _RUNS).is_dir():
             raise ConfigError(f"{output / table}: is no sweep's; move it away, or choose another --output")
     failed = False
-    for number, (name, (run, batch, scenes)) in enumerate(runs.items(), 1):
-        reporter.info(f"run {number} of {len(runs)}: {name}")
+    for count, (name, (run, batch, scenes)) in enumerate(runs.items(), 1):
+        reporter.info(f"run {count} of {len(runs)}: {name}")
         failed |= run_batch(batch, scenes, run, source) != 0
     assert source.input is not None
     if not any(scene.has_truth for scene in discover_scenes(source.input, None, source.layout, source.patterns)):
@@ -217,71 +223,57 @@ def run_sweep(
         [output / _RUNS / name for name in runs], source.input, output / "evaluation", source.patterns, source.layout,
         reporter=reporter, viewers=viewers(reporter, output / "evaluation", html, html_budget),
     )  # fmt: skip
-    _print_result(axes, tried, own_run, report, options)
+    results = [_compared(section, report.runs, axes, tried, own_run) for section in report.sections]
+    document = to_json({"over": dict(axes), "results": [result for result, _ in results]})
+    write_text(output / _TABLES[0], document)
+    write_text(output / _TABLES[1], to_csv([row for result, _ in results for row in result["runs"]]))
+    if options.json:
+        reporter.data(document)
+    elif not options.quiet:
+        reporter.data("\n".join(text for _, text in results))
+    reporter.info(f"runs, evaluation, sweep.csv and sweep.json in {output}")
     if html:
         reporter.info(f"page to open in a browser: {output / 'evaluation' / PAGE_FILE}")
     return SOME_FAILED if failed or report.failed else 0
 
 
-def _print_plan(command: str, runs: Mapping[str, tuple[RunOptions, Batch[Any], list[Any]]], options: RunOptions) -> int:
-    rows = []
-    for name, (run, batch, scenes) in runs.items():
-        plan = plan_of(batch, scenes, run.output, run.execution)
-        done = sum(row["status"] == DONE for row in plan["scenes"])
-        rows.append({"run": name, "scenes": len(plan["scenes"]), "done": done, "refused": plan["refused"]})
-    lines = [("run", "", "scenes", "done")]
-    lines += [(row["run"], row["refused"], str(row["scenes"]), str(row["done"])) for row in rows]
-    text = f"{aligned(lines)}\n\nnothing was computed\n"
-    options.reporter.data(to_json({"command": command, "runs": rows}) if options.json else text)
-    return 0
-
-
-def _print_result(
-    axes: Axes, tried: Mapping[str, Combination], own_run: str, report: EvaluationReport, options: RunOptions
-) -> None:
-    """Print the runs by their figure and the effect of every key; write both to ``sweep.csv`` and ``sweep.json``.
+def _compared(
+    section: Section, names: Sequence[str], axes: Axes, tried: Mapping[str, Combination], own_run: str
+) -> tuple[Row, str]:
+    """Return the runs of one data set by their figure with the effect of every key, as a document and as text.
 
     ``tried`` has a run's value of every key; ``own_run`` is the run that has the config's own values, or empty.
     """
+    headline = section.protocol.headline
+    figures = {run: section.overall(run).value for run in names}
+    seconds = {run: mean_of_known(result.seconds for result in section.results_of(run)) for run in names}
+    order = sorted(names, key=lambda run: (math.isnan(figures[run]), headline.sign * figures[run]))
+    found = effects(axes, {tried[run]: figures[run] for run in order if run != _OWN}, headline.larger_is_better)
+    where = {"data_set": section.data_set, "protocol": section.protocol.name}
     rows: list[Row] = []
-    documents, texts = [], []
-    for section in report.sections:
-        headline, where = section.protocol.headline, {"data_set": section.data_set, "protocol": section.protocol.name}
-        figures = {run: section.overall(run).value for run in report.runs}
-        seconds = {run: mean_of_known(r.seconds for r in section.results_of(run)) for run in report.runs}
-        order = sorted(report.runs, key=lambda run: (math.isnan(figures[run]), headline.sign * figures[run]))
-        found = effects(axes, {tried[run]: figures[run] for run in order if run != _OWN}, headline.larger_is_better)
-        for run in order:
-            row = {**where, "run": run, **dict(zip(axes, tried[run], strict=True)), headline.heading: figures[run]}
-            own = {"missing": len(section.missing[run]), "own_values": run == own_run}
-            rows.append(row | {"seconds": seconds[run]} | own)
-        about = {"headline": headline.heading, "unit": headline.unit, "larger_is_better": headline.larger_is_better}
-        own_rows = {"best": order[0], "runs": rows[-len(order) :], "sensitivity": found}
-        documents.append({**where, **about, **own_rows})
+    for run in order:
+        row = {**where, "run": run, **dict(zip(axes, tried[run], strict=True)), headline.heading: figures[run]}
+        own = {"missing": len(section.missing[run]), "own_values": run == own_run}
+        rows.append(row | {"seconds": seconds[run]} | own)
+    document: Row = {**where, "headline": headline.heading, "unit": headline.unit}
+    document |= {"larger_is_better": headline.larger_is_better, "best": order[0], "runs": rows, "sensitivity": found}
 
-        what, more = headline.heading_with_unit, ""
-        if len(order) > _MAX_SHOWN:
-            more = f"; the first {_MAX_SHOWN} of {len(order)}"
-        shown = [run for place, run in enumerate(order) if place < _MAX_SHOWN or run == own_run]
-        names = [f"{run} *" if run == own_run else run for run in shown]
-        title = f"{section.data_set} - {section.protocol.presentation.title}, mean of {len(section.scenes)} scenes"
-        best = [(n, Number(figures[run]), Number(seconds[run])) for n, run in zip(names, shown, strict=True)]
-        note = "*: the config's own values" if own_run else ""
-        texts.append(Table(f"{title}: the best first{more}", ("run", what, "seconds"), tuple(best), note).text())
-        lines: list[tuple[Any, ...]] = []
-        for effect in found:
-            first: tuple[Any, ...] = (Number(effect["spread"]), Number(100 * effect["share_of_variance"], 0))
-            for place, row in enumerate(effect["values"]):
-                means = str(row["runs"]), Number(row["mean"]), Number(row["best"])
-                lines.append(("" if place else effect["key"], row["value"], *means, *(("", "") if place else first)))
-        header = ("key", "value", "runs", f"mean {what}", "best", "spread of means", "% of variance")
-        note = "spread: largest difference of the means; % of variance: what the key explains alone"
-        texts.append(Table("Sensitivity, the strongest first", header, tuple(lines), note).text())
-    document = {"over": dict(axes), "results": documents}
-    for name, text in zip(_TABLES, (to_json(document), to_csv(rows)), strict=True):
-        write_text(options.output / name, text)
-    if options.json:
-        options.reporter.data(to_json(document))
-    elif not options.quiet:
-        options.reporter.data("\n".join(texts))
-    options.reporter.info(f"runs, evaluation, sweep.csv and sweep.json in {options.output}")
+    what = headline.heading_with_unit
+    title = f"{section.data_set} - {section.protocol.presentation.title}, mean of {len(section.scenes)} scenes"
+    more = f"; the first {_MAX_SHOWN} of {len(order)}" if len(order) > _MAX_SHOWN else ""
+    best = tuple(
+        (f"{run} *" if run == own_run else run, Number(figures[run]), Number(seconds[run]))
+        for place, run in enumerate(order)
+        if place < _MAX_SHOWN or run == own_run
+    )
+    runs = Table(f"{title}: the best first{more}", ("run", what, "seconds"), best, "*: the config's own values" if own_run else "")
+    lines: list[tuple[str, ...]] = []
+    for effect in found:
+        of_key = effect["key"], Number(effect["spread"]), Number(100 * effect["share_of_variance"], 0)
+        for place, row in enumerate(effect["values"]):
+            key, *spread = of_key if place == 0 else ("", "", "")
+            lines.append((key, row["value"], str(row["runs"]), Number(row["mean"]), Number(row["best"]), *spread))
+    header = ("key", "value", "runs", f"mean {what}", "best", "spread of means", "% of variance")
+    note = "spread: largest difference of the means; % of variance: what the key explains alone"
+    keys = Table("Sensitivity, the strongest first", header, tuple(lines), note)
+    return document, f"{runs.text()}\n{keys.text()}"
