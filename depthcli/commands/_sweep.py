@@ -266,7 +266,12 @@ def _compared(
         for place, run in enumerate(order)
         if place < _MAX_SHOWN or run == own_run
     )
-    runs = Table(f"{title}: the best first{more}", ("run", what, "seconds"), best, "*: the config's own values" if own_run else "")
+    runs = Table(
+        f"{title}: the best first{more}",
+        ("run", what, "seconds"),
+        best,
+        "*: the config's own values" if own_run else "",
+    )
     lines: list[tuple[str, ...]] = []
     for effect in found:
         of_key = effect["key"], Number(effect["spread"]), Number(100 * effect["share_of_variance"], 0)
