@@ -4,16 +4,14 @@ Images are (H, W, 3) uint8 RGB, maps (H, W) float32 with NaN where nothing is kn
 
 | module | computes |
 |---|---|
-| ``graph_cut``, ``alpha_expansion`` | labels of least energy: exactly for two labels; approximately for more |
+| ``graph_cut`` | labels of least energy: exactly for two labels; approximately for more |
 | ``trws`` | one of several candidate values per pixel, with small energy, by tree-reweighted message passing (TRW-S) |
 | ``dense_crf`` | marginals of labels where all pairs of points influence each other (a conditional random field) |
 | ``segmentation`` | partitions of an image into regions, one file per method |
-| ``regions`` | of label maps: connected components, the pixels of every region, the graph of neighbors, merging |
-| ``adjacency`` | the neighbors of each node of a graph, and of each region of a label map |
+| ``regions`` | of label maps: connected components, their pixels, the graph of neighbors, merging |
 | ``keypoints`` | distinctive points with descriptors, one file per method |
 | ``plane_fitting`` | planes and polynomials through known values, robust to outliers |
-| ``joint_bilateral`` | gaps filled by means of similar color |
-| ``filters`` | local mean and variance, masks of discontinuities, OpenCV's filters in one thread |
+| ``filters`` | local mean and variance, masks of discontinuities, gaps filled by means of similar color |
 | ``body`` | the body in a slice of a medical volume, apart from the air around it |
 | ``resampling`` | samples of volumes: trilinear, nearest, block means, shifts |
 """

@@ -29,12 +29,6 @@ def test_no_expansion_can_lower_the_result(seed, nodes, labels):
         assert naive.best_expansion(chosen, alpha, unary, edges, weights) >= energy - 1e-9
 
 
-def test_energy_agrees_with_the_naive_sum():
-    unary, edges, weights = _problem(3, 6, 3)
-    labels = np.array([0, 1, 2, 2, 1, 0])
-    assert potts_energy(labels, unary, edges, weights) == pytest.approx(naive.potts(labels, unary, edges, weights))
-
-
 def test_starts_from_the_given_labels_and_leaves_inputs_alone():
     unary, edges, weights = _problem(5, 6, 3)
     copies = unary.copy(), edges.copy(), weights.copy()

@@ -37,13 +37,6 @@ def test_neighbors_are_the_nearest(shape, count, neighbors, skip_own):
         assert (found[p, len(expected) :] == -1).all()
 
 
-def test_without_samples_there_is_no_value():
-    none = Samples.of(np.full((4, 5), np.nan, np.float32))
-    fit = SamplePlaneFit()(none, texture((4, 5, 3)), 0.01, _pixels((4, 5)))
-    assert np.isnan(fit.values).all()
-    assert not fit.confidence.any()
-
-
 @pytest.mark.parametrize("skip_own", [False, True])
 def test_the_fit_agrees_with_the_reference(skip_own):
     shape = (24, 31)

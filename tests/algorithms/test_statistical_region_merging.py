@@ -6,7 +6,6 @@ import itertools
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging, _depth_levels
 from tests.naive import kinect as naive
@@ -65,8 +64,3 @@ def test_layers_are_nested_and_inputs_untouched():
             assert len(np.unique(coarse[fine == label])) == 1
     np.testing.assert_array_equal(image, copies[0])
     np.testing.assert_array_equal(depth, copies[1])
-
-
-def test_layers_must_fall():
-    with pytest.raises(ValidationError, match="must fall"):
-        StatisticalRegionMerging(complexity=100, coarser=(200,))

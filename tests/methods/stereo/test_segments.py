@@ -13,7 +13,7 @@ from depthcli.core.maps import Status
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
 from depthcli.methods.stereo.segments import planes as energy
-from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, Split, segment_window
+from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Split, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.run.presets import find_config
@@ -102,25 +102,6 @@ def test_nearest_points_agree_with_a_sort(centers, points, count):
     np.testing.assert_allclose(squared, np.take_along_axis(distances, expected, axis=1))
 
 
-def test_selection_respects_ranges_and_checks_both_views():
-    rng = np.random.default_rng(0)
-    costs = rng.integers(10, 200, (5, 20, 6)).astype(np.uint16)
-    costs[:, 3:, 3] = 0  # the true disparity
-    labels = np.zeros((5, 20), np.int32)
-    labels[:, 10:] = 1
-    found = SearchRanges(labels, np.array([[0, 5], [4, 5]], np.int32))
-    first = Selection(tolerance=0)(Ranges(penalty=300).penalize(CostVolume(costs), found))
-    assert np.all(first.values[:, 3:10] == 3) and first.trusted[:, 3:10].all()
-    assert np.all(first.values[:, 10:] >= 4)
-
-
-def test_parabola_finds_the_fraction():
-    d = np.arange(8)
-    costs = np.broadcast_to(((d - 3.3) ** 2 * 100).astype(np.uint16), (2, 20, 8)).copy()
-    first = Selection(subpixel=True)(CostVolume(costs))
-    assert np.allclose(first.values[:, 8:], 3.3, atol=0.02)
-
-
 def test_ransac_finds_the_plane_among_outliers_and_any_order():
     rng = np.random.default_rng(1)
     y, x = np.mgrid[:30, :40]
@@ -193,11 +174,6 @@ def test_only_segments_that_are_not_a_plane_are_cut():
     assert len(np.unique(cut[:, 64:])) == 16
     assert not set(np.unique(cut[:, :64])) & set(np.unique(cut[:, 64:]))
     assert np.array_equal(naive.components(cut[..., None], 0).max(), cut.max())
-
-
-def test_planes_are_evaluated_inside_the_range():
-    values = _planes((1.0, 0, 0), (0, 2.0, 1)).at(np.array([[0, 0, 1], [1, 1, 0]]), 2.5)
-    assert values.tolist() == [[0, 1, 1], [2.5, 2.5, 2]]
 
 
 def _errors(result, scene):
