@@ -22,12 +22,14 @@ import numpy as np
 from _experiments import matcher, mean_known, real_scenes, seconds_in_turns, show
 from numpy.typing import NDArray
 
-from depthcli.api.maps import fusion_of, judge_of, networks
+from depthcli.api.maps import networks
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.evaluation import protocols
 from depthcli.evaluation.curves import HiddenPixels, reliability, sparsification
 from depthcli.io.walk import discover_scenes
+from depthcli.methods.given_maps import judge
+from depthcli.methods.given_maps.fusion import fuse
 
 METHODS = ("opencv-sgbm", "segments", "ad-census", "fast", "accurate", "opencv-sgbm-wls")
 JUDGED = ("opencv-sgbm", "ad-census", "segments")
@@ -54,10 +56,10 @@ def jobs_of(pair: StereoPair, largest: int, maps: dict[str, Map]) -> dict[str, C
     four, alone = [maps[name] for name in FUSED], [maps["opencv-sgbm"]]
     return {
         "SGBM": lambda: sgbm.compute(*views),
-        "confidence": lambda: judge_of()(pair, alone, largest),
-        "fusion of four": lambda: fusion_of()(pair, four, largest),
-        "with surfaces": lambda: fusion_of(surfaces=True)(pair, four, largest),
-        "one map refined": lambda: fusion_of()(pair, alone, largest),
+        "confidence": lambda: judge(networks(), pair, alone, largest),
+        "fusion of four": lambda: fuse(networks(), pair, four, largest),
+        "with surfaces": lambda: fuse(networks(), pair, four, largest, surfaces=True),
+        "one map refined": lambda: fuse(networks(), pair, alone, largest),
     }
 
 
@@ -78,7 +80,7 @@ class Sums:
         for label in LABELS:
             name, _, seen = label.partition(", ")
             others = [maps[other] for other in WITNESSES] if seen else []
-            found = judge_of()(pair, [maps[name], *others], largest)
+            found = judge(networks(), pair, [maps[name], *others], largest)
             lines = [sparsification(found.probability[pixels], wrong[name][pixels]) for pixels in (whole, visible)]
             self.areas.setdefault(label, []).append(tuple(v for line in lines for v in (line.auc, line.optimal)))
             right = reliability(found.probability[whole], ~wrong[name][whole])
@@ -88,9 +90,9 @@ class Sums:
                 self.hidden.setdefault(name, []).append(HiddenPixels.of(said[whole], (whole & ~visible)[whole]))
         given = [maps[name] for name in FUSED]
         for name, (values, _) in {
-            "fused": fusion_of()(pair, given, largest),
-            "fused, surfaces": fusion_of(surfaces=True)(pair, given, largest),
-            "SGBM refined": fusion_of()(pair, given[:1], largest),
+            "fused": fuse(networks(), pair, given, largest),
+            "fused, surfaces": fuse(networks(), pair, given, largest, surfaces=True),
+            "SGBM refined": fuse(networks(), pair, given[:1], largest),
         }.items():
             wrong[name] = ~(np.abs(values.values - truth.values) <= 1)
         for name, pixels in wrong.items():
@@ -135,10 +137,10 @@ def main() -> int:
     sums: dict[str, Sums] = {}
     for folder, scene in real_scenes(options.data, options.group):
         if folder != "kitti":
-            judge = protocols.load("middlebury_v3" if folder == "middlebury_v3" else "middlebury_v2")
+            protocol = protocols.load("middlebury_v3" if folder == "middlebury_v3" else "middlebury_v2")
             pair = scene.load()
             of_set = sums.setdefault(folder, Sums())
-            of_set.add(pair, scene.max_disparity, judge().truth(scene), maps(folder, scene, pair))
+            of_set.add(pair, scene.max_disparity, protocol().truth(scene), maps(folder, scene, pair))
             print(f"{folder} {scene.name}", file=sys.stderr)
     columns = [f"{label}: AUC / optimal all (nonocc), ECE" for label in LABELS]
     header = ["set", *columns, *(f"{name}: F1 hidden" for name in JUDGED)]

@@ -157,7 +157,7 @@ def cross_modal(folders: list[Path]) -> None:
 def _window(measure: str, pair: StereoPair, top: int) -> NDArray[np.uint16]:
     """Return the disparity by one measure in an 11 x 11 window, winner takes all."""
     fusion = Fusion.model_validate({"measures": [measure], "weights": "equal", "consensus": {"vote_cost": 0}})
-    return winners(fusion.fuse(pair, top, {}).volume.costs)[0]
+    return winners(fusion.fuse(pair, top).volume.costs)[0]
 
 
 def _near_outline(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

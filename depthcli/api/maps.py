@@ -21,8 +21,8 @@ from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.networks import network_path, read_network
 from depthcli.io.formats.pictures import STATUS_PALETTE, preview, write_status
-from depthcli.methods.given_maps import MapJudge, Networks, map_measures
-from depthcli.methods.given_maps.fusion import MAX_MAPS, GivenMapsFusion
+from depthcli.methods.given_maps import MEASURES, Networks, judge, judge_by_one_view, peak_bytes
+from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.run.resources import available_memory, check_memory
@@ -123,19 +123,15 @@ def map_confidence(
     >>> bool(sure[5:15, 40:60].mean() > sure[20:30, 40:60].mean())
     True
     """
-    if right is None:
-        if witnesses or right_disparity is not None:
-            raise ConfigError("right: witnesses and right_disparity want a right image")
-        image = as_image(left, "left")
-        values = as_map(disparity, "disparity", image.shape[:2])
-        with computing():
-            return judge_by_one_view(judge_of(within, measures), image, values, max_disparity)
-    pair = as_pair(left, right)
-    maps = {"disparity": as_map(disparity, "disparity", pair.shape)}
-    maps |= {f"witnesses[{k}]": as_map(one, f"witnesses[{k}]", pair.shape) for k, one in enumerate(witnesses)}
-    other = None if right_disparity is None else as_map(right_disparity, "right_disparity", pair.shape)
+    if right is None and (witnesses or right_disparity is not None):
+        raise ConfigError("right: witnesses and right_disparity want a right image")
+    images = as_image(left, "left") if right is None else as_pair(left, right)
+    given = {"disparity": disparity, **{f"witnesses[{k}]": one for k, one in enumerate(witnesses)}}
+    shape = (images.shape[0], images.shape[1])
+    maps = {name: as_map(one, name, shape) for name, one in given.items()}
+    other = None if right_disparity is None else as_map(right_disparity, "right_disparity", shape)
     with computing():
-        return judge(judge_of(within, measures), pair, maps, max_disparity, other, available_memory())
+        return judged(images, maps, max_disparity, within, measures_named(measures), other, available_memory())
 
 
 def fuse_maps(
@@ -172,7 +168,7 @@ def fuse_maps(
     pair = as_pair(left, right)
     arrays = {f"maps[{k}]": as_map(one, f"maps[{k}]", pair.shape) for k, one in enumerate(maps)}
     with computing():
-        return fused(fusion_of(within, surfaces), pair, arrays, max_disparity, available_memory())
+        return fused(pair, arrays, max_disparity, within, surfaces, available_memory())
 
 
 @cache
@@ -181,92 +177,79 @@ def networks() -> Networks:
     return Networks(*(read_network(network_path(name)) for name in ("map_right", "map_hidden", "map_one_view")))
 
 
-def judge_of(within: float = 1.0, measures: Sequence[str] = ()) -> MapJudge:
-    """Return what judges maps; ConfigError for an unknown measure, or a threshold out of bounds."""
-    known = map_measures()
-    wanted = tuple(known) if "all" in measures else tuple(dict.fromkeys(measures))
-    if unknown := [name for name in wanted if name not in known]:
-        raise ConfigError(f"measures: no measure called {unknown[0]!r}; one of: all, {', '.join(known)}")
-    return MapJudge(within=_threshold(within), measures=wanted).with_networks(networks())
+def measures_named(names: Sequence[str]) -> list[str]:
+    """Return the names of measures, each once, "all" for all of them; ConfigError where there is no such measure."""
+    if unknown := [name for name in names if name not in ("all", *MEASURES)]:
+        raise ConfigError(f"measures: no measure called {unknown[0]!r}; one of: all, {', '.join(MEASURES)}")
+    return list(MEASURES) if "all" in names else list(dict.fromkeys(names))
 
 
-def fusion_of(within: float = 1.0, surfaces: bool = False) -> GivenMapsFusion:
-    """Return what fuses maps; ConfigError for a threshold out of bounds."""
-    return GivenMapsFusion(within=_threshold(within), surfaces=surfaces).with_networks(networks())
-
-
-def _threshold(within: float) -> float:
-    if not 0.25 <= within <= 8:
-        raise ConfigError(f"within: want 0.25 to 8 pixels (got {within:g})")
-    return within
-
-
-def judge_by_one_view(
-    method: MapJudge, left: Image, values: NDArray[np.float32], max_disparity: int | None
-) -> MapConfidence:
-    """Return how sure a map is where there is no right image; errors as of :func:`judge`."""
-    top, clean, warnings = _prepared(left.shape[1], {"disparity": values}, max_disparity)
-    found = method.by_one_view(left, clean[0], top)
-    known = np.where(np.isfinite(values) & (values >= 0), values, np.float32(np.nan))
-    note = "no right image: judged by the map's shape and the left image alone, which say far less"
-    notes = (note, *warnings)
-    return MapConfidence(known, found.probability, found.status, found.confidence, top, found.seconds, notes)
-
-
-def judge(
-    method: MapJudge,
-    pair: StereoPair,
+def judged(
+    images: StereoPair | Image,
     maps: Mapping[str, NDArray[np.float32]],
     max_disparity: int | None,
+    within: float,
+    measures: Sequence[str],
     right: NDArray[np.float32] | None,
     memory: int,
 ) -> MapConfidence:
     """Return how sure the first of the maps is, which have the names that messages call them.
 
-    InputError where the maps do not fit, or ``memory`` bytes do not suffice.
+    ``images`` are the pair, or the left image where there is no right one. InputError where the maps do not fit, or
+    ``memory`` bytes do not suffice.
     """
-    top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity)
-    size = f"{pair.shape[1]} x {pair.shape[0]} pixels, {top + 1} disparities"
-    check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory, size)
-    found = method(pair, clean, top, right)
+    shape = images.shape if isinstance(images, StereoPair) else images.shape[:2]
+    top, clean, warnings = _prepared(shape[1], maps, max_disparity, within)
     first = next(iter(maps.values()))
-    values = np.where(np.isfinite(first) & (first >= 0), first, np.float32(np.nan))
-    known = np.isfinite(values)
-    status = np.where(known & np.isnan(clean[0]), np.uint8(Status.MISMATCH), found.status)
-    expected = float(found.probability[known].mean()) if known.any() else 0.0
-    if not known.any():
-        warnings.append("the map has no value at any pixel")
-    elif expected < _MIN_EXPECTED:
-        warnings.append(
-            f"only {100 * expected:.0f} % of the values are likely right: a map of another pair, views swapped, not "
-            "rectified, or another scale?"
-        )
+    known = np.isfinite(first) & (first >= 0)
+    if not isinstance(images, StereoPair):
+        found = judge_by_one_view(networks(), images, clean[0], top, within, measures)
+        status = found.status
+        note = "no right image: judged by the map's shape and the left image alone, which say far less"
+        warnings.insert(0, note)
+    else:
+        size = f"{shape[1]} x {shape[0]} pixels, {top + 1} disparities"
+        check_memory(peak_bytes(images.shape, top, len(clean)), memory, size)
+        found = judge(networks(), images, clean, top, within, measures, right)
+        status = np.where(known & np.isnan(clean[0]), np.uint8(Status.MISMATCH), found.status)
+        expected = float(found.probability[known].mean()) if known.any() else 0.0
+        if not known.any():
+            warnings.append("the map has no value at any pixel")
+        elif expected < _MIN_EXPECTED:
+            warnings.append(
+                f"only {100 * expected:.0f} % of the values are likely right: a map of another pair, views swapped, "
+                "not rectified, or another scale?"
+            )
+    values = np.where(known, first, np.float32(np.nan))
     return MapConfidence(values, found.probability, status, found.confidence, top, found.seconds, tuple(warnings))
 
 
 def fused(
-    method: GivenMapsFusion,
     pair: StereoPair,
     maps: Mapping[str, NDArray[np.float32]],
     max_disparity: int | None,
+    within: float,
+    surfaces: bool,
     memory: int,
 ) -> Disparity:
-    """Return one map of several; errors as of :func:`judge`."""
+    """Return one map of several; errors as of :func:`judged`."""
     if not 1 <= len(maps) <= MAX_MAPS:
         raise InputError(f"maps: want 1 to {MAX_MAPS} (got {len(maps)})")
-    top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity)
+    top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity, within)
     size = f"{pair.shape[1]} x {pair.shape[0]} pixels, {top + 1} disparities"
-    check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory, size)
-    found, judgment = method(pair, clean, top)
+    check_memory(peak_bytes(pair.shape, top, len(clean) + N_ADDED), memory, size)
+    found, judgment = fuse(networks(), pair, clean, top, within, surfaces)
     seconds, confidence = dict(judgment.seconds), {"probability": judgment.probability}
     result = StereoResult(disparity=found, seconds=seconds, confidence=confidence)
     return Disparity(found.values, found.status, pair.left, SearchRange(0, top), result, seconds, tuple(warnings))
 
 
 def _prepared(
-    width: int, maps: Mapping[str, NDArray[np.float32]], max_disparity: int | None
+    width: int, maps: Mapping[str, NDArray[np.float32]], max_disparity: int | None, within: float
 ) -> tuple[int, list[NDArray[np.float32]], list[str]]:
     """Return the largest disparity, the maps without values outside of the range, and warnings."""
+    if not 0.25 <= within <= 8:
+        raise ConfigError(f"within: want 0.25 to 8 pixels (got {within:g})")
     if max_disparity is not None and not max_disparity >= 1:
         raise InputError(f"max_disparity: must be at least 1 (got {max_disparity})")
     finite = {name: one[np.isfinite(one)] for name, one in maps.items()}

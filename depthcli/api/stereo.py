@@ -20,7 +20,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.io.formats.networks import network_path, read_network
-from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
+from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.command import Program
 from depthcli.methods.stereo.stages import PairMatcher
@@ -107,11 +107,11 @@ class Matcher:
         self.config = config
         self._memory = 0, 0.0
         self._method: PairMatcher = config.pipeline if isinstance(config, StereoConfig) else config
-        if isinstance(config, FuseConfig) and (names := {m.volume for m in config.measures if m.volume is not None}):
+        if isinstance(config, FuseConfig) and config.volumes:
             given = {name: np.asarray(volume) for name, volume in (volumes or {}).items()}
-            if names - set(given):
-                raise ConfigError(f"volumes: the config needs {', '.join(sorted(names))}")
-            self._method = FusionWithVolumes(config, lambda: given)
+            if config.volumes - set(given):
+                raise ConfigError(f"volumes: the config needs {', '.join(sorted(config.volumes))}")
+            self._method = config.with_volumes(lambda: given)
         self._device = device_of(config) if isinstance(config, StereoConfig) else None
         # A device has one queue of work.
         self._turn = contextlib.nullcontext() if self._device is None else threading.Lock()
@@ -140,7 +140,7 @@ class Matcher:
 
     def load_kernels(self) -> None:
         """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""
-        if isinstance(self._method, FusionWithVolumes | Program):
+        if isinstance(self._method, Program) or (isinstance(self.config, FuseConfig) and self.config.volumes):
             return
         top = self.config.max_disparity
         top = min(top, 32) if isinstance(top, int) and top > 0 else 32

@@ -16,7 +16,7 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import map_npy
 from depthcli.io.formats.networks import network_path
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
+from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.stages import PairMatcher
 
 __all__ = ["prepare", "run_batch"]
@@ -43,9 +43,7 @@ class Fuse(MatchPairs):
         files = self._volumes(scene)
         if files and self.given_range(scene)[0] != 0:
             raise InputError(f"{scene.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
-        if not files:
-            return self.config
-        return FusionWithVolumes(self.config, lambda: {name: map_npy(file, 3) for name, file in files.items()})
+        return self.config.with_volumes(lambda: {name: map_npy(file, 3) for name, file in files.items()})
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
         """Return the files of the pair, the volumes made elsewhere, and the network that chooses among maps."""
@@ -54,6 +52,5 @@ class Fuse(MatchPairs):
         return super().files(scene) | self._volumes(scene) | network
 
     def _volumes(self, scene: StereoScene) -> dict[str, Path]:
-        names = {measure.volume for measure in self.config.measures if measure.volume is not None}
         last = scene.name.rpartition("/")[2]
-        return {name: scene.left.parent / name.replace("{scene}", last) for name in sorted(names)}
+        return {name: scene.left.parent / name.replace("{scene}", last) for name in sorted(self.config.volumes)}

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.maps import fused, fusion_of, judge, judge_by_one_view, judge_of
+from depthcli.api.maps import fused, judged, measures_named
 from depthcli.commands._batch import run_batch
 from depthcli.commands._options import CodingOptions, PairOptions, RangeOptions, RunOptions, ScoredRunOptions
 from depthcli.commands._scenes import find_scenes
@@ -37,8 +36,8 @@ from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.inputs import local
 from depthcli.io.scenes.maps import GivenMap, MapsScene
 from depthcli.io.scenes.stereo import StereoScene
-from depthcli.methods.given_maps import UsesNetworks
-from depthcli.methods.given_maps.fusion import MAX_MAPS
+from depthcli.methods.given_maps import peak_bytes
+from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, number, percent
 from depthcli.run.report import read_report
@@ -87,7 +86,7 @@ def prepare_judgment(
     if share is not None and threshold is not None:
         raise ConfigError("--keep SHARE and --threshold exclude each other")
     try:
-        names = list(judge_of(within, measures).measures)
+        names = measures_named(measures)
     except ConfigError as error:
         raise ConfigError(str(error).replace("measures: ", "--measure: ")) from None
     config: dict[str, Any] = {"max_disparity": _largest(max_disparity), "within": within}
@@ -112,12 +111,10 @@ class _GivenMaps(Batch[MapsScene]):
     palette = STATUS_PALETTE
     shown_as = "middlebury-v2"
     truth_kinds = (StereoScene,)
+    n_added: ClassVar[int] = 0
+    """Number of maps that are compared beside the given ones."""
 
     config: Mapping[str, Any]
-
-    @abstractmethod
-    def method(self) -> UsesNetworks:
-        """Return what computes a scene."""
 
     def settings(self, scene: MapsScene) -> dict[str, str]:
         """Return by what the maps are read, and the range of the scene."""
@@ -128,7 +125,7 @@ class _GivenMaps(Batch[MapsScene]):
     def memory(self, scene: MapsScene) -> int | None:
         """Estimate by the left image's size; None where the maps give the range."""
         top = self.max_disparity(scene)
-        return None if top is None else self.method().peak_bytes(image_size(scene.left), top, len(scene.maps))
+        return None if top is None else peak_bytes(image_size(scene.left), top, len(scene.maps) + self.n_added)
 
     def max_disparity(self, scene: MapsScene) -> int | None:
         """Return the largest disparity that the options or the scene give."""
@@ -141,11 +138,8 @@ class FuseMaps(_GivenMaps):
     """Fuses the maps of scenes."""
 
     command = "fuse-maps"
+    n_added = N_ADDED
     columns = (SIZE, number("maps", "{}"), *map(percent, ("expected_right", "measured")))
-
-    def method(self) -> UsesNetworks:
-        """Return what fuses."""
-        return fusion_of(self.config["within"], self.config["surfaces"])
 
     def compute(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
         """Load a pair and its maps, fuse them, save."""
@@ -154,8 +148,8 @@ class FuseMaps(_GivenMaps):
         pair = scene.load()
         maps = {one.run: _loaded(one, pair.shape) for one in scene.maps}
         clock.start("other")
-        method = fusion_of(self.config["within"], self.config["surfaces"])
-        found = fused(method, pair, maps, self.max_disparity(scene), memory)
+        config = self.config
+        found = fused(pair, maps, self.max_disparity(scene), config["within"], config["surfaces"], memory)
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder)
@@ -178,28 +172,19 @@ class Confidence(_GivenMaps):
     command = "confidence"
     columns = (SIZE, *map(percent, ("density", "expected_right", "hidden")))
 
-    def method(self) -> UsesNetworks:
-        """Return what judges."""
-        return judge_of(self.config["within"], self.config["measures"])
-
     def compute(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
         """Load a pair and its maps, judge the first, save it with its confidence."""
-        config, clock, top = self.config, Clock(), self.max_disparity(scene)
+        config, clock = self.config, Clock()
         clock.start("load")
-        method = judge_of(config["within"], config["measures"])
-        if scene.right is None:
-            if len(scene.maps) > 1:
-                raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
-            left = read_image(scene.left)
-            values = _loaded(scene.maps[0], left.shape[:2])
-            clock.start("other")
-            found = judge_by_one_view(method, left, values, top)
-        else:
-            pair = scene.load()
-            maps = {one.run: _loaded(one, pair.shape) for one in scene.maps}
-            right = None if scene.right_map is None else _loaded(scene.right_map, pair.shape)
-            clock.start("other")
-            found = judge(method, pair, maps, top, right, memory)
+        if scene.right is None and len(scene.maps) > 1:
+            raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
+        images = read_image(scene.left) if scene.right is None else scene.load()
+        shape = (images.shape[0], images.shape[1])
+        maps = {one.run: _loaded(one, shape) for one in scene.maps}
+        right = None if scene.right_map is None else _loaded(scene.right_map, shape)
+        clock.start("other")
+        top = self.max_disparity(scene)
+        found = judged(images, maps, top, config["within"], config["measures"], right, memory)
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder, config["keep"], config["threshold"])

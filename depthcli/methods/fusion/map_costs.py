@@ -94,6 +94,23 @@ def nearest_matches(row):
     return nearest
 
 
+@jit
+def warped_right(x, value, image, other, grey):
+    """Return the right view's grey level at the match of pixel ``x``, and the largest channel difference to it.
+
+    ``image`` and ``other`` are a row of the left and of the right color image, ``grey`` is of the right one.
+    """
+    at = min(max(np.float32(x) - value, np.float32(0)), np.float32(grey.size - 1))
+    low = int(at)
+    high = min(low + 1, grey.size - 1)
+    rest = at - np.float32(low)
+    largest = np.float32(0)
+    for c in range(3):
+        a, b = np.float32(other[low, c]), np.float32(other[high, c])
+        largest = max(largest, abs(np.float32(image[x, c]) - (a + rest * (b - a))))
+    return grey[low] + rest * (grey[high] - grey[low]), largest
+
+
 @parallel_jit
 def _along(maps, first, costs, unit, truncation, block):
     height, width, n_disparities = costs.shape

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, LiteralString, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from depthcli.core.errors import InputError
@@ -45,6 +45,8 @@ _NEEDS_MAPS: dict[str, LiteralString] = {
 }
 _OWN_CONFIDENCES = ("consensus", *_NEEDS_MAPS)
 _MAX_VOTED_COST = 4080  # 16 x 255, the fixed point of aggregated costs, which scanline optimizers can sum
+Volumes = Mapping[str, NDArray[Any]]
+"""File name of a measure -> (H, W, D) costs."""
 
 
 class FusedMeasure(ConfigModel):
@@ -75,7 +77,7 @@ class FusedMeasure(ConfigModel):
             raise ValueError("want either cost or volume")
         return self
 
-    def costs(self, pair: StereoPair, n_disparities: int, volumes: Mapping[str, NDArray[Any]]) -> CostVolume:
+    def costs(self, pair: StereoPair, n_disparities: int, volumes: Volumes) -> CostVolume:
         """Return the costs of ``n_disparities`` disparities; InputError where the volume is missing or unusable."""
         if self.cost is not None:
             return self.cost(pair, n_disparities)
@@ -160,6 +162,24 @@ class Fusion(AdjustingMatcher):
             raise ValidationError.from_exception_data("Fusion", errors)
         return self
 
+    # called when a pair is matched
+    _read_volumes: Callable[[], Volumes] | None = PrivateAttr(None)
+
+    @property
+    def volumes(self) -> set[str]:
+        """Names of the files of the measures that are made elsewhere."""
+        return {measure.volume for measure in self.measures if measure.volume is not None}
+
+    def with_volumes(self, read: Callable[[], Volumes]) -> Self:
+        """Return a copy that takes the measures made elsewhere from what ``read()`` returns when a pair is matched."""
+        copy = self.model_copy()
+        copy._read_volumes = read
+        return copy
+
+    def tile_halo(self) -> int | None:
+        """Return None where there are volumes: they are those of the whole pair."""
+        return None if self.volumes else super().tile_halo()
+
     @property
     def network_name(self) -> str | None:
         """Name or file of the trained network that chooses among the maps; None: none does."""
@@ -171,13 +191,11 @@ class Fusion(AdjustingMatcher):
         choice = self.maps.choice.with_network(trained, self.maps.kinds)
         return self.model_copy(update={"maps": self.maps.model_copy(update={"choice": choice})})
 
-    def __call__(
-        self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]] | None = None
-    ) -> StereoResult:
+    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive.
 
-        ``volumes`` are file name -> (H, W, D) costs for the measures that name a volume; further disparities are cut
-        off. InputError: one is missing, has another shape, or holds NaN or infinite costs.
+        InputError: a volume is missing, has another shape, or holds NaN or infinite costs; further disparities of it
+        are cut off.
         """
         clock = Clock()
         pair = adjusted(pair, max_disparity, self.adjust, clock)
@@ -185,7 +203,7 @@ class Fusion(AdjustingMatcher):
         if self.maps is not None:  # before the fused costs: then their matchers need no memory beside them
             clock.start("other_maps")
             other_maps = [source.matcher(pair, max_disparity).disparity for source in self.maps.matchers]
-        fused = self.fuse(pair, max_disparity, volumes or {}, clock)
+        fused = self.fuse(pair, max_disparity, clock)
         volume = fused.volume
         if self.segments is not None:
             result = self.segments.from_volume(pair, volume, max_disparity, clock)
@@ -208,9 +226,7 @@ class Fusion(AdjustingMatcher):
         result.figures |= {f"weight_{k}": float(mean) for k, mean in enumerate(fused.weights.mean(axis=(1, 2)))}
         return result
 
-    def fuse(
-        self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: Clock | None = None
-    ) -> FusedCosts:
+    def fuse(self, pair: StereoPair, max_disparity: int, clock: Clock | None = None) -> FusedCosts:
         """Compute the fused cost volume.
 
         The steps, by the names of their times:
@@ -228,6 +244,7 @@ class Fusion(AdjustingMatcher):
         """
         clock = clock or Clock()
         clock.start("cost")
+        volumes = {} if self._read_volumes is None else self._read_volumes()
         vote, n_disparities = self.consensus, max_disparity + 1
         window, tolerance = vote.window, vote.tolerance
         parts = [

@@ -1,7 +1,7 @@
 """Disparity maps that any program made: how likely every pixel is to be right, what is hidden, the best of several.
 
 In: a pair and maps of its left view. Out: a :class:`MapJudgment` of the first one, to which the others are witnesses;
-or, of :mod:`.fusion`, one map. :class:`MapJudge` computes the costs of the pair (``Evidence``, those of the preset
+or, of :mod:`.fusion`, one map. :func:`judge` computes the costs of the pair (``Evidence``, those of the preset
 ``stereo fast``), planes of what they, the map's shape and the other maps say of every pixel (``_planes``), and has a
 small network weigh them (``algorithms.pixel_network``). Single planes are measures of their own.
 `scripts/train_confidence.py` trains the network on tuning scenes.
@@ -9,20 +9,17 @@ small network weigh them (``algorithms.pixel_network``). Single planes are measu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Self
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, PrivateAttr
 
-from depthcli.algorithms.pixel_network import TILE, log_odds
-from depthcli.core.errors import InputError
+from depthcli.algorithms.pixel_network import log_odds
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.core.method import ConfigModel
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock, Result
 from depthcli.methods.given_maps import _planes
@@ -35,6 +32,15 @@ THRESHOLDS = (0.5, 1.0, 2.0, 4.0)
 HIDDEN = "hidden"
 """Name of the offsets of the network that says what is hidden."""
 RIGHT_NAMES = tuple(f"within {threshold:g}" for threshold in THRESHOLDS)
+_MAX_DIFFERENCE = np.float32(16.0)  # between the views, pixels
+
+
+class Networks(NamedTuple):
+    """The networks that judge: of being right, of being hidden, and of being right where there is no right image."""
+
+    right: TrainedNetwork
+    hidden: TrainedNetwork
+    one_view: TrainedNetwork
 
 
 @dataclass(frozen=True)
@@ -53,7 +59,20 @@ class Judged:
         return plane
 
 
-_MAX_DIFFERENCE = np.float32(16.0)  # pixels
+@dataclass(kw_only=True)
+class MapJudgment(Result):
+    """How likely every pixel of a map is to be right.
+
+    Attributes
+    ----------
+    probability : (H, W) float32 in [0, 1]: of pixels with p, a share of p is right; 0 where the map has no value
+    status : (H, W) uint8, bits of :class:`depthcli.core.maps.Status`: ``OCCLUDED``, hidden in the right view;
+        ``OUT_OF_RANGE``, hidden since its match lies outside the right image; ``MISMATCH``, visible and more likely
+        wrong than right; ``NO_DATA``, the map has no value; 0, none of these
+    """
+
+    probability: NDArray[np.float32]
+    status: NDArray[np.uint8]
 
 
 def _left_right(judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
@@ -74,12 +93,11 @@ def _gradient(judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
 
 
 def _agreement(judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
-    if judged.plane("maps").any():
-        return np.asarray(1 - judged.plane("disagreement_narrow"), np.float32)
-    return np.asarray(1 - judged.plane("other_reference_narrow"), np.float32)
+    disagreeing = "disagreement_narrow" if judged.plane("maps").any() else "other_reference_narrow"
+    return np.asarray(1 - judged.plane(disagreeing), np.float32)
 
 
-_MEASURES: dict[str, tuple[str, Callable[[Judged, Evidence, Plane | None], Plane] | tuple[str, int]]] = {
+MEASURES: dict[str, tuple[str, Callable[[Judged, Evidence, Plane | None], Plane] | tuple[str, int]]] = {
     "left_right": (
         "-|difference from the map of the right view at the match|, pixels; without such a map, from that of the costs",
         _left_right,
@@ -101,155 +119,76 @@ _MEASURES: dict[str, tuple[str, Callable[[Judged, Evidence, Plane | None], Plane
 """Name -> (description, function or plane and sign); those with a plane of ``ONE_VIEW`` need no right image."""
 
 
-def map_measures() -> dict[str, str]:
-    """Return the name of every measure and one line about it."""
-    return {name: line for name, (line, _) in _MEASURES.items()}
+def judge(
+    networks: Networks,
+    pair: StereoPair,
+    maps: Sequence[Plane],
+    max_disparity: int,
+    within: float = 1.0,
+    measures: Iterable[str] = (),
+    right: Plane | None = None,
+) -> MapJudgment:
+    """Judge the first of the maps of a pair, (H, W) float32, pixels, NaN = no value; the others are witnesses.
 
-
-def measure_name(name: str) -> str:
-    """Return the name; ValueError where there is no such measure."""
-    if name not in _MEASURES:
-        raise ValueError(f"no measure called {name!r}; one of: {', '.join(_MEASURES)}")
-    return name
-
-
-def measured(name: str, judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
-    """Return a measure, NaN where the map has no value; ``right`` is the right view's map by the same program."""
-    source = _MEASURES[name][1]
-    values = source[1] * judged.plane(source[0]) if isinstance(source, tuple) else source(judged, evidence, right)
-    return np.where(judged.missing, np.float32(np.nan), values).astype(np.float32)
-
-
-@dataclass(kw_only=True)
-class MapJudgment(Result):
-    """How likely every pixel of a map is to be right.
-
-    Attributes
-    ----------
-    probability : (H, W) float32 in [0, 1]: of pixels with p, a share of p is right; 0 where the map has no value
-    status : (H, W) uint8, bits of :class:`depthcli.core.maps.Status`: ``OCCLUDED``, hidden in the right view;
-        ``OUT_OF_RANGE``, hidden since its match lies outside the right image; ``MISMATCH``, visible and more likely
-        wrong than right; ``NO_DATA``, the map has no value; 0, none of these
+    Costs are computed up to ``max_disparity``. A value is right ``within`` so many pixels, 0.25 to 8. ``measures`` are
+    names of ``MEASURES``; ``right`` is the map of the right view by the same program, for ``left_right``. ValueError:
+    there is no map, or one has not the size of the images.
     """
-
-    probability: NDArray[np.float32]
-    status: NDArray[np.uint8]
-
-
-@dataclass(frozen=True, eq=False)
-class Networks:
-    """The networks that judge: of being right, of being hidden, and of being right where there is no right image."""
-
-    right: TrainedNetwork
-    hidden: TrainedNetwork
-    one_view: TrainedNetwork
-
-    def __post_init__(self) -> None:
-        expected = (
-            (self.right, RIGHT_NAMES, INPUTS),
-            (self.hidden, (HIDDEN,), ALONE),
-            (self.one_view, RIGHT_NAMES, ONE_VIEW),
-        )
-        for network, names, inputs in expected:
-            units = [weights.shape[1] for weights, _ in network.layers[:2]]
-            if network.maps != names or network.inputs != inputs or any(n % TILE for n in units):
-                raise InputError("the network was trained for another version: its inputs are not these")
+    clock = Clock()
+    evidence = Evidence.of(pair, max_disparity, clock)
+    clock.start("planes")
+    judged = judged_maps(evidence, maps)[0]
+    clock.start("network")
+    probability = _likely(odds_of(networks, judged, within), judged.missing)
+    hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], judged.alone, judged.others[:0]) > 0
+    status = with_reasons(judged.values, judged.missing, probability, hidden)
+    confidence = {}
+    for name in measures:
+        source = MEASURES[name][1]
+        plane = source(judged, evidence, right) if callable(source) else source[1] * judged.plane(source[0])
+        confidence[name] = np.where(judged.missing, np.float32(np.nan), plane).astype(np.float32)
+    return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
 
 
-def offsets(network: TrainedNetwork, within: float) -> NDArray[np.float32]:
-    """Return the offsets of the first layer for a threshold, between those that the network was trained for."""
-    rows = network.layers[0][1]
-    at = np.interp(np.log2(within), np.log2(THRESHOLDS), np.arange(len(THRESHOLDS)))
-    low = min(int(at), len(rows) - 2)
-    between: NDArray[np.float32] = rows[low] + np.float32(at - low) * (rows[low + 1] - rows[low])
-    return between
+def judge_by_one_view(
+    networks: Networks,
+    left: Image,
+    values: Plane,
+    max_disparity: int,
+    within: float = 1.0,
+    measures: Iterable[str] = (),
+) -> MapJudgment:
+    """Judge a map by its shape and the left image, where there is no right image: far less is known then.
+
+    Nothing is said about what is hidden; measures that need the right image are left out. ValueError: the map has not
+    the size of the image.
+    """
+    clock, network = Clock(), networks.one_view
+    if values.shape != left.shape[:2]:
+        raise ValueError(f"expected a map of the image's size {left.shape[:2]}, got {values.shape}")
+    clock.start("planes")
+    whole, missing = without_gaps(values, max_disparity)
+    planes = _planes.one_view_planes(whole, StereoPair(left, left).grey8[0].astype(np.float32), max_disparity)
+    clock.start("network")
+    probability = _likely(log_odds(network, offsets(network, within), planes, planes[:0]), missing)
+    confidence = {}
+    for name in measures:
+        source = MEASURES[name][1]
+        if not callable(source) and source[0] in ONE_VIEW:
+            plane = source[1] * planes[ONE_VIEW.index(source[0])]
+            confidence[name] = np.where(missing, np.float32(np.nan), plane).astype(np.float32)
+    status = with_reasons(whole, missing, probability)
+    return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
 
 
-class UsesNetworks(ConfigModel):
-    """What judges maps by the networks, which are handed in."""
-
-    within: float = Field(1.0, ge=0.25, le=8, description="error up to which a value counts as right, pixels")
-    _networks: Networks | None = PrivateAttr(None)
-
-    def with_networks(self, networks: Networks) -> Self:
-        """Return a copy that judges by these networks."""
-        copy = self.model_copy()
-        copy._networks = networks
-        return copy
-
-    @property
-    def networks(self) -> Networks:
-        """The networks; ValueError where they were not handed in."""
-        if self._networks is None:
-            raise ValueError("hand the networks in with with_networks first")
-        return self._networks
-
-    def peak_bytes(self, shape: tuple[int, int], max_disparity: int, count: int) -> int:
-        """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes."""
-        # Of the costs: raw ones, two sums of paths, optimized ones.
-        per_pixel = 7 * (max_disparity + 1) + 400 + 4 * count * (len(INPUTS) + 4)
-        return shape[0] * shape[1] * per_pixel + (64 << 20)
+def peak_bytes(shape: tuple[int, int], max_disparity: int, count: int) -> int:
+    """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes."""
+    # Of the costs: raw ones, two sums of paths, optimized ones.
+    per_pixel = 7 * (max_disparity + 1) + 400 + 4 * count * (len(INPUTS) + 4)
+    return shape[0] * shape[1] * per_pixel + (64 << 20)
 
 
-class MapJudge(UsesNetworks):
-    """Judges the map of a pair."""
-
-    measures: tuple[Annotated[str, AfterValidator(measure_name)], ...] = Field(
-        (), description="single measures that are also computed"
-    )
-
-    def __call__(
-        self,
-        pair: StereoPair,
-        maps: Sequence[NDArray[np.float32]],
-        max_disparity: int,
-        right: NDArray[np.float32] | None = None,
-    ) -> MapJudgment:
-        """Judge the first of the maps of a pair, (H, W) float32, pixels, NaN = no value; the others are witnesses.
-
-        Costs are computed up to ``max_disparity``. ``right`` is the map of the right view by the same program, for
-        ``left_right``. ValueError: there is no map, or one has not the size of the images.
-        """
-        networks, clock = self.networks, Clock()
-        evidence = Evidence.of(pair, max_disparity, clock)
-        clock.start("planes")
-        judged = judged_maps(evidence, maps)
-        clock.start("network")
-        odds = odds_of(networks, judged[0], self.within)
-        probability = _likely(odds, judged[0].missing)
-        offset = networks.hidden.layers[0][1][0]
-        hidden = log_odds(networks.hidden, offset, judged[0].alone, judged[0].others[:0]) > 0
-        status = with_reasons(judged[0].values, judged[0].missing, probability, hidden)
-        confidence = {name: measured(name, judged[0], evidence, right) for name in self.measures}
-        return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
-
-    def by_one_view(self, left: Image, values: NDArray[np.float32], max_disparity: int) -> MapJudgment:
-        """Judge a map by its shape and the left image, where there is no right image: far less is known then.
-
-        Nothing is said about what is hidden; measures that need the right image are left out. ValueError: the map has
-        not the size of the image.
-        """
-        network, clock = self.networks.one_view, Clock()
-        if values.shape != left.shape[:2]:
-            raise ValueError(f"expected a map of the image's size {left.shape[:2]}, got {values.shape}")
-        clock.start("planes")
-        whole, missing = without_gaps(values, max_disparity)
-        grey = StereoPair(left, left).grey8[0].astype(np.float32)
-        planes = _planes.one_view_planes(whole, grey, max_disparity)
-        clock.start("network")
-        probability = _likely(log_odds(network, offsets(network, self.within), planes, planes[:0]), missing)
-        status = np.where(probability < 0.5, Status.MISMATCH, Status.MEASURED)
-        status = np.where(missing, Status.NO_DATA, status).astype(np.uint8)
-        confidence = {}
-        for name in self.measures:
-            source = _MEASURES[name][1]
-            if isinstance(source, tuple) and source[0] in ONE_VIEW:
-                plane = source[1] * planes[ONE_VIEW.index(source[0])]
-                confidence[name] = np.where(missing, np.float32(np.nan), plane).astype(np.float32)
-        return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
-
-
-def judged_maps(evidence: Evidence, maps: Sequence[NDArray[np.float32]], known: Sequence[Judged] = ()) -> list[Judged]:
+def judged_maps(evidence: Evidence, maps: Sequence[Plane], known: Sequence[Judged] = ()) -> list[Judged]:
     """Return the maps of a pair with their planes, after ``known`` ones, whose own planes are there already.
 
     Gaps are filled from the background. ValueError: there is no map, or one has not the size of the images.
@@ -267,25 +206,35 @@ def judged_maps(evidence: Evidence, maps: Sequence[NDArray[np.float32]], known: 
     return [Judged(*part, other) for part, other in zip(parts, others, strict=True)]
 
 
-def without_gaps(values: NDArray[np.float32], max_disparity: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def without_gaps(values: Plane, max_disparity: int) -> tuple[Plane, NDArray[np.bool_]]:
     """Return a map (H, W) whose gaps are filled from the background, and where they are."""
     missing = ~np.isfinite(values)
     holed = DisparityMap(np.where(missing, np.float32(np.nan), values), np.zeros(values.shape, np.uint8))
     return np.nan_to_num(fill_background(holed).values).clip(0, max_disparity), missing
 
 
-def odds_of(networks: Networks, judged: Judged, within: float) -> NDArray[np.float32]:
+def odds_of(networks: Networks, judged: Judged, within: float) -> Plane:
     """Return the log odds (H, W) that the values of a map are right within so many pixels."""
     return log_odds(networks.right, offsets(networks.right, within), judged.alone, judged.others)
 
 
+def offsets(network: TrainedNetwork, within: float) -> NDArray[np.float32]:
+    """Return the offsets of the first layer for a threshold, between those that the network was trained for."""
+    rows = network.layers[0][1]
+    at = np.interp(np.log2(within), np.log2(THRESHOLDS), np.arange(len(THRESHOLDS)))
+    low = min(int(at), len(rows) - 2)
+    between: NDArray[np.float32] = rows[low] + np.float32(at - low) * (rows[low + 1] - rows[low])
+    return between
+
+
 def with_reasons(
-    values: Plane, missing: NDArray[np.bool_], probability: Plane, hidden: NDArray[np.bool_]
+    values: Plane, missing: NDArray[np.bool_], probability: Plane, hidden: NDArray[np.bool_] | None = None
 ) -> NDArray[np.uint8]:
-    """Return the status (H, W) of values without gaps, by what is hidden in the right view and what is likely right."""
-    outside = np.arange(values.shape[1], dtype=np.float32) - values < -0.5
+    """Return the status (H, W) of values without gaps; ``hidden`` in the right view, None: there is no right view."""
     status = np.where(probability < 0.5, Status.MISMATCH, Status.MEASURED)
-    status = np.where(outside, Status.OUT_OF_RANGE, np.where(hidden, Status.OCCLUDED, status))
+    if hidden is not None:
+        outside = np.arange(values.shape[1], dtype=np.float32) - values < -0.5
+        status = np.where(outside, Status.OUT_OF_RANGE, np.where(hidden, Status.OCCLUDED, status))
     return np.where(missing, Status.NO_DATA, status).astype(np.uint8)
 
 

@@ -19,7 +19,7 @@ from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.choice.network import correlation
-from depthcli.methods.fusion.map_costs import cost_between, disagreements, nearest_matches
+from depthcli.methods.fusion.map_costs import cost_between, disagreements, nearest_matches, warped_right
 from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, PairSupports
 from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.cost.census import Census
@@ -263,7 +263,7 @@ def _compare(
 ):  # fmt: skip
     height, width = values.shape
     n_disparities = costs.shape[2]
-    last, half, one, zero = np.float32(width - 1), np.float32(0.5), np.float32(1), np.float32(0)
+    half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
     far, soft = np.float32(8), np.float32(2)
     for y in prange(height):
         nearest = nearest_matches(values[y])
@@ -307,15 +307,7 @@ def _compare(
                     hidden = one
             else:
                 hidden = one
-            at = min(max(np.float32(x) - value, zero), last)
-            low = int(at)
-            high = min(low + 1, width - 1)
-            rest = at - np.float32(low)
-            warped[y, x] = grey[y, low] + rest * (grey[y, high] - grey[y, low])
-            largest = zero
-            for c in range(3):
-                a, b = np.float32(other[y, low, c]), np.float32(other[y, high, c])
-                largest = max(largest, abs(np.float32(image[y, x, c]) - (a + rest * (b - a))))
+            warped[y, x], largest = warped_right(x, value, image[y], other[y], grey[y])
             color[y, x] = min(largest, np.float32(40))
             empty = np.float32(missing[y, x])
             cells[0] = one if outside else min(raw / np.float32(30), one)

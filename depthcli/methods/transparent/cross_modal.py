@@ -213,7 +213,7 @@ class CrossModal(ConfigModel):
         in_reach = int(np.clip(np.ceil(1.25 * largest) + 2, 16, max(16, sensor.shape[1] // 2)))
         top = self.max_disparity or in_reach
         pairs = [StereoPair(mix, infrared) for mix in mixes]
-        fused = [self.fusion.fuse(pair, top, {}) for pair in pairs]
+        fused = [self.fusion.fuse(pair, top) for pair in pairs]
         volume = fused[0].volume if len(fused) == 1 else _mean([part.volume for part in fused])
         volume = faded_costs(volume, mixes[0], infrared, self.structure)
         color_pair = StereoPair(color, np.repeat(infrared[:, :, None], 3, axis=2))

@@ -124,7 +124,7 @@ def test_the_true_shift_is_found_in_every_mode(weights, support, blend_when):
 
 def test_equal_weights_without_votes_are_the_plain_mean():
     pair = shifted_pair()
-    fused = fusion(weights="equal", consensus={"vote_cost": 0}, aggregation=None).fuse(pair, 11, {})
+    fused = fusion(weights="equal", consensus={"vote_cost": 0}, aggregation=None).fuse(pair, 11)
     parts = [normalize_costs(m.cost(pair, 12), None).costs.astype(int) for m in fusion().measures]
     np.testing.assert_array_equal(fused.volume.costs, 16 * ((64 * sum(parts) + 128) >> 8))
 
@@ -155,7 +155,9 @@ def test_a_volume_made_elsewhere_counts_as_a_measure():
     mixed = fusion(measures=["census", {"volume": "learned.npy"}])
     ours = fusion(measures=["census", "census"])(pair, 11).disparity.values
     for volume in (census.costs, census.costs.astype(np.float64)):
-        np.testing.assert_array_equal(mixed(pair, 11, {"learned.npy": volume}).disparity.values, ours)
+        given = {"learned.npy": volume}
+        found = mixed.with_volumes(lambda given=given: given)(pair, 11)
+        np.testing.assert_array_equal(found.disparity.values, ours)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +170,7 @@ def test_a_volume_made_elsewhere_counts_as_a_measure():
 )
 def test_a_volume_that_does_not_fit_is_refused(volumes, message):
     with pytest.raises(InputError, match=message):
-        fusion(measures=["census", {"volume": "learned.npy"}])(shifted_pair(), 11, volumes)
+        fusion(measures=["census", {"volume": "learned.npy"}]).with_volumes(lambda: volumes)(shifted_pair(), 11)
 
 
 def test_the_segment_pipeline_works_on_fused_costs():

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.methods.fusion import Fusion
-from depthcli.methods.fusion.choice.energy import ScoredMap, Smoothness
+from depthcli.methods.fusion.choice.energy import ScoredMap, best_mix, energy, neighbor_weights
 from depthcli.methods.fusion.map_costs import agreement, contradictions, disagreements, matching_costs
 from depthcli.methods.fusion.maps import _largest_agreement
 from depthcli.methods.stereo.volume import CostVolume
@@ -61,25 +61,25 @@ def random_scored_map(height, width, seed, cost_scale=1.0):
 
 def test_energy_agrees_with_the_reference():
     scored = random_scored_map(7, 9, 3)
-    smoothness = Smoothness.of(texture((7, 9, 3), 2), 2.0, 10.0, 0.1, 1.5)
-    expected = naive.energy(scored.values, scored.slopes, scored.cost, smoothness.weights, 1.5)
-    assert smoothness.energy(scored) == pytest.approx(expected, rel=1e-5)
+    weights = neighbor_weights(texture((7, 9, 3), 2), 2.0, 10.0, 0.1)
+    expected = naive.energy(scored.values, scored.slopes, scored.cost, weights, 1.5)
+    assert energy(scored, weights, 1.5) == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
-def test_a_move_gives_the_mix_of_least_energy(seed):
+def test_the_best_mix_has_the_least_energy(seed):
     """Of all 2^9 mixes; with pairs that a cut cannot represent the energy still never rises."""
     a, b = random_scored_map(3, 3, seed), random_scored_map(3, 3, seed + 100)
-    smoothness = Smoothness.of(texture((3, 3, 3), seed), 1.0, 20.0, 0.2, 2.0)
-    mixes = [np.array(bits, bool).reshape(3, 3) for bits in itertools.product((False, True), repeat=9)]
-    energies = [smoothness.energy(a.mixed(b, mix)) for mix in mixes]
-    assert smoothness.energy(smoothness.move(a, b, 0.0)) <= energies[0]
-    weak = Smoothness(tuple(weights * np.float32(0.02) for weights in smoothness.weights), 2.0)
-    best = min(weak.energy(a.mixed(b, mix)) for mix in mixes)
-    moved = weak.move(a, b, 0.0)
-    assert moved is not a
-    assert weak.energy(moved) <= best + 0.02
+    weights = neighbor_weights(texture((3, 3, 3), seed), 1.0, 20.0, 0.2)
+    assert energy(best_mix(a, b, weights, 2.0, 0.0), weights, 2.0) <= energy(a, weights, 2.0)
+    weak = tuple(each * np.float32(0.02) for each in weights)
+    chosen = (np.array(bits, bool).reshape(3, 3) for bits in itertools.product((False, True), repeat=9))
+    mixes = (ScoredMap(*(np.where(mix, new, old) for old, new in zip(a, b, strict=True))) for mix in chosen)
+    best = min(energy(mix, weak, 2.0) for mix in mixes)
+    found = best_mix(a, b, weak, 2.0, 0.0)
+    assert found is not a
+    assert energy(found, weak, 2.0) <= best + 0.02
 
 
 def test_agreement_is_the_weighted_share():

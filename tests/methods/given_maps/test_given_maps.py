@@ -7,13 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from depthcli.api.maps import fusion_of, judge_of, networks
+from depthcli.api.maps import networks
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
-from depthcli.methods.given_maps import judged_maps, map_measures, odds_of, offsets
+from depthcli.methods.given_maps import MEASURES, judge, judge_by_one_view, judged_maps, odds_of, offsets
 from depthcli.methods.given_maps._planes import _COST, _OPTIMIZATION, _REFINEMENT, OTHERS, Evidence
+from depthcli.methods.given_maps.fusion import fuse
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.run.presets import find_config
@@ -97,7 +98,7 @@ def test_one_map_has_no_relation_to_others(pair: StereoPair, broken: np.ndarray)
 
 
 def test_wrong_pixels_are_doubted_and_hidden_ones_found(pair: StereoPair, scene: SyntheticScene, broken: np.ndarray):
-    judgment = judge_of(measures=["all"])(pair, [broken], 32)
+    judgment = judge(networks(), pair, [broken], 32, measures=MEASURES)
     wrong = np.zeros(broken.shape, bool)
     wrong[42:68, 62:98] = True
     right = scene.nonocc & ~wrong & np.isfinite(broken)
@@ -108,7 +109,7 @@ def test_wrong_pixels_are_doubted_and_hidden_ones_found(pair: StereoPair, scene:
     hidden = (judgment.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
     both = np.count_nonzero(hidden & ~scene.nonocc)
     assert 2 * both / (hidden.sum() + np.count_nonzero(~scene.nonocc)) > 0.7
-    assert set(judgment.confidence) == set(map_measures())
+    assert set(judgment.confidence) == set(MEASURES)
     for values in judgment.confidence.values():
         assert values.shape == broken.shape
         assert np.isfinite(values[np.isfinite(broken)]).all()
@@ -119,7 +120,7 @@ def test_the_best_of_two_halves(pair: StereoPair, scene: SyntheticScene):
     upper[:60] += 5
     lower[60:] -= 3
     for surfaces in (False, True):
-        found, judgment = fusion_of(surfaces=surfaces)(pair, [upper, np.clip(lower, 0, None)], 32)
+        found, judgment = fuse(networks(), pair, [upper, np.clip(lower, 0, None)], 32, surfaces=surfaces)
         error = np.abs(found.values - scene.disparity_left)[scene.nonocc]
         assert np.mean(error > 1) < 0.05
         assert np.isfinite(found.values).all()
@@ -129,9 +130,9 @@ def test_the_best_of_two_halves(pair: StereoPair, scene: SyntheticScene):
 def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: SyntheticScene):
     values = scene.disparity_left.copy()
     values[40:60, 60:90] += np.random.default_rng(0).normal(0, 4, (20, 30)).astype(np.float32)
-    judge = judge_of(measures=["smoothness", "census"])
-    found = judge.by_one_view(pair.left, np.clip(values, 0, 32), 32)
+    measures = ["smoothness", "census"]
+    found = judge_by_one_view(networks(), pair.left, np.clip(values, 0, 32), 32, measures=measures)
     assert found.probability[42:58, 62:88].mean() < found.probability[80:110, 20:140].mean() - 0.3
     assert set(found.confidence) == {"smoothness"}
     with pytest.raises(ValueError, match="size"):
-        judge.by_one_view(pair.left, values[1:], 32)
+        judge_by_one_view(networks(), pair.left, values[1:], 32)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,8 @@ from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.map_costs import NEIGHBORS, contradictions, disagreements, matching_costs, misfit
 
-_MIN_DIFFERENCE = 0.25  # maps that are closer than this count as the same, pixels; chosen by hand
+Weights = tuple[NDArray[np.float32], NDArray[np.float32]]
+"""Of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W)."""
 
 
 class LeastEnergyChoice(ChoiceMethod):
@@ -53,13 +53,13 @@ class LeastEnergyChoice(ChoiceMethod):
         costs = np.float32(self.cost_weight) * matching_costs(maps, proposals.volume, self.cost_truncation, wide)
         costs += np.float32(self.agreement_weight) * disagreements(maps, weights, narrow)
         costs += np.float32(self.visibility_weight) * contradictions(maps, proposals.right, self.hidden, narrow)
-        smoothness = Smoothness.of(image, self.smoothness, self.color_scale, self.floor, self.truncation)
+        neighbors = neighbor_weights(image, self.smoothness, self.color_scale, self.floor)
         start = int(weights.argmax())
         current = ScoredMap(maps[start], slopes(maps[start], image), costs[start])
         for k, (values, cost) in enumerate(zip(maps, costs, strict=True)):
             if k != start:
                 proposal = ScoredMap(values, slopes(values, image), cost)
-                current = smoothness.move(current, proposal, _MIN_DIFFERENCE)
+                current = best_mix(current, proposal, neighbors, self.truncation)
         return ChosenMap(current.values)
 
     def bytes_per_pixel(self, count: int) -> int:
@@ -73,72 +73,61 @@ class ScoredMap(NamedTuple):
     slopes: NDArray[np.float32]  # (2, H, W) float32 change to the next pixel of the row, of the column
     cost: NDArray[np.float32]  # (H, W) float32
 
-    def mixed(self, other: ScoredMap, chosen: NDArray[np.bool_]) -> ScoredMap:
-        """Return ``other`` where ``chosen`` (H, W), this one elsewhere."""
-        return ScoredMap(*(np.where(chosen, b, a) for a, b in zip(self, other, strict=True)))
+
+def neighbor_weights(image: NDArray[np.uint8], strength: float, color_scale: float, floor: float) -> Weights:
+    """Return weights ``strength max(exp(-color / color_scale), floor)``; color: the largest channel difference."""
+    levels = image.astype(np.int16)
+    colors = (np.abs(levels[there] - levels[here]).max(axis=2) for here, there in NEIGHBORS)
+    across, down = ((strength * np.maximum(np.exp(-c / color_scale), floor)).astype(np.float32) for c in colors)
+    return across, down
 
 
-@dataclass(frozen=True)
-class Smoothness:
-    """Costs of neighbors whose disparities do not continue each other along their slopes.
+def energy(candidate: ScoredMap, weights: Weights, truncation: float) -> float:
+    """Return the sum of all costs of a map."""
+    pairs = (_pair_costs(axis, candidate, candidate, weights, truncation) for axis in (0, 1))
+    return float(candidate.cost.sum(dtype=np.float64)) + sum(float(costs.sum(dtype=np.float64)) for costs in pairs)
 
-    ``weight min(truncation, mean of |d_q - d_p - g_p| and |d_q - d_p - g_q|)`` for a pixel p and the next one q in
-    its row or column: a slope costs nothing, so that smoothness may be strong.
+
+def _pair_costs(
+    axis: int, first: ScoredMap, second: ScoredMap, weights: Weights, truncation: float
+) -> NDArray[np.float32]:
+    """Return costs of neighbors that do not continue each other along their slopes, which cost nothing themselves.
+
+    ``weight min(truncation, mean of |d_q - d_p - g_p| and |d_q - d_p - g_q|)`` for a pixel p of ``first`` and the next
+    one q of ``second`` in its row or column.
     """
+    here, there = NEIGHBORS[axis]
+    ends = first.values[here], second.values[there], first.slopes[axis][here], second.slopes[axis][there]
+    return weights[axis] * misfit(*ends, truncation)
 
-    # of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W), float32
-    weights: tuple[NDArray[np.float32], NDArray[np.float32]]
-    truncation: float  # largest misfit that counts, pixels
 
-    @classmethod
-    def of(
-        cls, image: NDArray[np.uint8], strength: float, color_scale: float, floor: float, truncation: float
-    ) -> Smoothness:
-        """Return weights ``strength max(exp(-color / color_scale), floor)``; color: the largest channel difference."""
-        levels = image.astype(np.int16)
-        colors = (np.abs(levels[there] - levels[here]).max(axis=2) for here, there in NEIGHBORS)
-        across, down = ((strength * np.maximum(np.exp(-c / color_scale), floor)).astype(np.float32) for c in colors)
-        return cls((across, down), truncation)
+def best_mix(
+    current: ScoredMap, proposal: ScoredMap, weights: Weights, truncation: float, min_difference: float = 0.25
+) -> ScoredMap:
+    """Return the mix of two maps of least energy; ``current`` itself where no mix is better.
 
-    def energy(self, candidate: ScoredMap) -> float:
-        """Return the sum of all costs of a map."""
-        return float(candidate.cost.sum(dtype=np.float64)) + sum(
-            float(self._pair_costs(axis, candidate, candidate).sum(dtype=np.float64)) for axis in (0, 1)
-        )
-
-    def _pair_costs(self, axis: int, first: ScoredMap, second: ScoredMap) -> NDArray[np.float32]:
-        # of the pixels of ``first`` with the next ones of ``second``, along the rows or along the columns
-        here, there = NEIGHBORS[axis]
-        slopes = first.slopes[axis][here], second.slopes[axis][there]
-        return self.weights[axis] * misfit(first.values[here], second.values[there], *slopes, self.truncation)
-
-    def move(self, current: ScoredMap, proposal: ScoredMap, min_difference: float) -> ScoredMap:
-        """Return the mix of two maps of least energy; ``current`` itself where no mix is better.
-
-        One minimum cut (fusion moves: Lempitsky et al., PAMI 2010). Pairs that it cannot represent cost more when
-        exactly one of the two switches; so the energy is compared at the end. Where the two differ by less than
-        ``min_difference`` pixels, ``current`` stays.
-        """
-        shape = current.values.shape
-        apart = np.abs(proposal.values - current.values) >= min_difference
-        if not apart.any():
-            return current
-        # Pair costs are E00 + (E10 - E00) x_p + (E11 - E10) x_q + (E01 + E10 - E00 - E11) (1 - x_p) x_q, with x = 1
-        # where a pixel switches; the last factor is raised to 0 where it is negative. Pixels that are not apart stay.
-        score = (proposal.cost - current.cost).astype(np.float64)
-        nodes = np.cumsum(apart).reshape(shape) - 1
-        pairs = []
-        for axis, (here, there) in enumerate(NEIGHBORS):
-            e00, e01, e10, e11 = (
-                self._pair_costs(axis, first, second)
-                for first, second in itertools.product((current, proposal), repeat=2)
-            )
-            both = apart[here] & apart[there]
-            score[here] += e10 - e00
-            score[there] += np.where(both, e11 - e10, e01 - e00)
-            pairs.append((nodes[here][both], nodes[there][both], np.maximum(e01 + e10 - e00 - e11, 0)[both]))
-        p, q, capacity = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
-        chosen = np.zeros(shape, np.bool_)
-        chosen[apart] = binary_cut(score[apart], p, q, capacity.astype(np.float64))
-        mix = current.mixed(proposal, chosen)
-        return mix if self.energy(mix) < self.energy(current) else current
+    One minimum cut (fusion moves: Lempitsky et al., PAMI 2010). Pairs that it cannot represent cost more when
+    exactly one of the two switches; so the energy is compared at the end. Where the two differ by less than
+    ``min_difference`` pixels (chosen by hand), ``current`` stays.
+    """
+    shape = current.values.shape
+    apart = np.abs(proposal.values - current.values) >= min_difference
+    if not apart.any():
+        return current
+    # Pair costs are E00 + (E10 - E00) x_p + (E11 - E10) x_q + (E01 + E10 - E00 - E11) (1 - x_p) x_q, with x = 1
+    # where a pixel switches; the last factor is raised to 0 where it is negative. Pixels that are not apart stay.
+    score = (proposal.cost - current.cost).astype(np.float64)
+    nodes = np.cumsum(apart).reshape(shape) - 1
+    pairs = []
+    for axis, (here, there) in enumerate(NEIGHBORS):
+        ends = itertools.product((current, proposal), repeat=2)
+        e00, e01, e10, e11 = (_pair_costs(axis, first, second, weights, truncation) for first, second in ends)
+        both = apart[here] & apart[there]
+        score[here] += e10 - e00
+        score[there] += np.where(both, e11 - e10, e01 - e00)
+        pairs.append((nodes[here][both], nodes[there][both], np.maximum(e01 + e10 - e00 - e11, 0)[both]))
+    p, q, capacity = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    chosen = np.zeros(shape, np.bool_)
+    chosen[apart] = binary_cut(score[apart], p, q, capacity.astype(np.float64))
+    mix = ScoredMap(*(np.where(chosen, b, a) for a, b in zip(current, proposal, strict=True)))
+    return mix if energy(mix, weights, truncation) < energy(current, weights, truncation) else current

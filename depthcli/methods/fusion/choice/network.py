@@ -20,7 +20,7 @@ from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.fusion import map_costs as costs_of
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
-from depthcli.methods.fusion.map_costs import cost_between, nearest_matches
+from depthcli.methods.fusion.map_costs import cost_between, nearest_matches, warped_right
 from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, ColorSupport
 
 MAX_MAPS = BLOCK_DEPTH
@@ -154,7 +154,7 @@ def _compare_views(
     values, costs, unit, right, image, other, grey, lowest, warped, excess, difference, column, hidden, color
 ):
     height, width = values.shape
-    last, half = np.float32(width - 1), np.float32(0.5)
+    half = np.float32(0.5)
     for y in prange(height):
         nearest = nearest_matches(values[y])
         for x in range(width):
@@ -168,15 +168,7 @@ def _compare_views(
             else:
                 difference[y, x] = min(max(value - np.float32(right[y, u]), np.float32(-5)), np.float32(5))
                 hidden[y, x] = min(nearest[u] - value, np.float32(6))
-            at = min(max(np.float32(x) - value, np.float32(0)), last)
-            low = int(at)
-            high = min(low + 1, width - 1)
-            rest = at - np.float32(low)
-            warped[y, x] = grey[y, low] + rest * (grey[y, high] - grey[y, low])
-            largest = np.float32(0)
-            for c in range(3):
-                a, b = np.float32(other[y, low, c]), np.float32(other[y, high, c])
-                largest = max(largest, abs(np.float32(image[y, x, c]) - (a + rest * (b - a))))
+            warped[y, x], largest = warped_right(x, value, image[y], other[y], grey[y])
             color[y, x] = min(largest, _MAX_COLOR)
 
 
@@ -216,21 +208,26 @@ class NetworkChoice(ChoiceMethod):
             raise ValueError(f"network {self.weights!r}: hand its arrays in with with_network first")
         count, height, width = proposals.values.shape
         odds = log_odds_of(self._trained, NetworkInputs.of(proposals)).reshape(count, height, width)
-        return likeliest(proposals.values, odds, proposals.narrow)
+        return ChosenMap(*likeliest(proposals.values, odds, proposals.narrow))
 
     def bytes_per_pixel(self, count: int) -> int:
         return 4 * (count * (len(PROPOSAL_PLANES) + 6) + 90 + len(PIXEL_PLANES) + 2 * MAX_MAPS) + 100
 
 
-def likeliest(maps: NDArray[np.float32], odds: NDArray[np.float32], support: ColorSupport) -> ChosenMap:
-    """Return the values whose share of the softmax of ``odds`` (N, H, W), averaged over the support, is largest."""
+def likeliest(
+    maps: NDArray[np.float32], odds: NDArray[np.float32], support: ColorSupport
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the values whose share of the softmax of ``odds`` (N, H, W), averaged over the support, is largest.
+
+    Returned with them is the probability that they are right, by their own odds; both (H, W).
+    """
     _, height, width = maps.shape
     shares = memory.empty((height, width, MAX_MAPS), np.float32)
-    softmax(odds, shares)
+    _softmax(odds, shares)
     support.sum(shares)
     values, probability = (np.empty((height, width), np.float32) for _ in range(2))
-    take_largest(maps, odds, shares, values, probability)
-    return ChosenMap(values, probability)
+    _take_largest(maps, odds, shares, values, probability)
+    return values, probability
 
 
 def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.float32]:
@@ -241,7 +238,7 @@ def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.fl
 
 
 @parallel_jit
-def softmax(log_odds, shares):
+def _softmax(log_odds, shares):
     count, height, width = log_odds.shape
     for y in prange(height):
         for x in range(width):
@@ -259,7 +256,7 @@ def softmax(log_odds, shares):
 
 
 @parallel_jit
-def take_largest(maps, log_odds, shares, values, probability):
+def _take_largest(maps, log_odds, shares, values, probability):
     count, height, width = maps.shape
     one = np.float32(1)
     for y in prange(height):
