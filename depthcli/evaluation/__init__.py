@@ -15,19 +15,5 @@
    viewers, which get the maps while they are scored.
 
 ``benchmarks`` stands apart: which files a submission to a benchmark holds. Begin with
-``protocols/middlebury_v2.py``, the shortest protocol.
-
-======================  ============================================================================================
-``nonocc``, ``noc``     pixels that both views see; ``occ`` (KITTI): all pixels; ``disc``: near depth discontinuities
-``bad``, ``out``        share of pixels whose error is above a threshold; ``totbad``: or that have no value
-``D1``                  KITTI 2015: error above 3 px and at least 5 % of the true disparity
-``est``                 KITTI: over the pixels that the map has a value for, not over the interpolated map
-``A50`` ...             quantiles of the error
-``avgerr``, ``MAE``     mean absolute error; ``rms``, ``RMSE``: root of the mean squared error
-``REL``                 mean of error / true depth
-``delta``               share of pixels whose ratio to the truth is below a limit
-AUC                     area under a sparsification curve; of registration points: under the ROC curve
-AUSE, AURG              distance of a sparsification curve to the optimal and to a random one
-``TRE``                 target registration error, the true error at a point; ``TRE30``: mean of the worst 30 %
-======================  ============================================================================================
+``protocols/middlebury_v2.py``, the shortest protocol; ``columns`` explains all metrics and regions.
 """

@@ -28,26 +28,15 @@ MEAN, COMMON_MEAN = "*mean", "*common mean"
 
 @dataclass(frozen=True)
 class Metric:
-    """What a score is a value of; scores of equal metrics are averaged and compared.
+    """What a score is a value of; scores of equal metrics are averaged and compared."""
 
-    Attributes
-    ----------
-    name : ``bad``, ``D1``, ``avgerr`` ...
-    unit : ``%``, ``px``, ``mm`` ... or empty
-    threshold : in the protocol's unit, or None where the metric has none
-    convention : how missing values are counted
-    worst : value that a scene without a map counts as in a mean; None: the metric has no bound, and a mean over
-        scenes of which one has no map is NaN
-    label : heading of a table's column; made from metric and threshold where it is empty
-    """
-
-    name: str
-    unit: str
-    threshold: float | None = None
-    convention: str = ""
-    worst: float | None = None
+    name: str  # ``bad``, ``D1``, ``avgerr`` ...
+    unit: str  # ``%``, ``px``, ``mm`` ... or empty
+    threshold: float | None = None  # in the protocol's unit, or None where the metric has none
+    convention: str = ""  # how missing values are counted
+    worst: float | None = None  # value of a scene without a map in a mean; None: it has no bound, the mean is NaN
     larger_is_better: bool = False
-    label: str = field(default="", compare=False)
+    label: str = field(default="", compare=False)  # heading of a column; made from metric and threshold where empty
 
     @property
     def heading(self) -> str:
@@ -194,19 +183,16 @@ def in_order(regions: Iterable[str], order: Sequence[str]) -> list[str]:
 _COLUMNS = "run data_set scene protocol metric threshold mask value unit wrong pixels density convention map note"
 
 
-def record(result: Mapping[str, str], score: Score | None, source: str = "", note: str = "") -> dict[str, Any]:
+def record(where: Mapping[str, str], score: Score | None, source: str = "", note: str = "") -> dict[str, Any]:
     """Return one number of an evaluation as a row of ``scores.csv``, empty where there is nothing to write.
 
-    Parameters
-    ----------
-    result : ``run``, ``data_set``, ``scene`` (or ``MEAN``, ``COMMON_MEAN``) and ``protocol``
-    score : None: the note says why there is no number
-    source : path of the map inside its run folder
+    ``where`` has ``run``, ``data_set``, ``scene`` (or a mean) and ``protocol``, ``source`` is the map's path inside the
+    run folder. Without a score the note says why there is none.
     """
     cells = {"metric": "failed"} if score is None else score.row()
-    if result["scene"] == COMMON_MEAN:
+    if where["scene"] == COMMON_MEAN:
         cells |= {"density": None, "pixels": None, "wrong": None}
-    cells |= {**result, "map": source, "note": note}
+    cells |= {**where, "map": source, "note": note}
     found = {name: cells.get(name) for name in _COLUMNS.split()}
     return {k: "" if v is None or (isinstance(v, float) and not math.isfinite(v)) else v for k, v in found.items()}
 

@@ -77,8 +77,8 @@ class PairedTest:
     ties: int
     mean_difference: float  # of b - a (negative: b is better)
     worst_ratio: float  # largest b / a over the scenes (NaN where a is 0 everywhere)
-    # Rank-biserial correlation, -1 to 1: the sum of the ranks of b's losses less that of its wins, as a share of all
-    # ranks; the sign says which of the two the test speaks for (negative: b). 0 where all are ties.
+    # Rank-biserial correlation, -1 to 1: the ranks of b's losses less those of its wins, as a share of all ranks; the
+    # sign says which of the two the test speaks for (negative: b). 0 where all are ties.
     rank_difference: float
     p_value: float  # two-sided Wilcoxon signed-rank test; ties are left out. NaN where no scene is compared
 
@@ -171,12 +171,11 @@ class Ranking:
         lowest = smallest_p(n_scenes, self.n_tests)
         if lowest >= SIGNIFICANT:
             enough = next(n for n in range(2, 99) if smallest_p(n, self.n_tests) < SIGNIFICANT)
-            count = f"{n_scenes} scene{'s' * (n_scenes != 1)}"
-            return (
-                f"With {count} no difference can be significant: p is {lowest:.2g} or more; it takes {enough} scenes."
-            )
-        signs = {run: self.is_significant(run) * np.sign(test.rank_difference) for run, test in self.tests.items()}
-        worse, better, even = ([run for run in self.tests if signs[run] == sign] for sign in (1, -1, 0))
+            what = f"With {n_scenes} scene{'s' * (n_scenes != 1)} no difference can be significant"
+            return f"{what}: p is {lowest:.2g} or more; it takes {enough} scenes."
+        words = {run: self.word(run) for run in self.tests}
+        worse, better = ([run for run in words if words[run] == word] for word in ("worse", "better in most"))
+        even = [run for run in words if run not in (*worse, *better)]
         if not worse and not better:
             return f"No significant difference (the smallest p is {min(self.p_values.values()):.2g})."
         said = []

@@ -217,12 +217,11 @@ def _embedded(saved: _SavedScene, factor: int) -> str:
 
 
 def _section_data(section: Section) -> dict[str, Any]:
-    """Return what the template shows of a section: runs from the best to the worst, tables, plots, comparisons."""
+    """Return what the template shows of a section: runs from the best to the worst, tables, plots."""
     headline, runs, order = section.protocol.headline, section.runs, section.ranking.runs
     figures = {run: section.overall(run).value for run in runs}
     known = [run for run in order if not math.isnan(figures[run])]
     longest = max((figures[run] for run in known), default=0.0) or 1.0
-    by_scene = {run: section.by_scene(run) for run in runs}
     keys = dict.fromkeys([*((headline, region) for region in section.regions), *section.keys])
     n_keys = max(1, _MAX_CELLS // max(1, len(section.scenes) * len(runs)), len(section.regions))
     narrow = tables.section_tables(section)
@@ -232,37 +231,15 @@ def _section_data(section: Section) -> dict[str, Any]:
         "summary": narrow[0],
         "tables": narrow[1:] if n_cells <= _MAX_CELLS else [],
         "order": order,
+        "known": known,
         "rows": [runs.index(run) for run in order],
         "bars": {run: 100 * figures[run] / longest if run in known else 0.0 for run in runs},
-        "verdict": _verdict(section, known),
-        "wins": {a: {b: sum(x < y for x, y in zip(by_scene[a], by_scene[b], strict=True)) for b in runs} for a in runs},
         "wide": [(*key, tables.wide_by_scene(section, key)) for key in list(keys)[:n_keys]],
         "plots": {
             caption: f"data:image/svg+xml;base64,{base64.b64encode(svg.encode()).decode('ascii')}"
             for caption, svg in plots(section).items()
         },
     }
-
-
-def _verdict(section: Section, best: list[str]) -> dict[str, Any] | None:
-    """Return the best run against the second: by how much, on how many scenes, where it gains and loses most."""
-    if len(best) < 2:
-        return None
-    first, second = (section.overall(run).value for run in best[:2])
-    gains = sorted(
-        (
-            (b - a, abs(a), abs(b), scene)
-            for a, b, scene in zip(section.by_scene(best[0]), section.by_scene(best[1]), section.scenes, strict=True)
-            if not math.isnan(a + b)
-        ),
-        reverse=True,
-    )
-    return {
-        "best": best[0], "second": best[1], "values": [Number(first), Number(second)],
-        "gap": Number(abs(first - second)), "compared": section.ranking.tests[best[1]],
-        "tested": section.ranking.verdict(),
-        "gains": [g for g in gains[:2] if g[0] > 0], "losses": [g for g in gains[::-1][:2] if g[0] < 0],
-    }  # fmt: skip
 
 
 def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
@@ -303,7 +280,7 @@ def _template() -> Any:
     options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "undefined": jinja2.StrictUndefined}
     environment = jinja2.Environment(autoescape=True, **options)
     environment.globals["help"] = heading_help
-    environment.filters |= {"short": tables.short, "number": Number}
+    environment.filters["number"] = Number
     return environment.from_string(_file("page.html"))
 
 

@@ -115,16 +115,14 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         if not isinstance(scene, StereoScene):
             raise InputError(f"{scene.folder}: {scene.name} is no stereo pair, which {self.name} scores")
         stored = scene.truth()
-        if np.isnan(stored.disparity).all():
+        known, (height, width), other = float(np.mean(~np.isnan(stored.disparity))), stored.disparity.shape, ""
+        if not known:
             raise InputError(f"{scene.disparity_left}: the ground truth has no known pixel")
+        if 370 <= height <= 376 and 1224 <= width <= 1242 and known < _MAX_KITTI_KNOWN:  # KITTI's rectified frames
+            share = f"{width} x {height}, truth at {100 * known:.0f} % of the pixels"
+            other = f"frames of kitti-2015 or kitti-2012 ({share})"
         masks = self.masks(stored)
         ordered = {name: masks[name] for name in in_order(masks, self.region_order)}
-        height, width = stored.disparity.shape  # of KITTI's rectified frames: 370 x 1224 to 376 x 1242
-        known, other = float(np.mean(~np.isnan(stored.disparity))), ""
-        if 370 <= height <= 376 and 1224 <= width <= 1242 and known < _MAX_KITTI_KNOWN:
-            other = (
-                f"frames of kitti-2015 or kitti-2012 ({width} x {height}, truth at {100 * known:.0f} % of the pixels)"
-            )
         top, rounded = scene.max_disparity, scene.round_disparity
         return DisparityTruth(stored.disparity, ordered, stored.noc, stored.scale, top, rounded, looks_like=other)
 
@@ -213,15 +211,12 @@ def invalid_value(estimate: Disparity, truth: Disparity) -> float | None:
     return None if lowest is None or float(np.nanmin(truth)) <= lowest + 0.5 else lowest
 
 
-_SCALES = (2.0, 3.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)  # factors of codes and image sizes in use
 _HINTS = {
-    256.0: "KITTI codes read as pixels?",
-    16.0: "OpenCV's fixed-point disparities, or Middlebury codes?",
-    64.0: "fixed-point codes read as pixels?",
-    2.0: "a map of twice the size?",
-    0.5: "computed at half size?",
+    256.0: "KITTI codes read as pixels?", 16.0: "OpenCV's fixed-point disparities, or Middlebury codes?",
+    64.0: "fixed-point codes read as pixels?", 2.0: "a map of twice the size?", 0.5: "computed at half size?",
     0.25: "computed at quarter size?",
-}
+}  # fmt: skip
+_SCALES = (2.0, 3.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)  # factors of codes and image sizes in use
 
 
 def scale_warning(estimate: Disparity, truth: Disparity) -> str | None:
