@@ -190,16 +190,6 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     assert "confidence_small.pfm" in report.warnings[0]
 
 
-def test_runs_of_one_name_are_told_apart(tmp_path: Path, truth: Path):
-    good = exact(truth)
-    for parent in ("x", "y"):
-        run_of(tmp_path / parent / "run", {"a": good, "b": good})
-    report = evaluate_runs([tmp_path / "x" / "run", tmp_path / "y" / "run"], truth, tmp_path / "out")
-    assert report.runs == ("x_run", "y_run")
-    with pytest.raises(InputError, match="given twice"):
-        evaluate_runs([tmp_path / "x" / "run", tmp_path / "x" / "run"], truth, tmp_path / "out")
-
-
 def test_scene_names_match_with_and_without_their_data_set(tmp_path: Path, truth: Path):
     good = exact(truth)
     short = run_of(tmp_path / "short", {"a": good, "b": good})

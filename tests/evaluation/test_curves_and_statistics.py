@@ -38,13 +38,6 @@ def test_areas_are_integrals(pixels):
     assert curve.aurg == pytest.approx(curve.mean - curve.auc)
 
 
-def test_order_of_pixels_does_not_matter():
-    rng = np.random.default_rng(1)
-    confidence, wrong = rng.integers(0, 5, 1000).astype(np.float32), rng.random(1000) < 0.2
-    order = rng.permutation(1000)
-    assert sparsification(confidence, wrong) == sparsification(confidence[order], wrong[order])
-
-
 @pytest.mark.parametrize("share", [0.01, 0.15, 0.9])
 def test_a_perfect_ranking_has_ratio_one_and_a_useless_one_the_area_of_chance(share):
     wrong = np.arange(20000) >= 20000 * (1 - share)
@@ -57,14 +50,6 @@ def test_a_perfect_ranking_has_ratio_one_and_a_useless_one_the_area_of_chance(sh
     assert reverse.auc > useless.auc
     # The figure of the other programs sees the curve at 20 shares only, in the optimum as well.
     assert perfect.auc_5_100 == perfect.optimal_5_100
-
-
-def test_errors_as_lengths():
-    error = np.array([0.0, 1.0, 2.0, 5.0])
-    perfect = sparsification(-error, error)
-    assert (perfect.mean, perfect.ratio) == (2, pytest.approx(1))
-    assert perfect.errors == perfect.best
-    assert sparsification(error, error).ause > 0
 
 
 def test_infinite_and_unknown_confidences():

@@ -6,88 +6,76 @@ import itertools
 import math
 
 
+def known_pixels(truth, mask):
+    """Places (y, x) of the pixels that count."""
+    height, width = truth.shape
+    return [(y, x) for y in range(height) for x in range(width) if mask[y, x] and not math.isnan(truth[y, x])]
+
+
 def bad_v2(estimate, truth, mask, t):
     """(wrong, pixels): wrong if off by more than t or without a value."""
-    wrong = pixels = 0
-    for y in range(truth.shape[0]):
-        for x in range(truth.shape[1]):
-            if not mask[y, x] or math.isnan(truth[y, x]):
-                continue
-            pixels += 1
-            d = float(estimate[y, x])
-            if math.isnan(d) or abs(d - float(truth[y, x])) > t:
-                wrong += 1
-    return wrong, pixels
+    wrong, pixels = 0, known_pixels(truth, mask)
+    for y, x in pixels:
+        d = float(estimate[y, x])
+        if math.isnan(d) or abs(d - float(truth[y, x])) > t:
+            wrong += 1
+    return wrong, len(pixels)
 
 
 def evaldisp(estimate, truth, mask, t, max_disparity, rounded):
     """(bad %, invalid %, total %, average error) of a map that may be 1, 1/2, 1/4 of the truth's size."""
     factor = truth.shape[1] // estimate.shape[1]
     top = factor * math.ceil(max_disparity / factor)
-    n = bad = invalid = 0
-    total = 0.0
-    for y in range(truth.shape[0]):
-        for x in range(truth.shape[1]):
-            if math.isnan(truth[y, x]) or not mask[y, x]:
-                continue
-            n += 1
-            d = factor * float(estimate[y // factor, x // factor])
-            if math.isnan(d) or d > 1000 * top:  # -inf is a number, as in the SDK
-                invalid += 1
-                continue
-            d = max(0.0, min(top, d))
-            if rounded:
-                d = math.floor(d + 0.5)
-            error = abs(d - float(truth[y, x]))
-            total += error
-            if error > t:
-                bad += 1
+    bad, invalid, total, pixels = 0, 0, 0.0, known_pixels(truth, mask)
+    for y, x in pixels:
+        d = factor * float(estimate[y // factor, x // factor])
+        if math.isnan(d) or d > 1000 * top:  # -inf is a number, as in the SDK
+            invalid += 1
+            continue
+        d = max(0.0, min(top, d))
+        if rounded:
+            d = math.floor(d + 0.5)
+        error = abs(d - float(truth[y, x]))
+        total += error
+        bad += error > t
+    n = len(pixels)
     average = total / (n - invalid) if n > invalid else math.nan
     return 100 * bad / n, 100 * invalid / n, 100 * (bad + invalid) / n, average
 
 
 def eth3d(estimate, truth, mask, t):
     """(bad %, coverage %, average error, median) among the estimated pixels; 100 % bad where there is none."""
-    known, errors = 0, []
-    for y in range(truth.shape[0]):
-        for x in range(truth.shape[1]):
-            if math.isnan(truth[y, x]) or not mask[y, x]:
-                continue
-            known += 1
-            d = float(estimate[y, x])
-            if not math.isnan(d) and abs(d) <= truth.shape[1]:
-                errors.append(abs(d - float(truth[y, x])))
+    pixels = known_pixels(truth, mask)
+    values = [(float(estimate[place]), float(truth[place])) for place in pixels]
+    errors = [abs(d - true) for d, true in values if not math.isnan(d) and abs(d) <= truth.shape[1]]
     if not errors:
         return 100.0, 0.0, math.nan, math.nan
     errors.sort()
     bad = 100 * sum(e > t for e in errors) / len(errors)
-    return bad, 100 * len(errors) / known, sum(errors) / len(errors), errors[len(errors) // 2]
+    return bad, 100 * len(errors) / len(pixels), sum(errors) / len(errors), errors[len(errors) // 2]
 
 
 def interpolate_background(disparity):
     """Rows: runs between values get the smaller one, ends are extended; then columns, to top and bottom only."""
     out = disparity.copy()
-    height, width = out.shape
-    for y in range(height):
-        known = [x for x in range(width) if not math.isnan(disparity[y, x])]
-        if not known:
-            continue
+    for row in out:
+        known = [x for x in range(len(row)) if not math.isnan(row[x])]
         for a, b in itertools.pairwise(known):
             for x in range(a + 1, b):
-                out[y, x] = min(disparity[y, a], disparity[y, b])
-        for x in range(known[0]):
-            out[y, x] = disparity[y, known[0]]
-        for x in range(known[-1] + 1, width):
-            out[y, x] = disparity[y, known[-1]]
-    for x in range(width):
-        known = [y for y in range(height) if not math.isnan(out[y, x])]
-        if not known:
-            continue
-        for y in range(known[0]):
-            out[y, x] = out[known[0], x]
-        for y in range(known[-1] + 1, height):
-            out[y, x] = out[known[-1], x]
+                row[x] = min(row[a], row[b])
+        extend(row, known)
+    for column in out.T:
+        extend(column, [y for y in range(len(column)) if not math.isnan(column[y])])
     return out
+
+
+def extend(line, known):
+    """Write the first and the last of the known values into what lies before and behind them."""
+    for k in range(len(line)):
+        if known and k < known[0]:
+            line[k] = line[known[0]]
+        if known and k > known[-1]:
+            line[k] = line[known[-1]]
 
 
 def submitted(disparity):

@@ -111,20 +111,6 @@ def test_scenes_with_and_without_truth_share_a_page(pairs: Path, tmp_path: Path,
     assert "bad 1" in reader.text
 
 
-def test_beyond_the_budget_each_scene_is_loaded_from_its_own_file(
-    pairs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr("depthcli.commands._evaluation.PAGE_BUDGET", "2kB")
-    assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "*a*") == 3
-    folder = tmp_path / "run" / "evaluation"
-    page = json.loads(read(folder).scripts["page"])
-    for key, asset, small in zip(page["keys"], page["assets"], data_of(read(folder)), strict=True):
-        text = (folder / asset).read_text("utf-8")
-        assert text.startswith(f'depthcli("{key}", ')
-        assert json.loads(text[text.index("{") : text.rindex("}") + 1])["name"] == small["name"]
-        assert small["views"][0]["factor"] > 1
-
-
 def test_a_page_that_cannot_be_written_fails_no_run(pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     foreign = tmp_path / "run" / "evaluation" / "report.html"
     foreign.parent.mkdir(parents=True)
