@@ -134,16 +134,12 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     (told / "report.json").write_text(json.dumps({"scenes": [{"scene": "a", "status": "failed", "error": "too dark"}]}))
     report = evaluate_runs([run, broken, told], truth, tmp_path / "out")
     reasons = {(r.run, r.scene): r.error for r in report.failed}
-    assert set(reasons) == {("run", "a"), ("run", "b"), ("broken", "a"), ("told", "a")}
-    assert "no map of scene a" in reasons["run", "a"]
-    assert "32 x 10" in reasons["run", "b"]
-    assert "damaged PFM" in reasons["broken", "a"]
-    assert "too dark" in reasons["told", "a"]
+    words = {("run", "a"): "no map of scene a", ("run", "b"): "32 x 10", ("broken", "a"): "damaged PFM",
+             ("told", "a"): "too dark"}  # fmt: skip
+    assert set(reasons) == set(words)
+    assert all(words[key] in reason for key, reason in reasons.items())
     assert "Not evaluated" in text_of(report)
     assert sum(row["metric"] == "failed" for row in rows(tmp_path / "out")) == 4
-    assert {r["run"] for r in json.loads((tmp_path / "out" / "scores.json").read_text())["failed"]} == {
-        "run", "broken", "told",
-    }  # fmt: skip
 
 
 def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
@@ -250,10 +246,9 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
 
 
 def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
-    with pytest.raises(InputError, match="no run"):
-        evaluate_runs([], truth, tmp_path / "out")
-    with pytest.raises(InputError, match="no such folder"):
-        evaluate_runs([tmp_path / "absent"], truth, tmp_path / "out")
+    for runs, message in (([], "no run"), ([tmp_path / "absent"], "no such folder"), ([truth, truth], "given twice")):
+        with pytest.raises(InputError, match=message):
+            evaluate_runs(runs, truth, tmp_path / "out")
     for name in ("a", "b"):
         (truth / name / "disp_left.png").unlink()
     with pytest.raises(InputError, match="ground truth"):
@@ -461,10 +456,8 @@ def test_a_folder_with_several_kinds_of_maps_is_refused(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--maps", "y={scene}.png"], "--maps y={scene}.png: no run is called 'y'; one of: x"),
+        (["--maps", "y={scene}.png"], "no run is called 'y'; one of: x"),
         (["--maps", "../{scene}.png"], "the path of a scene's map in the run folder"),
-        (["--maps", "{name}.png"], "the path of a scene's map in the run folder"),
-        (["--scale", "x=many"], "(got 'many')"),
         (["--scale", "0"], "--scale: expected a number from 1e-6 on"),
         (["--invalid", "1", "--invalid", "2"], "--invalid: two values for all runs"),
     ],
@@ -539,14 +532,9 @@ def test_the_terminal_shows_the_headline_within_100_columns(
     assert [line.split()[-1] for line in lines[3:6]] == ["best", "significant", "worse"]
     assert f"{tmp_path / 'out' / 'report.md'}" in err
     assert "every metric" in (tmp_path / "out" / "report.md").read_text()
-    assert main([*command, "--tables", "all"]) == 0
-    everything = capsys.readouterr().out
-    assert all(title in everything for title in ("every metric, nonocc", "every metric, disc", "by scene"))
     assert main([*command, "--tables", "metrics-all,scenes"]) == 0
     chosen = capsys.readouterr().out
     assert "every metric, all" in chosen and "by scene" in chosen and "every metric, disc" not in chosen
-    assert main([*command, "--tables", "metric"]) == 2
-    assert "expected all, headline, overview, metrics" in capsys.readouterr().err
     assert main([*command, "--tables", "metrics-edges"]) == 2
     assert "no table metrics-edges; there are headline, metrics-nonocc" in capsys.readouterr().err
 
