@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +137,7 @@ class SceneView:
         dense: ShownMap | None = None,
     ) -> None:
         """Add one run's map, with the status and confidence maps beside it; ``dense``: shown instead of few points."""
-        protocol, known = self.protocol, self.known
+        protocol, known, cut = self.protocol, self.known, self._start.index
         on_grid: Any = protocol.presentation.on_grid
         error = np.where(known, on_grid(protocol.error(estimate, truth), truth), np.nan)
         wrong = on_grid(protocol.wrong(estimate, truth), truth) & known
@@ -148,10 +148,8 @@ class SceneView:
             values, planes, packed_range = dense.values, dense.confidence, range_of(dense.values)
         # The script takes the difference of values and truth where that is the error.
         is_difference = np.allclose(error[known], np.abs(values - true)[known], rtol=1e-4, atol=1e-4, equal_nan=True)
-        for view, cut in self._add_run(run, values, packed_range, self._status(path), planes):
-            view["error"] = None if is_difference else pack(error[cut], 0.0, range_of(error)[1])
-            view["wrong"] = pack_bytes(wrong[cut])
-        cut = self._start.index
+        packed_error = None if is_difference else (error, range_of(error)[1])
+        self._pack(run, (values, packed_range), packed_error, wrong, self._status(path), planes)
         kind = pixel_kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
         worst = error[wrong & ~np.isnan(error)]
         high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
@@ -160,24 +158,23 @@ class SceneView:
 
     def add_shown(self, run: str, path: Path, shown: ShownMap) -> None:
         """Add the map of a run without truth: map, status, confidence and expected error."""
-        status, error = self._status(path), shown.expected_error
-        self.figures, self.note = dict(shown.figures), shown.note
-        for name, plane in list(shown.confidence.items())[:_MAX_CONFIDENCES]:
-            finite = plane[np.isfinite(plane)]
-            self.mean_confidence[f"{_words(name)}, mean"] = float(finite.mean()) if finite.size else np.nan
-        self.data["top"] = 1.0 if error is None else float(f"{scale_of(error)[1]:.2g}")
+        status, error, words, cut = (
+            self._status(path),
+            shown.expected_error,
+            self.protocol.presentation,
+            self._start.index,
+        )
+        top = self.data["top"] = 1.0 if error is None else float(f"{scale_of(error)[1]:.2g}")
         confidence = {n: plane for n, plane in shown.confidence.items() if plane.shape == shown.values.shape}
-        for view, cut in self._add_run(run, shown.values, range_of(shown.values), status, confidence):
-            view["error"] = None if error is None else pack(error[cut], 0.0, self.data["top"])
-        for each in self.data["views"]:
-            each["region"] = None
+        packed_error = None if error is None else (error, top)
+        self._pack(run, (shown.values, range_of(shown.values)), packed_error, None, status, confidence)
+        for view in self.data["views"]:
+            view["region"] = None
+        self.figures, self.note = dict(shown.figures), shown.note
         if shown.axes and (preview := _preview(path.with_name("preview.png"))):  # three slices say more than one
             self.sheet, self.thumbs = preview, {}
-            return
-        words, cut, top = self.protocol.presentation, self._start.index, self.data["top"]
         low, high = (f"{float(f'{self.data[end]:.4g}'):g}" for end in ("low", "high"))
-        thumbs = self.thumbs.setdefault(run, {})
-        thumbs[f"{words.quantity}, {low} to {high} {words.unit}"] = self._map_thumb(shown.values[cut])
+        thumbs = {f"{words.quantity}, {low} to {high} {words.unit}": self._map_thumb(shown.values[cut])}
         if error is not None:
             picture = packing.map_picture(_small(error[cut]), 0.0, top)
             thumbs[f"expected error, 0 to {top:g} {words.unit}"] = _png(picture)
@@ -190,8 +187,12 @@ class SceneView:
                     self.legend[entry["words"].removesuffix(", smoothed")] = color
             thumbs["status"] = _png(table[_small(status[cut])])
         for name, plane in list(confidence.items())[:_MAX_CONFIDENCES]:
+            words_of, finite = "confidence" if name == "confidence" else f"confidence {name}", plane[np.isfinite(plane)]
+            self.mean_confidence[f"{words_of}, mean"] = float(finite.mean()) if finite.size else np.nan
             grey = confidence_picture(_small(plane[cut]))
-            thumbs[f"{_words(name)}, dark: unsure"] = _png(np.repeat(grey[..., None], 3, axis=2))
+            thumbs[f"{words_of}, dark: unsure"] = _png(np.repeat(grey[..., None], 3, axis=2))
+        if self.sheet is None:
+            self.thumbs[run] = thumbs
 
     def close(self) -> None:
         """Scale the errors by the median of the runs' 90 % quantiles over wrong pixels, and draw their pictures."""
@@ -203,27 +204,30 @@ class SceneView:
             self.thumbs.setdefault(run, {})["error"] = self._blended(shaded, kind == UNKNOWN)
         self._errors, self.image = {}, None
 
-    def _add_run(
+    def _pack(
         self,
         run: str,
-        values: NDArray[Any],
-        packed_range: tuple[float, float],
+        values: tuple[NDArray[Any], tuple[float, float]],
+        error: tuple[NDArray[Any], float] | None,
+        wrong: NDArray[np.bool_] | None,
         status: Picture | None,
         confidence: Mapping[str, NDArray[Any]],
-    ) -> Iterator[tuple[dict[str, Any], tuple[Any, ...]]]:
-        """Pack the maps of a run, cut by cut; yield each cut's entry of the run, without errors, and its index."""
+    ) -> None:
+        """Pack the maps of a run, cut by cut; ``values`` and ``error`` with the range, or top, that is packed."""
         for view, cut in zip(self.data["views"], (each.index for each in self._cuts), strict=True):
-            entry: dict[str, Any] = {"values": pack(values[cut], *packed_range), "error": None, "wrong": None}
-            entry["status"] = None if status is None else pack_bytes(status[cut])
-            entry["confidence"] = {}
+            planes = {}
             for name, plane in confidence.items():
                 numbers = plane[cut].astype(np.float64)
-                packed = pack(numbers, *range_of(numbers), _CONFIDENCE_LEVELS)
                 finite = numbers[np.isfinite(numbers)]
                 shown = np.percentile(finite, _QUANTILES).tolist() if finite.size else [0.0, 1.0]
-                entry["confidence"][name] = {**packed, "shown": shown}
-            view["runs"][run] = entry
-            yield entry, cut
+                planes[name] = {**pack(numbers, *range_of(numbers), _CONFIDENCE_LEVELS), "shown": shown}
+            view["runs"][run] = {
+                "values": pack(values[0][cut], *values[1]),
+                "error": None if error is None else pack(error[0][cut], 0.0, error[1]),
+                "wrong": None if wrong is None else pack_bytes(wrong[cut]),
+                "status": None if status is None else pack_bytes(status[cut]),
+                "confidence": planes,
+            }
 
     def _map_thumb(self, plane: NDArray[np.floating[Any]]) -> str:
         small = _small(plane)
@@ -291,10 +295,6 @@ def smaller(data: dict[str, Any], factor: int) -> dict[str, Any]:
 
 def _with_margin(low: float, high: float) -> tuple[float, float]:
     return low - _MARGIN * (high - low), high + _MARGIN * (high - low)
-
-
-def _words(confidence: str) -> str:
-    return "confidence" if confidence == "confidence" else f"confidence {confidence}"
 
 
 def range_of(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:
