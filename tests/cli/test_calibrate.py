@@ -38,8 +38,8 @@ def shoot(folder: Path, rig: Rig, texture: np.ndarray, places: list, names: str 
 
 @pytest.fixture(scope="module")
 def chess(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """20 pairs of photos; the right one of pair 05 shows the board of pair 07."""
-    folder, places = tmp_path_factory.mktemp("chess") / "photos", list(boards.poses(20, EXTENT))
+    """14 pairs of photos; the right one of pair 05 shows the board of pair 07."""
+    folder, places = tmp_path_factory.mktemp("chess") / "photos", list(boards.poses(14, EXTENT))
     shoot(folder, boards.rig(), boards.chessboard(9, 6), places)
     shutil.copy(folder / "right07.png", folder / "right05.png")
     return folder
@@ -84,10 +84,7 @@ def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_belong_togeth
     assert all(camera["reprojection_error"] < 0.1 for camera in report["cameras"])
     assert report["warnings"] == []
     assert read_image(tmp_path / "stereo_coverage.png").shape == (504, 1288, 3)
-    again = tmp_path / "again.yml"
-    assert run("calibrate", chess, *CHESS, "-o", again, "-q") == 0
-    assert again.read_bytes() == target.read_bytes()
-    assert run("calibrate", chess, *CHESS, "-o", again) == 2
+    assert run("calibrate", chess, *CHESS, "-o", target) == 2
     assert "is there already" in capsys.readouterr().err
     # The rig rectifies photos of the same cameras.
     (tmp_path / "pairs" / "a").mkdir(parents=True)
@@ -101,7 +98,7 @@ def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_belong_togeth
 
 
 def test_a_charuco_board_may_be_seen_in_part(tmp_path: Path) -> None:
-    places = list(boards.poses(16, (9 * SQUARE, 6 * SQUARE), seed=2))
+    places = list(boards.poses(12, (9 * SQUARE, 6 * SQUARE), seed=2))
     shoot(tmp_path / "photos", boards.rig(), boards.charuco(11, 8, 0.018), places, "cam{side}/{k}.png")
     (tmp_path / "photos" / "camleft").rename(tmp_path / "photos" / "cam0")
     (tmp_path / "photos" / "camright").rename(tmp_path / "photos" / "cam1")
@@ -112,7 +109,7 @@ def test_a_charuco_board_may_be_seen_in_part(tmp_path: Path) -> None:
 
 def test_fisheye_lenses(tmp_path: Path) -> None:
     rig = boards.rig(fisheye=True)
-    shoot(tmp_path / "photos", rig, boards.chessboard(9, 6), list(boards.poses(16, EXTENT)))
+    shoot(tmp_path / "photos", rig, boards.chessboard(9, 6), list(boards.poses(10, EXTENT)))
     assert run("calibrate", tmp_path / "photos", *CHESS, "--fisheye", "-o", tmp_path / "c.yml", "-q") == 0
     found = read_rig([tmp_path / "c.yml"])
     assert found.left.fisheye
@@ -134,24 +131,27 @@ def test_one_camera_whose_boards_are_all_parallel_is_doubted(
     assert len(report["cameras"]) == 1 and "rig" not in report
 
 
-def test_a_wrong_number_of_corners_is_said(chess: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "photos").mkdir()
-    for name in ("left03.png", "left04.png", "right03.png", "right04.png"):
-        shutil.copy(chess / name, tmp_path / "photos")
+@pytest.fixture
+def few(chess: Path, tmp_path: Path) -> Path:
+    """Four of the pairs."""
+    return Path(shutil.copytree(chess, tmp_path / "photos", ignore=shutil.ignore_patterns("*[056789].png", "*1?.png")))
+
+
+def test_a_wrong_number_of_corners_is_said(few: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("calibrate", tmp_path / "photos", "--board", "10x7", "--square", "25mm", "-o", tmp_path / "c.yml") == 2
     err = capsys.readouterr().err
     assert "10 x 7 inner corners (11 x 8 squares)" in err and "--board counts inner corners" in err
     assert [each.name for each in tmp_path.iterdir()] == ["photos"]
 
 
-def test_damaged_photos_are_left_out_and_said(chess: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copytree(chess, tmp_path / "photos")
-    (tmp_path / "photos" / "left03.png").write_bytes((chess / "left03.png").read_bytes()[:5000])
-    write_png(tmp_path / "photos" / "left04.png", np.zeros((50, 60), np.uint8))
-    write_png(tmp_path / "photos" / "other.png", np.zeros((50, 60), np.uint8))
-    assert run("calibrate", tmp_path / "photos", *CHESS, "-o", tmp_path / "c.yml") == 3
+def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("left08.png", "right08.png"):
+        (few / name).write_bytes((few / name.replace("08", "03")).read_bytes()[:5000])
+    for name in ("left09.png", "other.png"):
+        write_png(few / name, np.zeros((50, 60), np.uint8))
+    assert run("calibrate", few, *CHESS, "-o", tmp_path / "c.yml") == 3
     out, err = capsys.readouterr()
-    assert "left03.png" in err and "other.png: left out" in err
+    assert "left08.png" in err and "other.png: left out" in err
     assert "left cannot be read" in out and "60 x 50 pixels, not 640 x 480" in out
 
 
@@ -160,7 +160,6 @@ def test_damaged_photos_are_left_out_and_said(chess: Path, tmp_path: Path, capsy
     [
         (("--board", "9by6", "--square", "25mm"), "--board: want 9x6 (inner corners)"),
         (("--board", "9x6", "--square", "25"), "a length with its unit, such as 25mm (got '25')"),
-        (("--board", "9x6", "--square", "25mm", "--marker", "5mm"), "those of a ChArUco board"),
         (("--board", "charuco:7x5", "--square", "25mm"), "--marker 18mm"),
         (("--board", "charuco:30x20", "--square", "2cm", "--marker", "1cm"), "4X4_50 has 50 markers, the board 300"),
         (("--board", "charuco:7x5", "--square", "2cm", "--marker", "1cm", "--dictionary", "9X9"), "no 9X9"),
@@ -216,12 +215,8 @@ def test_numbers_of_photos_are_no_cameras(tmp_path: Path) -> None:
     assert len(photos) == 6 and not unnamed and all(each.right is None for each in photos)
 
 
-@pytest.mark.slow
-def test_cameras_of_two_sizes_are_refused(chess: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copytree(chess, tmp_path / "photos")
-    for file in (tmp_path / "photos").rglob("*right*"):
-        image = read_image(file)
-        write_png(file, np.repeat(np.repeat(image, 2, 0), 2, 1))
-    command = ["calibrate", str(tmp_path / "photos"), "--board", "9x6", "--square", "25mm"]
-    assert main([*command, "-o", str(tmp_path / "stereo.yml")]) == 2
-    assert "bring" in capsys.readouterr().err and not (tmp_path / "stereo.yml").exists()
+def test_cameras_of_two_sizes_are_refused(few: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for file in few.glob("right*"):
+        write_png(file, np.pad(read_image(file), ((0, 20), (0, 0)), constant_values=120))
+    assert run("calibrate", few, *CHESS, "-o", tmp_path / "c.yml") == 2
+    assert "bring" in capsys.readouterr().err and not (tmp_path / "c.yml").exists()

@@ -30,11 +30,6 @@ def run(*arguments: str | Path) -> int:
     return main([str(a) for a in arguments])
 
 
-def process(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "depthcli", *map(str, arguments)]
-    return subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
-
-
 def test_maps_and_reports_for_a_folder(made_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "--scenes", "planes_*") == 0
     out, err = capsys.readouterr()
@@ -121,20 +116,6 @@ def test_a_range_that_nothing_gives_is_taken_from_key_points_with_a_warning(made
     assert "warning: the search range is not known: --max-disparity auto was taken, which gives " in err
 
 
-def test_runs_are_compared(made_scenes: Path, tmp_path: Path, capsys):
-    for preset in ("opencv-bm", "opencv-sgbm"):
-        assert run("stereo", preset, "-i", made_scenes, "-o", tmp_path / preset, "--scenes", "*_0", "-q") == 0
-    capsys.readouterr()
-    runs = (tmp_path / "opencv-bm", tmp_path / "opencv-sgbm")
-    assert run("evaluate", *runs, "--truth", made_scenes, "-o", tmp_path / "e", "--scenes", "*_0") == 0
-    out = capsys.readouterr().out
-    assert "opencv-bm" in out
-    assert "opencv-sgbm" in out
-    # The twelve scenes of which the runs lack eight: said, and told by the exit code.
-    assert run("evaluate", *runs, "--truth", made_scenes, "-o", tmp_path / "f", "--json") == 3
-    json.loads(capsys.readouterr().out)
-
-
 def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
     assert run("presets") == 0
     lines = capsys.readouterr().out.splitlines()
@@ -162,22 +143,11 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
         (("stereo", FAST, "-i", ".", "--left", "a", "--right", "b", "-o", "x"), "exclude each other"),
         (("stereo", FAST, "-i", "absent", "-o", "x"), "absent: no such folder"),
         (("stereo", FAST, "-i", ".", "-o", "x"), "no scenes found"),
-        (
-            ("stereo", FAST, "-i", ".", "-o", "x", "--set", "blok=3"),
-            "--set blok: no such key (got 3); did you mean 'bl",
-        ),
+        (("stereo", FAST, "-i", ".", "-o", "x", "--set", "blok=3"), "--set blok: no such key (got 3); did you mean"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--max-memory", "lots"), "--max-memory: must be a size such as 2GiB"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--max-disparity", "0"), "--max-disparity: should be greater"),
-        (("stereo", FAST, "-i", ".", "-o", "x", "--jobs", "0"), "--jobs"),
         (("stereo", FAST, "-i", "."), "Missing option '--output'"),
-        (("stereo",), "Missing argument"),
-        (("sterio",), "No such command 'sterio'"),
-        (("evaluate", "absent", "--truth", ".", "-o", "x"), "absent: no such folder"),
-        (
-            ("sample", "-o", "x", "--count", "0", "--width", "3"),
-            "Invalid value for '--count'",
-        ),
-        (("sample", "-o", "x", "--kind", "plane"), "plane"),
+        (("sample", "-o", "x", "--count", "0", "--width", "3"), "Invalid value for '--count'"),
         (("sample", "-o", "x", "--speckles", "0.1"), "--speckles has no effect on stereo scenes"),
         (("sample", "-o", "x", "--max-disparity", "300"), "at most width / 2 = 200"),
     ],
@@ -197,46 +167,24 @@ def test_a_scene_that_would_not_fit_fails_before_it_starts(made_scenes, tmp_path
 
     monkeypatch.setattr(OpencvSgbm, "peak_bytes", lambda self, shape, top: 3 << 30)
     monkeypatch.setattr(OpencvSgbm, "__call__", lambda *a: pytest.fail("was started"))
-    rc = run(
-        "stereo", "opencv-sgbm", "-i", made_scenes, "-o", tmp_path / "r", "--scenes", "planes_0", "--max-memory", "2G"
-    )
-    assert rc == 3
+    command = ("stereo", "opencv-sgbm", "-i", made_scenes, "--scenes", "planes_0", "--max-memory", "2G", "-o")
+    assert run(*command, tmp_path / "r") == 3
+    assert re.search(r"planes_0: needs at least 33\d\d MiB of memory even in tiles, 1907", capsys.readouterr().err)
+    assert run(*command, tmp_path / "s", "--set", "tiles=never") == 3
+    assert "needs about 3.0 GiB of memory (96 x 64 pixels, 13 disparities), 1.9 GiB" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"), [(ZeroDivisionError, 1, "this is a bug"), (KeyboardInterrupt, 130, "interrupted")]
+)
+def test_a_bug_and_ctrl_c_have_their_exit_codes(error, code: int, said: str, monkeypatch, capsys, tmp_path: Path):
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("depthcli.commands._batch.find_config", fail)
+    assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == code
     err = capsys.readouterr().err
-    assert re.search(r"planes_0: needs at least 33\d\d MiB of memory even in tiles, 1907 MiB may be used", err)
-    rc = run(
-        "stereo", "opencv-sgbm", "-i", made_scenes, "-o", tmp_path / "s", "--scenes", "planes_0", "--max-memory", "2G",
-        "--set", "tiles=never",
-    )  # fmt: skip
-    assert rc == 3
-    assert "planes_0: needs about 3.0 GiB of memory (96 x 64 pixels, 13 disparities), 1.9 GiB may be used" in (
-        capsys.readouterr().err
-    )
-
-
-def test_a_bug_is_exit_1_with_a_traceback(monkeypatch, capsys, tmp_path: Path):
-    monkeypatch.setattr("depthcli.commands._batch.find_config", lambda *a: 1 / 0)
-    assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == 1
-    err = capsys.readouterr().err
-    assert "ZeroDivisionError" in err
-    assert "this is a bug" in err
-
-
-def test_ctrl_c_is_exit_130(monkeypatch, capsys, tmp_path: Path):
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("depthcli.commands._batch.find_config", interrupted)
-    assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == 130
-    assert "interrupted" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_as_a_process(made_scenes: Path, tmp_path: Path):
-    assert process("--version").stdout.startswith("depthcli ")
-    done = process("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "r", "--jobs", "2", "--scenes", "planes_*")
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    assert process("stereo", FAST).returncode == 2
+    assert said in err and ("ZeroDivisionError" in err) == (code == 1)
 
 
 def test_help_imports_nothing_heavy():
@@ -304,11 +252,6 @@ def test_results_inside_the_input_are_no_scenes(made_scenes: Path, tmp_path: Pat
     assert "1 of 1 scenes are done already" in said
     assert f"{scenes / below}: holds a run, its results are left out" in said
     assert sorted(scenes.rglob("*")) == before
-    assert main(["stereo", "opencv-bm", "-i", str(scenes / below), "-o", str(tmp_path / "o"), "--list-scenes"]) == 0
-    assert main(["sample", "-o", str(tmp_path / "made/a"), "-n", "1", "--max-disparity", "16", "-q"]) == 0
-    capsys.readouterr()
-    assert main(["stereo", "opencv-bm", "-i", str(tmp_path / "made"), "-o", "o", "--list-scenes"]) == 0
-    assert capsys.readouterr().out.startswith("a/")
 
 
 def test_own_files_in_the_place_of_results_stay(made_scenes: Path, tmp_path: Path, capsys):

@@ -86,19 +86,6 @@ def test_the_command_is_shown_and_run_as_any_other(checkout: Path):
     assert np.all(read_pfm(checkout / "five" / "near" / "disp_left.pfm") == 5)
 
 
-def test_its_runs_are_resumed_and_its_configs_are_checked(checkout: Path):
-    assert run(checkout, "constant", "five", *IN, "-o", "again").returncode == 0
-    before = (checkout / "again" / "near" / "disp_left.pfm").stat().st_mtime_ns
-    again = run(checkout, "constant", "five", *IN, "-o", "again", "--json")
-    assert json.loads(again.stdout)["done"] == 2
-    assert "2 of 2 scenes are done already" in again.stderr
-    assert (checkout / "again" / "near" / "disp_left.pfm").stat().st_mtime_ns == before
-    other = run(checkout, "constant", "five", *IN, "-o", "again", "--set", "disparity=2")
-    assert (other.returncode, "another config" in other.stderr) == (2, True)
-    typo = run(checkout, "constant", "five", *IN, "-o", "x", "--set", "disprity=2")
-    assert "did you mean 'disparity'?" in typo.stderr
-
-
 def test_the_measures_serve_pairs_of_the_layout_and_the_protocol_ranks_the_runs(checkout: Path):
     done = run(checkout, "stereo", "squared.yaml", *IN, "-o", "squared")
     assert done.returncode == 0, done.stderr

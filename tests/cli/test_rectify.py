@@ -21,7 +21,7 @@ from depthcli.io.formats.calibrations import read_geometry, read_rig
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import read_status
-from depthcli.methods.stereo.rectification import match_views, rectify_uncalibrated, row_error
+from depthcli.methods.stereo.rectification import rectify_uncalibrated, row_error
 
 SIZE = (240, 180)
 # Planes n . X = 1 in the left camera's frame, nearest last: a slanted wall, a board in front of it.
@@ -76,6 +76,10 @@ class Shot(NamedTuple):
     rig: Rig
     left: Path
     right: Path
+
+    @property
+    def words(self) -> tuple[str | Path, ...]:
+        return ("--left", self.left, "--right", self.right, "--name", "room")
 
 
 def shot(folder: Path, taken: Rig) -> Shot:
@@ -204,8 +208,8 @@ def check_depth(scenes: Path, taken: Rig, tmp_path: Path, alpha: float = 0.0) ->
 
 def test_a_rectify_pair_has_rows_that_correspond_and_the_right_depth(pinhole: Shot, tmp_path: Path):
     taken = pinhole.rig
-    how = ("--name", "room", "--calibration", opencv(tmp_path / "c.yml", taken))
-    assert run("rectify", "--left", pinhole.left, "--right", pinhole.right, *how, "-o", tmp_path / "scenes", "-q") == 0
+    calibration = opencv(tmp_path / "c.yml", taken)
+    assert run("rectify", *pinhole.words, "--calibration", calibration, "-o", tmp_path / "scenes", "-q") == 0
     row = json.loads((tmp_path / "scenes/report.json").read_text())["scenes"][0]
     assert row["matches"] > 100 and row["overlap"] == 1 and row["row_error"] < 0.25 < 1.5 < row["row_error_before"]
     assert row["baseline"] == pytest.approx(np.linalg.norm(taken.translation))
@@ -220,12 +224,11 @@ def test_a_rectify_pair_has_rows_that_correspond_and_the_right_depth(pinhole: Sh
 @pytest.mark.slow
 def test_a_config_rectifies_on_the_fly(pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = opencv(tmp_path / "c.yml", pinhole.rig)
-    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room")
-    assert run("rectify", *images, "--calibration", file, "-o", tmp_path / "scenes", "-q") == 0
+    assert run("rectify", *pinhole.words, "--calibration", file, "-o", tmp_path / "scenes", "-q") == 0
     assert run("stereo", "fast", "-i", tmp_path / "scenes", "-o", tmp_path / "two", "-q") == 0
     config = tmp_path / "rig.yaml"
     config.write_text(f"base: fast\ncalibration: {file}\n")
-    once = ("stereo", config, *images, "-o", tmp_path / "one")
+    once = ("stereo", config, *pinhole.words, "-o", tmp_path / "one")
     assert run(*once, "-q") == 0
     one, two = tmp_path / "one/room", tmp_path / "two/room"
     for name in ("disp_left.pfm", "disp_left.png", "status.png", "preview.png"):
@@ -241,7 +244,7 @@ def test_a_config_rectifies_on_the_fly(pinhole: Shot, tmp_path: Path, capsys: py
         assert (tmp_path / "depth-one/room" / name).read_bytes() == (tmp_path / "depth-two/room" / name).read_bytes()
     # The option says the same; what was made is kept until the calibration changes.
     capsys.readouterr()
-    assert run("stereo", "fast", *images, "--calibration", file, "-o", tmp_path / "one") == 0
+    assert run("stereo", "fast", *pinhole.words, "--calibration", file, "-o", tmp_path / "one") == 0
     assert "done already" in capsys.readouterr().err
     opencv(file, rig(strength=0.75))
     assert run(*once) == 0
@@ -254,7 +257,7 @@ def test_a_config_rectifies_on_the_fly(pinhole: Shot, tmp_path: Path, capsys: py
 def test_python_rectifies_as_the_command_does(pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """The same files, and metric depth without further numbers; both ask for the unit of millimeters."""
     file, other = opencv(tmp_path / "c.yml", pinhole.rig), opencv(tmp_path / "mm.yml", pinhole.rig, unit=0.001)
-    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room", "--max-disparity", "30", "-q")
+    images = (*pinhole.words, "--max-disparity", "30", "-q")
     assert run("stereo", "fast", *images, "--calibration", file, "-o", tmp_path / "run") == 0
     assert run("depth", tmp_path / "run", "-o", tmp_path / "depth", "-q") == 0
     views = [read_image(side) for side in (pinhole.left, pinhole.right)]
@@ -374,16 +377,14 @@ def test_a_turned_camera_is_no_second_one(pinhole: Shot, tmp_path: Path, capsys:
     images = ("--left", pinhole.left, "--right", tmp_path / "turned.png", "--name", "room")
     assert run("rectify", *images, "--uncalibrated", "-o", tmp_path / "scenes") == 0
     assert "there is no depth to be found" in capsys.readouterr().err
-    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room")
-    assert run("rectify", *images, "--uncalibrated", "-o", tmp_path / "other") == 0
+    assert run("rectify", *pinhole.words, "--uncalibrated", "-o", tmp_path / "other") == 0
     assert "no depth" not in capsys.readouterr().err
 
 
 @pytest.mark.slow
 def test_fisheye_lenses(fish: Shot, tmp_path: Path):
     calibration = opencv(tmp_path / "c.yml", fish.rig)
-    images = ("--left", fish.left, "--right", fish.right, "--name", "room", "--calibration", calibration)
-    assert run("rectify", *images, "--fisheye", "-o", tmp_path / "scenes", "-q") == 0
+    assert run("rectify", *fish.words, "--calibration", calibration, "--fisheye", "-o", tmp_path / "scenes", "-q") == 0
     row = json.loads((tmp_path / "scenes/report.json").read_text())["scenes"][0]
     assert row["row_error"] < 0.25 < 1.5 < row["row_error_before"]
     check_depth(tmp_path / "scenes", fish.rig, tmp_path)
@@ -395,8 +396,7 @@ def test_without_calibration(pinhole: Shot, tmp_path: Path, capsys: pytest.Captu
     straight = Rig(*(Camera(lens.matrix, size=SIZE) for lens in (straight.left, straight.right)),
                          straight.rotation, straight.translation)  # fmt: skip
     taken = shot(tmp_path / "photos", straight)
-    images = ("--left", taken.left, "--right", taken.right, "--name", "room")
-    assert run("rectify", *images, "--uncalibrated", "-o", tmp_path / "scenes", "-q") == 0
+    assert run("rectify", *taken.words, "--uncalibrated", "-o", tmp_path / "scenes", "-q") == 0
     row = json.loads((tmp_path / "scenes/report.json").read_text())["scenes"][0]
     assert row["row_error"] < 0.3 < 1.5 < row["row_error_before"]
     assert row["overlap"] > 0.75
@@ -428,27 +428,22 @@ def test_points_that_no_two_cameras_explain_are_refused():
 
 @pytest.mark.slow
 def test_wrong_calibrations(pinhole: Shot, tmp_path: Path, capsys):
-    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room", "-o", tmp_path / "out", "-q")
+    images = (*pinhole.words, "-o", tmp_path / "out", "-q")
     taken = pinhole.rig
     swapped = Rig(taken.left, taken.right, taken.rotation, -taken.translation)
     above = Rig(taken.left, taken.right, np.eye(3), np.array([0.0, 0.1, 0.0]))
-    small = Rig(Camera(taken.left.matrix, size=(320, 240)), taken.right, taken.rotation, taken.translation)
     (tmp_path / "text.yml").write_text("nothing: here\n")
     (tmp_path / "part.yml").write_text("%YAML:1.0\n---\nalpha: 5\n")
     for file, said in (
         (opencv(tmp_path / "swapped.yml", swapped), "exchange the images"),
         (opencv(tmp_path / "above.yml", above), "one above the other"),
-        (kalibr(tmp_path / "small.yaml", small), None),
         (tmp_path / "text.yml", "of a kind that is known"),
         (tmp_path / "part.yml", "no K1, D1, K2, D2, R, T"),
         (ros(tmp_path, taken)[0], "give the left and the right one"),
         (tmp_path / "absent.yml", "no such file"),
     ):
-        code = run("rectify", *images, "--calibration", file)
-        err = capsys.readouterr().err
-        if said is not None:
-            assert code == 3
-            assert said in err
+        assert run("rectify", *images, "--calibration", file) == 3
+        assert said in capsys.readouterr().err
     for options in ((), ("--calibration", "a", "--uncalibrated"), ("--calibration", "a", "--unit", "inch")):
         assert run("rectify", *images, *options) == 2
     # The rows of another rig's calibration do not fit: said, not refused.
@@ -460,18 +455,11 @@ def test_wrong_calibrations(pinhole: Shot, tmp_path: Path, capsys):
 
 def test_alpha_shows_everything(pinhole: Shot, tmp_path: Path):
     calibration = opencv(tmp_path / "c.yml", pinhole.rig)
-    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room", "--calibration", calibration)
-    assert run("rectify", *images, "--alpha", "1", "-o", tmp_path / "scenes", "-q") == 0
+    assert (
+        run("rectify", *pinhole.words, "--calibration", calibration, "--alpha", "1", "-o", tmp_path / "scenes", "-q")
+        == 0
+    )
     row = json.loads((tmp_path / "scenes/report.json").read_text())["scenes"][0]
     assert 0.6 < row["overlap"] < 0.99
     assert row["row_error"] < 0.25
     assert (read_image(tmp_path / "scenes/room/left.png") == 0).all(axis=2).mean() > 0.01
-
-
-def test_matches_of_views():
-    noise = np.random.default_rng(2).random((120, 160)).astype(np.float32)
-    image = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-    left, right = match_views(image[:, 10:], image[:, :150])
-    assert len(left) > 30
-    np.testing.assert_allclose(np.median(right - left, axis=0), [10, 0], atol=0.05)
-    assert np.isnan(row_error(*match_views(np.zeros((50, 50), np.uint8), image)))

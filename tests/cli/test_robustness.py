@@ -6,8 +6,6 @@ import json
 import os
 import random
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +14,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.images import write_png
 
 PRESET = "opencv-bm"
 Damage = Callable[[random.Random, Path], None]
@@ -26,15 +25,7 @@ def flip(rng: random.Random, scene: Path) -> None:
     file = scene / rng.choice(["left.png", "right.png"])
     data = bytearray(file.read_bytes())
     for _ in range(rng.choice([1, 1, 3, 50])):
-        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-    file.write_bytes(data)
-
-
-def flip_head(rng: random.Random, scene: Path) -> None:
-    """Bytes of the header, where sizes and kinds are written."""
-    file = scene / rng.choice(["left.png", "right.png"])
-    data = bytearray(file.read_bytes())
-    data[rng.randrange(33)] = rng.randrange(256)
+        data[rng.randrange(rng.choice([33, len(data)]))] ^= 1 << rng.randrange(8)  # 33: the header
     file.write_bytes(data)
 
 
@@ -68,8 +59,6 @@ def wrong_kind(rng: random.Random, scene: Path) -> None:
 
 
 def wrong_size(rng: random.Random, scene: Path) -> None:
-    from depthcli.io.formats.images import write_png
-
     shape = rng.choice([(1, 1), (64, 95), (63, 96), (96, 64), (1, 96), (64, 96, 3)])
     kind = rng.choice([np.uint8, np.uint16])
     write_png(scene / rng.choice(["left.png", "right.png"]), np.full(shape, 77, kind))
@@ -77,8 +66,6 @@ def wrong_size(rng: random.Random, scene: Path) -> None:
 
 def tiny_pair(rng: random.Random, scene: Path) -> None:
     """A pair that agrees, but is smaller than any window."""
-    from depthcli.io.formats.images import write_png
-
     shape = (rng.randint(1, 6), rng.randint(1, 6))
     for name in ("left.png", "right.png"):
         write_png(scene / name, np.full(shape, 77, np.uint8))
@@ -120,8 +107,6 @@ def bad_truth(rng: random.Random, scene: Path) -> None:
 
 
 def bad_mask(rng: random.Random, scene: Path) -> None:
-    from depthcli.io.formats.images import write_png
-
     file = scene / rng.choice(["mask_nonocc.png", "mask_all.png", "mask_disc.png"])
     rng.choice(
         [
@@ -133,7 +118,7 @@ def bad_mask(rng: random.Random, scene: Path) -> None:
     )()
 
 
-IMAGES: list[Damage] = [flip, flip_head, cut, swap, wrong_kind, wrong_size, tiny_pair, bad_meta]
+IMAGES: list[Damage] = [flip, cut, swap, wrong_kind, wrong_size, tiny_pair, bad_meta]
 TRUTHS: list[Damage] = [bad_truth, bad_truth, bad_mask]
 
 
@@ -199,10 +184,9 @@ def test_damaged_truth(made_scenes, tmp_path, reference, capfd, seed: int):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
-def test_damaged_maps(made_scenes, tmp_path, capfd, seed: int):
+def test_damaged_maps(made_scenes, tmp_path, capfd):
     """Runs of other programs, broken in the same ways."""
-    rng = random.Random(seed)
+    rng = random.Random(0)
     for number in range(8):
         target = tmp_path / "run" / f"planes_{number % 3}"
         target.mkdir(parents=True, exist_ok=True)
@@ -256,21 +240,6 @@ def test_damaged_configs(made_scenes, tmp_path, capfd):
             assert not out.exists()
         codes.append(code)
     assert 20 < codes.count(2) < 60  # some damage is harmless, most is not
-
-
-@pytest.mark.slow
-def test_through_real_processes(made_scenes, tmp_path, reference):
-    damaged = broken_folder(made_scenes, tmp_path / "in", IMAGES, 99, 8)
-    command = [sys.executable, "-m", "depthcli", "stereo", PRESET, "-i", str(tmp_path / "in"), "--jobs", "2"]
-    done = subprocess.run([*command, "-o", str(tmp_path / "out")], capture_output=True, text=True, check=False)
-    check_run(tmp_path / "out", damaged, reference, done.returncode, done.stderr)
-    (tmp_path / "c.yaml").write_bytes(b"\x89PNG")
-    done = subprocess.run(
-        [sys.executable, "-m", "depthcli", "stereo", str(tmp_path / "c.yaml"), "-i", str(tmp_path / "in"), "-o", "x"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.count("\n") == 1
 
 
 def test_loops_of_links(made_scenes, tmp_path, capsys):

@@ -71,8 +71,6 @@ def test_wrong_keys_are_told_before_anything_is_computed(
     assert "depthcli: --over optimization.pp: no such key" in capsys.readouterr().err
     assert sweep(scenes, tmp_path / "a", "--over", "optimization.p2=2,-8") == 2
     assert "depthcli: --over optimization.p2: should be greater than 0 (got -8)" in capsys.readouterr().err
-    assert sweep(scenes, tmp_path / "a", "--over", "optimization.p1=1,2", "--set", "optimization.p2=-8") == 2
-    assert "depthcli: --set optimization.p2: should be greater than 0 (got -8)" in capsys.readouterr().err
     assert sweep(scenes, tmp_path / "a", "--over", "optimization.p2=2", "--command", "evaluate") == 2
     assert "--command: must be one of stereo, fuse" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()

@@ -48,17 +48,6 @@ def test_files_report_and_evaluation(made, tmp_path, capsys):
     assert "transparent" in json.dumps(document["evaluation"])
 
 
-def test_what_cannot_be_used_is_a_row_and_the_others_are_written(made, tmp_path, capsys):
-    folder = tmp_path / "in"
-    shutil.copytree(made, folder)
-    (folder / "glass_0" / "sparse.pfm").unlink()
-    assert main(["transparent", "sparse", "-i", str(folder), "-o", str(tmp_path / "run"), "--json"]) == 3
-    rows = json.loads(capsys.readouterr().out)["scenes"]
-    assert [row["status"] for row in rows] == ["failed", "done"]
-    assert "sparse" in rows[0]["error"]
-    assert "\n" not in rows[0]["error"]
-
-
 def test_memory_is_respected(made, tmp_path, capsys):
     command = ["transparent", "crf", "-i", str(made), "-o", str(tmp_path / "run"), "--max-memory", "20MiB", "--json"]
     assert main(command) == 3

@@ -88,11 +88,7 @@ def pairs(tmp_path):
 
 
 def measure(pairs, *words):
-    return measure_aloud(pairs, "--quiet", *words)
-
-
-def measure_aloud(pairs, *words):
-    own = ["--set", "radius=3", "--set", "half_window=1"]
+    own = ["--set", "radius=3", "--set", "half_window=1", "--quiet"]
     return main(["register-confidence", "mind", "-i", str(pairs), "-o", str(pairs.parent / "run"), *own, *words])
 
 
