@@ -1,16 +1,15 @@
 #!/usr/bin/env python3
 """Chapter 4: what refinements of a Kinect's depth maps are worth, in tables.
 
-    scripts/kinect_experiments.py DATA [--only simulated,ablations] [--fattening 4] [--presets dsrm,fast]
+    scripts/kinect_experiments.py DATA [--only simulated,real] [--presets dsrm,fast]
 
-DATA holds the Middlebury sets and the folders ``rgbd_*``. ``simulated``: Kinect-like measurements of every
-scene with a true disparity (``depthcli sample --kinect``), mean absolute error in pixels of disparity in gaps, at
-mismatched edges and on measured pixels; ``ablations``: the parts of dsrm, in the same figures; ``real``: 10 % of the
-known pixels of real frames taken out in blocks of 20 to 40 pixels, and bands of 6 pixels on the near or the far side of
-depth edges, mean absolute error there, mm, with and without the color image; ``variants``: simulated sensors that
-differ in what a Kinect does, the settings chosen on one half of sensors and scenes, on the other half not; ``speed``:
-seconds at 640 x 480, paired with ``cv2.inpaint`` (Telea) in the same process; ``sequence``: generated sequences, along
-them and frame by frame.
+DATA holds the Middlebury sets and the folders ``rgbd_*``. ``simulated``: Kinect-like measurements of every scene with
+a true disparity (``depthcli sample --kinect``), mean absolute error in pixels of disparity in gaps, at mismatched edges
+and on measured pixels; ``variants``: simulated sensors that differ in what a Kinect does, the settings chosen on one
+half of sensors and scenes, on the other half not; ``real``: 10 % of the known pixels of real frames taken out in blocks
+of 20 to 40 pixels, and bands of 6 pixels on the near or the far side of depth edges, mean absolute error there, mm,
+with and without the color image; ``speed``: seconds at 640 x 480, paired with ``cv2.inpaint`` (Telea) in the same
+process; ``sequence``: generated sequences, along them and frame by frame.
 """
 
 from __future__ import annotations
@@ -42,13 +41,8 @@ from depthcli.simulate.kinect_scenes import SEQUENCE_KINDS, make_kinect_scene, m
 
 SETS = ("middlebury_v2", "middlebury_2005", "middlebury_2006")
 PATTERNS = 5
+FATTENING = 4
 REGIONS = ("gap", "occluded", "specular", "mismatch", "measured")
-ABLATIONS: dict[str, list[str]] = {
-    "dsrm": [],
-    "no depth guidance": ["segmentation.depth_guidance=0"],
-    "no Huber weights": ["model.huber=null"],
-    "one layer": ["segmentation.coarser=[]"],
-}
 CHOSEN_ON = ("Teddy", "Cones", "Art", "Baby1", "Lampshade1", "Cloth3")
 VARIANTS: dict[str, dict[str, Sensor]] = {
     "tuning": {
@@ -92,12 +86,12 @@ def errors_of(run: Refine | None, made: KinectSample) -> Map:
     return np.abs(found - made.truth)
 
 
-def simulated(data: Path, methods: Mapping[str, Refine | None], fattening: int, title: str) -> None:
+def simulated(data: Path, methods: Mapping[str, Refine | None]) -> None:
     """Print a row a method: MAE by set and region, means over scenes."""
     cells: dict[tuple[str, str, str], list[float]] = {}
     for folder in SETS:
         for scene, color, truth in images(data, folder):
-            made = simulate_kinect(color, truth, 0, fattening=fattening)
+            made = simulate_kinect(color, truth, 0, fattening=FATTENING)
             for name, run in methods.items():
                 error = errors_of(run, made)
                 for region in REGIONS:
@@ -106,7 +100,7 @@ def simulated(data: Path, methods: Mapping[str, Refine | None], fattening: int, 
     columns = [(folder, region) for folder in SETS for region in REGIONS]
     rows = [(name, *(Number(mean_known(cells[name, *column]), 3) for column in columns)) for name in methods]
     header = ("method", *(f"{folder.removeprefix('middlebury_')} {region}" for folder, region in columns))
-    show(f"{title}, fattening {fattening} px: MAE, px, of estimated pixels", header, rows)
+    show(f"Simulated Kinect, fattening {FATTENING} px: MAE, px, of estimated pixels", header, rows)
 
 
 def variants(data: Path, methods: dict[str, Refine]) -> None:
@@ -271,18 +265,15 @@ def same_points(first: KinectSample, other: KinectSample) -> NDArray[np.int64]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parts = ("simulated", "variants", "ablations", "real", "speed", "sequence")
+    parts = ("simulated", "variants", "real", "speed", "sequence")
     _env.add_list(parser, "--only", parts, choices=parts)
-    parser.add_argument("--fattening", type=int, default=4)
     presets = [name for _, name, _ in list_presets("refine-kinect") if name != "sequence"]
     _env.add_list(parser, "--presets", presets)
     options = parser.parse_args()
     methods = {name: config_of("refine-kinect", name).pipeline for name in options.presets}
-    of_dsrm = {name: config_of("refine-kinect", "dsrm", *settings).pipeline for name, settings in ABLATIONS.items()}
     jobs: dict[str, Callable[[], None]] = {
-        "simulated": lambda: simulated(options.data, {"raw": None, **methods}, options.fattening, "Simulated Kinect"),
+        "simulated": lambda: simulated(options.data, {"raw": None, **methods}),
         "variants": lambda: variants(options.data, methods),
-        "ablations": lambda: simulated(options.data, of_dsrm, options.fattening, "Parts of dsrm"),
         "real": lambda: real(options.data, methods),
         "speed": lambda: speed(methods),
         "sequence": lambda: sequence(seeds=5),

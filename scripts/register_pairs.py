@@ -76,7 +76,6 @@ def register(
 ) -> Any:
     """Return the transform that maps points of the fixed volume to the moving one."""
     sitk = simple_itk()
-
     chain = [sitk.TranslationTransform(3)]
     if pair.masks is not None:
         centers = []
@@ -119,7 +118,6 @@ def errors(transform: Any, pair: Pair) -> np.ndarray:
 
 def write(pair: Pair, transform: Any, folder: Path) -> None:
     sitk = simple_itk()
-
     folder.mkdir(parents=True, exist_ok=True)
     fixed = pair.fixed
     low = float(sitk.GetArrayViewFromImage(pair.moving).min())

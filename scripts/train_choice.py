@@ -1,8 +1,7 @@
 #!/usr/bin/env python3
 """Train the network by which `fuse` chooses among maps.
 
-    python scripts/train_choice.py DATA OUT.json [--config accurate] [--samples FOLDER] [--held-out] [--seed 0]
-        [--units 32 16] [--epochs 12]
+    python scripts/train_choice.py DATA OUT.json [--config accurate] [--samples FOLDER] [--held-out]
 
 DATA is the folder of data sets. Only the tuning scenes of `stereo_groups.yaml` are used, each of them also from the
 other side (both images mirrored and swapped) where the right view's truth is known, and with the right image lit in
@@ -52,6 +51,8 @@ GENERATED = 0.3
 """What a generated scene counts."""
 LOOKS = ((1, 0, 0), (0.3, 2, 0), (0.1, 1, 0), (1, 2, 1), (0.3, 0, 0.5), (0.05, 2, 0.5))
 """Contrast of the walls, noise and strength of another light of the generated scenes."""
+UNITS, EPOCHS = (32, 16), 12
+"""Units of the two hidden layers, and passes over all samples."""
 Map = NDArray[np.float32]
 Loaded = tuple[StereoPair, int, Map, dict[str, NDArray[np.bool_]]]
 """A pair, the largest disparity, true disparities (H, W), and masks by region."""
@@ -189,8 +190,19 @@ def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]
     return total
 
 
-Samples = tuple[NDArray[np.float16], NDArray[np.float32], NDArray[np.float64]]
-"""Pixels of a scene: inputs (P, N, F), errors (P, N) pixels, weights (P,)."""
+Samples = dict[str, NDArray[Any]]
+"""Pixels of a scene: ``inputs`` (P, N, F), ``errors`` (P, N) pixels, ``weights`` (P,)."""
+
+
+def kept(file: Path | None, make: Callable[[], Samples]) -> Samples:
+    """Return the samples in a file, or those that ``make`` returns, which are kept there."""
+    if file is not None and file.exists():
+        return dict(np.load(file))
+    samples = make()
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(file, **samples)
+    return samples
 
 
 def samples_of(scene: TrainingScene, fusion: Fusion) -> Samples:
@@ -201,7 +213,7 @@ def samples_of(scene: TrainingScene, fusion: Fusion) -> Samples:
     pixels = np.sort(np.random.default_rng(5).choice(known, known.size // scene.pixel_step, replace=False))
     errors = np.abs(proposals.values.reshape(len(proposals.values), -1)[:, pixels] - truth.ravel()[pixels]).T
     rows = NetworkInputs.of(proposals).rows(pixels).astype(np.float16)
-    return rows, errors.astype(np.float32), weights[pixels]
+    return {"inputs": rows, "errors": errors.astype(np.float32), "weights": weights[pixels]}
 
 
 Batch = tuple[Map, Map, Map, NDArray[Any]]
@@ -244,30 +256,28 @@ def fit(layers: list[Map], batches: Iterable[Batch], steps: int, ranking: float,
             layers[j] -= (speed * step).astype(np.float32)
 
 
-def train(
-    samples: list[tuple[float, Samples]], maps: tuple[str, ...], trained_on: list[str], options: argparse.Namespace
-) -> TrainedNetwork:
+def train(samples: list[tuple[float, Samples]], maps: tuple[str, ...], trained_on: list[str]) -> TrainedNetwork:
     """Fit a network to samples of scenes, each with its weight."""
-    inputs, errors = (np.concatenate([one[k] for _, one in samples]) for k in (0, 1))
-    counts = np.concatenate([scale * weights / weights.sum() for scale, (*_, weights) in samples])
+    inputs, errors = (np.concatenate([one[key] for _, one in samples]) for key in ("inputs", "errors"))
+    counts = np.concatenate([scale * one["weights"] / one["weights"].sum() for scale, one in samples])
     counts = np.minimum(counts / counts.mean(), 8).astype(np.float32)[:, None]
     right = ((errors <= 1) + (errors <= 0.5).astype(np.float32)) / 2
     mean, scale = inputs.mean((0, 1), np.float32), 1 / (inputs.astype(np.float32).std((0, 1)) + 1e-3)
     number, count, size = inputs.shape
-    rng = np.random.default_rng(options.seed)
-    layers = new_layers(rng, size + count, 1, tuple(options.units))
+    rng = np.random.default_rng(0)
+    layers = new_layers(rng, size + count, 1, UNITS)
     batch = 1024
     which, one = np.tile(np.eye(count, dtype=np.float32), (batch, 1)), np.ones((batch * count, 1), np.float32)
 
     def batches() -> Iterator[Batch]:
-        for _ in range(options.epochs):
+        for _ in range(EPOCHS):
             order = rng.permutation(number)
             for start in range(0, number - batch + 1, batch):
                 chosen = np.sort(order[start : start + batch])
                 scaled = np.clip((inputs[chosen].astype(np.float32) - mean) * scale, -4, 4).reshape(-1, size)
                 yield np.concatenate([scaled, which], axis=1), one, right[chosen], counts[chosen]
 
-    fit(layers, batches(), options.epochs * (number // batch), ranking=1)
+    fit(layers, batches(), EPOCHS * (number // batch), ranking=1)
     w1, b1, w2, b2, w3, b3 = layers
     fitted = ((w1[:size], w1[size:] + b1), (w2, b2), (w3, b3))
     return TrainedNetwork(maps, input_names(maps), mean, scale, fitted, tuple(trained_on))
@@ -288,36 +298,24 @@ def main() -> int:
     parser.add_argument("--config", default="accurate")
     parser.add_argument("--samples", type=Path)
     parser.add_argument("--held-out", action="store_true")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--units", type=int, nargs=2, default=(32, 16), help="of the two hidden layers, multiples of 4")
-    parser.add_argument("--epochs", type=int, default=12)
     options = parser.parse_args()
     fusion = config_of("fuse", options.config, "maps.choice=energy", "confidence=[]")
-    found = list(scenes(options.data))
-    collected: list[Samples] = []
-    for scene in found:
+    both = []
+    for scene in scenes(options.data):
         file = options.samples / f"{scene.name}.npz" if options.samples else None
-        if file is not None and file.exists():
-            stored = np.load(file)
-            samples = stored["inputs"], stored["errors"], stored["weights"]
-        else:
-            samples = samples_of(scene, fusion)
-            if file is not None:
-                file.parent.mkdir(parents=True, exist_ok=True)
-                np.savez(file, inputs=samples[0], errors=samples[1], weights=samples[2])
-        collected.append(samples)
-        print(f"{scene.name}: {100 * (samples[1].min(1) > 1).mean():.2f} % out of reach", file=sys.stderr)
-    kinds, names = fusion.maps.kinds, [scene.name for scene in found]
-    both = list(zip(found, collected, strict=True))
+        both.append((scene, kept(file, partial(samples_of, scene, fusion))))
+        print(scene.name, file=sys.stderr)
+    kinds, names = fusion.maps.kinds, [scene.name for scene, _ in both]
     for half in (0, 1) if options.held_out else ():
-        trained = train([(s.weight, one) for s, one in both if s.half != half], kinds, names, options)
-        for scene, (inputs, errors, weights) in both:
+        trained = train([(s.weight, one) for s, one in both if s.half != half], kinds, names)
+        for scene, one in both:
             if scene.half == half and scene.weight == 1:
-                likeliest = log_odds(trained, inputs).argmax(1)[:, None]
-                wrong = np.take_along_axis(errors, likeliest, axis=1)[:, 0] > 1
-                print(f"{scene.name}: {100 * float((weights * wrong).sum() / weights.sum()):.2f} % wrong")
+                likeliest = log_odds(trained, one["inputs"]).argmax(1)[:, None]
+                wrong = np.take_along_axis(one["errors"], likeliest, axis=1)[:, 0] > 1
+                share = float((one["weights"] * wrong).sum() / one["weights"].sum())
+                print(f"{scene.name}: {100 * share:.2f} % wrong")
     if not options.held_out:
-        write_network(options.out, train([(s.weight, one) for s, one in both], kinds, names, options))
+        write_network(options.out, train([(s.weight, one) for s, one in both], kinds, names))
     return 0
 
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Train the networks that judge disparity maps (confidence, fuse maps): on tuning scenes and generated ones.
 
-    scripts/train_confidence.py DATA OUT [--samples DIR] [--jobs N] [--epochs N] [--seed N] [--held-out]
+    scripts/train_confidence.py DATA OUT [--samples DIR] [--jobs N] [--held-out]
 
 DATA is the folder with the test sets; OUT gets map_right.json, map_hidden.json and map_one_view.json. --samples keeps
 the training pixels in a folder, and takes those that are there. --held-out trains on either half of the tuning scenes
@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 from _experiments import matcher
 from numpy.typing import NDArray
-from train_choice import Batch, Loaded, Map, TrainingScene, fit, log_odds, new_layers, scenes
+from train_choice import Batch, Loaded, Map, Samples, TrainingScene, fit, kept, log_odds, new_layers, scenes
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
@@ -49,6 +49,7 @@ METHODS = (
 GROUPS = ((2, False), (3, False), (4, False), (1, True), (2, True), (4, True), (4, True))
 """Sizes of the groups that are judged, and whether the map of stereo fast and the median are added, as in a fusion."""
 ZOOM = 1.5
+EPOCHS = 4
 _RANKING = 0.5  # weight of the order of maps beside their chances
 _NO_VALUE = 1000.0  # error of a pixel without a value, pixels
 
@@ -130,16 +131,12 @@ def made_wrong(
     return {name: values.astype(np.float32) for name, values in made.items()}
 
 
-Samples = dict[str, NDArray[Any]]
-"""Pixels of a scene.
-
-``alone`` (M, P, len(ALONE)) of M maps, ``errors`` (M, P), pixels, of these maps, ``hidden`` (P,) in the right view; of
-each group k ``of_k`` (N,), which maps, and ``others_k`` (N, P, len(OTHERS)), its planes.
-"""
-
-
 def samples_of(scene: TrainingScene) -> Samples:
-    """Match the pair of a scene in all ways, and take one of ``2 pixel_step`` pixels."""
+    """Match the pair of a scene in all ways, and take one of ``2 pixel_step`` pixels.
+
+    ``alone`` (M, P, len(ALONE)) of M maps, ``errors`` (M, P), pixels, of these maps, ``hidden`` (P,) in the right view;
+    of each group k ``of_k`` (N,), which maps, and ``others_k`` (N, P, len(OTHERS)), its planes.
+    """
     pair, largest, truth, masks = scene.load()
     rng = np.random.default_rng(zlib.crc32(scene.name.encode()))
     maps = {name: matcher(name)(pair, largest).disparity for name in METHODS}
@@ -199,13 +196,13 @@ def pixels_of(samples: list[tuple[float, Samples]]) -> dict[int, Pixels]:
 
 def network(
     groups: dict[int, Pixels], thresholds: tuple[float, ...], maps: tuple[str, ...], inputs: tuple[str, ...],
-    sizes: tuple[int, int], names: list[str], options: argparse.Namespace,
+    sizes: tuple[int, int], names: list[str],
 ) -> TrainedNetwork:  # fmt: skip
     """Return a network of the chance of each map to be right within a threshold, chosen at random at every pixel.
 
     In groups it also learns that the likeliest map is right.
     """
-    rng = np.random.default_rng(options.seed)
+    rng = np.random.default_rng(0)
     some = [x.reshape(-1, x.shape[2])[:: max(1, x.shape[0] * n // 100_000)] for n, (x, *_) in groups.items()]
     spread = np.concatenate(some).astype(np.float32)
     mean, scale = spread.mean(0), 1 / (spread.std(0) + 1e-3)
@@ -215,7 +212,7 @@ def network(
     order = [n for n, count in parts.items() for _ in range(count)]
 
     def batches() -> Iterator[Batch]:
-        for _ in range(options.epochs):
+        for _ in range(EPOCHS):
             shuffled = {n: iter(np.array_split(rng.permutation(len(x)), max(1, parts[n])))
                         for n, (x, *_) in groups.items()}  # fmt: skip
             for n in rng.permutation(order):
@@ -227,25 +224,23 @@ def network(
                 which = np.repeat(np.eye(len(thresholds), dtype=np.float32)[k], n, axis=0)
                 yield scaled, which, wanted.astype(np.float32), np.minimum(weights / average[n], 8)[:, None]
 
-    fit(layers, batches(), options.epochs * len(order), _RANKING)
+    fit(layers, batches(), EPOCHS * len(order), _RANKING)
     w1, b1, w2, b2, w3, b3 = layers
     return TrainedNetwork(maps, inputs, mean, scale, ((w1, b1), (w2, b2), (w3, b3)), tuple(names))
 
 
-def trained(
-    samples: list[tuple[float, Samples]], names: list[str], options: argparse.Namespace
-) -> dict[str, TrainedNetwork]:
+def trained(samples: list[tuple[float, Samples]], names: list[str]) -> dict[str, TrainedNetwork]:
     """Return the networks ``map_right``, ``map_hidden`` and ``map_one_view``."""
     groups = pixels_of(samples)
-    right = network(groups, THRESHOLDS, RIGHT_NAMES, INPUTS, (64, 32), names, options)
+    right = network(groups, THRESHOLDS, RIGHT_NAMES, INPUTS, (64, 32), names)
     x, errors, weights = groups[1]
     visible = [np.where(one["hidden"], 0, 1).astype(np.float16) for _, one in samples for _ in one["alone"]]
     alone = np.ascontiguousarray(x[:, :, : len(ALONE)]), np.concatenate(visible)[:, None], weights
     shape = np.ascontiguousarray(x[:, :, [ALONE.index(name) for name in ONE_VIEW]]), errors, weights
     return {
         "map_right": right,
-        "map_hidden": network({1: alone}, (0.5,), (HIDDEN,), ALONE, (32, 16), names, options),
-        "map_one_view": network({1: shape}, THRESHOLDS, RIGHT_NAMES, ONE_VIEW, (32, 16), names, options),
+        "map_hidden": network({1: alone}, (0.5,), (HIDDEN,), ALONE, (32, 16), names),
+        "map_one_view": network({1: shape}, THRESHOLDS, RIGHT_NAMES, ONE_VIEW, (32, 16), names),
     }
 
 
@@ -255,8 +250,6 @@ def main() -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("--samples", type=Path)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--epochs", type=int, default=4)
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--held-out", action="store_true")
     options = parser.parse_args()
     found = training_scenes(options.data)
@@ -265,7 +258,7 @@ def main() -> int:
         collected = list(pool.map(_collect, [options.data] * many, range(many), [options.samples] * many))
     both = list(zip(found, collected, strict=True))
     for half in (0, 1) if options.held_out else ():
-        learned = trained([(s.weight, c) for s, c in both if s.half != half], [], options)["map_right"]
+        learned = trained([(s.weight, c) for s, c in both if s.half != half], [])["map_right"]
         for scene, one in both:
             if scene.half == half and scene.weight == 1:
                 zero = np.zeros((one["errors"].shape[1], len(OTHERS)), np.float16)
@@ -273,7 +266,7 @@ def main() -> int:
                     odds = log_odds(learned, np.concatenate([alone, zero], axis=1), THRESHOLDS.index(1.0))
                     print(f"{scene.name} {name}: AUC / optimal {sparsification(odds, errors > 1).ratio:.2f}")
     if not options.held_out:
-        networks = trained([(s.weight, c) for s, c in both], [s.name for s in found], options)
+        networks = trained([(s.weight, c) for s, c in both], [s.name for s in found])
         options.out.mkdir(parents=True, exist_ok=True)
         for name, one in networks.items():
             write_network(options.out / f"{name}.json", one)
@@ -282,15 +275,7 @@ def main() -> int:
 
 def _collect(data: Path, number: int, folder: Path | None) -> Samples:
     scene = training_scenes(data)[number]
-    file = None if folder is None else folder / f"{scene.name}.npz"
-    if file is not None and file.exists():
-        return dict(np.load(file))
-    samples = samples_of(scene)
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(file, **samples)
-    print(f"{scene.name}: {samples['errors'].shape[1]} pixels of {samples['errors'].shape[0]} maps", file=sys.stderr)
-    return samples
+    return kept(None if folder is None else folder / f"{scene.name}.npz", lambda: samples_of(scene))
 
 
 if __name__ == "__main__":
