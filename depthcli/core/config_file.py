@@ -11,7 +11,6 @@ import copy
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -63,7 +62,6 @@ def load_config(
         value = model.model_validate(config.data, context={"folder": folder})
     except ValidationError as error:
         problems += [_explain(config, each) for each in error.errors(include_url=False)]
-        problems += _missing_packages(config)
     if value is None or problems:
         lines = {text: re.match(r"[^\n]*?:(\d+): ", text) for text in problems}
         raise ConfigError("\n".join(sorted(lines, key=lambda text: int(at[1]) if (at := lines[text]) else 0)))
@@ -219,20 +217,3 @@ def _explain(config: ConfigData, error: Any) -> str:
 
 def _dotted(location: Location) -> str:
     return ".".join(map(str, location))
-
-
-def _missing_packages(config: ConfigData) -> Iterator[str]:
-    """Yield a line for every package, or plug-in file, that the run of a run.yaml was made with and that is not here.
-
-    Their methods are unknown here, which the other errors say.
-    """
-    run = config.data.get("run")
-    versions = run.get("versions") if isinstance(run, dict) else None
-    for package, version in versions.items() if isinstance(versions, dict) else ():
-        place = f"{config.place(('run', 'versions', package))}: run.versions.{package}"
-        made = f"{place}: the run was made with {package} {version}, which is not"
-        if package.endswith(".py"):
-            if not is_file_loaded(package):
-                yield f"{made} loaded; --plugin FILE.py says where it is"
-        elif package != "python" and not any(metadata.distributions(name=package)):
-            yield f"{made} installed"
