@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from depthcli.kernels.jit import parallel_jit, prange
 
+_DISC_GAP = 2.0  # difference of the disparities of neighbors at a discontinuity, pixels
+
 
 def local_moments(image: NDArray[np.float32], side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return mean and variance in square windows of ``side`` pixels, reflected at the border; (H, W) float32 each."""
@@ -22,19 +24,16 @@ def local_moments(image: NDArray[np.float32], side: int) -> tuple[NDArray[np.flo
 
 
 def discontinuity_mask(
-    disparity: NDArray[np.floating[Any]],
-    nonocc: NDArray[np.bool_],
-    known: NDArray[np.bool_] | None = None,
-    gap: float = 2.0,
+    disparity: NDArray[np.floating[Any]], nonocc: NDArray[np.bool_], known: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_]:
     """Return the visible pixels near a depth discontinuity, as in the ``disc`` masks of Middlebury v2.
 
     These are the pixels of ``nonocc`` (visible in both views) whose 9 x 9 window contains an occluded pixel, or one
-    whose disparity differs by more than ``gap`` from that of a 4-neighbor. Only ``known`` pixels that are not visible
+    whose disparity differs by more than 2 from that of a 4-neighbor. Only ``known`` pixels that are not visible
     count as occluded; None: all are known. Disparities are finite.
     """
     edge = ~nonocc if known is None else known & ~nonocc
-    jump_x, jump_y = np.abs(np.diff(disparity, axis=1)) > gap, np.abs(np.diff(disparity, axis=0)) > gap
+    jump_x, jump_y = np.abs(np.diff(disparity, axis=1)) > _DISC_GAP, np.abs(np.diff(disparity, axis=0)) > _DISC_GAP
     edge[:, 1:] |= jump_x
     edge[:, :-1] |= jump_x
     edge[1:] |= jump_y

@@ -17,7 +17,7 @@ def trws(
     weights: NDArray[np.float32],
     truncation: float,
     iterations: int = 10,
-) -> tuple[NDArray[np.int32], float]:
+) -> NDArray[np.int32]:
     """Choose one candidate per pixel so that ``sum unary + sum weight min(|v_p - v_q|, truncation)`` is small.
 
     The pairs (p, q) are neighbors among the active pixels: eight per pixel, or four if the weights of the diagonals
@@ -35,14 +35,11 @@ def trws(
     truncation : difference of two values beyond which the cost of a pair no longer grows
     iterations : number of forward and backward passes
 
-    Returns
-    -------
-    labels : (N,) index of the chosen candidate
-    lower_bound : no choice of candidates has a smaller energy, up to rounding
+    Returns the (N,) indices of the chosen candidates.
     """
     count = int(np.count_nonzero(active))
     if count == 0:
-        return np.empty(0, np.int32), 0.0
+        return np.empty(0, np.int32)
     height, width = active.shape
     nodes = np.full((height + 2, width + 2), -1, np.int32)
     nodes[1:-1, 1:-1][active] = np.arange(count, dtype=np.int32)
@@ -53,13 +50,12 @@ def trws(
     share, earlier = _order(nodes, count)
     messages = np.zeros((count, 4, values.shape[1]), np.float32)
     cap = np.float32(truncation)
-    row_bounds = np.zeros(height, np.float64)
     for _ in range(iterations):
         for backward in range(2):
-            _pass(nodes, values, unary, weights, cap, choices, share, earlier, messages, backward, row_bounds)
+            _pass(nodes, values, unary, weights, cap, choices, share, earlier, messages, backward)
     labels = np.zeros(count, np.int32)
     _select(nodes, values, unary, weights, cap, choices, earlier, messages, labels)
-    return labels, float(row_bounds.sum())
+    return labels
 
 
 # Neighbor k of a pixel lies at (_DY[k], _DX[k]); pair k < 4 is stored with the pixel, pair k >= 4 with the
@@ -104,7 +100,7 @@ def _order(nodes, count):
 def _visit(
     y, x, n, send_to_earlier, nodes, values, unary, weights, truncation, choices, share, earlier, messages, belief
 ):
-    # Update the messages from pixel (y, x), node n, to its earlier or later neighbors; return its part of the bound.
+    # Update the messages from pixel (y, x), node n, to its earlier or later neighbors.
     labels = choices[n]
     for i in range(labels):
         belief[i] = unary[n, i]
@@ -120,7 +116,6 @@ def _visit(
     for i in range(labels):
         belief[i] -= lowest
     part = share[n]
-    total = np.float64(lowest)
     for k in range(8):
         m = nodes[y + 1 + _DY[k], x + 1 + _DX[k]]
         if m < 0 or ((earlier[n] >> k) & 1) != send_to_earlier:
@@ -144,13 +139,11 @@ def _visit(
             lowest = min(lowest, belief[values.shape[1] + j])
         for j in range(others):
             message[j] = belief[values.shape[1] + j] - lowest
-        total += lowest
-    return total
 
 
 @parallel_jit
-def _pass(nodes, values, unary, weights, truncation, choices, share, earlier, messages, backward, row_bounds):
-    # A forward (0) or backward (1) pass; ``row_bounds`` (H,) float64 become the rows' parts of the lower bound.
+def _pass(nodes, values, unary, weights, truncation, choices, share, earlier, messages, backward):
+    # A forward (0) or backward (1) pass.
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     for turn in range(2):
         last = 1 - turn if backward else turn
@@ -161,16 +154,14 @@ def _pass(nodes, values, unary, weights, truncation, choices, share, earlier, me
                 y = stop - 1 - i if backward else start + i
                 if (_rank(y, height) == _BAND) != last:
                     continue
-                total = 0.0
                 for j in range(width):
                     x = width - 1 - j if backward else j
                     n = nodes[y + 1, x + 1]
                     if n >= 0:
-                        total += _visit(
+                        _visit(
                             y, x, n, backward, nodes, values, unary, weights, truncation, choices, share, earlier,
                             messages, belief,
                         )  # fmt: skip
-                row_bounds[y] = total
 
 
 @parallel_jit

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 
@@ -52,15 +50,3 @@ def test_depth_keeps_apart_what_color_would_join():
     assert len(np.unique(labels[:, :26])) == len(np.unique(labels[:, 34:])) == 1  # the gap joins either
     assert StatisticalRegionMerging(depth_guidance=0)(image, depth).max() == 0
     assert StatisticalRegionMerging()(image).max() == 0
-
-
-def test_layers_are_nested_and_inputs_untouched():
-    image, depth = blocks(60, 80), depths(60, 80)
-    copies = image.copy(), depth.copy()
-    layers = StatisticalRegionMerging(complexity=2000, coarser=(200, 20), min_size=1).layers(image, depth)
-    for fine, coarse in itertools.pairwise(layers):
-        assert coarse.max() < fine.max()
-        for label in range(fine.max() + 1):
-            assert len(np.unique(coarse[fine == label])) == 1
-    np.testing.assert_array_equal(image, copies[0])
-    np.testing.assert_array_equal(depth, copies[1])

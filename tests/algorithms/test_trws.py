@@ -45,18 +45,17 @@ def random_problem(rng, active, labels=3):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(25))
-def test_between_the_bound_and_the_optimum_on_tiny_grids(seed):
+def test_near_the_optimum_on_tiny_grids(seed):
     rng = np.random.default_rng(seed)
     active = rng.random(tuple(rng.integers(1, 5, 2))) < 0.75
     active.flat[np.flatnonzero(active)[9:]] = False
     values, unary, weights = random_problem(rng, active)
-    labels, lower_bound = trws(values, unary, active, weights, 4.0, 40)
+    labels = trws(values, unary, active, weights, 4.0, 40)
     pairs = list(pairs_of(active, weights))
     if not active.any():
-        assert labels.shape == (0,) and lower_bound == 0
+        assert labels.shape == (0,)
         return
     best = best_energy(values, unary, pairs, 4.0)
-    assert lower_bound - 1e-4 <= best
     assert energy_of(labels, values, unary, pairs, 4.0) <= best + 0.05 * abs(best)
 
 
@@ -66,14 +65,13 @@ def test_exact_on_chains(shape, seed):
     rng = np.random.default_rng(seed)
     active = np.ones(shape, bool)
     values, unary, weights = random_problem(rng, active)
-    labels, lower_bound = trws(values, unary, active, weights, 2.0, 3)
+    labels = trws(values, unary, active, weights, 2.0, 3)
     pairs = list(pairs_of(active, weights))
     best = best_energy(values, unary, pairs, 2.0)
     assert energy_of(labels, values, unary, pairs, 2.0) == pytest.approx(best, abs=1e-4)
-    assert lower_bound == pytest.approx(best, abs=1e-4)
 
 
-def test_the_bound_holds_and_the_answer_is_the_same_at_any_number_of_threads():
+def test_the_answer_is_the_same_at_any_number_of_threads():
     rng = np.random.default_rng(3)
     active = rng.random((97, 61)) < 0.8
     values, unary, weights = random_problem(rng, active, 4)
@@ -83,10 +81,9 @@ def test_the_bound_holds_and_the_answer_is_the_same_at_any_number_of_threads():
         numba.set_num_threads(threads)
         results.append(trws(values, unary, active, weights, 4.0, 8))
     numba.set_num_threads(max_threads)
-    (labels, lower_bound), (other_labels, other_bound) = results
+    labels, other_labels = results
     np.testing.assert_array_equal(labels, other_labels)
     pairs = list(pairs_of(active, weights))
     energy = energy_of(labels, values, unary, pairs, 4.0)
-    assert lower_bound == other_bound <= energy
     first = np.where(np.isfinite(unary), unary, np.inf).argmin(axis=1)
     assert energy < energy_of(first, values, unary, pairs, 4.0)

@@ -96,7 +96,7 @@ def _hessian(integral, step, size, responses, signs):
 def _maxima(responses, signs, step, first_size, size_step, threshold):
     # Maxima over 3 x 3 x 3 cells, moved to the peak of the parabola through them.
     layers, rows, columns = responses.shape
-    points = np.empty((256, 5), np.float32)
+    points = np.empty((np.count_nonzero(responses >= threshold), 5), np.float32)
     count = 0
     for k in range(1, layers - 1):
         for j in range(1, rows - 1):
@@ -107,10 +107,6 @@ def _maxima(responses, signs, step, first_size, size_step, threshold):
                 dx, dy, dk = _offset(responses, k, j, i)
                 if abs(dx) > 1.0 or abs(dy) > 1.0 or abs(dk) > 1.0:
                     continue  # no peak here: a ridge
-                if count == points.shape[0]:
-                    larger = np.empty((2 * count, 5), np.float32)
-                    larger[:count] = points
-                    points = larger
                 points[count, 0] = (i + dx) * step
                 points[count, 1] = (j + dy) * step
                 points[count, 2] = 1.2 / 9.0 * (first_size + (k + dk) * size_step)

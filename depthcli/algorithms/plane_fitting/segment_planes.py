@@ -103,52 +103,35 @@ def _fit(
     values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center
 ):
     for k in prange(chosen.size):
-        first = starts[chosen[k]]
-        count = starts[chosen[k] + 1] - first
-        px = np.empty(count, np.float64)
-        py = np.empty(count, np.float64)
-        pd = np.empty(count, np.float64)
-        mx = 0.0
-        my = 0.0
-        for i in range(count):
-            pixel = order[first + i]
-            px[i] = pixel % width
-            py[i] = pixel // width
-            pd[i] = values[pixel]
-            mx += px[i]
-            my += py[i]
-        mx /= count
-        my /= count
-        for i in range(count):
+        pixels = order[starts[chosen[k]] : starts[chosen[k] + 1]]
+        px, py, pd = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size)
+        for i in range(pixels.size):
+            px[i], py[i], pd[i] = pixels[i] % width, pixels[i] // width, values[pixels[i]]
+        mx, my, flat = px.mean(), py.mean(), np.median(pd)
+        for i in range(pixels.size):
             px[i] -= mx
             py[i] -= my
-        flat = np.median(pd)
-        state = np.uint64(seed + 1) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(chosen[k] + 1) * np.uint64(
-            0xBF58476D1CE4E5B9
-        )
+        state = np.uint64(seed + 1) * np.uint64(0x9E3779B97F4A7C15)
+        state += np.uint64(chosen[k] + 1) * np.uint64(0xBF58476D1CE4E5B9)
         a, b, c = _ransac(px, py, pd, flat, tolerance, trials, max_slope, state)
         a, b, c = _refit(px, py, pd, a, b, c, tolerance, max_slope)
         # Where a slope hardly lowers the misfit, it follows noise.
-        if flatness * _misfit(px, py, pd, 1, 0.0, 0.0, flat, tolerance, np.inf) <= _misfit(
-            px, py, pd, 1, a, b, c, tolerance, np.inf
-        ):
+        misfit = _misfit(px, py, pd, 1, a, b, c, tolerance, np.inf)
+        if flatness * _misfit(px, py, pd, 1, 0.0, 0.0, flat, tolerance, np.inf) <= misfit:
             a, b, c = 0.0, 0.0, flat
         n, sx, sy, _ = _inlier_sums(px, py, pd, a, b, c, tolerance)
-        coefficients[k, 0] = a
-        coefficients[k, 1] = b
-        coefficients[k, 2] = c - a * mx - b * my
+        coefficients[k, 0], coefficients[k, 1], coefficients[k, 2] = a, b, c - a * mx - b * my
+        center[k, 0], center[k, 1] = mx + sx / max(n, 1), my + sy / max(n, 1)
         support[k] = n
-        center[k, 0] = mx + sx / max(n, 1)
-        center[k, 1] = my + sy / max(n, 1)
 
 
 @jit
-def _next(state):
-    # xorshift64*: three shifts are enough to pick pixels.
+def _pick(state, count):
+    # The next state of xorshift64*, whose three shifts are enough to pick pixels, and one of ``count`` pixels.
     state ^= state >> np.uint64(12)
     state ^= state << np.uint64(25)
     state ^= state >> np.uint64(27)
-    return state
+    return state, int(state >> np.uint64(11)) % count
 
 
 @jit
@@ -159,12 +142,9 @@ def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state):
     a, b, c = 0.0, 0.0, flat
     best = _misfit(px, py, pd, stride, a, b, c, tolerance, np.inf)
     for _ in range(trials if count >= 3 else 0):
-        state = _next(state)
-        i0 = int(state >> np.uint64(11)) % count
-        state = _next(state)
-        i1 = int(state >> np.uint64(11)) % count
-        state = _next(state)
-        i2 = int(state >> np.uint64(11)) % count
+        state, i0 = _pick(state, count)
+        state, i1 = _pick(state, count)
+        state, i2 = _pick(state, count)
         ux, uy, ud = px[i1] - px[i0], py[i1] - py[i0], pd[i1] - pd[i0]
         vx, vy, vd = px[i2] - px[i0], py[i2] - py[i0], pd[i2] - pd[i0]
         cross = ux * vy - uy * vx
@@ -188,9 +168,7 @@ def _refit(px, py, pd, a, b, c, tolerance, max_slope):
         n, sx, sy, sd = _inlier_sums(px, py, pd, a, b, c, tolerance)
         if n < 3:
             break
-        sx /= n
-        sy /= n
-        sd /= n
+        sx, sy, sd = sx / n, sy / n, sd / n
         xx, xy, yy, xd, yd = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(px.size):
             if abs(a * px[i] + b * py[i] + c - pd[i]) <= tolerance:
@@ -246,14 +224,10 @@ def _distinct(coefficients, center, slope_tolerance, offset_tolerance, max_plane
     count = 0
     for k in range(coefficients.shape[0]):
         for j in range(count):
-            da = coefficients[k, 0] - coefficients[kept[j], 0]
-            db = coefficients[k, 1] - coefficients[kept[j], 1]
-            dc = coefficients[k, 2] - coefficients[kept[j], 2]
-            if (
-                abs(da) <= slope_tolerance
-                and abs(db) <= slope_tolerance
-                and abs(da * center[k, 0] + db * center[k, 1] + dc) <= offset_tolerance
-            ):
+            first, other = coefficients[k], coefficients[kept[j]]
+            da, db, dc = first[0] - other[0], first[1] - other[1], first[2] - other[2]
+            apart = abs(da * center[k, 0] + db * center[k, 1] + dc)
+            if max(abs(da), abs(db)) <= slope_tolerance and apart <= offset_tolerance:
                 stands_for[k] = j
                 break
         if stands_for[k] < 0 and count < max_planes:

@@ -328,7 +328,7 @@ def choose_candidates(
     active = np.zeros(disparity.shape, bool)
     active[pixels[:, 0], pixels[:, 1]] = True
     candidates, unary, weights = candidates[has_candidates], unary[has_candidates], weights[has_candidates]
-    labels, _ = trws(candidates, unary, active, weights, truncation * noise, iterations)
+    labels = trws(candidates, unary, active, weights, truncation * noise, iterations)
     chosen[active] = candidates[np.arange(len(pixels)), labels]
     return chosen
 

@@ -56,7 +56,7 @@ def match_rectified(
         last = np.searchsorted(rows, points.y + max_row_difference, side="left").astype(np.int32)
         own = points.x, points.sign, points.scale, points.descriptors
         other = others.x[order], others.sign[order], others.scale[order], others.descriptors[order]
-        nearest, distance = _nearest(*own, *other, first, last, low, high, ratio, max_scale_ratio)
+        nearest, distance = _nearest(*own, *other, first, last, (low, high, ratio, max_scale_ratio))
         return np.append(order, np.int32(-1))[nearest], distance
 
     nearest, distance = search(left, right, min_disparity, max_disparity)
@@ -71,23 +71,9 @@ def match_rectified(
 
 
 @parallel_jit
-def _nearest(
-    x,
-    sign,
-    scale,
-    descriptors,
-    other_x,
-    other_sign,
-    other_scale,
-    other_descriptors,
-    low,
-    high,
-    min_shift,
-    max_shift,
-    ratio,
-    max_scale_ratio,
-):
+def _nearest(x, sign, scale, descriptors, other_x, other_sign, other_scale, other_descriptors, low, high, limits):
     # Nearest candidate of each key point, -1 where there is none or the second is too near; and its distance.
+    min_shift, max_shift, ratio, max_scale_ratio = limits
     nearest = np.full(x.size, -1, np.int32)
     distance = np.full(x.size, np.inf, np.float32)
     for k in prange(x.size):

@@ -10,13 +10,7 @@ import pytest
 
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.winners import winners
-from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
-from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.methods.stereo.aggregation.cross import Cross
 from depthcli.methods.stereo.config import StereoConfig
-from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
-from depthcli.methods.stereo.cost.combined import Combined
 from depthcli.methods.stereo.pipeline.opencv_bm import OpencvBm
 from depthcli.methods.stereo.pipeline.opencv_sgbm import OpencvSgbm
 from depthcli.run.presets import find_config
@@ -24,10 +18,6 @@ from depthcli.simulate.stereo_scenes import make_scene
 from tests.scenes import V2, rates, real_scenes
 
 pytestmark = pytest.mark.slow
-
-AD_CENSUS = Combined.model_validate(
-    {"parts": [{"cost": "absolute_difference", "lambda": 10}, {"cost": "census", "lambda": 30}]}
-)
 
 
 def errors(values, truth):
@@ -45,23 +35,6 @@ def test_peers_have_their_known_error(peer, golden):
     """Both ways: a peer that we run worse than it is would make our own figures look good."""
     rated = [errors(peer(pair, top).disparity.values, truth) for pair, truth, top in real_scenes().values()]
     assert np.mean(rated) == pytest.approx(golden, abs=0.4)
-
-
-@pytest.mark.parametrize(
-    ("cost", "aggregate", "golden"),
-    [
-        pytest.param(AbsoluteDifference(), ConstantWindow(window=11), 12.3, id="ad-cw"),
-        pytest.param(AD_CENSUS, ConstantWindow(window=11), 6.1, id="ad-census-cw"),
-        pytest.param(AD_CENSUS, Cross(iterations=1, support="intersection"), 3.3, id="ad-census-cross"),
-        pytest.param(AD_CENSUS, AdaptiveWeight(window=15), 3.9, id="ad-census-aw15"),
-    ],
-)
-def test_aggregation_without_refinement(cost, aggregate, golden):
-    """A point of figure 3.3: winner-takes-all, non-occluded."""
-    rated = []
-    for pair, truth, max_disparity in real_scenes().values():
-        rated.append(errors(winners(aggregate(cost(pair, max_disparity + 1), pair).costs)[0], truth)[0])
-    assert np.mean(rated) <= golden + 0.2
 
 
 @pytest.mark.parametrize(

@@ -301,13 +301,6 @@ def test_exit_codes_and_signals_are_named_with_the_end_of_the_output(tmp_path: P
     assert "\n" not in str(error.value)
 
 
-def test_a_program_that_is_missing_or_cannot_be_run_is_named(tmp_path: Path):
-    (tmp_path / "text").write_text("no program")
-    for name, reason in (("absent", "No such file"), ("text", "Permission denied")):
-        with pytest.raises(ProgramError, match=f"{name} cannot be started: {reason}"):
-            run_program([str(tmp_path / name)], tmp_path, 9.0)
-
-
 CHILD = """
 import os, signal, time
 from pathlib import Path

@@ -67,25 +67,3 @@ def test_holes_are_mismatches_and_fills_keep_the_reason():
     assert np.all(holes.status[empty] & (Status.MISMATCH | Status.OUT_OF_RANGE))
     np.testing.assert_array_equal(filled.status[empty], holes.status[empty] | Status.FILLED)
     np.testing.assert_array_equal(filled.values[~empty], holes.values[~empty])
-
-
-def test_the_wls_filter_runs_on_one_thread(monkeypatch):
-    # With more of them it rounds otherwise, though seldom by as much as a step of its result.
-    threads = []
-    create = cv2.ximgproc.createDisparityWLSFilter
-
-    class Watched:
-        def __init__(self, matcher):
-            self._filter = create(matcher)
-
-        def __getattr__(self, name):
-            threads.append((name, cv2.getNumThreads()))
-            return getattr(self._filter, name)
-
-    monkeypatch.setattr(cv2.ximgproc, "createDisparityWLSFilter", Watched)
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(2)
-    OpencvSgbm(wls={})(smooth_pair(60, 120, 6), 16)
-    assert cv2.getNumThreads() == 2
-    cv2.setNumThreads(before)
-    assert ("filter", 1) in threads
