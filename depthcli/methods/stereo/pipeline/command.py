@@ -128,7 +128,7 @@ class Program(StereoPipeline):
                 word.format_map(dict.fromkeys(known, ""))
             except KeyError as error:
                 raise ValueError(f"no placeholder {{{error.args[0]}}}; there are: {', '.join(known)}") from None
-            except (ValueError, LookupError, AttributeError) as error:
+            except (ValueError, LookupError, AttributeError, TypeError) as error:
                 raise ValueError(f"{error} in {word!r}; a brace is written {{{{ or }}}}") from None
         folder = (info.context or {}).get("folder")
         if shell or folder is None:
@@ -200,7 +200,8 @@ class Program(StereoPipeline):
         views = {"png": pair.full_range, "pgm": pair.grey8, "ppm": pair.color8}[self.images]
         files = [folder / f"{name}.{self.images}" for name in ("left", "right")]
         for file, image in zip(files, views, strict=True):
-            cv2.imwrite(str(file), image if image.ndim == 2 else image[..., ::-1])
+            _, data = cv2.imencode(file.suffix, np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1]))
+            file.write_bytes(data.tobytes())
         return files
 
     def _read_map(self, path: Path, shape: tuple[int, int]) -> NDArray[np.float32]:
