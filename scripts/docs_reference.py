@@ -43,7 +43,7 @@ from depthcli.run.presets import find_config, list_presets
 METHOD_PACKAGES = [
     *(f"depthcli.methods.{name}" for name in (
         "stereo.pipeline", "stereo.cost", "stereo.aggregation", "stereo.optimization", "stereo.refinement",
-        "confidence", "fusion.choice", "kinect.pipeline", "kinect.model", "transparent.pipeline",
+        "confidence", "fusion.choice", "kinect.pipeline", "transparent.pipeline",
         "registration.pipeline", "registration.feature",
     )),
     "depthcli.algorithms.segmentation", "depthcli.algorithms.keypoints",

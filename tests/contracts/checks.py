@@ -251,27 +251,6 @@ def choices_lie_between_the_proposals(choice):
     assert_pure(lambda: choice(given).values, given.values, given.volume.costs, given.right)
 
 
-@of("methods.kinect.model")
-def planes_are_fitted(model):
-    rng = np.random.default_rng(0)
-    y, x = np.mgrid[:40, :60]
-    labels = (x >= 30).astype(np.int32)
-    labels[:3] = -1
-    truth = np.where(labels == 1, 20 + 0.05 * x, 40 - 0.1 * y)
-    values = (truth + 0.02 * rng.standard_normal(truth.shape)).astype(np.float32)
-    values[rng.random(truth.shape) < 0.3] = np.nan
-    found = model(values, labels, 0.02).at(labels)
-    assert np.isnan(found[:3]).all() and np.abs(found - truth)[3:].max() < 0.1
-
-
-@of("methods.kinect.model")
-def same_surfaces_at_any_number_of_threads(model):
-    values = np.random.default_rng(1).uniform(10, 20, (30, 40)).astype(np.float32)
-    labels = (np.arange(1200, dtype=np.int32) // 300).reshape(30, 40)
-    values[labels == 2] = np.nan  # a segment of which nothing is known is no error
-    assert_pure(lambda: model(values, labels, 0.02).at(labels), values, labels)
-
-
 @of("methods.registration.feature")
 def channels_are_the_same_for_equal_volumes_and_any_number_of_threads(feature):
     fixed, warped = soft_volume(1), soft_volume(2)

@@ -18,10 +18,10 @@ disparity and ``jump`` the smallest step that counts as a depth edge, both in pi
 correct. 2. Planes through windows of these (``algorithms.plane_fitting.window_planes``). 3. ``shadows`` and \
 ``gap_filling``: which surfaces a gap allows, and the likeliest one. 4. ``candidates`` for the other pixels, by \
 votes of the planes. 5. ``candidates.choose_candidates``: which candidate |
-| ``dsrm``, of the thesis (depth-guided segments, robust model) | 1. ``depth_edges``: which measurements are \
-unreliable. 2. Segments, from fine to coarse (``algorithms.segmentation``). 3. ``model``: a surface for each segment. \
-4. ``segment_surfaces``: which neighbor a segment without one joins, and the detail that surfaces leave out. \
-5. ``layers``: median of the segmentations, and which measurements it replaces. 6. ``gap_filling`` along paths |
+| ``dsrm``, of the thesis (depth-guided segments, robust model) | 1. ``disparity.Measurement``: which measurements are \
+unreliable. 2. Segments, from fine to coarse (``algorithms.segmentation``). 3. ``layers``: a surface for each segment, \
+which neighbor a segment without one joins, and the detail that surfaces leave out; then the median of the \
+segmentations, and which measurements it replaces. 4. ``gap_filling`` along paths |
 | ``sequence`` | as ``dsrm``, but segments and surfaces are carried from frame to frame |
 | ``shadow_smoother``, at video rate | 1. ``depth_edges``, ``shadows`` and ``gap_filling``: a value and its confidence \
 for each pixel. 2. Smoothing |

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,25 +23,11 @@ _REPROJECTION = 1.0  # pixels, of a corner that agrees
 class View:
     """What the frame before shows in the view of the next one."""
 
-    source: NDArray[np.int32]  # (H, W), row x width + column in the frame before; -1: nothing of it is seen there
+    source: NDArray[np.int32]  # (H, W), row x width + column in the frame before; 0 where nothing of it is seen
+    reached: NDArray[np.bool_]  # (H, W), something of it is seen there
     disparity: NDArray[np.float32]  # (H, W), pixels in the next view, NaN = none
-    color: NDArray[np.uint8]  # (H, W, 3), interpolated; arbitrary where ``source`` is -1
-
-    @property
-    def reached(self) -> NDArray[np.bool_]:
-        """(H, W) bool: the frame before shows what is seen there."""
-        return self.source >= 0
-
-    def certain(self, max_step: float) -> NDArray[np.bool_]:
-        """Select the pixels, (H, W) bool, that are reached and not beside a step of disparity or unreached ones.
-
-        Whole pixels are carried, so that an edge is up to half a pixel off, which would add up from frame to frame.
-        ``max_step`` is the largest within a surface, pixels of disparity.
-        """
-        steps = cv2.morphologyEx(np.nan_to_num(self.disparity), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-        edges = ~self.reached | (steps > max_step)
-        size = 2 * _UNCERTAIN - 1  # the gradient reaches one pixel farther
-        return np.asarray(cv2.dilate(edges.astype(np.uint8), np.ones((size, size), np.uint8)) == 0, np.bool_)
+    color: NDArray[np.uint8]  # (H, W, 3), interpolated; arbitrary where nothing is seen
+    certain: NDArray[np.bool_]  # (H, W), reached, and not beside a step of disparity or unreached pixels
 
 
 def view_after(
@@ -53,19 +40,25 @@ def view_after(
 ) -> View:
     """Project a frame into the view after a motion; of several pixels in one place the nearest is seen.
 
-    ``motion`` (4, 4) brings the frame's coordinates to those of the next view, meters. Gaps of one pixel are closed
-    between pixels whose disparities differ by at most ``max_step``.
+    Whole pixels are carried, so that an edge is up to half a pixel off, which would add up from frame to frame: pixels
+    there are not certain.
+
+    Parameters
+    ----------
+    motion : (4, 4), brings the frame's coordinates to those of the next view, meters
+    max_step : largest within a surface, pixels of disparity; gaps of one pixel are closed within surfaces
     """
     shape = disparity.shape
-    forward = _pixel_motion(motion, camera)
     source, values = np.full(shape, -1, np.int32), np.full(shape, np.nan, np.float32)
-    _splat(disparity, *forward, np.float64(fb), source, values)
+    _splat(disparity, *_pixel_motion(motion, camera), np.float64(fb), source, values)
     _close(source, values, np.float32(max_step))
     columns, rows = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    back = _pixel_motion(np.asarray(np.linalg.inv(motion), np.float64), camera)
-    _places(values, *back, np.float64(fb), columns, rows)
+    _places(values, *_pixel_motion(np.linalg.inv(motion), camera), np.float64(fb), columns, rows)
     shown = cv2.remap(color, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return View(source, values, np.asarray(shown, np.uint8))
+    steps = cv2.morphologyEx(np.nan_to_num(values), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+    size = 2 * _UNCERTAIN - 1  # the gradient reaches one pixel farther
+    edges = cv2.dilate(((source < 0) | (steps > max_step)).astype(np.uint8), np.ones((size, size), np.uint8))
+    return View(np.maximum(source, 0), source >= 0, values, np.asarray(shown, np.uint8), np.asarray(edges == 0))
 
 
 def displacement(motion: NDArray[np.float64], disparity: NDArray[np.float32], camera: Intrinsics, fb: float) -> float:
@@ -120,7 +113,7 @@ def estimated_motion(
     return motion if np.isfinite(motion).all() else None
 
 
-def _pixel_motion(motion: NDArray[np.float64], camera: Intrinsics) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _pixel_motion(motion: Any, camera: Intrinsics) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # A pixel p = (x, y, 1) of depth z moves to that of A p + b / z, and its depth to z (A p + b / z)[2].
     return camera.matrix @ motion[:3, :3] @ np.linalg.inv(camera.matrix), camera.matrix @ motion[:3, 3]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.algorithms.trws import trws
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.shadows import SLOPE_FADE
+from depthcli.methods.kinect.shadows import SLOPE_FADE, lab_difference
 
 # Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 LEVELS = ((1, 5), (4, 36), (12, 108))
@@ -117,7 +117,7 @@ def cast_votes(
 @jit
 def _gather(
     y, x, light, a, b, planes, colors, weight, stride, inner, reach, limit, limit_factor, similarity, space, low, unit,
-    bins, votes, extent,
+    votes, extent,
 ):  # fmt: skip
     # Adds the votes of one level to the histogram; those within ``inner`` pixels belong to the finer level.
     height, width = weight.shape
@@ -143,12 +143,16 @@ def _gather(
             d = value[u] + fade * (slope_x[u] * across + slope_y[u] * down)
             if d > limit:
                 w *= limit_factor
-            k = np.int32((d - low) * unit)
-            if 1 <= k < bins - 1:
-                votes[k, 0] += w
-                votes[k, 1] += w * d
-                extent[0] = min(extent[0], k)
-                extent[1] = max(extent[1], k)
+            _add_vote(votes, extent, np.int32((d - low) * unit), w, d)
+
+
+@jit
+def _add_vote(votes, extent, k, weight, disparity):
+    if 1 <= k < len(votes) - 1:
+        votes[k, 0] += weight
+        votes[k, 1] += weight * disparity
+        extent[0] = min(extent[0], k)
+        extent[1] = max(extent[1], k)
 
 
 @parallel_jit
@@ -170,26 +174,21 @@ def _vote(
                 stride, reach = LEVELS[level]
                 _gather(
                     y, x, light, a, b, planes[level], colors[level], weight[level], stride, inner, reach, largest,
-                    factor, similarity, weights, low, per_unit, bins, votes, extent,
+                    factor, similarity, weights, low, per_unit, votes, extent,
                 )  # fmt: skip
                 inner = reach
             total = np.float32(0)
             for k in range(extent[0], extent[1] + 1):
                 total += votes[k, 0]
             cast = total
-            for n_extra in range(1 + len(continued)):
-                d = background[y, x] if n_extra == 0 else continued[n_extra - 1, y, x]
-                share = extra_share[y, x] if n_extra == 0 else continued_share[y, x]
-                if np.isnan(d):
-                    continue
-                k = int((d - low) * per_unit)
+            for extra in range(1 + len(continued)):
+                d = background[y, x] if extra == 0 else continued[extra - 1, y, x]
+                share = extra_share[y, x] if extra == 0 else continued_share[y, x]
+                k = 0 if np.isnan(d) else int((d - low) * per_unit)
                 if 1 <= k < bins - 1:
                     w = max(share * cast, np.float32(1e-9))
-                    votes[k, 0] += w
-                    votes[k, 1] += w * d
                     total += w
-                    extent[0] = min(extent[0], k)
-                    extent[1] = max(extent[1], k)
+                    _add_vote(votes, extent, k, w, d)
             _modes(votes, extent, total, values[n], shares[n])
             for k in range(extent[0], extent[1] + 1):
                 votes[k, 0] = np.float32(0)
@@ -239,8 +238,7 @@ def hidden_openings(
     shape = trusted.shape
     hidden = np.zeros((-(-shape[0] // _OPENING_GRID), -(-shape[1] // _OPENING_GRID)), np.uint8)
     own = (planes.value, planes.slope_x, planes.slope_y, trusted)
-    others = (voters.planes, voters.lab, voters.weight, color_similarity(sigma_color), space)
-    _test_openings(lab, *own, *others, np.float32(jump), hidden)
+    _test_openings(lab, *own, *voters[1:], color_similarity(sigma_color), space, np.float32(jump), hidden)
     spread = np.zeros(shape, np.uint8)
     spread[::_OPENING_GRID, ::_OPENING_GRID] = hidden
     square = np.ones((_OPENING_SQUARE, _OPENING_SQUARE), np.uint8)
@@ -366,9 +364,7 @@ def _costs(
             v, u = y + dy, x + dx
             if v < 0 or v >= height or u < 0 or u >= width:
                 continue
-            contrast = np.int32(0)
-            for i in range(3):
-                contrast += abs(np.int32(lab[y, x, i]) - np.int32(lab[v, u, i]))
+            contrast = lab_difference(lab, y, x, v, u)
             diagonal = np.float32(0.7 if dy != 0 and dx != 0 else 1.0)
             weight = smoothness * np.float32(np.exp(-contrast / _EDGE_COLOR)) * diagonal / noise
             weight += np.float32(_MIN_WEIGHT)

@@ -7,13 +7,11 @@ the true outline: its profile across the edges is the distribution of their offs
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows
+from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows, lab_difference
 
 # Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 MIN_OFFSET, MAX_OFFSET = -6, 14
@@ -28,8 +26,6 @@ _GAP_EDGE_PROBABILITY = 0.5  # that a gap without a step hides a surface behind 
 _WIDE_GAP_PROBABILITY = 0.6  # that an edge is at its place if its gap is wider than a shadow
 _MIXED_PIXEL_SHARE = 0.75  # of the pixels on an outline that belong to the near surface
 _MIN_RUN_PROBABILITY = 0.6  # largest probability in a run of pixels nearer than the pixels beside it is at least this
-NO_EDGE = 255
-"""Distance of pixels without a depth edge within 254 pixels: the largest uint8."""
 
 
 def correct_probability(
@@ -42,8 +38,7 @@ def correct_probability(
     across = _along_rows(lab, disparity, jump, _GAP_EDGE_PROBABILITY, shadows)
     upright = np.ascontiguousarray(lab.transpose(1, 0, 2)), np.ascontiguousarray(disparity.T)
     # No sensor's shadows run along columns: a gap there says nothing of surfaces behind its rims.
-    result: NDArray[np.float32] = across * _along_rows(*upright, jump, 0.0, Shadows()).T
-    return result
+    return np.asarray(across * _along_rows(*upright, jump, 0.0, Shadows()).T, np.float32)
 
 
 def _along_rows(
@@ -53,12 +48,12 @@ def _along_rows(
     # The pixel on the outline mixes both colors and has half of the contrast on its inner side: it still belongs to
     # the near surface.
     inside = np.cumsum(offsets, axis=1) + _MIXED_PIXEL_SHARE * np.column_stack([offsets[:, 1:], np.zeros(2)])
-    result = np.empty_like(disparity)
-    inside = inside.astype(np.float32)
+    inside, result = inside.astype(np.float32), np.empty_like(disparity)
     # Probability that a measurement is wrong, by its distance from the edge: on the near side, on the far side.
     near, far = np.float32(1) - inside[:, -MIN_OFFSET:], np.ascontiguousarray(inside[:, -MIN_OFFSET::-1])
-    widths = np.array([(side.scale, side.covered) for side in (shadows.left, shadows.right)], np.float32)
-    shadowed = np.array([side.confidence > 0 for side in (shadows.left, shadows.right)])
+    sides = shadows.left, shadows.right
+    widths = np.array([(side.scale, side.covered) for side in sides], np.float32)
+    shadowed = np.array([side.confidence > 0 for side in sides])
     _probability(disparity, np.float32(jump), near, far, np.float32(gap_probability), widths, shadowed, result)
     return result
 
@@ -110,10 +105,7 @@ def _contrast_profiles(lab, disparity, jump, sums, counts):
                 side = 0 if d[x] > d[last] else 1
                 for k in range(-_PROFILE_REACH, _PROFILE_REACH):
                     u = x + k if side == 0 else last - k + 1
-                    contrast = 0.0
-                    for i in range(3):
-                        contrast += abs(np.float64(lab[y, u, i]) - np.float64(lab[y, u - 1, i]))
-                    sums[y, side, k + _PROFILE_REACH] += min(contrast, _MAX_CONTRAST)
+                    sums[y, side, k + _PROFILE_REACH] += min(lab_difference(lab, y, u, y, u - 1), _MAX_CONTRAST)
                 counts[y, side] += 1
             last = x
 
@@ -186,35 +178,24 @@ def _raise_thin_runs(d, q, jump):
         last = x
 
 
-@dataclass(frozen=True)
-class EdgeDistance:
-    """How far every pixel lies inside the near side of a depth edge, along the row and along the column.
+def near_side(
+    disparity: NDArray[np.float32], jump: float, row_band: int, column_band: int, gap_tolerance: float = 2.5
+) -> NDArray[np.bool_]:
+    """Select the pixels, (H, W) bool, at most some pixels inside the near side of a depth edge of the row or column.
 
-    (H, W) uint8, pixels: 1 = first pixel of the near side, ``NO_EDGE`` = no edge in this run, or 255 and more away, or
-    the pixel is unknown.
+    A depth edge is a step of more than ``jump`` between consecutive known pixels. The shadow that a near surface throws
+    on a far one is as wide as the step between them: where a gap in a row is wider than that by ``gap_tolerance``
+    pixels, something else lies in it, and either side may have grown over it: both sides count as near.
     """
-
-    row: NDArray[np.uint8]
-    column: NDArray[np.uint8]
-
-    def inside(self, row_band: int, column_band: int) -> NDArray[np.bool_]:
-        """Select the pixels at most ``row_band`` from an edge in the row, or ``column_band`` in the column, (H, W)."""
-        return np.asarray((self.row <= row_band) | (self.column <= column_band), np.bool_)
-
-
-def edge_distance(disparity: NDArray[np.float32], jump: float = 1.5, gap_tolerance: float = 2.5) -> EdgeDistance:
-    """Compute the distance from steps of more than ``jump`` between consecutive known pixels of a row or column.
-
-    The shadow that a near surface throws on a far one is as wide as the step between them. Where a gap in a row is
-    wider, something else lies in it, and either side may have grown over it: both sides count as near.
-
-    A gap is too wide from ``gap_tolerance`` pixels above the step over it; ``np.inf``: never.
-    """
-    distances = []
-    for values, tolerance in ((disparity, gap_tolerance), (disparity.T, np.inf)):  # no shadows fall along columns
-        distances.append(np.full(values.shape, NO_EDGE, np.uint8))
-        _distance_along_rows(np.ascontiguousarray(values), np.float32(jump), np.float32(tolerance), distances[-1])
-    return EdgeDistance(distances[0], np.ascontiguousarray(distances[1].T))
+    selected = np.zeros(disparity.shape, np.bool_)
+    # No shadows fall along columns.
+    for values, band, tolerance, out in (
+        (disparity, row_band, gap_tolerance, selected), (disparity.T, column_band, np.inf, selected.T),
+    ):  # fmt: skip
+        distance = np.full(values.shape, 255, np.uint8)  # the largest: no edge within 254 pixels
+        _distance_along_rows(np.ascontiguousarray(values), np.float32(jump), np.float32(tolerance), distance)
+        out |= distance <= band
+    return selected
 
 
 @parallel_jit

@@ -1,6 +1,8 @@
-"""Disparity of a frame: as it was measured, its noise, and the depth of what it was refined to."""
+"""Disparity of a frame: as it was measured, its noise, what of it is reliable, and the depth it was refined to."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -11,10 +13,13 @@ from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, DepthResult
+from depthcli.methods.kinect.depth_edges import correct_probability
+from depthcli.methods.kinect.shadows import Shadows, Side, max_disparity_in_gaps, shadows_of
 
 _NOISE_SAMPLES = 60_000  # second differences along either axis: as many give the median within a percent
 _NOISE_REACH = 3  # pixels between values of a second difference: noise that neighbors share shows there
 _MAX_NOISE = 3.0  # standard deviations: a measurement that moves by more was wrong, not noisy
+_CORE_PROBABILITY = 0.6  # of an unreliable pixel that is more probably correct than its neighbors: of thin objects
 _MIN_RELATIVE_DISPARITY = np.float32(1e-3)  # of a value, over the smallest measured disparity; below it is none
 
 
@@ -46,6 +51,50 @@ def noise_level(disparity: NDArray[np.float32], floor: float = 0.1) -> float:
         middle = max(middle, float(np.median(wide[~np.isnan(wide)])))
     rounded = float(np.median(step)) / 12**0.5 if step.size and middle == 0 else 0.0
     return max(MAD_TO_SIGMA * middle / 6**0.5, rounded, floor)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The measured disparity of a frame, and where it is reliable; maps are (H, W), in pixels."""
+
+    lab: NDArray[np.uint8]  # (H, W, 3), the color image
+    disparity: NDArray[np.float32]
+    noise: float  # standard deviation
+    jump: float  # larger steps are depth edges
+    shadows: Shadows
+    probability: NDArray[np.float32]  # that a measured value belongs to the surface of its pixel; 1 without colors
+    reliable: NDArray[np.float32]  # the disparity without unreliable pixels
+    core: NDArray[np.bool_]  # the more probable ones of the unreliable pixels; thin objects have no others
+    limit: NDArray[np.float32]  # largest disparity that fits the gap, inf where the gap is no shadow
+
+    @classmethod
+    def of(
+        cls, frame: RgbdFrame, jump: float, min_probability: float, where: bool | Side, noise: float | None = None
+    ) -> Measurement:
+        """Classify the pixels of a frame; ValueError where none has a depth.
+
+        Parameters
+        ----------
+        jump : larger steps are depth edges, multiples of the noise
+        min_probability : measurements that are correct with less probability are unreliable; 0: none
+        where : shadows lie, see :func:`shadows_of`
+        """
+        disparity = measured_disparity(frame)
+        noise = noise_level(disparity) if noise is None else noise
+        shadows = shadows_of(disparity, jump * noise, where)
+        lab, probability = frame_lab(frame), np.ones_like(disparity)
+        if min_probability and frame.has_color:  # without colors nothing shows true outlines
+            probability = correct_probability(lab, disparity, jump * noise, shadows)
+        unreliable = ~np.isnan(disparity) & (probability < min_probability)
+        reliable = np.where(unreliable, np.float32(np.nan), disparity)
+        core = unreliable & (probability > _CORE_PROBABILITY)
+        limit = max_disparity_in_gaps(disparity, jump * noise, shadows.likely())
+        return cls(lab, disparity, noise, jump * noise, shadows, probability, reliable, core, limit)
+
+
+def frame_lab(frame: RgbdFrame) -> NDArray[np.uint8]:
+    """Return the color image in CIE Lab as OpenCV scales it, (H, W, 3)."""
+    return np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
 
 
 def nearest_fill(values: NDArray[np.float32]) -> NDArray[np.float32]:

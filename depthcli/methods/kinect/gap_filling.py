@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.shadows import SLOPE_FADE
+from depthcli.methods.kinect.shadows import SLOPE_FADE, lab_difference
 
 UNRELIABLE_COST = 15.0
 """Of paths that start at unreliable pixels, pixels of length."""
@@ -54,8 +54,7 @@ def fill_gaps(
     """
     known = ~np.isnan(values)
     unknown = np.flatnonzero(~known)
-    inside = np.zeros(values.shape, bool)
-    filled = values.copy()
+    inside, filled = np.zeros(values.shape, bool), values.copy()
     if not unknown.size or unknown.size == values.size:
         return filled, inside
     segments = np.empty((0, *values.shape), np.int32) if segments is None else segments
@@ -130,15 +129,12 @@ def _join(pixels, lab, segments, limit, values, start, total):
         step = 1 - 2 * (sweep & 1)
         for n in range(count):
             y, x = pixels[n if step == 1 else count - 1 - n]
-            light, a, b = np.int32(lab[y, x, 0]), np.int32(lab[y, x, 1]), np.int32(lab[y, x, 2])
             for k in range(4):
                 v, u = (y, x - step) if k == 0 else (y - step, x + k - 2)
                 if not (0 <= v < height and 0 <= u < width) or start[v, u] < 0:
                     continue
-                color = abs(np.int32(lab[v, u, 0]) - light) + abs(np.int32(lab[v, u, 1]) - a)
-                color += abs(np.int32(lab[v, u, 2]) - b)
                 path = total[v, u] + np.float32(1 if k == 0 or k == 2 else 1.4)
-                path += np.float32(_COLOR_COST) * np.float32(color)
+                path += np.float32(_COLOR_COST) * np.float32(lab_difference(lab, y, x, v, u))
                 for layer in range(len(segments)):
                     if segments[layer, v, u] != segments[layer, y, x]:
                         path += np.float32(_BORDER_COST)

@@ -2,73 +2,60 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import heapq
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.polynomials import Surfaces
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces, fit_polynomials, surface_at
+from depthcli.algorithms.regions import region_adjacency
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
+from depthcli.core.method import ConfigModel
 from depthcli.core.result import DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.depth_edges import correct_probability
-from depthcli.methods.kinect.disparity import deviation_of_depth, measured_disparity, noise_level
+from depthcli.methods.kinect.disparity import Measurement, deviation_of_depth
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
-from depthcli.methods.kinect.model import SurfaceModel
-from depthcli.methods.kinect.segment_surfaces import add_detail, join_segments
-from depthcli.methods.kinect.shadows import Shadows, Side, max_disparity_in_gaps, shadows_of
 
-_CORE_PROBABILITY = 0.6  # of an unreliable pixel that is more probably correct than its neighbors: of thin objects
-_MIN_CORE_PIXELS = 5  # of a segment, for a surface to be fitted to them; value of the shipped presets, not varied
+SHADOW_PENALTY = 1000.0
+"""Cost of a surface that a shadow rules out: above any path of colors, so that it is taken only without another."""
+_BOUNDARY_COST = 10  # of a common boundary of one pixel, grey levels; value of the shipped presets, not varied
+_COLUMNS = 64  # a task of the vertical pass: whole cache lines
 
 _KEPT, _FILLED, _CORRECTED = int(DepthStatus.KEPT), int(DepthStatus.GAP_FILLED), int(DepthStatus.CORRECTED)
 _FALLBACK, _EMPTY, _SMOOTHED = int(DepthStatus.FALLBACK), int(DepthStatus.EMPTY), int(DepthStatus.SMOOTHED)
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """The measured disparity of a frame, and where it is reliable; maps are (H, W), in pixels."""
+class Polynomial(ConfigModel):
+    """Polynomials of inverse depth in (x, y), fitted to every segment by reweighted least squares (Huber)."""
 
-    disparity: NDArray[np.float32]
-    probability: NDArray[np.float32]  # that a measured value belongs to the surface of its pixel; 1 without colors
-    reliable: NDArray[np.float32]  # the disparity without unreliable pixels
-    core: NDArray[np.bool_]  # the more probable ones of the unreliable pixels; thin objects have no others
-    limit: NDArray[np.float32]  # largest disparity that fits the gap, inf where the gap is no shadow
-    noise: float  # standard deviation
-    shadows: Shadows = field(default_factory=Shadows)
+    method: Literal["polynomial"] = Field("polynomial", description="name of the model")
+    degree: int = Field(
+        1, ge=0, le=2, description="degree of the polynomial; at most 1 below 100 known pixels, 0 below 30"
+    )
+    huber: float | None = Field(
+        1.345, gt=0, description="k: residuals of u > k scales have weight k / u; null: plain least squares"
+    )
+    iterations: int = Field(
+        20, ge=1, le=100, description="largest number of reweightings without surfaces of a previous frame"
+    )
+    warm_iterations: int = Field(2, ge=1, le=100, description="reweightings from the surfaces of the previous frame")
+    samples: int = Field(400, ge=100, description="largest number of pixels per segment that are used, evenly spread")
 
-    @classmethod
-    def of(
-        cls,
-        frame: RgbdFrame,
-        lab: NDArray[np.uint8],
-        jump: float,
-        min_probability: float,
-        where: bool | Side,
-        noise: float | None = None,
-    ) -> Measurement:
-        """Classify the pixels of a frame; ValueError where none has a depth.
+    def __call__(
+        self, values: NDArray[np.float32], labels: NDArray[np.int32], floor: float, start: Surfaces | None = None
+    ) -> Surfaces:
+        """Fit ``values`` (H, W), NaN = unknown, segment by segment of ``labels`` (H, W) int32, 0 .. n - 1; -1: none.
 
-        Parameters
-        ----------
-        jump : larger steps are depth edges, multiples of the noise
-        min_probability : measurements that are correct with less probability are unreliable; 0: none
-        where : shadows lie, see :func:`shadows_of`
+        ``floor`` is the smallest scale of residuals, what the sensor resolves; ``start`` the surfaces of the same
+        segments in the previous frame: a segment of which too little is known in this one keeps its surface.
         """
-        disparity = measured_disparity(frame)
-        noise = noise_level(disparity) if noise is None else noise
-        step = jump * noise
-        shadows = shadows_of(disparity, step, where)
-        probability = np.ones_like(disparity)
-        if min_probability and frame.has_color:  # without colors nothing shows true outlines
-            probability = correct_probability(lab, disparity, step, shadows)
-        unreliable = ~np.isnan(disparity) & (probability < min_probability)
-        core = unreliable & (probability > _CORE_PROBABILITY)
-        reliable = np.where(unreliable, np.float32(np.nan), disparity)
-        limit = max_disparity_in_gaps(disparity, step, shadows.likely())
-        return cls(disparity, probability, reliable, core, limit, noise, shadows)
+        limits = self.huber or np.inf, self.iterations, self.warm_iterations, self.samples
+        return fit_polynomials(values, labels, start, self.degree, *limits, floor)
 
 
 @dataclass(frozen=True)
@@ -79,48 +66,12 @@ class Layer:
     surfaces: Surfaces
     own: NDArray[np.bool_]  # (H, W), the surface was fitted to the pixel's own segment, not to one that it joined
 
-    def estimate(self, measurement: Measurement, reach: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def estimate(self, reliable: NDArray[np.float32], reach: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Evaluate value and scale, (H, W) float32, with detail within ``reach`` pixels of reliable ones; 0: none."""
         values = self.surfaces.at(self.labels)
         if reach:
-            add_detail(values, measurement.reliable, self.labels, self.surfaces.scale, reach)
-        scale = np.where(self.labels < 0, np.float32(np.nan), self.surfaces.scale[self.labels])
-        return values, scale
-
-
-def fit_layer(
-    measurement: Measurement,
-    labels: NDArray[np.int32],
-    color: NDArray[np.uint8],
-    model: SurfaceModel,
-    min_known: int,
-    min_share: float,
-    join: bool,
-) -> Layer:
-    """Fit ``model`` to the segments ``labels`` (H, W), and let segments where it cannot be fitted join others.
-
-    Parameters
-    ----------
-    min_known, min_share : reliable pixels that a segment needs, and their share of it. With fewer, a segment whose
-        measured pixels mostly are ``core`` pixels is fitted to those
-    join : False: a segment without a model stays without a surface
-    """
-    count = int(labels.max()) + 1
-    size, reliable, measured, core = (
-        np.bincount(labels[chosen].ravel(), minlength=count)
-        for chosen in (..., ~np.isnan(measurement.reliable), ~np.isnan(measurement.disparity), measurement.core)
-    )
-    modelled = (reliable >= min_known) & (reliable >= min_share * size)
-    by_core = ~modelled & (core >= _MIN_CORE_PIXELS) & (2 * core >= measured)
-    values = measurement.reliable
-    if by_core.any():
-        values = np.where(by_core[labels] & measurement.core, measurement.disparity, values)
-    surfaces = model(values, labels, measurement.noise)
-    modelled |= by_core
-    owners = np.where(modelled, np.arange(count, dtype=np.int32), np.int32(-1))
-    if join:
-        owners = join_segments(labels, modelled, surfaces, color, measurement.limit)
-    return Layer(owners[labels], surfaces, modelled[labels])
+            add_detail(values, reliable, self.labels, self.surfaces.scale, reach)
+        return values, np.where(self.labels < 0, np.float32(np.nan), self.surfaces.scale[self.labels])
 
 
 @dataclass(frozen=True)
@@ -131,17 +82,36 @@ class RefinedDisparity:
     scale: NDArray[np.float32]
     status: NDArray[np.uint8]  # bits of DepthStatus
 
-    def joined(self, lab: NDArray[np.uint8], layers: list[Layer], measurement: Measurement) -> RefinedDisparity:
-        """Fill gaps along paths from known pixels; what differs from the layers' own value there is that uncertain."""
-        known = ~np.isnan(measurement.disparity)
-        values = np.where(known, self.disparity, np.float32(np.nan))
-        cost = np.where(np.isnan(measurement.reliable), np.float32(UNRELIABLE_COST), np.float32(0))
-        segments = np.stack([layer.labels for layer in layers])
-        filled, inside = fill_gaps(values, lab, segments, measurement.limit, cost, measurement.noise)
-        off = np.abs(filled - self.disparity)
-        scale = np.fmax(np.fmax(self.scale, off), np.float32(measurement.noise))
-        status = np.where(inside, np.uint8(_FILLED), np.uint8(_FALLBACK))
-        return RefinedDisparity(filled, np.where(known, self.scale, scale), np.where(known, self.status, status))
+    @classmethod
+    def of(
+        cls, layers: list[Layer], measurement: Measurement, reach: float, tolerance: float, smooth: bool
+    ) -> RefinedDisparity:
+        """Combine layers: their median where a measurement is unknown, or unreliable and far from it.
+
+        In gaps paths from known pixels replace the median; what differs from it there is that uncertain.
+
+        Parameters
+        ----------
+        reach : of detail, see :meth:`Layer.estimate`
+        tolerance : a measured value that is off by more scales contradicts the surface
+        smooth : replace measured values that agree with the surface, too
+        """
+        measured, reliable, noise = measurement.disparity, measurement.reliable, np.float32(measurement.noise)
+        values, scales = (np.empty((len(layers), *measured.shape), np.float32) for _ in range(2))
+        for k, layer in enumerate(layers):
+            values[k], scales[k] = layer.estimate(reliable, reach)
+        own = np.any([layer.own for layer in layers], axis=0)
+        disparity, scale = np.empty_like(measured), np.empty_like(measured)
+        status = np.empty(measured.shape, np.uint8)
+        given = measured, reliable, np.float32(tolerance), noise, smooth
+        _decide(values, scales, own, *given, disparity, scale, status)
+        cost = np.where(np.isnan(reliable), np.float32(UNRELIABLE_COST), np.float32(0))
+        segments, known = np.stack([layer.labels for layer in layers]), ~np.isnan(measured)
+        start = np.where(known, disparity, np.float32(np.nan))
+        filled, inside = fill_gaps(start, measurement.lab, segments, measurement.limit, cost, measurement.noise)
+        uncertain = np.fmax(np.fmax(scale, np.abs(filled - disparity)), noise)
+        filled_status = np.where(inside, np.uint8(_FILLED), np.uint8(_FALLBACK))
+        return cls(filled, np.where(known, scale, uncertain), np.where(known, status, filled_status))
 
     def to_depth(self, frame: RgbdFrame) -> DepthResult:
         """Convert to depth; kept measurements have the sensor's exact value."""
@@ -150,29 +120,6 @@ class RefinedDisparity:
         depth[kept] = frame.depth[kept]
         status = np.where(np.isnan(depth), np.uint8(DepthStatus.EMPTY), self.status)
         return DepthResult(depth=DepthMap(depth, status), sigma=deviation_of_depth(self.scale, depth, frame.fb))
-
-
-def combine(
-    layers: list[Layer], measurement: Measurement, reach: float, tolerance: float, smooth: bool
-) -> RefinedDisparity:
-    """Compute the disparity: the median of the layers where a measurement is unknown or unreliable and far from it.
-
-    Parameters
-    ----------
-    reach : of detail, see :meth:`Layer.estimate`
-    tolerance : a measured value that is off by more scales contradicts the surface
-    smooth : replace measured values that agree with the surface, too
-    """
-    shape = (len(layers), *measurement.disparity.shape)
-    values, scales, own = np.empty(shape, np.float32), np.empty(shape, np.float32), np.zeros(shape[1:], bool)
-    for k, layer in enumerate(layers):
-        values[k], scales[k] = layer.estimate(measurement, reach)
-        own |= layer.own
-    disparity, scale = np.empty(shape[1:], np.float32), np.empty(shape[1:], np.float32)
-    result = RefinedDisparity(disparity, scale, np.empty(shape[1:], np.uint8))
-    given = (measurement.disparity, measurement.reliable, np.float32(tolerance), np.float32(measurement.noise), smooth)
-    _decide(values, scales, own, *given, result.disparity, result.scale, result.status)
-    return result
 
 
 @jit
@@ -225,3 +172,146 @@ def _decide(values, scales, own, disparity, reliable, tolerance, noise, smooth, 
             else:
                 out[y, x] = measured
                 status[y, x] = _KEPT
+
+
+def join_segments(
+    labels: NDArray[np.int32],
+    modelled: NDArray[np.bool_],
+    surfaces: Surfaces,
+    color: NDArray[np.uint8],
+    limit: NDArray[np.float32],
+) -> NDArray[np.int32]:
+    """Assign a surface to every segment: its own, or that of the modelled segment that it joins.
+
+    Each segment without a model joins along the path of least cost through neighbors. A step costs the sum of the
+    absolute differences of the mean colors, 10 over the root of the length of the common boundary, and
+    ``SHADOW_PENALTY`` where the surface would be nearer than ``limit``, that of the shadow in which the segment lies.
+
+    Returns (n,) int32 indices of surfaces for the n segments; -1 where no model reaches.
+    """
+    count = modelled.size
+    owners = np.where(modelled, np.arange(count, dtype=np.int32), np.int32(-1))
+    if modelled.all() or not modelled.any():
+        return owners
+    mean, segment_center, limits = _statistics(labels, color, limit, count)
+    starts, neighbors, boundary = region_adjacency(labels, count)
+    shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
+    _join(owners, mean, segment_center, limits, starts, neighbors, boundary, *shapes)
+    return owners
+
+
+@jit
+def _statistics(labels, color, limit, count):
+    # Mean color, center (y, x), and mean limit of every segment; inf where at most a third has a limit.
+    height, width = labels.shape
+    sums = np.zeros((count, 8), np.int64)  # size, three colors, y, x, pixels with a limit
+    limit_sums = np.zeros(count, np.float64)
+    for y in range(height):
+        for x in range(width):
+            s = labels[y, x]
+            sums[s, 0] += 1
+            for c in range(3):
+                sums[s, 1 + c] += color[y, x, c]
+            sums[s, 4] += y
+            sums[s, 5] += x
+            if limit[y, x] < np.inf:
+                sums[s, 6] += 1
+                limit_sums[s] += limit[y, x]
+    mean = np.empty((count, 3), np.float64)
+    segment_center = np.empty((count, 2), np.float64)
+    limits = np.full(count, np.inf)
+    for s in range(count):
+        size = float(sums[s, 0])
+        for c in range(3):
+            mean[s, c] = sums[s, 1 + c] / size
+        for c in range(2):
+            segment_center[s, c] = sums[s, 4 + c] / size
+        if 3 * sums[s, 6] > sums[s, 0]:
+            limits[s] = limit_sums[s] / sums[s, 6]
+    return mean, segment_center, limits
+
+
+@jit
+def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coefficients, center, bounds, unit):
+    waiting: Any = [(0.0, s, s) for s in range(owners.size) if owners[s] == s]
+    heapq.heapify(waiting)
+    modelled = owners >= 0
+    while len(waiting) > 0:
+        cost, s, owner = heapq.heappop(waiting)
+        if not modelled[s]:
+            if owners[s] >= 0:
+                continue
+            owners[s] = owner
+        for k in range(starts[s], starts[s + 1]):
+            t = neighbors[k]
+            if owners[t] >= 0:
+                continue
+            step = _BOUNDARY_COST / np.sqrt(float(boundary[k]))
+            for c in range(3):
+                step += abs(mean[s, c] - mean[t, c])
+            y, x = segment_center[t]
+            if surface_at(coefficients, center, bounds, unit, owner, y, x) > limits[t]:
+                step += SHADOW_PENALTY
+            heapq.heappush(waiting, (cost + step, np.int64(t), owner))
+
+
+def add_detail(
+    surface: NDArray[np.float32],
+    known: NDArray[np.float32],
+    labels: NDArray[np.int32],
+    scale: NDArray[np.float32],
+    reach: float,
+) -> None:
+    """Add to ``surface``, in place, the smoothed residuals of the ``known`` values around in the same segment.
+
+    The weight falls by e in ``reach`` pixels along a path within the segment, first along the row, then along the
+    column. Far from all known pixels the surface stays as it is: a residual counts against half a pixel of zeros.
+    Residuals above three of the segment's ``scale`` count as three.
+    """
+    weights, residuals = (np.empty(surface.shape, np.float32) for _ in range(2))
+    decay = np.float32(np.exp(-1 / reach))
+    _residuals(surface, known, labels, scale, decay, residuals, weights)
+    _spread_down(labels, decay, residuals, weights)
+    surface += residuals / (weights + np.float32(0.5))
+
+
+@parallel_jit
+def _residuals(surface, known, labels, scale, decay, residuals, weights):
+    height, width = surface.shape
+    back = np.float32(1) - decay * decay  # the second pass adds to the sums of the first
+    for y in prange(height):
+        for x in range(width):
+            s = labels[y, x]
+            residual = known[y, x] - surface[y, x]
+            residuals[y, x] = np.float32(0)
+            weights[y, x] = np.float32(0)
+            if not np.isnan(residual):
+                limit = np.float32(3) * scale[s]
+                residuals[y, x] = min(max(residual, -limit), limit)
+                weights[y, x] = np.float32(1)
+            if x > 0 and labels[y, x - 1] == s:
+                residuals[y, x] += decay * residuals[y, x - 1]
+                weights[y, x] += decay * weights[y, x - 1]
+        for x in range(width - 2, -1, -1):
+            if labels[y, x + 1] == labels[y, x]:
+                residuals[y, x] = back * residuals[y, x] + decay * residuals[y, x + 1]
+                weights[y, x] = back * weights[y, x] + decay * weights[y, x + 1]
+
+
+@parallel_jit
+def _spread_down(labels, decay, residuals, weights):
+    height, width = labels.shape
+    back = np.float32(1) - decay * decay
+    for task in prange((width + _COLUMNS - 1) // _COLUMNS):
+        first = task * _COLUMNS
+        end = min(first + _COLUMNS, width)
+        for y in range(1, height):
+            for x in range(first, end):
+                if labels[y, x] == labels[y - 1, x]:
+                    residuals[y, x] += decay * residuals[y - 1, x]
+                    weights[y, x] += decay * weights[y - 1, x]
+        for y in range(height - 2, -1, -1):
+            for x in range(first, end):
+                if labels[y, x] == labels[y + 1, x]:
+                    residuals[y, x] = back * residuals[y, x] + decay * residuals[y + 1, x]
+                    weights[y, x] = back * weights[y, x] + decay * weights[y + 1, x]

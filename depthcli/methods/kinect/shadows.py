@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,13 +77,16 @@ class Shadows:
         left, right = (side if side.confidence >= _LIKELY else Shadow() for side in (self.left, self.right))
         return Shadows(left, right, self.p_hole)
 
-    def sides(self) -> Iterator[tuple[Shadow, bool, bool]]:
-        """Yield each side that has shadows, whether it is the right one, and whether holes are judged by it."""
+    def sides(self) -> Iterator[tuple[Shadow, int, bool]]:
+        """Yield each side that has shadows, 1 or for the right one -1, and whether holes are judged by it.
+
+        Along columns in steps of -1 the shadows on the right are those on the left of a mirrored frame.
+        """
         holes_right = self.right.confidence > self.left.confidence
         min_confidence = _MIN_OF_BEST * max(self.left.confidence, self.right.confidence)
-        for shadow, right in ((self.left, False), (self.right, True)):
+        for shadow, step in ((self.left, 1), (self.right, -1)):
             if shadow.confidence > 0 and shadow.confidence >= min_confidence:
-                yield shadow, right, right == holes_right
+                yield shadow, step, (step < 0) == holes_right
 
 
 Side = Literal["left", "right"]
@@ -109,16 +112,12 @@ def measure_shadows(disparity: NDArray[np.float32], jump: float) -> Shadows:
     of another one. The more pixels lie in gaps that are no shadows, the more probable are holes. ``jump`` is the
     smallest step, pixels.
     """
-    counts = np.zeros(len(disparity) + 1, np.int64)
-    _count_gaps(disparity, np.float32(jump), counts)
-    gaps = np.empty((int(counts.sum()), 2), np.float32)
-    _list_gaps(disparity, np.float32(jump), np.cumsum(counts), gaps)
-    rising = gaps[:, 1] > 0
-    holes = np.zeros(len(disparity), np.int64)
-    _count_holes(disparity, np.float32(jump), holes)
-    others, shadow_pixels = float(holes.sum()), 0.0
+    gaps = _gaps(disparity)
+    is_step = np.abs(gaps[:, 1]) > np.float32(jump)
+    others, shadow_pixels = float(gaps[~is_step & (gaps[:, 0] > 2), 0].sum(dtype=np.float64)), 0.0
+    gaps = gaps[is_step & (gaps[:, 0] > 1)]
     found = []
-    for side in (rising, ~rising):
+    for side in (gaps[:, 1] > 0, gaps[:, 1] < 0):
         shadow, chance = _shadow(gaps[side], _PRIOR_ROWS * len(disparity))
         width, step = np.abs(gaps[side]).T
         fits = np.abs(width + shadow.covered - shadow.scale * step) <= _MAX_WIDTH_DIFFERENCE
@@ -163,28 +162,15 @@ def gaps_of(d, first):
 
 
 @jit
-def _is_shadow_like(d, last, x, jump):
-    return x - last > 2 and abs(d[x] - d[last]) > jump
-
-
-@parallel_jit
-def _count_gaps(disparity, jump, counts):
-    for y in prange(disparity.shape[0]):
-        for last, x in gaps_of(disparity[y], False):
-            if _is_shadow_like(disparity[y], last, x, jump):
-                counts[y + 1] += 1
-
-
-@parallel_jit
-def _list_gaps(disparity, jump, starts, gaps):
-    # (n, 2): width and step of every gap beside a step.
-    for y in prange(disparity.shape[0]):
+def _gaps(disparity):
+    # (n, 2): width and step of every gap between known pixels of a row.
+    gaps, n = np.empty((disparity.size // 2 + 1, 2), np.float32), 0
+    for y in range(disparity.shape[0]):
         d = disparity[y]
-        n = starts[y]
         for last, x in gaps_of(d, False):
-            if _is_shadow_like(d, last, x, jump):
-                gaps[n, 0], gaps[n, 1] = x - last - 1, d[x] - d[last]
-                n += 1
+            gaps[n, 0], gaps[n, 1] = x - last - 1, d[x] - d[last]
+            n += 1
+    return gaps[:n]
 
 
 @jit
@@ -202,15 +188,6 @@ def _count_fits(gaps, scales, covered, found, pairs):
                 found[1, i, j] += different and abs(width - scales[i] * other) <= _MAX_WIDTH_DIFFERENCE
 
 
-@parallel_jit
-def _count_holes(disparity, jump, holes):
-    for y in prange(disparity.shape[0]):
-        d = disparity[y]
-        for last, x in gaps_of(d, False):
-            if x - last > 3 and abs(d[x] - d[last]) <= jump:
-                holes[y] += x - last - 1
-
-
 def shadow_limits(
     lab: NDArray[np.uint8],
     disparity: NDArray[np.float32],
@@ -223,16 +200,14 @@ def shadow_limits(
 
     Both are (H, W) float32: pixels, inf outside gaps; a factor in (0, 1], 1 outside gaps and without shadows.
     """
-    limit = np.full(disparity.shape, np.inf, np.float32)
-    limit_factor = np.ones(disparity.shape, np.float32)
-    for shadow, right, holes in shadows.sides():
-        colors, values, value, slope = _turned(right, lab, disparity, planes.value, planes.slope_x)
+    limit, limit_factor = np.full(disparity.shape, np.inf, np.float32), np.ones(disparity.shape, np.float32)
+    for shadow, step, holes in shadows.sides():
+        turn = np.s_[:, ::step]
+        given = [np.ascontiguousarray(m[turn]) for m in (lab, disparity, planes.value, step * planes.slope_x)]
         hidden = shadow.confidence * (1 - shadows.p_hole)
         factors = np.array([SHADOW_FACTOR**shadow.confidence, GAP_FACTOR**hidden, HOLE_FACTOR**hidden], np.float32)
-        out, out_factor = _turned_views(right, limit, limit_factor)
-        scale, covered = np.float32(shadow.scale), np.float32(shadow.covered)
-        steps = (value, -slope if right else slope, np.float32(jump), np.float32(tolerance), factors)
-        _limits(colors, values, *steps, scale, covered, holes, out, out_factor)
+        sizes = (np.float32(size) for size in (jump, tolerance, shadow.scale, shadow.covered))
+        _limits(limit[turn], limit_factor[turn], holes, factors, *given, *sizes)
     return limit, limit_factor
 
 
@@ -245,25 +220,23 @@ def shadow_background(
     falls on: the nearer its width is to the step to the surface on the far side, the larger the share. Both are
     (H, W) float32: pixels, NaN = no shadow; the share of all votes that the background gets in addition.
     """
-    background = np.full(disparity.shape, np.nan, np.float32)
-    extra_share = np.zeros(disparity.shape, np.float32)
-    for shadow, right, _ in shadows.sides():
-        values, value, slope = _turned(right, disparity, planes.value, planes.slope_x)
-        low, high = (np.float32(shadow.confidence * share) for share in (_MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE))
-        out, out_share = _turned_views(right, background, extra_share)
-        scale, covered = np.float32(shadow.scale), np.float32(shadow.covered)
-        steps = (value, -slope if right else slope, np.float32(jump))
-        _background(values, *steps, low, high, scale, covered, out, out_share)
+    background, extra_share = np.full(disparity.shape, np.nan, np.float32), np.zeros(disparity.shape, np.float32)
+    for shadow, step, _ in shadows.sides():
+        turn = np.s_[:, ::step]
+        given = [np.ascontiguousarray(m[turn]) for m in (disparity, planes.value, step * planes.slope_x)]
+        low, high = (shadow.confidence * share for share in (_MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE))
+        sizes = (np.float32(size) for size in (jump, low, high, shadow.scale, shadow.covered))
+        _background(background[turn], extra_share[turn], *given, *sizes)
     return background, extra_share
 
 
-def _turned_views(right: bool, *maps: Any) -> tuple[Any, ...]:
-    # Views; mirrored for the right side, whose shadows are those of the left side of the mirrored frame.
-    return tuple(m[:, ::-1] for m in maps) if right else maps
-
-
-def _turned(right: bool, *maps: Any) -> tuple[Any, ...]:
-    return tuple(np.ascontiguousarray(m) for m in _turned_views(right, *maps))
+@jit
+def lab_difference(lab, y, x, v, u):
+    """Return the L1 difference of two pixels' colors, int32; for other kernels."""
+    difference = np.int32(0)
+    for i in range(3):
+        difference += abs(np.int32(lab[y, x, i]) - np.int32(lab[v, u, i]))
+    return difference
 
 
 @jit
@@ -273,15 +246,12 @@ def _rim_contrast(lab, d, y, u, left, right):
     for k in range(8):
         for v in (left - k, right + k):
             if 0 <= v < d.size and not np.isnan(d[v]):
-                contrast = np.int32(0)
-                for i in range(3):
-                    contrast += abs(np.int32(lab[y, u, i]) - np.int32(lab[y, v, i]))
-                smallest = min(smallest, contrast)
+                smallest = min(smallest, lab_difference(lab, y, u, y, v))
     return smallest
 
 
 @parallel_jit
-def _limits(lab, disparity, value, slope_x, jump, tolerance, factors, scale, covered, holes, limit, limit_factor):
+def _limits(limit, limit_factor, holes, factors, lab, disparity, value, slope_x, jump, tolerance, scale, covered):
     for y in prange(disparity.shape[0]):
         d = disparity[y]
         for last, x in gaps_of(d, True):
@@ -306,7 +276,7 @@ def _limits(lab, disparity, value, slope_x, jump, tolerance, factors, scale, cov
 
 
 @parallel_jit
-def _background(disparity, value, slope_x, jump, low, high, scale, covered, background, extra_share):
+def _background(background, extra_share, disparity, value, slope_x, jump, low, high, scale, covered):
     for y in prange(disparity.shape[0]):
         d = disparity[y]
         for last, x in gaps_of(d, False):
@@ -332,15 +302,15 @@ def max_disparity_in_gaps(
     that differ by less than ``jump`` are taken for reflections.
     """
     limit = np.full(disparity.shape, np.inf, np.float32)
-    for shadow, right, _ in shadows.sides():
-        (turned,) = _turned(right, disparity)
-        widths = (np.float32(shadow.scale), np.float32(shadow.covered), shadows.p_hole < 0.5)
-        _max_in_gaps(turned, np.float32(jump), np.float32(tolerance), *widths, _turned_views(right, limit)[0])
+    for shadow, step, _ in shadows.sides():
+        turned = np.ascontiguousarray(disparity[:, ::step])
+        sizes = (np.float32(size) for size in (jump, tolerance, shadow.scale, shadow.covered))
+        _max_in_gaps(limit[:, ::step], turned, shadows.p_hole < 0.5, *sizes)
     return limit
 
 
 @parallel_jit
-def _max_in_gaps(disparity, jump, tolerance, scale, covered, behind, limit):
+def _max_in_gaps(limit, disparity, behind, jump, tolerance, scale, covered):
     for y in prange(disparity.shape[0]):
         d = disparity[y]
         for last, x in gaps_of(d, False):

@@ -14,7 +14,8 @@ from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.frames import RgbdFrame
 from depthcli.methods.kinect.camera_motion import displacement, view_after
-from depthcli.methods.kinect.layers import Layer, Measurement
+from depthcli.methods.kinect.disparity import Measurement
+from depthcli.methods.kinect.layers import Layer
 from depthcli.methods.kinect.pipeline.sequence import carried_labels, still_pixels
 from depthcli.simulate.depth_sensor import KinectSample
 from depthcli.simulate.kinect_scenes import make_kinect_sequence
@@ -193,13 +194,14 @@ def test_carried_labels(shape, share):
     limit = np.where(rng.random(shape) < 0.3, rng.uniform(10, 40, shape), np.inf).astype(np.float32)
     reliable, still, own = noisy(*shape), rng.random(shape) < share, rng.random(shape) < 0.5
     color = blocks(*shape)
-    measurement = Measurement(reliable, np.ones_like(reliable), reliable, np.zeros(shape, bool), limit, 0.3)
+    frame = RgbdFrame(color, np.full(shape, 2, np.float32))
+    measurement = replace(Measurement.of(frame, 5.0, 0.0, False, 0.3), reliable=reliable, limit=limit)
 
     def value_at(s, y, x):
         b = surfaces.coefficients[s]
         return b[0] + b[1] * x / 50 + b[2] * y / 50
 
-    found = carried_labels(Layer(labels, surfaces, own), still, color, measurement, 1.5)
+    found = carried_labels(Layer(labels, surfaces, own), still, color, measurement)
     expected = naive.carried_labels(
         labels, own, still, color, reliable, limit, value_at, surfaces.scale, 1.5, 0.3
     )  # fmt: skip

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces
-from depthcli.methods.kinect.model.polynomial import Polynomial
-from depthcli.methods.kinect.segment_surfaces import add_detail, join_segments
+from depthcli.methods.kinect.layers import Polynomial, add_detail, join_segments
 from depthcli.methods.kinect.shadows import Shadow, Shadows, max_disparity_in_gaps
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.naive import kinect as naive

@@ -21,7 +21,7 @@ DisparityArray = NDArray[np.float32]
 class KinectPipeline(Method):
     """A complete refinement of one frame; in a config its name stands under ``pipeline``."""
 
-    bytes_per_pixel: ClassVar[int]
+    bytes_per_pixel: ClassVar[int] = 60
     """Estimate of the peak working memory."""
 
     @abstractmethod
@@ -40,14 +40,15 @@ class FilterPipeline(KinectPipeline):
     """A refinement that filters the disparity; its noise is the sigma of measured pixels, filled ones have none."""
 
     @abstractmethod
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
         """Compute the refined disparity from the ``measured`` one, whose standard deviation is ``noise``, pixels."""
 
     def __call__(self, frame: RgbdFrame) -> DepthResult:
         clock = Clock()
+        clock.start("filter")
         measured = measured_disparity(frame)
         noise = noise_level(measured)
-        values = self.filtered(frame, measured, noise, clock)
+        values = self.filtered(frame, measured, noise)
         sigma = np.where(np.isnan(measured), np.nan, noise).astype(np.float32)
         return refined_depth(frame, values, sigma, noise, clock)
 

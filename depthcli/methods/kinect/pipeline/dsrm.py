@@ -16,12 +16,13 @@ from depthcli.algorithms.segmentation.statistical_region_merging import Statisti
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, DepthResult
-from depthcli.methods.kinect.depth_edges import edge_distance
-from depthcli.methods.kinect.layers import Layer, Measurement, RefinedDisparity, combine, fit_layer
-from depthcli.methods.kinect.model import Model
-from depthcli.methods.kinect.model.polynomial import Polynomial
+from depthcli.methods.kinect.depth_edges import near_side
+from depthcli.methods.kinect.disparity import Measurement
+from depthcli.methods.kinect.layers import Layer, Polynomial, RefinedDisparity, join_segments
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side
+
+_MIN_CORE_PIXELS = 5  # of a segment, for a surface to be fitted to them; value of the shipped presets, not varied
 
 
 class Dsrm(KinectPipeline):
@@ -37,7 +38,7 @@ class Dsrm(KinectPipeline):
         ),
         description="layers of segments, from fine to coarse",
     )
-    model: Model = Field(default_factory=Polynomial, description="what is fitted to the inverse depth of a segment")
+    model: Polynomial = Field(Polynomial(), description="what is fitted to the inverse depth of a segment")
     jump: float = Field(5.0, gt=0, le=1000, description="a larger step is a depth edge, multiples of the noise")
     min_probability: float = Field(
         0.8, ge=0, lt=1, description="measurements that are right with less probability are unreliable; 0: none"
@@ -66,9 +67,8 @@ class Dsrm(KinectPipeline):
         """Return the result and the state of a sequence: measurement, layers (none ``in_turn``), disparity."""
         clock = Clock()
         clock.start("unreliable")
-        lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
-        measurement = Measurement.of(frame, lab, self.jump, self.min_probability, self.shadows)
-        refined, labels, layers = self.surfaces(frame, lab, measurement, clock)
+        measurement = Measurement.of(frame, self.jump, self.min_probability, self.shadows)
+        refined, labels, layers = self.surfaces(frame, measurement, clock)
         clock.start("result")
         result = refined.to_depth(frame)
         if self.details:
@@ -81,54 +81,68 @@ class Dsrm(KinectPipeline):
         return result, measurement, layers, refined.disparity
 
     def surfaces(
-        self, frame: RgbdFrame, lab: NDArray[np.uint8], measurement: Measurement, clock: Clock
+        self, frame: RgbdFrame, measurement: Measurement, clock: Clock
     ) -> tuple[RefinedDisparity, list[NDArray[np.int32]], list[Layer]]:
         """Return the refined disparity, the labels of every layer of segments, and the layers (none ``in_turn``)."""
         clock.start("segmentation")
         labels = self.segmentation.layers(frame.color, measurement.reliable)
         if self.combination == "in_turn":
             clock.start("refinement")
-            return self._in_turn(frame, measurement, labels, lab), labels, []
+            return self._in_turn(frame, measurement, labels), labels, []
         clock.start("model")
-        layers = [self._fit(measurement, layer, lab) for layer in labels]
+        layers = [self._fit(measurement, layer) for layer in labels]
         clock.start("refinement")
-        refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
-        clock.start("gaps")
-        return refined.joined(lab, layers, measurement), labels, layers
+        return self.combined(layers, measurement), labels, layers
 
-    def _fit(self, measurement: Measurement, labels: NDArray[np.int32], lab: NDArray[np.uint8]) -> Layer:
-        return fit_layer(measurement, labels, lab, self.model, self.min_known, self.min_share, self.join)
+    def combined(self, layers: list[Layer], measurement: Measurement) -> RefinedDisparity:
+        """Return the disparity that follows from all layers."""
+        return RefinedDisparity.of(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
 
-    def _in_turn(
-        self, frame: RgbdFrame, measurement: Measurement, layers: list[NDArray[np.int32]], lab: NDArray[np.uint8]
-    ) -> RefinedDisparity:
+    def _fit(self, measurement: Measurement, labels: NDArray[np.int32]) -> Layer:
+        """Fit the model to the segments ``labels`` (H, W), and let segments where it cannot be fitted join others.
+
+        Segments with too few reliable pixels, whose measured pixels mostly are ``core`` pixels, are fitted to those.
+        """
+        n = int(labels.max()) + 1
+        size, reliable, measured, core = (
+            np.bincount(labels[chosen].ravel(), minlength=n)
+            for chosen in (..., ~np.isnan(measurement.reliable), ~np.isnan(measurement.disparity), measurement.core)
+        )
+        modelled = (reliable >= self.min_known) & (reliable >= self.min_share * size)
+        by_core = ~modelled & (core >= _MIN_CORE_PIXELS) & (2 * core >= measured)
+        values = np.where(by_core[labels] & measurement.core, measurement.disparity, measurement.reliable)
+        surfaces = self.model(values, labels, measurement.noise)
+        modelled |= by_core
+        owners = np.where(modelled, np.arange(n, dtype=np.int32), np.int32(-1))
+        if self.join:
+            owners = join_segments(labels, modelled, surfaces, measurement.lab, measurement.limit)
+        return Layer(owners[labels], surfaces, modelled[labels])
+
+    def _in_turn(self, frame: RgbdFrame, measurement: Measurement, layers: list[NDArray[np.int32]]) -> RefinedDisparity:
         """Fill and correct layer after layer, each fitted to the result of the finer ones (thesis, chapter 4).
 
         Pixels that no surface reaches are filled by a joint bilateral filter.
         """
-        shape = measurement.disparity.shape
-        distance = edge_distance(measurement.disparity, self.jump * measurement.noise)
-        edge = distance.inside(self.correction_band, self.correction_band)
+        band, shape = self.correction_band, frame.shape
+        edge = near_side(measurement.disparity, measurement.jump, band, band)
         values, scale = measurement.reliable.copy(), np.full(shape, measurement.noise, np.float32)
         status = np.where(np.isnan(values), np.uint8(DepthStatus.EMPTY), np.uint8(DepthStatus.KEPT))
+        known = ~np.isnan(measurement.disparity)
         for labels in layers:
-            refined = replace(measurement, reliable=values, core=np.zeros(shape, bool))
-            surface, spread = self._fit(refined, labels, lab).estimate(refined, self.detail_reach)
-            unknown = np.isnan(values)
+            finer = replace(measurement, reliable=values, core=np.zeros(shape, bool))
+            surface, spread = self._fit(finer, labels).estimate(values, self.detail_reach)
             off = np.abs(values - surface) > self.tolerance * spread
             inner = np.ones(shape, np.uint8)  # 0 beside another segment
             across, down = labels[:, 1:] != labels[:, :-1], labels[1:] != labels[:-1]
             inner[:, 1:][across] = inner[:, :-1][across] = 0
             inner[1:][down] = inner[:-1][down] = 0
             border = inner == 0
-            if not inner.all():
-                border = cv2.distanceTransform(inner, cv2.DIST_L2, 3) < self.correction_band
-            replaced = (unknown & ~np.isnan(surface)) | (off & (edge | border))
-            values = np.where(replaced, surface, values)
-            scale = np.where(replaced, spread, scale)
-            measured = ~np.isnan(measurement.disparity)
-            status[replaced & measured] = DepthStatus.CORRECTED
-            status[replaced & ~measured] = DepthStatus.GAP_FILLED
+            if border.any():
+                border = cv2.distanceTransform(inner, cv2.DIST_L2, 3) < band
+            replaced = (np.isnan(values) & ~np.isnan(surface)) | (off & (edge | border))
+            values, scale = np.where(replaced, surface, values), np.where(replaced, spread, scale)
+            status[replaced & known] = DepthStatus.CORRECTED
+            status[replaced & ~known] = DepthStatus.GAP_FILLED
         missing = np.isnan(values)
         if missing.any():
             values = joint_bilateral_fill(frame.color, values)

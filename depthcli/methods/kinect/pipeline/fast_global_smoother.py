@@ -11,7 +11,6 @@ from pydantic import Field
 
 from depthcli.algorithms.filters import single_thread
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.result import Clock
 from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
 
 
@@ -32,8 +31,7 @@ class FastGlobalSmoother(FilterPipeline):
     )
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
 
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
-        clock.start("confidence")
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
         if self.edge_band:
@@ -44,7 +42,6 @@ class FastGlobalSmoother(FilterPipeline):
                 edges[:, :-1] |= step
             band = cv2.dilate(edge, np.ones((2 * self.edge_band + 1,) * 2, np.uint8)) > 0
             confidence[known & band] = self.edge_confidence
-        clock.start("smoothing")
         return weighted_smoothing(frame.color, measured, confidence, self.smoothness, self.sigma_color)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.result import Clock
 from depthcli.methods.kinect.disparity import nearest_fill
 from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
 
@@ -22,8 +21,6 @@ class Guided(FilterPipeline):
     radius: int = Field(8, ge=1, le=100, description="radius of the filter's windows, pixels")
     epsilon: float = Field(40.0, gt=0, description="variance of the color that counts as none, square grey levels")
 
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
-        clock.start("fill")
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
         filled = nearest_fill(measured)
-        clock.start("smoothing")
         return np.asarray(cv2.ximgproc.guidedFilter(frame.color, filled, self.radius, self.epsilon), np.float32)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
 from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.result import Clock
 from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
 
 _ALGORITHMS = {"telea": cv2.INPAINT_TELEA, "navier-stokes": cv2.INPAINT_NS}
@@ -21,13 +20,10 @@ class Inpaint(FilterPipeline):
     The 32-bit version overshoots: values are kept within those measured.
     """
 
-    bytes_per_pixel: ClassVar[int] = 60
-
     algorithm: Literal["telea", "navier-stokes"] = Field("telea", description="fast marching, or fluid dynamics")
     radius: float = Field(3.0, gt=0, le=50, description="neighborhood that a pixel is filled from, pixels")
 
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
-        clock.start("inpainting")
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
         gaps = np.isnan(measured)
         values = np.where(gaps, np.float32(0), measured)
         if gaps.any():

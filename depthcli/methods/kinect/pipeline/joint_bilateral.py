@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from pydantic import Field
 
 from depthcli.algorithms.filters import joint_bilateral_fill
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.method import Odd
-from depthcli.core.result import Clock
 from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
 
 
@@ -19,12 +16,9 @@ class JointBilateralFill(FilterPipeline):
     Repeated from the gap's rim inwards, until nothing is left that a window can reach.
     """
 
-    bytes_per_pixel: ClassVar[int] = 60
-
     window: Odd = Field(21, ge=3, le=101, description="side of the window, pixels, odd")
     sigma_space: float = Field(5.0, gt=0, description="standard deviation of the weight by distance, pixels")
     sigma_color: float = Field(15.0, gt=0, description="standard deviation of the weight by color, grey levels")
 
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
-        clock.start("fill")
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
         return joint_bilateral_fill(frame.color, measured, self.window, self.sigma_space, self.sigma_color)

@@ -20,9 +20,8 @@ from depthcli.methods.kinect.candidates import (
     choose_candidates,
     hidden_openings,
 )
-from depthcli.methods.kinect.disparity import nearest_fill, refined_depth
+from depthcli.methods.kinect.disparity import Measurement, nearest_fill, refined_depth
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
-from depthcli.methods.kinect.layers import Measurement
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.methods.kinect.shadows import GAP_FACTOR, SHADOW_SIDES, Side, shadow_background, shadow_limits
@@ -78,10 +77,9 @@ class PlaneVotes(KinectPipeline):
     def __call__(self, frame: RgbdFrame) -> DepthResult:
         clock = Clock()
         clock.start("unreliable")
-        lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB), np.uint8)
-        measurement = Measurement.of(frame, lab, self.jump, self.min_probability, self.shadows)
+        measurement = Measurement.of(frame, self.jump, self.min_probability, self.shadows)
         measured, noise, shadows = measurement.disparity, measurement.noise, measurement.shadows
-        p_correct, jump = measurement.probability, self.jump * noise
+        lab, p_correct, jump = measurement.lab, measurement.probability, measurement.jump
         known = ~np.isnan(measured)
         in_shadows = max(shadows.left.confidence, shadows.right.confidence)
         unreliable = ~known | (p_correct < self.min_probability)
@@ -100,7 +98,7 @@ class PlaneVotes(KinectPipeline):
         possible = np.where(limit_factor < 0.1, limit, np.float32(np.inf))
         cost = np.where(unreliable, np.float32(UNRELIABLE_COST), np.float32(0))
         path, _ = fill_gaps(trusted, lab, None, possible, cost, noise)
-        continued = np.stack([path, Dsrm().surfaces(frame, lab, measurement, clock)[0].disparity])
+        continued = np.stack([path, Dsrm().surfaces(frame, measurement, clock)[0].disparity])
         share = np.where(known, np.float32(0), np.float32(self.continued_share))
         for step in range(self.passes):
             clock.start("votes")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,6 @@ class Realsense(SequencePipeline):
     averaged with the filter's state where the two differ by less than ``spatial_delta``. Options of 0 turn a
     filter off.
     """
-
-    bytes_per_pixel: ClassVar[int] = 60
 
     magnitude: int = Field(2, ge=0, le=5, description="passes of the spatial filter; 0: off")
     spatial_alpha: float = Field(0.5, ge=0.25, le=1, description="weight of the value against the filter's state")

@@ -17,10 +17,10 @@ from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.camera_motion import View, displacement, estimated_motion, view_after
-from depthcli.methods.kinect.layers import Layer, Measurement, combine
+from depthcli.methods.kinect.disparity import Measurement
+from depthcli.methods.kinect.layers import SHADOW_PENALTY, Layer
 from depthcli.methods.kinect.pipeline import SequencePipeline
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
-from depthcli.methods.kinect.segment_surfaces import SHADOW_PENALTY
 
 _FILLED, _FALLBACK, _CARRIED = int(DepthStatus.GAP_FILLED), int(DepthStatus.FALLBACK), int(DepthStatus.CARRIED)
 
@@ -33,7 +33,7 @@ _MIN_GAIN = 0.02  # share of pixels that agree after an estimated motion only, f
 class SequenceState:
     """State of a sequence after a frame."""
 
-    layers: tuple[Layer, ...]
+    layers: list[Layer]
     color: NDArray[np.uint8]  # (H, W, 3), of the frame
     disparity: NDArray[np.float32]  # (H, W), refined, pixels, NaN = none
     noise: float  # of the last segmented frame, pixels
@@ -65,56 +65,50 @@ class Sequence(SequencePipeline, Dsrm):
     def step(self, frame: RgbdFrame, state: SequenceState | None) -> tuple[DepthResult, SequenceState]:
         """Refine the next frame; ValueError where it has no depth, or another size than the previous ones."""
         if state is None:
-            return self.start(frame)
+            return self._start(frame)
         if state.color.shape != frame.color.shape:
             raise ValueError(
                 f"the frame's size {frame.shape} is not that of the previous frames {state.color.shape[:2]}"
             )
         clock = Clock()
         clock.start("unreliable")
-        lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
-        measurement = Measurement.of(frame, lab, self.jump, self.min_probability, self.shadows, state.noise)
+        measurement = Measurement.of(frame, self.jump, self.min_probability, self.shadows, state.noise)
         clock.start("motion")
-        motion, view, still = self.followed(frame, measurement, state)
+        motion, view, still = self._followed(frame, measurement, state)
         clock.start("model")
         if state.age + 1 >= self.max_age or 1 - still.mean() > self.max_changed:
-            return self.start(frame)
-        previous, carried = state.disparity, state.layers
+            return self._start(frame)
+        previous, layers = state.disparity, state.layers
         if view is not None:
-            still &= view.certain(self.jump * state.noise)
+            still &= view.certain
             # A surface that was seen before needs no shadow to be believed.
             measurement = replace(measurement, limit=np.where(still, np.float32(np.inf), measurement.limit))
-            previous, source, moved = view.disparity, np.maximum(view.source, 0), []
-            for layer in carried:
-                labels = np.where(view.reached, layer.labels.ravel()[source], np.int32(-1))
-                surfaces = self.model(previous, labels, state.noise)
-                moved.append(Layer(labels, surfaces, view.reached & layer.own.ravel()[source]))
-            carried = tuple(moved)
-        layers = []
-        for layer in carried:
-            labels, own = carried_labels(layer, still, frame.color, measurement, self.jump * state.noise)
-            surfaces = self.model(measurement.reliable, labels, state.noise, layer.surfaces)
-            layers.append(Layer(labels, surfaces, own))
+            previous, layers = view.disparity, []
+            for layer in state.layers:
+                labels = np.where(view.reached, layer.labels.ravel()[view.source], np.int32(-1))
+                own = view.reached & layer.own.ravel()[view.source]
+                layers.append(Layer(labels, self.model(previous, labels, state.noise), own))
+        carried = []
+        for layer in layers:
+            labels, own = carried_labels(layer, still, frame.color, measurement)
+            carried.append(Layer(labels, self.model(measurement.reliable, labels, state.noise, layer.surfaces), own))
         clock.start("refinement")
-        refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
-        refined = refined.joined(lab, layers, measurement)
+        refined = self.combined(carried, measurement)
         drift = np.float32(self.drift * state.noise)
         _blend(refined.disparity, refined.scale, refined.status, previous, still, drift)
         clock.start("result")
         result = refined.to_depth(frame)
         result.seconds, result.words["motion"] = clock.seconds, motion
         result.figures = measurement.shadows.figures()
-        return result, SequenceState(
-            tuple(layers), frame.color, refined.disparity, state.noise, state.age + 1, frame.pose
-        )
+        return result, SequenceState(carried, frame.color, refined.disparity, state.noise, state.age + 1, frame.pose)
 
-    def start(self, frame: RgbdFrame) -> tuple[DepthResult, SequenceState]:
+    def _start(self, frame: RgbdFrame) -> tuple[DepthResult, SequenceState]:
         """Refine the first frame of a sequence."""
         result, measurement, layers, disparity = self.refine(frame)
         result.words["motion"] = "new"
-        return result, SequenceState(tuple(layers), frame.color, disparity, measurement.noise, 0, frame.pose)
+        return result, SequenceState(layers, frame.color, disparity, measurement.noise, 0, frame.pose)
 
-    def followed(
+    def _followed(
         self, frame: RgbdFrame, measurement: Measurement, state: SequenceState
     ) -> tuple[str, View | None, NDArray[np.bool_]]:
         """Return ``still``, ``pose`` or ``estimated``, the previous frame's view, and the pixels that agree with it.
@@ -125,20 +119,17 @@ class Sequence(SequencePipeline, Dsrm):
         still = still_pixels(frame.color, state.color, measurement.reliable, state.disparity, *limits)
         agreed = float(still.mean())
         camera = frame.intrinsics or typical_intrinsics(frame.shape[1], frame.shape[0])
-        by_pose = frame.pose is not None and state.pose is not None
+        way, min_gain, motion = "estimated", _MIN_GAIN, None
         if frame.pose is not None and state.pose is not None:
-            motion: NDArray[np.float64] | None = np.linalg.inv(frame.pose) @ state.pose
-        elif 1 - agreed <= _MIN_CHANGED:
-            motion = None
-        else:
+            way, min_gain, motion = "pose", 0, np.linalg.inv(frame.pose) @ state.pose
+        elif 1 - agreed > _MIN_CHANGED:
             motion = estimated_motion(state.color, frame.color, state.disparity, camera, frame.fb)
-        if motion is None or displacement(motion, state.disparity, camera, frame.fb) < _MIN_MOTION:
-            return "still", None, still
-        view = view_after(motion, state.color, state.disparity, camera, frame.fb, self.jump * state.noise)
-        moved = still_pixels(frame.color, view.color, measurement.reliable, view.disparity, *limits) & view.reached
-        if moved.sum() <= (agreed + (0 if by_pose else _MIN_GAIN)) * max(view.reached.sum(), 1):
-            return "still", None, still
-        return "pose" if by_pose else "estimated", view, moved
+        if motion is not None and displacement(motion, state.disparity, camera, frame.fb) >= _MIN_MOTION:
+            view = view_after(motion, state.color, state.disparity, camera, frame.fb, measurement.jump)
+            moved = still_pixels(frame.color, view.color, measurement.reliable, view.disparity, *limits) & view.reached
+            if moved.sum() > (agreed + min_gain) * max(view.reached.sum(), 1):
+                return way, view, moved
+        return "still", None, still
 
 
 @parallel_jit
@@ -168,26 +159,24 @@ def still_pixels(
     """
     changes = cv2.absdiff(color, previous_color)
     same_color = cv2.inRange(changes, np.zeros(3), np.full(3, float(color_change))) > 0
-    still: NDArray[np.bool_] = same_color & ~(np.abs(reliable - previous_disparity) > np.float32(disparity_change))
-    return still
+    return np.asarray(same_color & ~(np.abs(reliable - previous_disparity) > np.float32(disparity_change)), np.bool_)
 
 
 def carried_labels(
-    layer: Layer, still: NDArray[np.bool_], color: NDArray[np.uint8], measurement: Measurement, jump: float
+    layer: Layer, still: NDArray[np.bool_], color: NDArray[np.uint8], measurement: Measurement
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Return labels and ``own`` of a layer in the next frame, both (H, W).
+    """Return labels and ``own`` of a layer in the next frame, both (H, W); ``measurement`` is of that frame.
 
     A still pixel keeps its segment, unless its reliable disparity is off the surface by more than a jump and three
     scales, or the surface is nearer by a jump than its shadow allows. Others take the segment at the end of the
     cheapest path through 8-neighbors. A step costs the absolute differences of color, the distance of the surface
     from the reliable disparity, in fifths of the noise, and ``SHADOW_PENALTY`` where the surface is nearer than the
     shadow allows. Two raster sweeps, so that bent paths may be missed. Label -1 where no pixel keeps a segment.
-    ``measurement`` is of the next frame, ``jump`` the step of a depth edge, pixels.
     """
     surfaces = layer.surfaces
     shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
     cost, given = np.empty(still.shape, np.float32), (measurement.reliable, measurement.limit)
-    _held(layer.labels, still, *given, *shapes, surfaces.scale, np.float32(jump), cost)
+    _held(layer.labels, still, *given, *shapes, surfaces.scale, np.float32(measurement.jump), cost)
     labels, own = np.where(cost > 0, np.int32(-1), layer.labels), layer.own.copy()
     _sweep(cost, labels, own, color, *given, *shapes, np.float32(5 / measurement.noise))
     return labels, own

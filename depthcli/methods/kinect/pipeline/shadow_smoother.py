@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import cv2
 import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock, DepthResult
-from depthcli.methods.kinect.depth_edges import edge_distance
-from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
+from depthcli.methods.kinect.depth_edges import near_side
+from depthcli.methods.kinect.disparity import frame_lab, measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.fast_global_smoother import weighted_smoothing
@@ -58,14 +57,13 @@ class ShadowSmoother(KinectPipeline):
         tolerance = 2.5 if shadows.p_hole < 0.5 else np.inf
         band = np.zeros(measured.shape, bool)
         if frame.has_color:  # without colors nothing shows true outlines
-            band = edge_distance(measured, jump, tolerance).inside(self.row_band, self.column_band)
+            band = near_side(measured, jump, self.row_band, self.column_band, tolerance)
         confidence[known & band] = self.edge_confidence
         level = np.zeros_like(measured)
         rims, _ = shadow_background(measured, WindowPlanes(measured, level, level, level), jump, shadows)
         shadow = ~known & ~np.isnan(rims)
-        lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB), np.uint8)
         cost = np.where(band, np.float32(UNRELIABLE_COST), np.float32(0))
-        joined, _ = fill_gaps(measured, lab, None, None, cost, None)
+        joined, _ = fill_gaps(measured, frame_lab(frame), None, None, cost, None)
         start = np.where(known, measured, np.where(shadow, rims, joined))
         confidence[~known] = self.gap_confidence
         confidence[shadow] = self.shadow_confidence
