@@ -6,16 +6,17 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from depthcli.core.arrays import Floats, Mask
 
 
 class DeformedPair(NamedTuple):
     """A misregistered pair: the match of fixed x is warped x + residual(x), up to noise."""
 
-    fixed: NDArray[np.float32]  # (Z, Y, X)
-    warped: NDArray[np.float32]
-    residual: NDArray[np.float32]  # (Z, Y, X, 3), x, y, z, voxels: what the registration is off by
-    mask: NDArray[np.bool_]  # the body
+    fixed: Floats  # (Z, Y, X)
+    warped: Floats
+    residual: Floats  # (Z, Y, X, 3), x, y, z, voxels: what the registration is off by
+    mask: Mask  # the body
 
 
 def make_deformed_pair(
@@ -51,7 +52,7 @@ def make_deformed_pair(
     return DeformedPair(fixed.astype(np.float32), warped.astype(np.float32), vectors, body)
 
 
-def smooth_noise(rng: np.random.Generator, shape: tuple[int, int, int], sigma: float) -> NDArray[np.float32]:
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, int, int], sigma: float) -> Floats:
     """Return Gaussian noise of that correlation length, deviation 1."""
     margin = int(3 * sigma) + 1
     wide = rng.standard_normal([n + 2 * margin for n in shape]).astype(np.float32)
@@ -59,7 +60,7 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int, int], sigma: f
     return np.asarray((smooth - smooth.mean()) / smooth.std(), np.float32)
 
 
-def blurred(volume: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+def blurred(volume: Floats, sigma: float) -> Floats:
     """Return a volume filtered by a Gaussian along all three axes, borders repeated."""
     for axis in range(3):
         lines = np.ascontiguousarray(np.moveaxis(volume, axis, -1))
@@ -69,7 +70,7 @@ def blurred(volume: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     return np.ascontiguousarray(volume, np.float32)
 
 
-def _sampled(volume: NDArray[np.float32], field: NDArray[np.float32]) -> NDArray[np.float32]:
+def _sampled(volume: Floats, field: Floats) -> Floats:
     """Return trilinear values at x + field(x), borders repeated."""
     top = np.array(volume.shape).reshape(3, 1, 1, 1) - 1
     grid = np.stack(np.meshgrid(*(np.arange(n, dtype=np.float32) for n in volume.shape), indexing="ij"))

@@ -15,28 +15,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.arrays import Doubles, Floats, Image8, Mask
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
-
-Disparity = NDArray[np.float32]
-"""(H, W), pixels, NaN = unknown."""
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class KinectSample:
     """A simulated frame and what is known about it. Every mask keeps to pixels with known truth."""
 
-    color: NDArray[np.uint8]  # (H, W, 3) RGB
-    disparity: Disparity  # what the sensor measured
-    truth: Disparity
+    color: Image8  # (H, W, 3) RGB
+    disparity: Floats  # what the sensor measured
+    truth: Floats
     occluded: Mask  # in the shadow of something nearer, without a measurement
     specular: Mask  # in a disc without a measurement, and not in shadow
     mismatch: Mask  # measured, but the value of the surface in front
     measured: Mask  # measured rightly, up to noise
     intrinsics: Intrinsics | None = None
-    pose: NDArray[np.float64] | None = None  # (4, 4), from the camera's coordinates to the world's, meters
+    pose: Doubles | None = None  # (4, 4), from the camera's coordinates to the world's, meters
 
     @property
     def gap(self) -> Mask:
@@ -47,7 +44,7 @@ class KinectSample:
         """Return the measurement as a frame in meters; ``fb`` in pixel meters."""
         return RgbdFrame(self.color, depth_of_disparity(self.disparity, fb), fb, self.intrinsics, pose=self.pose)
 
-    def depth_true(self, fb: float = RgbdFrame.fb) -> NDArray[np.float32]:
+    def depth_true(self, fb: float = RgbdFrame.fb) -> Floats:
         """Return the true depth, (H, W) float32, meters, NaN = unknown."""
         return depth_of_disparity(self.truth, fb)
 
@@ -73,7 +70,7 @@ class Sensor:
 
 
 def simulate_kinect(
-    color: NDArray[np.uint8],
+    color: Image8,
     truth: NDArray[np.floating[Any]],
     seed: int = 0,
     *,
@@ -143,13 +140,13 @@ def simulate_kinect(
     )
 
 
-def _behind(truth: Disparity) -> Disparity:
+def _behind(truth: Floats) -> Floats:
     """Fill unknown runs of each row with the smaller value at their ends, empty rows with the nearest row."""
     left, right = truth.copy(), truth.copy()
     for x in range(1, truth.shape[1]):
         left[:, x] = np.where(np.isnan(left[:, x]), left[:, x - 1], left[:, x])
         right[:, -x - 1] = np.where(np.isnan(right[:, -x - 1]), right[:, -x], right[:, -x - 1])
-    filled: Disparity = np.fmin(left, right)
+    filled: Floats = np.fmin(left, right)
     empty = np.isnan(filled[:, 0])
     if empty.any():
         given = np.flatnonzero(~empty)
@@ -157,7 +154,7 @@ def _behind(truth: Disparity) -> Disparity:
     return filled
 
 
-def _fattened(surface: Disparity, width: int, sides: str, jump: float) -> Disparity:
+def _fattened(surface: Floats, width: int, sides: str, jump: float) -> Floats:
     """Return the disparity with surfaces in front spread over ``width`` pixels on their sides along the rows."""
     step = np.diff(surface, axis=1)
     faces_left, faces_right = np.full_like(surface, -np.inf), np.full_like(surface, -np.inf)
@@ -172,7 +169,7 @@ def _fattened(surface: Disparity, width: int, sides: str, jump: float) -> Dispar
     return result
 
 
-def _shadow(fattened: Disparity, jump: float, baseline: float) -> Mask:
+def _shadow(fattened: Floats, jump: float, baseline: float) -> Mask:
     """Select pixels whose projected position ``x - d`` a surface on their right hides, nearer by over ``jump``."""
     position = np.arange(fattened.shape[1], dtype=np.float32) - np.float32(baseline) * fattened
     shadow = np.zeros(fattened.shape, bool)

@@ -7,12 +7,12 @@ from typing import Literal, get_args
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from depthcli.core.arrays import Doubles, Floats, Image8
 from depthcli.core.cameras.camera import typical_intrinsics
 from depthcli.core.frames import RgbdFrame
 from depthcli.simulate import textures
-from depthcli.simulate.depth_sensor import Disparity, KinectSample, discs, simulate_kinect
+from depthcli.simulate.depth_sensor import KinectSample, discs, simulate_kinect
 from depthcli.simulate.rendering import levels8
 from depthcli.simulate.stereo_scenes import make_scene
 
@@ -21,13 +21,13 @@ SequenceKind = Literal["static", "moving", "camera"]
 SEQUENCE_KINDS: tuple[SequenceKind, ...] = get_args(SequenceKind)
 
 _COLOR_NOISE = 2.0  # grey levels, of every frame of a sequence
-Shot = tuple[NDArray[np.uint8], Disparity, NDArray[np.float64] | None]
+Shot = tuple[Image8, Floats, Doubles | None]
 """Color (H, W, 3), true disparity (H, W), and the camera's pose (4, 4): from its coordinates to the world's, meters."""
 
 
 def make_kinect_scene(
     kind: SceneKind, seed: int = 0, width: int = 400, height: int = 300, max_disparity: int = 48
-) -> tuple[NDArray[np.uint8], Disparity]:
+) -> tuple[Image8, Floats]:
     """Return color (H, W, 3) uint8 RGB and exact disparity (H, W) float32, pixels, the same for the same arguments.
 
     Parameters
@@ -107,9 +107,9 @@ def make_kinect_sequence(
 class CutOut:
     """A board, cut out and painted."""
 
-    cover: NDArray[np.float32]  # (H, W), share of each pixel that it covers
-    color: NDArray[np.float32]  # (H, W, 3) RGB in [0, 1]
-    disparity: Disparity  # its plane
+    cover: Floats  # (H, W), share of each pixel that it covers
+    color: Floats  # (H, W, 3) RGB in [0, 1]
+    disparity: Floats  # its plane
 
     def moved(self, columns: int) -> CutOut:
         """Return the board ``columns`` pixels to the right, out of the picture where that ends."""
@@ -117,7 +117,7 @@ class CutOut:
         cover[:, :columns] = 0
         return CutOut(cover, color, disparity)
 
-    def seen_after(self, motion: NDArray[np.float64], camera: NDArray[np.float64], fb: float) -> CutOut:
+    def seen_after(self, motion: Doubles, camera: Doubles, fb: float) -> CutOut:
         """Return the board as a moved camera sees it: its plane of disparity, and its picture by the homography.
 
         ``motion`` (4, 4) brings coordinates of the camera that sees the board to those of the moved one, meters;
@@ -139,7 +139,7 @@ class CutOut:
 class Workshop:
     """What makes a wall and boards before it, for pictures of one size."""
 
-    def __init__(self, rng: np.random.Generator, width: int, height: int, paint: NDArray[np.float32], far: float):
+    def __init__(self, rng: np.random.Generator, width: int, height: int, paint: Floats, far: float):
         self._rng = rng
         self._rows, self._columns = np.mgrid[:height, :width].astype(np.float32)
         self.wall = self._cut_out(np.ones_like(self._rows), paint, (width / 2, height / 2), far, 0.06 * far)
@@ -149,7 +149,7 @@ class Workshop:
         center: tuple[float, float],
         size: tuple[float, float],
         disparity: float,
-        paint: NDArray[np.float32],
+        paint: Floats,
         max_tilt: float = 0.1,
     ) -> CutOut:
         """Return a wavy disc; ``size`` = half its width and height, pixels, ``max_tilt`` = share of its disparity."""
@@ -161,12 +161,7 @@ class Workshop:
         return self._cut_out(cover, paint, center, disparity, max_tilt * disparity)
 
     def _cut_out(
-        self,
-        cover: NDArray[np.float32],
-        paint: NDArray[np.float32],
-        center: tuple[float, float],
-        disparity: float,
-        max_tilt: float,
+        self, cover: Floats, paint: Floats, center: tuple[float, float], disparity: float, max_tilt: float
     ) -> CutOut:
         """Return a plane, tilted by at most ``max_tilt`` pixels of disparity over a quarter of the picture."""
         height, width = self._rows.shape
@@ -177,7 +172,7 @@ class Workshop:
         return CutOut(cover, color, np.maximum(plane, 0.5).astype(np.float32))
 
 
-def photograph(wall: CutOut, *boards: CutOut) -> tuple[NDArray[np.uint8], Disparity]:
+def photograph(wall: CutOut, *boards: CutOut) -> tuple[Image8, Floats]:
     """Return color, (H, W, 3) uint8, blurred as by a lens, and disparity of a wall with boards, from far to near."""
     color, truth = wall.color, wall.disparity
     for board in boards:

@@ -15,25 +15,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.arrays import Doubles, Floats, Image8, Mask
 from depthcli.simulate import textures
-from depthcli.simulate.textures import Texture, TextureMaker
+from depthcli.simulate.textures import TextureMaker
 
 _AMBIENT_LIGHT = 0.45  # share of the brightness that needs no lamp; set by eye
 _BAND_ROWS = 32  # rendered at a time, which bounds the memory
 _LIGHTMAP_SIDE = 72  # samples of the light on a plane along each side; shadows are blurred
 Array = NDArray[Any]
 Vector = tuple[Array, Array, Array]
-Outline = Callable[[Array, Array], NDArray[np.bool_]]
+Outline = Callable[[Array, Array], Mask]
 Shape = Literal["plane", "sphere", "cylinder", "cone"]
 
 
-def rotation(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> NDArray[np.float64]:
+def rotation(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> Doubles:
     """Return the local axes in the world, rows of (3, 3) float64; radians about Y, X and Z, in this order."""
     cy, sy, cp, sp, cr, sr = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
     about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
-    rows: NDArray[np.float64] = (about_y @ about_x @ about_z).T
+    rows: Doubles = (about_y @ about_x @ about_z).T
     return rows
 
 
@@ -47,10 +48,10 @@ class Surface:
     """
 
     shape: Shape
-    center: NDArray[np.float64]  # (3,), world
-    axes: NDArray[np.float64]  # (3, 3), rows = local axes in the world; local -z faces the camera
-    half_size: NDArray[np.float64]  # (3,), baselines
-    texture: Texture
+    center: Doubles  # (3,), world
+    axes: Doubles  # (3, 3), rows = local axes in the world; local -z faces the camera
+    half_size: Doubles  # (3,), baselines
+    texture: Floats
     outline: Outline | None = None  # which (x, y) of a plane belong to it; None = the whole square
     unbounded: bool = False  # an infinite plane (its picture is repeated, mirrored each time)
     period: float = 0.0  # width of one repetition of the picture along local x, in baselines; 0 = none
@@ -105,12 +106,12 @@ class Surface:
         length = np.sqrt(x * x + y * y + z * z) + 1e-12
         return x / length, y / length, z / length
 
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Doubles:
         """Return the (8, 3) world corners of a box around the surface."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
         if self.shape == "plane":
             signs[:, 2] = 0
-        box: NDArray[np.float64] = self.center + (signs * self.half_size) @ self.axes
+        box: Doubles = self.center + (signs * self.half_size) @ self.axes
         return box
 
 
@@ -124,7 +125,7 @@ class Room:
     max_disparity: int
     wall_contrast: float
     surfaces: list[Surface] = field(default_factory=list)
-    surroundings: Texture | None = None
+    surroundings: Floats | None = None
 
     def __post_init__(self) -> None:
         self.focal = 0.85 * self.width
@@ -137,17 +138,17 @@ class Room:
         light = (-0.35 * self.width, -1.1 * self.height)
         self.light = np.array([light[0] / self.far, light[1] / self.far, 0.35 * self.focal / self.near])
 
-    def at(self, x: float, y: float, disparity: float) -> NDArray[np.float64]:
+    def at(self, x: float, y: float, disparity: float) -> Doubles:
         """Return the world point that the left camera sees at pixel (x, y) with this disparity."""
         return np.array([x - self.center[0], y - self.center[1], self.focal]) / disparity
 
-    def above_floor(self, x: float, disparity: float, height: float) -> NDArray[np.float64]:
+    def above_floor(self, x: float, disparity: float, height: float) -> Doubles:
         """Return the world point at column x and this disparity, ``height`` baselines above the floor."""
         point = self.at(x, 0, disparity)
         point[1] = self.floor - height
         return point
 
-    def paint(self, maker: TextureMaker, size: tuple[float, float], disparity: float, feature: float = 1.0) -> Texture:
+    def paint(self, maker: TextureMaker, size: tuple[float, float], disparity: float, feature: float = 1.0) -> Floats:
         """Return a picture for a surface of this (width, height) in baselines: one texel a pixel at ``disparity``."""
         columns, rows = (int(np.clip(round(s * disparity), 8, 4096)) for s in size)
         return maker(self.rng, rows, columns, self.feature * feature)
@@ -156,12 +157,12 @@ class Room:
         """Return one of the makers of textures."""
         return makers[int(self.rng.integers(len(makers)))]
 
-    def faded(self, picture: Texture) -> Texture:
+    def faded(self, picture: Floats) -> Floats:
         """Return a wall's picture with the contrast ``wall_contrast``."""
         mean = picture.mean(axis=(0, 1), keepdims=True)
         return np.asarray(mean + self.wall_contrast * (picture - mean), np.float32)
 
-    def plane(self, center: Array, axes: Array, size: tuple[float, float], picture: Texture, **more: Any) -> None:
+    def plane(self, center: Array, axes: Array, size: tuple[float, float], picture: Floats, **more: Any) -> None:
         """Add a rectangle of this (width, height) in baselines; ``more`` are attributes of :class:`Surface`."""
         self.surfaces.append(Surface("plane", center, axes, np.array([*size, 2.0]) / 2, picture, **more))
 
@@ -171,7 +172,7 @@ class Room:
         y: float,
         disparity: float,
         size: tuple[float, float],
-        turn: NDArray[np.float64],
+        turn: Doubles,
         outline: Outline | None = None,
         maker: TextureMaker | None = None,
     ) -> None:
@@ -274,7 +275,7 @@ def disparities(room: Room, right: bool = False) -> tuple[Array, NDArray[np.int1
     return room.focal / depth, owner
 
 
-def levels8(image: Array) -> NDArray[np.uint8]:
+def levels8(image: Array) -> Image8:
     """Return grey levels as 8-bit numbers."""
     return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)
 
@@ -308,7 +309,7 @@ def trace(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Array, 
     return depth, owner
 
 
-def render(room: Room, rays: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def render(room: Room, rays: int) -> tuple[Floats, Floats]:
     """Return the left and the right view, (H, W, 3) float32, nominally in [0, 1], of ``rays`` x ``rays`` a pixel."""
     light_maps = [_light_map(room, each) if each.shape == "plane" else None for each in room.surfaces]
     offsets = (np.arange(rays) + 0.5) / rays - 0.5
@@ -336,7 +337,7 @@ def render(room: Room, rays: int) -> tuple[NDArray[np.float32], NDArray[np.float
     return views[0], views[1]
 
 
-def _light_map(room: Room, plane: Surface) -> NDArray[np.float32]:
+def _light_map(room: Room, plane: Surface) -> Floats:
     """Return the light on the square of a plane, with the soft shadows on it, (n, n) float32."""
     side = np.linspace(-1, 1, _LIGHTMAP_SIDE)
     a, b = np.meshgrid(side * plane.half_size[0], side * plane.half_size[1])
@@ -356,12 +357,12 @@ def _facing(normal: Any, to_light: Vector) -> Array:
     return np.asarray((normal[0] * x + normal[1] * y + normal[2] * z) / np.sqrt(x * x + y * y + z * z))
 
 
-def _light(facing: Array, lit: Array | float = 1.0) -> NDArray[np.float32]:
+def _light(facing: Array, lit: Array | float = 1.0) -> Floats:
     """Return the light on points that face the lamp, by the cosine ``facing``, and get the share ``lit`` of it."""
     return np.asarray(_AMBIENT_LIGHT + (1.15 - _AMBIENT_LIGHT) * np.sqrt(facing) * lit, np.float32)
 
 
-def _shade(room: Room, surface: Surface, light_map: NDArray[np.float32] | None, point: Vector) -> NDArray[np.float32]:
+def _shade(room: Room, surface: Surface, light_map: Floats | None, point: Vector) -> Floats:
     """Return the colors of points that lie on a surface (others in the rectangle get some color)."""
     x, y, z = surface.local(point)
     if surface.shape != "plane":

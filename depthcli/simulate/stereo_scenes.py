@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import discontinuity_mask
+from depthcli.core.arrays import Floats, Image8, Mask
 from depthcli.simulate import textures
 from depthcli.simulate.rendering import Array, Outline, Room, disparities, levels8, render, rotation, trace
 
@@ -27,13 +27,13 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 class SyntheticScene:
     """A rectified pair and everything known about it; all maps are (H, W)."""
 
-    left: NDArray[np.uint8]  # (H, W, 3) RGB
-    right: NDArray[np.uint8]
-    disparity_left: NDArray[np.float32]  # pixels, at pixel centers; every pixel has a value
-    disparity_right: NDArray[np.float32]
-    nonocc: NDArray[np.bool_]  # the left pixel's surface point lies in the right image and is visible there
-    disc: NDArray[np.bool_]  # non-occluded and near a depth discontinuity or an occlusion
-    repetition: NDArray[np.float32]  # after how many pixels along x the left picture repeats; NaN = it does not
+    left: Image8  # (H, W, 3) RGB
+    right: Image8
+    disparity_left: Floats  # pixels, at pixel centers; every pixel has a value
+    disparity_right: Floats
+    nonocc: Mask  # the left pixel's surface point lies in the right image and is visible there
+    disc: Mask  # non-occluded and near a depth discontinuity or an occlusion
+    repetition: Floats  # after how many pixels along x the left picture repeats; NaN = it does not
     max_disparity: int  # to search, inclusive
 
 
@@ -51,7 +51,7 @@ class Radiometry:
         """Return a change from 0 (both cameras alike) to 1 (another exposure, gamma 0.8, dark corners)."""
         return cls(1 + 0.25 * strength, -12 * strength, 1 - 0.2 * strength, 0.35 * strength)
 
-    def apply(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    def apply(self, image: Floats) -> Floats:
         """Return an image, (H, W, 3) float32 in [0, 1], as the right camera records it (not clipped)."""
         if self == Radiometry():
             return image
@@ -125,7 +125,7 @@ def _blob(rng: np.random.Generator) -> Outline:
     amounts = rng.uniform(0.02, 0.3, waves.size) / waves**0.7
     phases = rng.uniform(0, 2 * np.pi, waves.size)
 
-    def inside(x: Array, y: Array) -> NDArray[np.bool_]:
+    def inside(x: Array, y: Array) -> Mask:
         angle = np.arctan2(y, x)
         edge = sum(a * np.cos(k * angle + p) for k, a, p in zip(waves, amounts, phases, strict=True))
         return np.asarray(np.hypot(x, y) < 0.78 * (1 + edge), np.bool_)
@@ -138,7 +138,7 @@ def _saw(rng: np.random.Generator) -> Outline:
     return lambda x, y: np.asarray(y > -1 + depth * np.abs(np.mod(x * teeth / 2, 1.0) - 0.5) * 2, np.bool_)
 
 
-def _disk(x: Array, y: Array) -> NDArray[np.bool_]:
+def _disk(x: Array, y: Array) -> Mask:
     return np.asarray(x * x + y * y < 1, np.bool_)
 
 

@@ -13,22 +13,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Texture = NDArray[np.float32]
-TextureMaker = Callable[[np.random.Generator, int, int, float], Texture]
+from depthcli.core.arrays import Floats
+
+TextureMaker = Callable[[np.random.Generator, int, int, float], Floats]
 
 _LETTERS = "ABCDEFGHKLMNPQRSTUVWXYZ23456789"  # on posters and newspapers
 
 
-def color(rng: np.random.Generator, value: tuple[float, float] = (0.35, 0.9)) -> NDArray[np.float32]:
+def color(rng: np.random.Generator, value: tuple[float, float] = (0.35, 0.9)) -> Floats:
     """Return one random paint, (3,) float32: any hue, moderate saturation."""
     hsv = np.array([[[rng.uniform(0, 360), rng.uniform(0.1, 0.55), rng.uniform(*value)]]], np.float32)
-    rgb: NDArray[np.float32] = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0, 0]
+    rgb: Floats = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0, 0]
     return rgb
 
 
 def noise(
     rng: np.random.Generator, height: int, width: int, feature: float, octaves: int = 4, stretch: float = 1.0
-) -> NDArray[np.float32]:
+) -> Floats:
     """Return fractal noise, (H, W) float32, zero mean, unit deviation; ``stretch`` lengthens it along x."""
     total = np.zeros((height, width), np.float32)
     for octave in range(octaves):
@@ -42,24 +43,24 @@ def noise(
     return np.asarray(total / (total.std() + 1e-6), np.float32)
 
 
-def _soft(picture: NDArray[Any], sigma: float) -> Texture:
+def _soft(picture: NDArray[Any], sigma: float) -> Floats:
     # Blurred as by a lens and ink; 8-bit drawings come to [0, 1].
     scale = 255 if picture.dtype == np.uint8 else 1
     return np.asarray(cv2.GaussianBlur(picture.astype(np.float32) / np.float32(scale), (0, 0), sigma), np.float32)
 
 
-def _tint(rng: np.random.Generator, base: NDArray[Any], relief: NDArray[Any], amount: float) -> Texture:
+def _tint(rng: np.random.Generator, base: NDArray[Any], relief: NDArray[Any], amount: float) -> Floats:
     hue = (1.0 + rng.uniform(-0.35, 0.35, 3)).astype(np.float32)
     return np.clip(base * (1.0 + amount * relief[:, :, None] * hue), 0.02, 0.98).astype(np.float32)
 
 
-def plaster(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def plaster(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return a rough painted wall: low-contrast noise with stains."""
     relief = 0.7 * noise(rng, height, width, feature / 2, 3) + 0.7 * noise(rng, height, width, feature * 3, 2)
     return _tint(rng, color(rng, (0.6, 0.85)), relief, 0.075)
 
 
-def wood(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def wood(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return planks along x, each with its own grain and tone."""
     base = np.array([0.62, 0.42, 0.25], np.float32) * rng.uniform(0.75, 1.3)
     grain = noise(rng, height, width, feature / 4, 3, stretch=9.0)
@@ -80,12 +81,12 @@ def wood(rng: np.random.Generator, height: int, width: int, feature: float) -> T
     return np.clip(picture, 0.02, 0.98).astype(np.float32)
 
 
-def floorboards(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def floorboards(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return planks along y: running away from the viewer, a floor has contrast along the rows of the image."""
     return np.ascontiguousarray(wood(rng, width, height, feature).transpose(1, 0, 2))
 
 
-def bricks(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def bricks(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return a brick wall: every brick has its own tone, so that the courses do not repeat exactly."""
     picture = _tint(rng, np.array([0.72, 0.69, 0.64], np.float32), noise(rng, height, width, feature / 4, 2), 0.05)
     base = np.array([0.62, 0.33, 0.25], np.float32) * rng.uniform(0.8, 1.25)
@@ -102,7 +103,7 @@ def bricks(rng: np.random.Generator, height: int, width: int, feature: float) ->
     return _soft(np.clip(picture, 0.02, 0.98), 0.6)
 
 
-def cloth(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def cloth(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return woven stripes of random widths in a few colors."""
     picture = np.empty((height, width, 3), np.float32)
     paints = [color(rng) for _ in range(4)]
@@ -120,7 +121,7 @@ def cloth(rng: np.random.Generator, height: int, width: int, feature: float) -> 
     return _tint(rng, _soft(picture, 0.7), weave, 0.04)
 
 
-def checker(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def checker(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return tiles in two colors, every tile with its own tone."""
     size = max(3, round(feature))
     rows, columns = height // size + 1, width // size + 1
@@ -132,7 +133,7 @@ def checker(rng: np.random.Generator, height: int, width: int, feature: float) -
     return _tint(rng, _soft(grown, 0.6), veins, 0.08)
 
 
-def poster(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def poster(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return a printed poster: colored shapes and big letters on paper."""
     # OpenCV anti-aliases drawings in 8 bits only.
     picture = np.empty((height, width, 3), np.uint8)
@@ -164,7 +165,7 @@ def poster(rng: np.random.Generator, height: int, width: int, feature: float) ->
     return _tint(rng, _soft(picture, 0.5), paper, 0.04)
 
 
-def newspaper(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def newspaper(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return columns of small print with headlines and a grey picture or two."""
     picture = np.empty((height, width, 3), np.uint8)
     picture[:] = 255 * np.array([0.86, 0.84, 0.78]) * rng.uniform(0.9, 1.05)
@@ -188,14 +189,14 @@ def newspaper(rng: np.random.Generator, height: int, width: int, feature: float)
     return _tint(rng, _soft(picture, 0.6), noise(rng, height, width, feature, 3), 0.04)
 
 
-def marble(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def marble(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return veined stone."""
     cloud = noise(rng, height, width, feature * 1.2, 5)
     veins = np.abs(noise(rng, height, width, feature * 1.5, 4))
     return _tint(rng, color(rng, (0.5, 0.85)), 0.5 * cloud - 1.2 * np.exp(-6 * veins), 0.22)
 
 
-def camouflage(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def camouflage(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return patches in four paints with soft outlines."""
     level = noise(rng, height, width, feature, 4) + 0.12 * noise(rng, height, width, 3.0, 1)
     paints = np.stack([color(rng, (0.25, 0.9)) for _ in range(4)])
@@ -203,7 +204,7 @@ def camouflage(rng: np.random.Generator, height: int, width: int, feature: float
     return _tint(rng, _soft(picture, 0.7), noise(rng, height, width, feature / 2, 3), 0.06)
 
 
-def asphalt(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def asphalt(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return asphalt: grey with fine grain and wide stains, here and there a bright line along y."""
     relief = 0.5 * noise(rng, height, width, 3.0, 2) + 0.8 * noise(rng, height, width, feature * 4, 3)
     picture = _tint(rng, np.full(3, rng.uniform(0.25, 0.5), np.float32), relief, rng.uniform(0.03, 0.1))
@@ -213,7 +214,7 @@ def asphalt(rng: np.random.Generator, height: int, width: int, feature: float) -
     return _soft(picture, 0.6)
 
 
-def bodywork(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def bodywork(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return the side of a car: bare paint, dark panes with a sheen, a few seams."""
     shade = np.linspace(1.1, 0.75, height, dtype=np.float32)[:, None, None]
     picture = np.ones((height, width, 1), np.float32) * shade * color(rng, (0.15, 0.9))
@@ -227,14 +228,14 @@ def bodywork(rng: np.random.Generator, height: int, width: int, feature: float) 
     return np.clip(_soft(picture, 0.8) * (1 + 0.01 * noise(rng, height, width, feature, 2)[:, :, None]), 0.02, 0.98)
 
 
-def surroundings(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def surroundings(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return what paint and panes mirror: bright sky, dark shapes."""
     level = noise(rng, height, width, feature * 2, 3, rng.uniform(1, 3))
     bright = (level > rng.uniform(-0.5, 0.8)).astype(np.float32) + np.float32(0.2) * level
     return np.repeat(cv2.GaussianBlur(np.clip(bright, 0, 1), (0, 0), 1.0)[:, :, None], 3, axis=2)
 
 
-def windows(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+def windows(rng: np.random.Generator, height: int, width: int, feature: float) -> Floats:
     """Return a house front: plaster with rows of windows that are all the same."""
     picture = plaster(rng, height, width, feature)
     wide, tall = (max(8, int(feature * rng.uniform(1.2, 2.5))) for _ in range(2))
@@ -246,7 +247,7 @@ def windows(rng: np.random.Generator, height: int, width: int, feature: float) -
     return _soft(picture, 0.6)
 
 
-def repeated(rng: np.random.Generator, height: int, width: int, tile: int, landmarks: int, feature: float) -> Texture:
+def repeated(rng: np.random.Generator, height: int, width: int, tile: int, landmarks: int, feature: float) -> Floats:
     """Return a pattern that repeats exactly every ``tile`` texels along x (and y), with unique stickers on it.
 
     The stickers (``landmarks`` of them) are what tells the repetitions apart.

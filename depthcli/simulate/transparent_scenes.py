@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from depthcli.core.arrays import Floats, Image8, Mask
 from depthcli.core.frames import Image, StereoPair, color8
 from depthcli.simulate.rendering import Room, disparities, levels8, render, rotation
 
@@ -31,11 +31,11 @@ _NOISE_SIGMA = 4.0  # grey levels
 class TransparentScene:
     """A rectified pair of a color and an infrared camera, and a sensor registered to the color; all (H, W)."""
 
-    color: NDArray[np.uint8]  # (H, W, 3), left view
-    infrared: NDArray[np.uint8]  # right view
-    disparity: NDArray[np.float32]  # true, of the left view, pixels; NaN = unknown
-    sensor: NDArray[np.float32]  # what the sensor measured, as disparity; NaN = nothing
-    mask: NDArray[np.bool_]  # transparent
+    color: Image8  # (H, W, 3), left view
+    infrared: Image8  # right view
+    disparity: Floats  # true, of the left view, pixels; NaN = unknown
+    sensor: Floats  # what the sensor measured, as disparity; NaN = nothing
+    mask: Mask  # transparent
 
 
 def make_transparent_scene(
@@ -77,9 +77,7 @@ def make_transparent_scene(
     return TransparentScene(mixed[0], infrared_like(mixed[1], seed, speckles), truth, sensor, mask)
 
 
-def _sensor_through(
-    truth: NDArray[np.float32], behind: NDArray[np.float32], mask: NDArray[np.bool_], seed: int
-) -> NDArray[np.float32]:
+def _sensor_through(truth: Floats, behind: Floats, mask: Mask, seed: int) -> Floats:
     """Return the disparity that a sensor measures: the truth, and in spots of the mask what lies behind it, or nothing.
 
     ``truth`` is the disparity with the object ``mask``, ``behind`` that without it.
@@ -95,7 +93,7 @@ def _sensor_through(
 
 
 def glass_of_pair(
-    left: Image, right: Image, disparity: NDArray[np.float32], seed: int = 0, speckles: float = 0.0
+    left: Image, right: Image, disparity: Floats, seed: int = 0, speckles: float = 0.0
 ) -> TransparentScene:
     """Return a pair with known disparity as color and infrared; to the sensor, one of its surfaces is glass.
 
@@ -124,7 +122,7 @@ def glass_of_pair(
     return TransparentScene(color8(left), infrared_like(right, seed, speckles), disparity, sensor, mask)
 
 
-def _surfaces(disparity: NDArray[np.float32]) -> Iterator[NDArray[np.bool_]]:
+def _surfaces(disparity: Floats) -> Iterator[Mask]:
     known = np.isfinite(disparity)
     # A grid of twice the size: pixels at even places, and between two of them a bridge where they are alike.
     grid = np.zeros((2 * disparity.shape[0] - 1, 2 * disparity.shape[1] - 1), np.uint8)
@@ -142,12 +140,12 @@ def _surfaces(disparity: NDArray[np.float32]) -> Iterator[NDArray[np.bool_]]:
             yield mask
 
 
-def _ring(mask: NDArray[np.bool_], disparity: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _ring(mask: Mask, disparity: Floats) -> Mask:
     wide = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
     return np.asarray(wide & ~mask & np.isfinite(disparity), np.bool_)
 
 
-def _behind(disparity: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _behind(disparity: Floats, mask: Mask) -> Floats:
     y, x = np.nonzero(_ring(mask, disparity))
     values = disparity[y, x].astype(np.float64)
     nearest = float(np.median(disparity[mask]))
@@ -163,14 +161,14 @@ def _behind(disparity: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[
 
 
 def sparse_samples(
-    depth: NDArray[np.float32],
-    color: NDArray[np.uint8],
+    depth: Floats,
+    color: Image8,
     share: float,
     noise: float = 0.008,
     outliers: float = 0.1,
     clustered: bool = False,
     seed: int = 0,
-) -> NDArray[np.float32]:
+) -> Floats:
     """Return some pixels of ``depth``, (H, W) float32, meters, NaN = none, with Gaussian noise and wrong values.
 
     Parameters
@@ -203,7 +201,7 @@ def sparse_samples(
     return sparse.reshape(depth.shape)
 
 
-def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray[np.uint8]:
+def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> Image8:
     """Return an infrared camera's image, (H, W) uint8: ``255 * (0.6 R + 0.3 G + 0.1 B) ** 0.7 * gain + noise``.
 
     The power is taken on the range [0, 1], so that black and white keep their places. The gain is a smooth
@@ -232,8 +230,6 @@ def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray
     return levels8(result)
 
 
-def cross_modal_pair(
-    left: Image, right: Image, seed: int = 0, speckles: float = 0.0
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def cross_modal_pair(left: Image, right: Image, seed: int = 0, speckles: float = 0.0) -> tuple[Image8, Image8]:
     """Return the left picture as grey, the right picture as infrared, (H, W) uint8; see :func:`infrared_like`."""
     return StereoPair(left, right).grey8[0], infrared_like(right, seed, speckles)

@@ -182,26 +182,24 @@ def test_single_frames_and_point_clouds(tmp_path: Path, capsys: pytest.CaptureFi
     write_png(tmp_path / "x" / "color.png", np.full((20, 30, 3), 90, np.uint8))
     write_png(tmp_path / "x" / "depth.png", np.full((20, 30), 1000, np.uint16))
     one = ("refine-kinect", "nearest", "--color", tmp_path / "x/color.png", "--depth", tmp_path / "x/depth.png")
-    assert run(*one, "-o", tmp_path / "r", "-q") == 0
-    assert list(rows(tmp_path / "r")) == ["x"]
-    assert run(*one, "-o", tmp_path / "p", "--ply") == 0
+
+    def cloud(name: str, *options: str) -> bytes:
+        assert run(*one, "-o", tmp_path / name, "--ply", *options) == 0
+        assert list(rows(tmp_path / name)) == ["x"]
+        return (tmp_path / name / "x" / "points.ply").read_bytes()
+
+    typical = cloud("p")
+    assert typical.startswith(b"ply\nformat binary_little_endian 1.0\nelement vertex 600\n")
     assert capsys.readouterr().err.count("1 of 1 frames have no intrinsics") == 1
-    clouds = [(tmp_path / "p" / "x" / "points.ply").read_bytes()]
-    assert run(*one, "-o", tmp_path / "given", "--ply", "--intrinsics", "50,50,15,10") == 0
-    assert run(*one, "-o", tmp_path / "far", "--ply", "--near", "1.5") == 0
+    assert b"element vertex 0\n" in cloud("far", "--near", "1.5")
     assert "points.ply has no points, the depths are 1 to 1 m; see --near" in capsys.readouterr().err
     assert run(*one, "-o", tmp_path / "none", "--ply", "--near", "1.5", "--far", "1", "-q") == 2
     assert "--near 1.5, --far 1: no depth lies between them" in capsys.readouterr().err
-    assert b"element vertex 0\n" in (tmp_path / "far" / "x" / "points.ply").read_bytes()
+    given = cloud("given", "--intrinsics", "50,50,15,10")
+    capsys.readouterr()
     (tmp_path / "x" / "meta.json").write_text('{"fx": 50, "fy": 50, "cx": 15, "cy": 10}')
-    assert run(*one, "-o", tmp_path / "meta", "--ply", "--mask", "measured") == 0
+    assert typical != given == cloud("meta", "--mask", "measured")
     assert "intrinsics" not in capsys.readouterr().err
-    clouds += [(tmp_path / name / "x" / "points.ply").read_bytes() for name in ("given", "meta")]
-    assert clouds[0] != clouds[1] == clouds[2]
-    (tmp_path / "x" / "meta.json").write_text('{"fx": 50, "fy": 50, "cx": 15, "cy": 10}')
-    assert run("refine-kinect", "nearest", "-i", tmp_path / "x", "-o", tmp_path / "p", "--ply", "-q") == 0
-    header = (tmp_path / "p" / "x" / "points.ply").read_bytes()[:80]
-    assert header.startswith(b"ply\nformat binary_little_endian 1.0\nelement vertex 600\n")
     assert run("refine-kinect", "nearest", "--color", tmp_path / "x/color.png", "-o", tmp_path / "q") == 2
 
 

@@ -58,7 +58,7 @@ def test_scenes_are_what_the_generator_made(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_streets_are_made_where_they_are_asked_for(tmp_path: Path):
+def test_streets_are_made_where_they_are_requested(tmp_path: Path):
     assert sample(tmp_path, "-n", "2", "--kind", "street", "--kind", "planes") == 0
     assert sorted(scenes(tmp_path)) == ["planes_0", "street_0"]
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from depthcli.core.arrays import Doubles, Floats, Image8, Ints, Mask
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
@@ -23,20 +23,15 @@ _REPROJECTION = 1.0  # pixels, of a corner that agrees
 class View:
     """What the frame before shows in the view of the next one."""
 
-    source: NDArray[np.int32]  # (H, W), row x width + column in the frame before; 0 where nothing of it is seen
-    reached: NDArray[np.bool_]  # (H, W), something of it is seen there
-    disparity: NDArray[np.float32]  # (H, W), pixels in the next view, NaN = none
-    color: NDArray[np.uint8]  # (H, W, 3), interpolated; arbitrary where nothing is seen
-    certain: NDArray[np.bool_]  # (H, W), reached, and not beside a step of disparity or unreached pixels
+    source: Ints  # (H, W), row x width + column in the frame before; 0 where nothing of it is seen
+    reached: Mask  # (H, W), something of it is seen there
+    disparity: Floats  # (H, W), pixels in the next view, NaN = none
+    color: Image8  # (H, W, 3), interpolated; arbitrary where nothing is seen
+    certain: Mask  # (H, W), reached, and not beside a step of disparity or unreached pixels
 
 
 def view_after(
-    motion: NDArray[np.float64],
-    color: NDArray[np.uint8],
-    disparity: NDArray[np.float32],
-    camera: Intrinsics,
-    fb: float,
-    max_step: float,
+    motion: Doubles, color: Image8, disparity: Floats, camera: Intrinsics, fb: float, max_step: float
 ) -> View:
     """Project a frame into the view after a motion; of several pixels in one place the nearest is seen.
 
@@ -61,7 +56,7 @@ def view_after(
     return View(np.maximum(source, 0), source >= 0, values, np.asarray(shown, np.uint8), np.asarray(edges == 0))
 
 
-def displacement(motion: NDArray[np.float64], disparity: NDArray[np.float32], camera: Intrinsics, fb: float) -> float:
+def displacement(motion: Doubles, disparity: Floats, camera: Intrinsics, fb: float) -> float:
     """Return how far the image moves, pixels: the 90th percentile over a grid; 0 where no pixel has a disparity."""
     rows, columns = (axis.ravel() for axis in np.mgrid[: disparity.shape[0] : 16, : disparity.shape[1] : 16])
     known = ~np.isnan(disparity[rows, columns])
@@ -77,12 +72,8 @@ def displacement(motion: NDArray[np.float64], disparity: NDArray[np.float32], ca
 
 
 def estimated_motion(
-    color: NDArray[np.uint8],
-    next_color: NDArray[np.uint8],
-    disparity: NDArray[np.float32],
-    camera: Intrinsics,
-    fb: float,
-) -> NDArray[np.float64] | None:
+    color: Image8, next_color: Image8, disparity: Floats, camera: Intrinsics, fb: float
+) -> Doubles | None:
     """Estimate the motion of the camera from corners that are tracked from one frame to the next; None: too few agree.
 
     Corners are tracked by the method of Lucas and Kanade, and the motion, (4, 4) from the first frame's coordinates to
@@ -113,7 +104,7 @@ def estimated_motion(
     return motion if np.isfinite(motion).all() else None
 
 
-def _pixel_motion(motion: Any, camera: Intrinsics) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _pixel_motion(motion: Any, camera: Intrinsics) -> tuple[Doubles, Doubles]:
     # A pixel p = (x, y, 1) of depth z moves to that of A p + b / z, and its depth to z (A p + b / z)[2].
     return camera.matrix @ motion[:3, :3] @ np.linalg.inv(camera.matrix), camera.matrix @ motion[:3, 3]
 

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.algorithms.trws import trws
+from depthcli.core.arrays import Floats, Image8, Ints, Mask
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.shadows import SLOPE_FADE, lab_difference
 
@@ -39,12 +39,12 @@ class Voters(NamedTuple):
     """The planes that vote: those of every n-th pixel of every n-th row, n being the ``stride``."""
 
     stride: int
-    planes: NDArray[np.float32]  # (3, h, w): value and slopes, pixels
-    lab: NDArray[np.uint8]  # (3, h, w)
-    weight: NDArray[np.float32]  # (h, w), 0 = does not vote
+    planes: Floats  # (3, h, w): value and slopes, pixels
+    lab: Image8  # (3, h, w)
+    weight: Floats  # (h, w), 0 = does not vote
 
     @classmethod
-    def of(cls, lab: NDArray[np.uint8], planes: WindowPlanes, trust: NDArray[np.float32], stride: int) -> Voters:
+    def of(cls, lab: Image8, planes: WindowPlanes, trust: Floats, stride: int) -> Voters:
         """Return every n-th plane with the weight ``trust`` (H, W) of its pixel, times the n x n pixels of its cell."""
         every = np.s_[::stride, ::stride]
         stack = np.stack([planes.value[every], planes.slope_x[every], planes.slope_y[every]])
@@ -56,29 +56,29 @@ class Voters(NamedTuple):
 class ExtraVotes(NamedTuple):
     """What votes beside the planes around: shadows, and surfaces continued into gaps; all (H, W) float32, pixels."""
 
-    limit: NDArray[np.float32]  # votes for disparities above it are multiplied by ``limit_factor``
-    limit_factor: NDArray[np.float32]
-    background: NDArray[np.float32]  # the surface behind a shadow, NaN = none
-    extra_share: NDArray[np.float32]  # of all votes, which it gets in addition
-    continued: NDArray[np.float32]  # (n, H, W) surfaces continued into gaps, NaN = none
-    continued_share: NDArray[np.float32]  # of all votes, which each of them gets in addition
+    limit: Floats  # votes for disparities above it are multiplied by ``limit_factor``
+    limit_factor: Floats
+    background: Floats  # the surface behind a shadow, NaN = none
+    extra_share: Floats  # of all votes, which it gets in addition
+    continued: Floats  # (n, H, W) surfaces continued into gaps, NaN = none
+    continued_share: Floats  # of all votes, which each of them gets in addition
 
 
-def color_similarity(sigma: float) -> NDArray[np.float32]:
+def color_similarity(sigma: float) -> Floats:
     """Tabulate the similarity of two colors by their L1 distance in 8-bit Lab, (766,) float32."""
     return (np.exp(-np.arange(766) / sigma) + _MIN_SIMILARITY).astype(np.float32)
 
 
 def cast_votes(
-    pixels: NDArray[np.int32],
-    lab: NDArray[np.uint8],
+    pixels: Ints,
+    lab: Image8,
     voters: list[Voters],
     prior: ExtraVotes,
     noise: float,
     candidates: int,
     sigma_color: float,
-    sigma_space: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    sigma_space: Floats,
+) -> tuple[Floats, Floats]:
     """Compute the candidates for the disparity of some pixels: the strongest modes of the votes.
 
     Each voter votes for its plane, continued to the pixel along slopes that fade with distance, with the
@@ -220,13 +220,8 @@ def _modes(votes, extent, total, values, shares):
 
 
 def hidden_openings(
-    lab: NDArray[np.uint8],
-    planes: WindowPlanes,
-    voters: Voters,
-    trusted: NDArray[np.bool_],
-    jump: float,
-    sigma_color: float,
-) -> NDArray[np.bool_]:
+    lab: Image8, planes: WindowPlanes, voters: Voters, trusted: Mask, jump: float, sigma_color: float
+) -> Mask:
     """Select the measured pixels, (H, W) bool, whose color is that of a surface behind the measured one.
 
     A pixel is selected if its color is much less likely on the surface that was measured there than on those farther
@@ -283,19 +278,19 @@ def _test_openings(lab, value, slope_x, slope_y, trusted, planes, colors, weight
 
 
 def choose_candidates(
-    pixels: NDArray[np.int32],
-    values: NDArray[np.float32],
-    shares: NDArray[np.float32],
-    lab: NDArray[np.uint8],
-    disparity: NDArray[np.float32],
-    p_correct: NDArray[np.float32],
-    unreliable: NDArray[np.bool_],
+    pixels: Ints,
+    values: Floats,
+    shares: Floats,
+    lab: Image8,
+    disparity: Floats,
+    p_correct: Floats,
+    unreliable: Mask,
     planes: WindowPlanes,
     noise: float,
     smoothness: float,
     truncation: float,
     iterations: int,
-) -> NDArray[np.float32]:
+) -> Floats:
     """Choose a value for every unreliable pixel, (H, W) float32; NaN where it has no candidate, and elsewhere.
 
     The cost of a candidate is ``-ln(share + 0.08)`` and, where something was measured, ``-ln`` of the probability

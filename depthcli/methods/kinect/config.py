@@ -17,7 +17,7 @@ class RefineKinectConfig(RootConfig):
 
     pipeline: Pipeline = Field(description="the data flow from frame to refined depth")
     depth_scale: float | None = Field(
-        None, gt=0, le=1e6, description="codes per meter of the depth files; null: what the layout says"
+        None, gt=0, le=1e6, description="codes per meter in the files; null: as the layout says"
     )
     intrinsics: tuple[float, float, float, float] | None = Field(
         None, description="fx, fy, cx, cy of the color camera, pixels; null: what the layout says"
@@ -25,7 +25,7 @@ class RefineKinectConfig(RootConfig):
     mask: str = Field(
         "all",
         pattern=r"^(all|measured|confident:[0-9.]+(:.+)?)$",
-        description="pixels that point clouds hold: all, measured, or confident:0.8, the surest 80 % of the measured",
+        description="pixels of point clouds: all, measured, or confident:0.8, the surest 80 % of the measured",
     )
     near: float = Field(0.0, ge=0, description="points of clouds are no nearer, meters")
     far: float = Field(1000.0, gt=0, description="points of clouds are no farther, meters")

@@ -8,8 +8,8 @@ the true outline: its profile across the edges is the distribution of their offs
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from depthcli.core.arrays import Doubles, Floats, Image8, Mask
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows, lab_difference
 
@@ -28,9 +28,7 @@ _MIXED_PIXEL_SHARE = 0.75  # of the pixels on an outline that belong to the near
 _MIN_RUN_PROBABILITY = 0.6  # largest probability in a run of pixels nearer than the pixels beside it is at least this
 
 
-def correct_probability(
-    lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float, shadows: Shadows
-) -> NDArray[np.float32]:
+def correct_probability(lab: Image8, disparity: Floats, jump: float, shadows: Shadows) -> Floats:
     """Compute the probability that a measured value belongs to the surface that the color image shows there.
 
     It is (H, W) float32 in [0, 1]; 1 far from all edges, and where nothing was measured.
@@ -41,9 +39,7 @@ def correct_probability(
     return np.asarray(across * _along_rows(*upright, jump, 0.0, Shadows()).T, np.float32)
 
 
-def _along_rows(
-    lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float, gap_probability: float, shadows: Shadows
-) -> NDArray[np.float32]:
+def _along_rows(lab: Image8, disparity: Floats, jump: float, gap_probability: float, shadows: Shadows) -> Floats:
     offsets = outline_offsets(lab, disparity, jump)
     # The pixel on the outline mixes both colors and has half of the contrast on its inner side: it still belongs to
     # the near surface.
@@ -58,7 +54,7 @@ def _along_rows(
     return result
 
 
-def outline_offsets(lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float) -> NDArray[np.float64]:
+def outline_offsets(lab: Image8, disparity: Floats, jump: float) -> Doubles:
     """Estimate the distribution of the outline's offset from the depth edges of the rows, (2, offsets) float64.
 
     The first row is for edges whose near side lies on their right, the second for the others; both sum to 1. Element
@@ -178,9 +174,7 @@ def _raise_thin_runs(d, q, jump):
         last = x
 
 
-def near_side(
-    disparity: NDArray[np.float32], jump: float, row_band: int, column_band: int, gap_tolerance: float = 2.5
-) -> NDArray[np.bool_]:
+def near_side(disparity: Floats, jump: float, row_band: int, column_band: int, gap_tolerance: float = 2.5) -> Mask:
     """Select the pixels, (H, W) bool, at most some pixels inside the near side of a depth edge of the row or column.
 
     A depth edge is a step of more than ``jump`` between consecutive known pixels. The shadow that a near surface throws

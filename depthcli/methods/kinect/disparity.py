@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
+from depthcli.core.arrays import Floats, Image8, Mask
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
@@ -23,7 +23,7 @@ _CORE_PROBABILITY = 0.6  # of an unreliable pixel that is more probably correct 
 _MIN_RELATIVE_DISPARITY = np.float32(1e-3)  # of a value, over the smallest measured disparity; below it is none
 
 
-def measured_disparity(frame: RgbdFrame) -> NDArray[np.float32]:
+def measured_disparity(frame: RgbdFrame) -> Floats:
     """Return the frame's disparity, (H, W) float32 pixels, NaN = unknown; ValueError where no pixel is known."""
     disparity = frame.disparity
     if np.isnan(disparity).all():
@@ -31,7 +31,7 @@ def measured_disparity(frame: RgbdFrame) -> NDArray[np.float32]:
     return disparity
 
 
-def noise_level(disparity: NDArray[np.float32], floor: float = 0.1) -> float:
+def noise_level(disparity: Floats, floor: float = 0.1) -> float:
     """Estimate the standard deviation of a disparity map's noise, in pixels: the unit of thresholds on disparities.
 
     From the median of the second differences along rows and columns, which slopes do not change and edges hardly
@@ -57,15 +57,15 @@ def noise_level(disparity: NDArray[np.float32], floor: float = 0.1) -> float:
 class Measurement:
     """The measured disparity of a frame, and where it is reliable; maps are (H, W), in pixels."""
 
-    lab: NDArray[np.uint8]  # (H, W, 3), the color image
-    disparity: NDArray[np.float32]
+    lab: Image8  # (H, W, 3), the color image
+    disparity: Floats
     noise: float  # standard deviation
     jump: float  # larger steps are depth edges
     shadows: Shadows
-    probability: NDArray[np.float32]  # that a measured value belongs to the surface of its pixel; 1 without colors
-    reliable: NDArray[np.float32]  # the disparity without unreliable pixels
-    core: NDArray[np.bool_]  # the more probable ones of the unreliable pixels; thin objects have no others
-    limit: NDArray[np.float32]  # largest disparity that fits the gap, inf where the gap is no shadow
+    probability: Floats  # that a measured value belongs to the surface of its pixel; 1 without colors
+    reliable: Floats  # the disparity without unreliable pixels
+    core: Mask  # the more probable ones of the unreliable pixels; thin objects have no others
+    limit: Floats  # largest disparity that fits the gap, inf where the gap is no shadow
 
     @classmethod
     def of(
@@ -92,12 +92,12 @@ class Measurement:
         return cls(lab, disparity, noise, jump * noise, shadows, probability, reliable, core, limit)
 
 
-def frame_lab(frame: RgbdFrame) -> NDArray[np.uint8]:
+def frame_lab(frame: RgbdFrame) -> Image8:
     """Return the color image in CIE Lab as OpenCV scales it, (H, W, 3)."""
     return np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
 
 
-def nearest_fill(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def nearest_fill(values: Floats) -> Floats:
     """Fill unknown values with the nearest known one (Euclidean distance as ``cv2.distanceTransform`` has it)."""
     unknown = np.isnan(values)
     if not unknown.any() or unknown.all():
@@ -111,12 +111,7 @@ def nearest_fill(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def refined_depth(
-    frame: RgbdFrame,
-    disparity: NDArray[np.float32],
-    sigma: NDArray[np.float32],
-    noise: float,
-    clock: Clock,
-    fallback: NDArray[np.bool_] | None = None,
+    frame: RgbdFrame, disparity: Floats, sigma: Floats, noise: float, clock: Clock, fallback: Mask | None = None
 ) -> DepthResult:
     """Convert a refined disparity to depth, with a status that says what became of every measurement.
 
@@ -147,7 +142,7 @@ def refined_depth(
     return DepthResult(seconds=clock.seconds, depth=DepthMap(depth, status), sigma=sigma)
 
 
-def deviation_of_depth(sigma: NDArray[np.float32], depth: NDArray[np.float32], fb: float) -> NDArray[np.float32]:
+def deviation_of_depth(sigma: Floats, depth: Floats, fb: float) -> Floats:
     """Return the standard deviation of the depth, (H, W) float32, m, from that of the disparity ``sigma``, pixels."""
     with np.errstate(over="ignore"):  # infinite for depths of 1e19 m and more: nothing is known of them
         return np.asarray(sigma * depth * depth / np.float32(fb), np.float32)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
+from depthcli.core.arrays import Floats, Image8, Ints, Mask
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.shadows import SLOPE_FADE, lab_difference
 
@@ -29,13 +29,8 @@ _MAX_CONTRAST = 35  # of pixels that smooth each other, L1 in 8-bit Lab
 
 
 def fill_gaps(
-    values: NDArray[np.float32],
-    lab: NDArray[np.uint8],
-    segments: NDArray[np.int32] | None,
-    limit: NDArray[np.float32] | None,
-    cost: NDArray[np.float32],
-    noise: float | None,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    values: Floats, lab: Image8, segments: Ints | None, limit: Floats | None, cost: Floats, noise: float | None
+) -> tuple[Floats, Mask]:
     """Fill the unknown pixels of a disparity map; NaN stays only where nothing is known at all.
 
     A path costs its length, the differences of color along it, and the borders of segments that it crosses. The value

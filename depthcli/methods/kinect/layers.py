@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces, fit_polynomials, surface_at
 from depthcli.algorithms.regions import region_adjacency
+from depthcli.core.arrays import Floats, Image8, Ints, Mask
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
@@ -34,21 +34,13 @@ class Polynomial(ConfigModel):
     """Polynomials of inverse depth in (x, y), fitted to every segment by reweighted least squares (Huber)."""
 
     method: Literal["polynomial"] = Field("polynomial", description="name of the model")
-    degree: int = Field(
-        1, ge=0, le=2, description="degree of the polynomial; at most 1 below 100 known pixels, 0 below 30"
-    )
-    huber: float | None = Field(
-        1.345, gt=0, description="k: residuals of u > k scales have weight k / u; null: plain least squares"
-    )
-    iterations: int = Field(
-        20, ge=1, le=100, description="largest number of reweightings without surfaces of a previous frame"
-    )
+    degree: int = Field(1, ge=0, le=2, description="of the polynomial; at most 1 below 100 known pixels, 0 below 30")
+    huber: float | None = Field(1.345, gt=0, description="residuals of u > k scales weigh k / u; null: least squares")
+    iterations: int = Field(20, ge=1, le=100, description="largest number of reweightings, without a previous frame")
     warm_iterations: int = Field(2, ge=1, le=100, description="reweightings from the surfaces of the previous frame")
     samples: int = Field(400, ge=100, description="largest number of pixels per segment that are used, evenly spread")
 
-    def __call__(
-        self, values: NDArray[np.float32], labels: NDArray[np.int32], floor: float, start: Surfaces | None = None
-    ) -> Surfaces:
+    def __call__(self, values: Floats, labels: Ints, floor: float, start: Surfaces | None = None) -> Surfaces:
         """Fit ``values`` (H, W), NaN = unknown, segment by segment of ``labels`` (H, W) int32, 0 .. n - 1; -1: none.
 
         ``floor`` is the smallest scale of residuals, what the sensor resolves; ``start`` the surfaces of the same
@@ -62,11 +54,11 @@ class Polynomial(ConfigModel):
 class Layer:
     """A partition of the frame with a surface for every part."""
 
-    labels: NDArray[np.int32]  # (H, W), the surface of every pixel, -1 where there is none
+    labels: Ints  # (H, W), the surface of every pixel, -1 where there is none
     surfaces: Surfaces
-    own: NDArray[np.bool_]  # (H, W), the surface was fitted to the pixel's own segment, not to one that it joined
+    own: Mask  # (H, W), the surface was fitted to the pixel's own segment, not to one that it joined
 
-    def estimate(self, reliable: NDArray[np.float32], reach: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def estimate(self, reliable: Floats, reach: float) -> tuple[Floats, Floats]:
         """Evaluate value and scale, (H, W) float32, with detail within ``reach`` pixels of reliable ones; 0: none."""
         values = self.surfaces.at(self.labels)
         if reach:
@@ -78,9 +70,9 @@ class Layer:
 class RefinedDisparity:
     """A refined disparity map and its standard deviation, (H, W), pixels, NaN = none."""
 
-    disparity: NDArray[np.float32]
-    scale: NDArray[np.float32]
-    status: NDArray[np.uint8]  # bits of DepthStatus
+    disparity: Floats
+    scale: Floats
+    status: Image8  # bits of DepthStatus
 
     @classmethod
     def of(
@@ -174,13 +166,7 @@ def _decide(values, scales, own, disparity, reliable, tolerance, noise, smooth, 
                 status[y, x] = _KEPT
 
 
-def join_segments(
-    labels: NDArray[np.int32],
-    modelled: NDArray[np.bool_],
-    surfaces: Surfaces,
-    color: NDArray[np.uint8],
-    limit: NDArray[np.float32],
-) -> NDArray[np.int32]:
+def join_segments(labels: Ints, modelled: Mask, surfaces: Surfaces, color: Image8, limit: Floats) -> Ints:
     """Assign a surface to every segment: its own, or that of the modelled segment that it joins.
 
     Each segment without a model joins along the path of least cost through neighbors. A step costs the sum of the
@@ -255,13 +241,7 @@ def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coe
             heapq.heappush(waiting, (cost + step, np.int64(t), owner))
 
 
-def add_detail(
-    surface: NDArray[np.float32],
-    known: NDArray[np.float32],
-    labels: NDArray[np.int32],
-    scale: NDArray[np.float32],
-    reach: float,
-) -> None:
+def add_detail(surface: Floats, known: Floats, labels: Ints, scale: Floats, reach: float) -> None:
     """Add to ``surface``, in place, the smoothed residuals of the ``known`` values around in the same segment.
 
     The weight falls by e in ``reach`` pixels along a path within the segment, first along the row, then along the

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
+from depthcli.core.arrays import Floats, Image8
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Chosen on simulated sensors and on blocks taken out of real frames; nothing in the repository varies them.
@@ -94,7 +94,7 @@ SHADOW_SIDES = "where shadows lie: true: measured in each frame; left, right of 
 """Description of the option of pipelines."""
 
 
-def shadows_of(disparity: NDArray[np.float32], jump: float, where: bool | Side) -> Shadows:
+def shadows_of(disparity: Floats, jump: float, where: bool | Side) -> Shadows:
     """Return what :func:`measure_shadows` finds, of one side alone if ``where`` says so, or nothing for False."""
     if where is False:
         return Shadows()
@@ -105,7 +105,7 @@ def shadows_of(disparity: NDArray[np.float32], jump: float, where: bool | Side) 
     return Shadows(**{where: side}, p_hole=found.p_hole)
 
 
-def measure_shadows(disparity: NDArray[np.float32], jump: float) -> Shadows:
+def measure_shadows(disparity: Floats, jump: float) -> Shadows:
     """Estimate where a frame's shadows lie and how wide they are, from the gaps beside steps.
 
     The confidence of a side is the share of gaps that are as wide as shadows, above that of gaps with a different step
@@ -129,7 +129,7 @@ def measure_shadows(disparity: NDArray[np.float32], jump: float) -> Shadows:
     return Shadows(found[0], found[1], odds / (1 + odds))
 
 
-def _shadow(gaps: NDArray[np.float32], prior: float) -> tuple[Shadow, float]:
+def _shadow(gaps: Floats, prior: float) -> tuple[Shadow, float]:
     # The shadows of one side, and the probability that a gap is as wide as one by chance.
     every = 1 + len(gaps) // _MAX_GAPS
     gaps = np.abs(gaps[::every])
@@ -189,13 +189,8 @@ def _count_fits(gaps, scales, covered, found, pairs):
 
 
 def shadow_limits(
-    lab: NDArray[np.uint8],
-    disparity: NDArray[np.float32],
-    planes: WindowPlanes,
-    jump: float,
-    tolerance: float,
-    shadows: Shadows,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    lab: Image8, disparity: Floats, planes: WindowPlanes, jump: float, tolerance: float, shadows: Shadows
+) -> tuple[Floats, Floats]:
     """Compute the largest disparity that a shadow allows at each pixel, and the likelihood of surfaces above it.
 
     Both are (H, W) float32: pixels, inf outside gaps; a factor in (0, 1], 1 outside gaps and without shadows.
@@ -211,9 +206,7 @@ def shadow_limits(
     return limit, limit_factor
 
 
-def shadow_background(
-    disparity: NDArray[np.float32], planes: WindowPlanes, jump: float, shadows: Shadows
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def shadow_background(disparity: Floats, planes: WindowPlanes, jump: float, shadows: Shadows) -> tuple[Floats, Floats]:
     """Compute the disparity of the surface behind each shadow and the band beyond it, and its share of the votes.
 
     It is the surface on the far side, continued along its slope. A shadow is as wide as the step to the surface that it
@@ -291,9 +284,7 @@ def _background(background, extra_share, disparity, value, slope_x, jump, low, h
                 extra_share[y, last + 1 : end] = low + (high - low) * np.float32(np.exp(-off * off))
 
 
-def max_disparity_in_gaps(
-    disparity: NDArray[np.float32], jump: float, shadows: Shadows, tolerance: float = 2.5
-) -> NDArray[np.float32]:
+def max_disparity_in_gaps(disparity: Floats, jump: float, shadows: Shadows, tolerance: float = 2.5) -> Floats:
     """Compute the largest disparity (H, W) float32 that a gap allows if it is a shadow; inf where it is none.
 
     One value per gap, from its rims only (:func:`shadow_limits` is finer, and weighs). A gap of n pixels beside a step

@@ -18,8 +18,8 @@ class TransparentConfig(RootConfig):
 
     pipeline: Pipeline = Field(description="the data flow from sensor and sparse depth to a dense map")
     stereo: CrossModal | None = Field(
-        None, description="where the sparse depth comes from: stereo of color and infrared; null: from a file"
+        None, description="stereo of color and infrared for the sparse depth; null: a file has it"
     )
     depth_scale: float | None = Field(
-        None, gt=0, le=1e6, description="codes per meter in the depth files; null: what the layout says"
+        None, gt=0, le=1e6, description="codes per meter in the files; null: as the layout says"
     )

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from depthcli.algorithms.filters import local_moments
 from depthcli.core import memory
+from depthcli.core.arrays import Floats, Image8, Mask
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
 from depthcli.core.maps import DisparityMap
@@ -37,30 +38,22 @@ _MIN_CORRESPONDENCES = 500  # pixels of known disparity that weights are fitted 
 _STRIDE = 7  # every so many-th correspondence is used: neighbors are alike
 
 
-def _structure_measures() -> Fusion:
-    # Measures that do not depend on the sensor's response, weighted by consensus (thesis, section 6.4.9).
-    return Fusion.model_validate(
-        {
-            "measures": ["gradient", "rank", "census", "zncc"],
-            "exponent": 6,
-            "aggregation": {"method": "constant_window", "window": 7},
-        }
-    )
-
-
-def _planes() -> SegmentSteps:
-    # Steps as of ``stereo segments``, but less smooth, and without cutting segments that lack structure.
-    return SegmentSteps.model_validate(
-        {
-            "window_radius": 0,
-            "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
-            "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "max_planes": 150},
-            "energy": {"data_term": "dedc", "truncation": 2, "color_scale": 50}
-            | dict.fromkeys(("data_weight", "cost_weight", "visibility", "smoothness"), 10),
-            "rounds": 2,
-            "refinement": ["subpixel"],
-        }
-    )
+# Measures that do not depend on the sensor's response, weighted by consensus (thesis, section 6.4.9).
+_MEASURES: dict[str, Any] = {
+    "measures": ["gradient", "rank", "census", "zncc"],
+    "exponent": 6,
+    "aggregation": {"method": "constant_window", "window": 7},
+}
+# Steps as of ``stereo segments``, but less smooth, and without cutting segments that lack structure.
+_STEPS: dict[str, Any] = {
+    "window_radius": 0,
+    "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
+    "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "max_planes": 150},
+    "energy": {"data_term": "dedc", "truncation": 2, "color_scale": 50}
+    | dict.fromkeys(("data_weight", "cost_weight", "visibility", "smoothness"), 10),
+    "rounds": 2,
+    "refinement": ["subpixel"],
+}
 
 
 class MatchSelection(ConfigModel):
@@ -85,37 +78,25 @@ class MatchSelection(ConfigModel):
         "in units of one measure",
     )
     blind_margin: float = Field(
-        0.1, ge=0, description="how much cheaper than the pixel's mean a match is where the sensor has no depth"
+        0.1, ge=0, description="the same against the pixel's mean where the sensor has no depth"
     )
-    consensus: float = Field(
-        0.3, ge=0, le=1, description="share of the votes around that a match that confirms the sensor needs"
-    )
-    texture: float = Field(
-        4.0,
-        ge=0,
-        description="standard deviation of the color in 9 x 9 that a match that confirms the sensor needs, grey levels",
-    )
+    consensus: float = Field(0.3, ge=0, le=1, description="share of votes that a match confirming the sensor needs")
+    texture: float = Field(4.0, ge=0, description="standard deviation in 9 x 9 that such a match needs, grey levels")
     speckle: int = Field(50, ge=0, description="regions of similar disparity with fewer pixels are removed")
     widening: int = Field(5, ge=0, le=64, description="distance by which stereo may make a surface too wide, pixels")
-    tolerance: float = Field(
-        1.5, ge=0, description="largest difference from the sensor's disparity that confirms it, pixels"
-    )
+    tolerance: float = Field(1.5, ge=0, description="largest difference that confirms the sensor, pixels")
 
     def __call__(
-        self,
-        dense: NDArray[np.float32],
-        votes: NDArray[np.float32],
-        sensor: NDArray[np.float32],
-        volume: CostVolume,
-        image: NDArray[np.uint8],
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        self, dense: Floats, votes: Floats, sensor: Floats, volume: CostVolume, image: Image8
+    ) -> tuple[Mask, Floats]:
         """Return the matches to keep, (H, W) bool, and the share of the margin by which they are cheaper, 0 .. 1.
 
         ``dense`` and ``sensor`` are disparities of the matches and of the sensor, pixels, ``votes`` the share of the
         votes around, ``volume`` the costs that the matches were found with, ``image`` (H, W) the left view.
         """
         known, agrees = np.isfinite(sensor), np.abs(dense - sensor) <= self.tolerance
-        gain = np.where(known, cost_at(volume, sensor), mean_cost(volume)) - cost_at(volume, dense)
+        mean_cost = volume.costs.mean(axis=2, dtype=np.float32) / np.float32(volume.scale)
+        gain = np.where(known, cost_at(volume, sensor), mean_cost) - cost_at(volume, dense)
         margin = np.where(known, self.margin, self.blind_margin)
         confirmed = agrees & (votes >= self.consensus) & (local_deviation(image) >= self.texture)
         # Widened: the sensor does not have the disparity there, but has it within ``widening`` pixels.
@@ -132,9 +113,9 @@ class MatchSelection(ConfigModel):
 class CrossModalMatches(NamedTuple):
     """Disparities of a rectified color and infrared pair, (H, W), pixels."""
 
-    dense: NDArray[np.float32]  # of every pixel
-    sparse: NDArray[np.float32]  # of reliable matches, NaN elsewhere
-    confidence: NDArray[np.float32]  # in [0, 1], share of the votes around, or of the margin where that is more
+    dense: Floats  # of every pixel
+    sparse: Floats  # of reliable matches, NaN elsewhere
+    confidence: Floats  # in [0, 1], share of the votes around, or of the margin where that is more
     weights: tuple[float, float, float]  # of the red, green and blue channel; of late fusion 1/3 each
 
 
@@ -142,23 +123,22 @@ class CrossModal(ConfigModel):
     """Stereo of infrared and of color mixed to resemble it: fused costs, planes over segments, reliable matches."""
 
     channels: Literal["early", "late", "r", "g", "b", "grey"] = Field(
-        "early",
-        description="early: color channels weighted by the sensor's depth; late: matched one by one; or one alone",
+        "early", description="early: weighted by the sensor's depth; late: matched one by one; or one alone"
     )
     median: Literal[0, 3, 5] = Field(
-        0, description="side of the median that removes speckles from the infrared image, pixels"
+        0, description="window of the median of the infrared image, against speckles, pixels; 0: none"
     )
     max_disparity: int | None = Field(
         None, ge=1, le=16383, description="largest disparity, pixels; null: a quarter more than the sensor's largest"
     )
     fusion: Fusion = Field(
-        default_factory=_structure_measures, description="the fused costs: a config of fuse without its optimization"
+        default_factory=lambda: Fusion.model_validate(_MEASURES),
+        description="a config of fuse without its optimization",
     )
-    structure: float = Field(
-        4.0, gt=0, description="standard deviation in 9 x 9 of either image below which costs fade, grey levels"
-    )
+    structure: float = Field(4.0, gt=0, description="deviation in 9 x 9 below which costs fade, grey levels")
     planes: SegmentSteps = Field(
-        default_factory=_planes, description="the matcher: planes over color segments, a config of stereo's segments"
+        default_factory=lambda: SegmentSteps.model_validate(_STEPS),
+        description="planes over color segments, a config of stereo's segments",
     )
     selection: MatchSelection = Field(default_factory=MatchSelection, description="which matches are kept")
 
@@ -168,50 +148,43 @@ class CrossModal(ConfigModel):
         InputError where the rig's cameras lie one above the other, or have no common field of view.
         """
         clock.start("rectify")
-        color, infrared, depth = frame.color, frame.infrared, frame.depth
-        fb, mirrored, rectified = frame.fb, False, None
+        color, infrared, depth, fb, rectified = frame.color, frame.infrared, frame.depth, frame.fb, None
         if frame.rig is not None:
             size, infrared_size = ((image.shape[1], image.shape[0]) for image in (color, infrared))
-            rectified = frame.rig.rectified(
-                size, infrared_size, -1, mirrored=True, max_tilt=_MAX_TILT, min_overlap=_MIN_OVERLAP
-            )
+            limits = {"max_tilt": _MAX_TILT, "min_overlap": _MIN_OVERLAP}
+            rectified = frame.rig.rectified(size, infrared_size, -1, mirrored=True, **limits)
             color, infrared, _ = rectified.images(color, infrared, cv2.INTER_LINEAR, cv2.BORDER_REPLICATE)
-            depth, fb, mirrored = rectified.rectify_depth(depth), rectified.fb, rectified.mirrored
+            depth, fb = rectified.rectify_depth(depth), rectified.fb
         clock.start("stereo")
-        if mirrored:
-            color, infrared, depth = color[:, ::-1], infrared[:, ::-1], depth[:, ::-1]
-        matches = self.match(np.ascontiguousarray(color), np.ascontiguousarray(infrared), disparity_of_depth(depth, fb))
-        sparse, dense = (depth_of_disparity(values, fb) for values in (matches.sparse, matches.dense))
-        confidence = matches.confidence
-        if mirrored:
-            sparse, dense, confidence = (values[:, ::-1] for values in (sparse, dense, confidence))
+        turn = np.s_[:, ::-1] if rectified is not None and rectified.mirrored else np.s_[:, :]
+        color, infrared = np.ascontiguousarray(color[turn]), np.ascontiguousarray(infrared[turn])
+        matches = self.match(color, infrared, disparity_of_depth(depth[turn], fb))
+        sparse, dense = (depth_of_disparity(values, fb)[turn] for values in (matches.sparse, matches.dense))
+        confidence = matches.confidence[turn]
         if rectified is not None:
             sparse, confidence = rectified.unrectify_depth(sparse, confidence)
             dense, _ = rectified.unrectify_depth(dense, dense)
         figures = {f"weight_{name}": weight for name, weight in zip("rgb", matches.weights, strict=True)}
         figures["matched"] = float(np.mean(np.isfinite(sparse)))
         sparse, confidence, dense = (np.ascontiguousarray(part, np.float32) for part in (sparse, confidence, dense))
-        return SparseFrame(
-            frame.color, frame.depth, fb, sparse=sparse, sparse_confidence=confidence, dense=dense
-        ), figures
+        given = frame.color, frame.depth, fb
+        return SparseFrame(*given, sparse=sparse, sparse_confidence=confidence, dense=dense), figures
 
-    def match(
-        self, color: NDArray[np.uint8], infrared: NDArray[np.uint8], sensor: NDArray[np.float32]
-    ) -> CrossModalMatches:
+    def match(self, color: Image8, infrared: Image8, sensor: Floats) -> CrossModalMatches:
         """Return the disparities of a rectified pair; ``sensor`` is the sensor's depth as disparity, pixels."""
         if self.median:
             infrared = np.asarray(cv2.medianBlur(infrared, self.median), np.uint8)
         weights: tuple[float, float, float] = (1 / 3, 1 / 3, 1 / 3)
+        if self.channels == "early":
+            weights = learned_weights(color, infrared, sensor)
+        elif self.channels != "late":
+            weights = _SINGLE[self.channels]
+        mixes = [mix_channels(color, weights)]
         if self.channels == "late":
             mixes = [np.ascontiguousarray(color[:, :, k]) for k in range(3)]
-        else:
-            learned = self.channels == "early"
-            weights = learned_weights(color, infrared, sensor) if learned else _SINGLE[self.channels]
-            mixes = [mix_channels(color, weights)]
         known = sensor[np.isfinite(sensor)]
         largest = float(np.quantile(known, 0.999)) if known.size else 64.0
-        in_reach = int(np.clip(np.ceil(1.25 * largest) + 2, 16, max(16, sensor.shape[1] // 2)))
-        top = self.max_disparity or in_reach
+        top = self.max_disparity or int(np.clip(np.ceil(1.25 * largest) + 2, 16, max(16, sensor.shape[1] // 2)))
         pairs = [StereoPair(mix, infrared) for mix in mixes]
         fused = [self.fusion.fuse(pair, top) for pair in pairs]
         volume = fused[0].volume if len(fused) == 1 else _mean([part.volume for part in fused])
@@ -248,9 +221,7 @@ def _mean(volumes: list[CostVolume]) -> CostVolume:
     return CostVolume(np.ascontiguousarray(costs), volumes[0].scale)
 
 
-def learned_weights(
-    color: NDArray[np.uint8], infrared: NDArray[np.uint8], disparity: NDArray[np.float32]
-) -> tuple[float, float, float]:
+def learned_weights(color: Image8, infrared: Image8, disparity: Floats) -> tuple[float, float, float]:
     """Fit the weights of the color channels whose mix best follows the infrared image, >= 0 and with sum 1.
 
     Both are taken without their local mean, so that only structure counts; least squares without negative weights
@@ -283,25 +254,23 @@ def learned_weights(
     return red, green, blue
 
 
-def mix_channels(color: NDArray[np.uint8], weights: tuple[float, ...]) -> NDArray[np.uint8]:
+def mix_channels(color: Image8, weights: tuple[float, ...]) -> Image8:
     """Return the weighted sum of the channels of (H, W, 3) ``color``, (H, W) uint8."""
     mix = color.astype(np.float32) @ np.asarray(weights, np.float32)
     return np.clip(np.rint(mix), 0, 255).astype(np.uint8)
 
 
-def _structure(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _structure(image: Image8) -> Floats:
     wide = image.astype(np.float32)
     return np.asarray(wide - cv2.blur(wide, (_MEAN_WINDOW, _MEAN_WINDOW)), np.float32)
 
 
-def local_deviation(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def local_deviation(image: Image8) -> Floats:
     """Compute the standard deviation of grey levels in 9 x 9, (H, W) float32."""
     return np.asarray(np.sqrt(local_moments(image.astype(np.float32), 9)[1]), np.float32)
 
 
-def faded_costs(
-    volume: CostVolume, left: NDArray[np.uint8], right: NDArray[np.uint8], structure_threshold: float
-) -> CostVolume:
+def faded_costs(volume: CostVolume, left: Image8, right: Image8, structure_threshold: float) -> CostVolume:
     """Fade costs towards the pixel's mean cost as far as one of the two windows lacks structure.
 
     Order, rank and correlation of a flat window are those of its noise, and saturated windows are all alike: such
@@ -315,7 +284,7 @@ def faded_costs(
     return CostVolume(out, volume.scale)
 
 
-def cost_at(volume: CostVolume, disparity: NDArray[np.float32]) -> NDArray[np.float32]:
+def cost_at(volume: CostVolume, disparity: Floats) -> Floats:
     """Return the lower of the costs beside a disparity, (H, W) float32, in units of the measure; NaN = unknown.
 
     Disparities are clipped to the range of the volume.
@@ -326,11 +295,6 @@ def cost_at(volume: CostVolume, disparity: NDArray[np.float32]) -> NDArray[np.fl
     beside = [volume.costs[rows, columns, np.minimum(low + step, volume.n_disparities - 1)] for step in (0, 1)]
     costs = np.minimum(*beside).astype(np.float32) / np.float32(volume.scale)
     return np.where(np.isfinite(disparity), costs, np.float32(np.nan))
-
-
-def mean_cost(volume: CostVolume) -> NDArray[np.float32]:
-    """Return the mean cost of a pixel's disparities, (H, W) float32, in units of the measure."""
-    return np.asarray(volume.costs.mean(axis=2, dtype=np.float32) / np.float32(volume.scale), np.float32)
 
 
 @parallel_jit

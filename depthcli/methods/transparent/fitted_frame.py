@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
+from depthcli.core.arrays import Floats, Mask
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, DepthResult
@@ -23,14 +24,14 @@ _SENSOR_TOLERANCE = 2.5  # standard deviations within which a sample agrees with
 class FittedFrame:
     """A frame in inverse depth, (H, W), 1 / m, NaN = unknown, with planes through its samples."""
 
-    sensor: NDArray[np.float32]
+    sensor: Floats
     samples: Samples  # those that agree with their neighbors or with the sensor
     noise: float  # their standard deviation
-    fit: NDArray[np.float32]  # planes through the samples
-    sigma: NDArray[np.float32]  # the planes' standard deviation
-    unreliable: NDArray[np.bool_]  # the sensor knows the pixel and contradicts the samples
+    fit: Floats  # planes through the samples
+    sigma: Floats  # the planes' standard deviation
+    unreliable: Mask  # the sensor knows the pixel and contradicts the samples
 
-    def sampled(self, values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+    def sampled(self, values: NDArray[np.floating[Any]]) -> Mask:
         """Select the pixels, (H, W) bool, where a sample at the pixel itself agrees with ``values`` (H, W)."""
         agrees = np.zeros(self.sensor.shape, np.bool_)
         at = self.samples.rows, self.samples.columns
@@ -64,7 +65,7 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, regions: UnreliableRegion
     return FittedFrame(sensor, samples, noise, values, sigma, unreliable)
 
 
-def inverse_depth(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+def inverse_depth(depth: Floats) -> Floats:
     """Return 1 / depth, in which planes are affine in pixel coordinates."""
     return (np.float32(1.0) / depth).astype(np.float32)
 
@@ -72,10 +73,10 @@ def inverse_depth(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 def refined_depth(
     frame: SparseFrame,
     values: NDArray[np.floating[Any]],
-    unreliable: NDArray[np.bool_],
+    unreliable: Mask,
     clock: Clock,
     sigma: NDArray[np.floating[Any]] | float = np.nan,
-    sampled: NDArray[np.bool_] | None = None,
+    sampled: Mask | None = None,
     figures: dict[str, float] | None = None,
 ) -> DepthResult:
     """Convert inverse depths ``values``, and their standard deviations, to the result of a pipeline.

@@ -12,6 +12,7 @@ from pydantic import Field
 from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
+from depthcli.core.arrays import Floats, Image8, Ints, Mask
 from depthcli.core.method import ConfigModel
 
 # The first three are those of the figures of scripts/transparent_experiments.py, which varies none of them.
@@ -22,7 +23,7 @@ _OUTLIER = 2.5  # standard deviations beyond which samples do not count for the 
 _TRUNCATION_LOSS = 0.97  # deviation of a normal distribution without what lies beyond 2.5, over the whole one's
 
 
-def sample_noise(samples: Samples, sensor: NDArray[np.float32]) -> float:
+def sample_noise(samples: Samples, sensor: Floats) -> float:
     """Estimate the standard deviation of good samples about a sensor that is right at most of them.
 
     1.4826 times the median of the absolute differences, then the deviation of those within 2.5 of it, five times.
@@ -70,15 +71,9 @@ class UnreliableRegions(ConfigModel):
         "sample_evidence": "min_sample_evidence",
     }
 
-    score_threshold: float = Field(
-        0.5, ge=0, description="evidence that a pixel needs to be unreliable, half squared standard deviations"
-    )
-    model_error: float = Field(
-        0.5, ge=0, description="share of the planes' own standard deviation that is added to the noise"
-    )
-    systematic: float = Field(
-        0.0, ge=0, description="error that neighboring samples may share, standard deviations; less is no evidence"
-    )
+    score_threshold: float = Field(0.5, ge=0, description="evidence of an unreliable pixel, half squared deviations")
+    model_error: float = Field(0.5, ge=0, description="share of the planes' deviation that is added to the noise")
+    systematic: float = Field(0.0, ge=0, description="error that samples may share, standard deviations")
     contradiction: float = Field(
         0.2,
         gt=0,
@@ -92,33 +87,14 @@ class UnreliableRegions(ConfigModel):
         description="distance to the nearest sample at which a pixel's score has fallen to exp(-1/2) of its value, "
         "as a share of the image width",
     )
-    outline: float = Field(
-        5.0, ge=0, description="cost per pixel of a region's outline where the color does not change"
-    )
-    min_outline_share: float = Field(
-        0.1, ge=0, le=1, description="share of the outline's cost that remains along a strong color edge"
-    )
-    color_scale: float = Field(
-        12.0, gt=0, description="color difference at which the outline's cost falls by exp(-1/2), grey levels"
-    )
-    min_region_evidence: float = Field(
-        2.0, ge=0, description="evidence that a region's samples need together, standard deviations of their sum"
-    )
-    min_area: float = Field(
-        0.0, ge=0, le=1, description="smallest area of a region, as a share of the image; smaller ones are dropped"
-    )
-    min_sample_evidence: float = Field(
-        0.5, ge=0, description="mean evidence per sample that a region needs, standard deviations of a sample"
-    )
+    outline: float = Field(5.0, ge=0, description="cost per pixel of outlines where the color stays the same")
+    min_outline_share: float = Field(0.1, ge=0, le=1, description="share of it along a strong color edge")
+    color_scale: float = Field(12.0, gt=0, description="color difference where it falls to exp(-1/2), grey levels")
+    min_region_evidence: float = Field(2.0, ge=0, description="of a region's samples, standard deviations of their sum")
+    min_area: float = Field(0.0, ge=0, le=1, description="smallest area of a region, share of the image")
+    min_sample_evidence: float = Field(0.5, ge=0, description="mean evidence of its samples, standard deviations")
 
-    def __call__(
-        self,
-        sensor: NDArray[np.float32],
-        planes: SamplePlanes,
-        samples: Samples,
-        noise: float,
-        image: NDArray[np.uint8],
-    ) -> NDArray[np.bool_]:
+    def __call__(self, sensor: Floats, planes: SamplePlanes, samples: Samples, noise: float, image: Image8) -> Mask:
         """Select the pixels, (H, W) bool, that the sensor knows and is unreliable at.
 
         ``planes`` run through the ``samples``, whose deviation is ``noise``, at all pixels, row by row; ``averaged`` of
@@ -167,7 +143,7 @@ class UnreliableRegions(ConfigModel):
         return np.asarray(np.sign(deviations) * np.maximum(np.abs(deviations) - self.systematic, 0))
 
 
-def _pieces(region: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _pieces(region: Mask) -> tuple[Ints, Ints]:
     # 8-connected pieces of a region: (H, W) labels, 0 outside, and the area of each.
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
     return np.asarray(labels, np.int32), np.asarray(statistics[:, cv2.CC_STAT_AREA], np.int32)

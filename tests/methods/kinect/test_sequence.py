@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import functools
-import pickle
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -23,6 +22,7 @@ from tests.algorithms.test_statistical_region_merging import blocks
 from tests.methods.kinect.test_dsrm import preset
 from tests.methods.kinect.test_surfaces import labels_of, noisy
 from tests.naive import kinect as naive
+from tests.simulate.test_kinect_scenes import same_points
 
 
 @functools.cache
@@ -60,19 +60,6 @@ def test_as_good_as_frame_by_frame(kind):
         samples, *ways = both_ways(kind, seed)
         errors += [np.mean([off(r, s).mean() for r, s in zip(way, samples, strict=True)][1:]) for way in ways]
     assert errors[0] <= 1.05 * errors[1]
-
-
-def same_points(first, other):
-    """Index in ``other`` of what each pixel of ``first`` shows, and whether it is seen there; by truth and poses."""
-    height, width = first.truth.shape
-    motion = np.linalg.inv(other.pose) @ first.pose
-    x, y, w = first.intrinsics.matrix @ (
-        motion[:3, :3] @ first.intrinsics.points(first.depth_true(), np.isfinite(first.truth)).T + motion[:3, 3:]
-    )
-    columns, rows = np.rint(x / w).astype(int), np.rint(y / w).astype(int)
-    seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    index = np.where(seen, rows * width + columns, 0)
-    return index, seen & (np.abs(other.truth.ravel()[index] - RgbdFrame.fb / w) < 0.5)
 
 
 @pytest.mark.slow
@@ -134,38 +121,17 @@ def test_the_view_after_a_motion_shows_a_slanted_plane_where_it_is(turn):
     assert displacement(np.eye(4), disparity, camera, fb) < 1e-9
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cut", [1, 4])
-def test_a_state_saved_and_read_goes_on_with_the_same_bytes(cut):
-    samples = frames("moving")
-    pipeline = preset(
-        "sequence", segmentation={"method": "statistical_region_merging", "complexity": 2000, "coarser": [300]}
-    )
-    whole, last = run(pipeline, samples)
-    _, state = run(pipeline, samples[:cut])
-    rest, end = run(pipeline, samples[cut:], pickle.loads(pickle.dumps(state)))
-    for one, other in zip(whole[cut:], rest, strict=True):
-        assert one.depth.values.tobytes() == other.depth.values.tobytes()
-        assert one.depth.status.tobytes() == other.depth.status.tobytes()
-        assert one.sigma.tobytes() == other.sigma.tobytes()
-    np.testing.assert_equal(astuple(last), astuple(end))
-
-
 def test_segments_are_new_after_max_age_and_much_change():
-    samples = frames("static")
-    ages = []
-    state = None
+    samples, state, ages = frames("static"), None, []
     for sample in samples:
         _, state = preset("sequence", max_age=3).step(sample.frame(), state)
         ages.append(state.age)
     assert ages == [0, 1, 2, 0, 1, 2, 0, 1]
-    _, state = preset("sequence").step(samples[0].frame(), None)
-    first = samples[0].frame()
-    result, state = preset("sequence").step(RgbdFrame(255 - first.color, first.depth), state)
+    first, pipeline = samples[0].frame(), preset("sequence")
+    other = RgbdFrame(255 - first.color, first.depth)
+    result, state = pipeline.step(other, pipeline.step(first, None)[1])
     assert state.age == 0
-    np.testing.assert_array_equal(
-        result.depth.values, preset("sequence")(RgbdFrame(255 - first.color, first.depth)).depth.values
-    )
+    np.testing.assert_array_equal(result.depth.values, pipeline(other).depth.values)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (14, 23)])

@@ -7,15 +7,12 @@ from collections.abc import Callable
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from depthcli.core.arrays import Floats
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.method import Method, method_of
 from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
-
-DisparityArray = NDArray[np.float32]
-"""A map in pixels, (H, W), NaN = unknown."""
 
 
 class KinectPipeline(Method):
@@ -40,7 +37,7 @@ class FilterPipeline(KinectPipeline):
     """A refinement that filters the disparity; its noise is the sigma of measured pixels, filled ones have none."""
 
     @abstractmethod
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
+    def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
         """Compute the refined disparity from the ``measured`` one, whose standard deviation is ``noise``, pixels."""
 
     def __call__(self, frame: RgbdFrame) -> DepthResult:

@@ -7,12 +7,12 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.filters import joint_bilateral_fill
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging
+from depthcli.core.arrays import Floats, Ints
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, DepthResult
@@ -40,30 +40,24 @@ class Dsrm(KinectPipeline):
     )
     model: Polynomial = Field(Polynomial(), description="what is fitted to the inverse depth of a segment")
     jump: float = Field(5.0, gt=0, le=1000, description="a larger step is a depth edge, multiples of the noise")
-    min_probability: float = Field(
-        0.8, ge=0, lt=1, description="measurements that are right with less probability are unreliable; 0: none"
-    )
+    min_probability: float = Field(0.8, ge=0, lt=1, description="less probable measurements are unreliable; 0: none")
     shadows: bool | Side = Field(True, description=SHADOW_SIDES)
     min_known: int = Field(30, ge=1, description="number of known pixels of a segment that a model needs")
     min_share: float = Field(0.05, ge=0, le=1, description="share of a segment that has to be known for a model")
     join: bool = Field(True, description="segments without a model join one that has one; false: bilateral filling")
-    detail_reach: float = Field(
-        3.0, ge=0, le=100, description="reach of residuals of known values that are added to the model, pixels; 0: none"
-    )
+    detail_reach: float = Field(3.0, ge=0, le=100, description="reach of residuals added to the model, pixels; 0: none")
     tolerance: float = Field(3.0, gt=0, description="tau: values that are off by more scales contradict the model")
     smooth: bool = Field(True, description="replace values that agree with the model by it: less noise")
     combination: Literal["median", "in_turn"] = Field(
         "median", description="how layers are joined: their median; in_turn: each corrects the result of the finer ones"
     )
-    correction_band: int = Field(
-        8, ge=0, le=64, description="in_turn: distance from edges within which contradictions are corrected, pixels"
-    )
+    correction_band: int = Field(8, ge=0, le=64, description="in_turn: corrections reach so far from edges, pixels")
     details: bool = Field(False, description="write the segments of every layer as pictures")
 
     def __call__(self, frame: RgbdFrame) -> DepthResult:
         return self.refine(frame)[0]
 
-    def refine(self, frame: RgbdFrame) -> tuple[DepthResult, Measurement, list[Layer], NDArray[np.float32]]:
+    def refine(self, frame: RgbdFrame) -> tuple[DepthResult, Measurement, list[Layer], Floats]:
         """Return the result and the state of a sequence: measurement, layers (none ``in_turn``), disparity."""
         clock = Clock()
         clock.start("unreliable")
@@ -82,7 +76,7 @@ class Dsrm(KinectPipeline):
 
     def surfaces(
         self, frame: RgbdFrame, measurement: Measurement, clock: Clock
-    ) -> tuple[RefinedDisparity, list[NDArray[np.int32]], list[Layer]]:
+    ) -> tuple[RefinedDisparity, list[Ints], list[Layer]]:
         """Return the refined disparity, the labels of every layer of segments, and the layers (none ``in_turn``)."""
         clock.start("segmentation")
         labels = self.segmentation.layers(frame.color, measurement.reliable)
@@ -98,7 +92,7 @@ class Dsrm(KinectPipeline):
         """Return the disparity that follows from all layers."""
         return RefinedDisparity.of(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
 
-    def _fit(self, measurement: Measurement, labels: NDArray[np.int32]) -> Layer:
+    def _fit(self, measurement: Measurement, labels: Ints) -> Layer:
         """Fit the model to the segments ``labels`` (H, W), and let segments where it cannot be fitted join others.
 
         Segments with too few reliable pixels, whose measured pixels mostly are ``core`` pixels, are fitted to those.
@@ -118,7 +112,7 @@ class Dsrm(KinectPipeline):
             owners = join_segments(labels, modelled, surfaces, measurement.lab, measurement.limit)
         return Layer(owners[labels], surfaces, modelled[labels])
 
-    def _in_turn(self, frame: RgbdFrame, measurement: Measurement, layers: list[NDArray[np.int32]]) -> RefinedDisparity:
+    def _in_turn(self, frame: RgbdFrame, measurement: Measurement, layers: list[Ints]) -> RefinedDisparity:
         """Fill and correct layer after layer, each fitted to the result of the finer ones (thesis, chapter 4).
 
         Pixels that no surface reaches are filled by a joint bilateral filter.

@@ -6,12 +6,12 @@ from typing import ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.filters import single_thread
+from depthcli.core.arrays import Floats, Image8
 from depthcli.core.frames import RgbdFrame
-from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
+from depthcli.methods.kinect.pipeline import FilterPipeline
 
 
 class FastGlobalSmoother(FilterPipeline):
@@ -26,12 +26,10 @@ class FastGlobalSmoother(FilterPipeline):
     smoothness: float = Field(900.0, gt=0, description="lambda of the smoother")
     sigma_color: float = Field(5.0, gt=0, description="contrast that stops the smoothing, grey levels")
     edge_band: int = Field(2, ge=0, le=64, description="pixels around a depth edge that are unreliable")
-    edge_confidence: float = Field(
-        0.01, ge=0, le=1, description="confidence of the unreliable pixels beside depth edges"
-    )
+    edge_confidence: float = Field(0.01, ge=0, le=1, description="that of unreliable pixels beside depth edges")
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
 
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
+    def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
         if self.edge_band:
@@ -46,12 +44,8 @@ class FastGlobalSmoother(FilterPipeline):
 
 
 def weighted_smoothing(
-    color: NDArray[np.uint8],
-    disparity: NDArray[np.float32],
-    confidence: NDArray[np.float32],
-    smoothness: float,
-    sigma_color: float,
-) -> NDArray[np.float32]:
+    color: Image8, disparity: Floats, confidence: Floats, smoothness: float, sigma_color: float
+) -> Floats:
     """Compute ``FGS(c d) / FGS(c)``, (H, W) float32, by OpenCV's filter; NaN where no confidence reaches.
 
     The confidence is at least 0, and 0 where the disparity is unknown.

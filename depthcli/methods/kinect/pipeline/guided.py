@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from depthcli.core.arrays import Floats
 from depthcli.core.frames import RgbdFrame
 from depthcli.methods.kinect.disparity import nearest_fill
-from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
+from depthcli.methods.kinect.pipeline import FilterPipeline
 
 
 class Guided(FilterPipeline):
@@ -21,6 +22,6 @@ class Guided(FilterPipeline):
     radius: int = Field(8, ge=1, le=100, description="radius of the filter's windows, pixels")
     epsilon: float = Field(40.0, gt=0, description="variance of the color that counts as none, square grey levels")
 
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
+    def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
         filled = nearest_fill(measured)
         return np.asarray(cv2.ximgproc.guidedFilter(frame.color, filled, self.radius, self.epsilon), np.float32)

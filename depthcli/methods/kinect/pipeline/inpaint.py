@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from depthcli.core.arrays import Floats
 from depthcli.core.frames import RgbdFrame
-from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
+from depthcli.methods.kinect.pipeline import FilterPipeline
 
 _ALGORITHMS = {"telea": cv2.INPAINT_TELEA, "navier-stokes": cv2.INPAINT_NS}
 
@@ -23,7 +24,7 @@ class Inpaint(FilterPipeline):
     algorithm: Literal["telea", "navier-stokes"] = Field("telea", description="fast marching, or fluid dynamics")
     radius: float = Field(3.0, gt=0, le=50, description="neighborhood that a pixel is filled from, pixels")
 
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
+    def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
         gaps = np.isnan(measured)
         values = np.where(gaps, np.float32(0), measured)
         if gaps.any():

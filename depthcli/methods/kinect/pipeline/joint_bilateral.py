@@ -5,9 +5,10 @@ from __future__ import annotations
 from pydantic import Field
 
 from depthcli.algorithms.filters import joint_bilateral_fill
+from depthcli.core.arrays import Floats
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.method import Odd
-from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
+from depthcli.methods.kinect.pipeline import FilterPipeline
 
 
 class JointBilateralFill(FilterPipeline):
@@ -20,5 +21,5 @@ class JointBilateralFill(FilterPipeline):
     sigma_space: float = Field(5.0, gt=0, description="standard deviation of the weight by distance, pixels")
     sigma_color: float = Field(15.0, gt=0, description="standard deviation of the weight by color, grey levels")
 
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
+    def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
         return joint_bilateral_fill(frame.color, measured, self.window, self.sigma_space, self.sigma_color)

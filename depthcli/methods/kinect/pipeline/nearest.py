@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from depthcli.core.arrays import Floats
 from depthcli.core.frames import RgbdFrame
 from depthcli.methods.kinect.disparity import nearest_fill
-from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
+from depthcli.methods.kinect.pipeline import FilterPipeline
 
 
 class NearestFill(FilterPipeline):
     """Every gap pixel takes the disparity of the nearest known one; measured values stay."""
 
-    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float) -> DisparityArray:
+    def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
         return nearest_fill(measured)

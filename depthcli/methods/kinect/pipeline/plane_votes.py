@@ -47,12 +47,10 @@ class PlaneVotes(KinectPipeline):
     }
 
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
-    min_probability: float = Field(
-        0.8, gt=0, lt=1, description="measurements that are right with less probability are unreliable"
-    )
+    min_probability: float = Field(0.8, gt=0, lt=1, description="less probable measurements are unreliable")
     min_vote_probability: float = Field(0.4, ge=0, lt=1, description="measurements less probable than this do not vote")
     opening_probability: float | None = Field(
-        0.6, gt=0, lt=1, description="largest probability where colors show a hidden opening; null: not looked for"
+        0.6, gt=0, lt=1, description="largest where colors show an opening; null: not sought"
     )
     shadows: bool | Side = Field(True, description=SHADOW_SIDES)
     continued_share: float = Field(
@@ -66,9 +64,7 @@ class PlaneVotes(KinectPipeline):
     sigma_color: float = Field(11.0, gt=0, le=500, description="L1 difference in 8-bit Lab over which votes fade")
     sigma_shadow: float = Field(20.0, gt=0, le=30, description="distance over which votes fade in shadows, pixels")
     sigma_space: float = Field(3.0, gt=0, le=30, description="distance over which votes fade, pixels")
-    sigma_growth: float = Field(
-        0.3, ge=0, le=5, description="growth of sigma_space per pixel of distance from the voters"
-    )
+    sigma_growth: float = Field(0.3, ge=0, le=5, description="growth of sigma_space per pixel from the voters")
     smoothness: float = Field(0.1, ge=0, description="cost of neighbors that differ by as much as the noise")
     truncation: float = Field(13.0, gt=0, description="largest difference that costs, multiples of the noise")
     iterations: int = Field(5, ge=1, le=100, description="number of iterations of the message passing")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.core.arrays import Floats, Image8
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, DepthResult
@@ -24,8 +24,8 @@ _HOLES = {"left": 0, "farthest": 1, "nearest": 2}
 class RealsenseState(NamedTuple):
     """State of the temporal filter."""
 
-    last: NDArray[np.float32]  # (H, W), filtered disparity, pixels; NaN = never known
-    history: NDArray[np.uint8]  # (H, W), bit k: valid and in agreement k + 1 frames ago
+    last: Floats  # (H, W), filtered disparity, pixels; NaN = never known
+    history: Image8  # (H, W), bit k: valid and in agreement k + 1 frames ago
 
 
 class Realsense(SequencePipeline):
@@ -38,11 +38,9 @@ class Realsense(SequencePipeline):
 
     magnitude: int = Field(2, ge=0, le=5, description="passes of the spatial filter; 0: off")
     spatial_alpha: float = Field(0.5, ge=0.25, le=1, description="weight of the value against the filter's state")
-    spatial_delta: int = Field(20, ge=1, le=50, description="larger steps are edges, 32nds of a pixel of disparity")
+    spatial_delta: int = Field(20, ge=1, le=50, description="larger steps are edges, 32nds of a pixel")
     temporal_alpha: float = Field(0.4, gt=0, le=1, description="weight of the frame against the previous ones")
-    temporal_delta: int = Field(
-        20, ge=1, le=100, description="larger changes are motion, 32nds of a pixel of disparity"
-    )
+    temporal_delta: int = Field(20, ge=1, le=100, description="larger changes are motion, 32nds of a pixel")
     persistency: int = Field(
         3,
         ge=0,

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.polynomials import surface_at
+from depthcli.core.arrays import Doubles, Floats, Image8, Ints, Mask
 from depthcli.core.cameras.camera import typical_intrinsics
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
@@ -34,11 +34,11 @@ class SequenceState:
     """State of a sequence after a frame."""
 
     layers: list[Layer]
-    color: NDArray[np.uint8]  # (H, W, 3), of the frame
-    disparity: NDArray[np.float32]  # (H, W), refined, pixels, NaN = none
+    color: Image8  # (H, W, 3), of the frame
+    disparity: Floats  # (H, W), refined, pixels, NaN = none
     noise: float  # of the last segmented frame, pixels
     age: int  # frames since then
-    pose: NDArray[np.float64] | None = None  # (4, 4), from the camera's coordinates to the world's, meters
+    pose: Doubles | None = None  # (4, 4), from the camera's coordinates to the world's, meters
 
 
 class Sequence(SequencePipeline, Dsrm):
@@ -53,14 +53,10 @@ class Sequence(SequencePipeline, Dsrm):
 
     renamed: ClassVar[dict[str, str]] = {"most_changed": "max_changed", "longest": "max_age"}
 
-    color_change: int = Field(
-        10, ge=0, le=255, description="a still pixel's color changes by at most this, grey levels"
-    )
+    color_change: int = Field(10, ge=0, le=255, description="largest change of a still pixel's color, grey levels")
     max_changed: float = Field(0.3, ge=0, le=1, description="with a larger share of changed pixels segments are new")
     max_age: int = Field(30, ge=1, description="frames after which segments are computed again")
-    drift: float = Field(
-        1.0, ge=0, description="standard deviation of a filled value's change per frame, multiples of the noise"
-    )
+    drift: float = Field(1.0, ge=0, description="deviation of filled values per frame, multiples of the noise")
 
     def step(self, frame: RgbdFrame, state: SequenceState | None) -> tuple[DepthResult, SequenceState]:
         """Refine the next frame; ValueError where it has no depth, or another size than the previous ones."""
@@ -110,7 +106,7 @@ class Sequence(SequencePipeline, Dsrm):
 
     def _followed(
         self, frame: RgbdFrame, measurement: Measurement, state: SequenceState
-    ) -> tuple[str, View | None, NDArray[np.bool_]]:
+    ) -> tuple[str, View | None, Mask]:
         """Return ``still``, ``pose`` or ``estimated``, the previous frame's view, and the pixels that agree with it.
 
         The view is None where the camera has not moved, or where fewer pixels would agree if it had.
@@ -146,13 +142,13 @@ def _blend(disparity, scale, status, previous, still, drift):
 
 
 def still_pixels(
-    color: NDArray[np.uint8],
-    previous_color: NDArray[np.uint8],
-    reliable: NDArray[np.float32],
-    previous_disparity: NDArray[np.float32],
+    color: Image8,
+    previous_color: Image8,
+    reliable: Floats,
+    previous_disparity: Floats,
     color_change: int,
     disparity_change: float,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Select the pixels, (H, W) bool, whose color channels and disparity change by at most the given amounts.
 
     A pixel without a reliable disparity in both frames is judged by its color alone.
@@ -162,9 +158,7 @@ def still_pixels(
     return np.asarray(same_color & ~(np.abs(reliable - previous_disparity) > np.float32(disparity_change)), np.bool_)
 
 
-def carried_labels(
-    layer: Layer, still: NDArray[np.bool_], color: NDArray[np.uint8], measurement: Measurement
-) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+def carried_labels(layer: Layer, still: Mask, color: Image8, measurement: Measurement) -> tuple[Ints, Mask]:
     """Return labels and ``own`` of a layer in the next frame, both (H, W); ``measurement`` is of that frame.
 
     A still pixel keeps its segment, unless its reliable disparity is off the surface by more than a jump and three

@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
+from depthcli.core.arrays import Doubles, Mask
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.fitted_frame import FittedFrame, fit_frame, inverse_depth, refined_depth
@@ -30,40 +30,26 @@ class DenseCrf(TransparentPipeline):
 
     fit: SamplePlaneFit = Field(default_factory=SamplePlaneFit, description="planes through the samples")
     unreliable: UnreliableRegions | None = Field(
-        default_factory=UnreliableRegions, description="where the sensor is unreliable; null: nowhere"
+        default_factory=UnreliableRegions, description="where the sensor is; null: nowhere"
     )
     labels: int = Field(64, ge=2, le=512, description="number of labels: steps of inverse depth")
     sensor_weight: float = Field(1.0, ge=0, description="cost per label of distance from the sensor's value")
     sample_weight: float = Field(2.0, ge=0, description="cost per label of distance from a sample")
     fit_weight: float = Field(1.0, ge=0, description="cost per label of distance from the planes; needs unreliable")
     dense_weight: float = Field(
-        1.0, ge=0, description="cost per label of distance from the dense map of stereo, where there is one"
+        1.0, ge=0, description="cost per label of distance from the dense map of stereo, if any"
     )
-    truncation: float = Field(
-        6.0, gt=0, description="distance from a value beyond which its costs no longer grow, labels"
-    )
+    truncation: float = Field(6.0, gt=0, description="distance from a value where its costs stop growing, labels")
     smooth_truncation: int = Field(
-        8, ge=1, description="difference of two pixels' labels beyond which their cost stays the same, labels"
+        8, ge=1, description="difference of two pixels where their cost stops growing, labels"
     )
-    bilateral_weight: float = Field(
-        1.0, ge=0, description="weight of smoothness between pixels of similar place and color"
-    )
-    bilateral_distance: float = Field(
-        20.0, gt=0, description="distance at which the weight by place and color falls to exp(-1/2), pixels"
-    )
-    bilateral_color: float = Field(
-        20.0, gt=0, description="color difference at which the bilateral weight falls to exp(-1/2), grey levels"
-    )
-    near_weight: float = Field(0.3, ge=0, description="weight of smoothness between pixels of similar place")
-    near_distance: float = Field(
-        3.0, gt=0, description="distance at which the weight by place falls to exp(-1/2), pixels"
-    )
-    separation: float = Field(
-        4.0, ge=0, description="distance of unreliable pixels from others in the kernels, standard deviations"
-    )
-    band: int = Field(
-        8, ge=0, description="width of the band around unreliable pixels and gaps that is labelled with them, pixels"
-    )
+    bilateral_weight: float = Field(1.0, ge=0, description="of smoothness between pixels of similar place and color")
+    bilateral_distance: float = Field(20.0, gt=0, description="where its weight falls to exp(-1/2), pixels")
+    bilateral_color: float = Field(20.0, gt=0, description="where its weight falls to exp(-1/2), grey levels")
+    near_weight: float = Field(0.3, ge=0, description="of smoothness between pixels of similar place")
+    near_distance: float = Field(3.0, gt=0, description="where its weight falls to exp(-1/2), pixels")
+    separation: float = Field(4.0, ge=0, description="distance of unreliable pixels from others, standard deviations")
+    band: int = Field(8, ge=0, description="width of the band around them that is labelled, too, pixels")
     iterations: int = Field(2, ge=0, le=100, description="iterations of mean field inference")
 
     def __call__(self, frame: SparseFrame) -> DepthResult:
@@ -88,9 +74,7 @@ class DenseCrf(TransparentPipeline):
         sampled = None if self.unreliable is None else fitted.sampled(values)
         return refined_depth(frame, values, replaced, clock, sigma, sampled, figures)
 
-    def _label(
-        self, frame: SparseFrame, fitted: FittedFrame, region: NDArray[np.bool_], clock: Clock
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _label(self, frame: SparseFrame, fitted: FittedFrame, region: Mask, clock: Clock) -> tuple[Doubles, Doubles]:
         # Posterior mean and standard deviation of the inverse depth at the region's pixels.
         clock.start("crf")
         samples = np.full(frame.shape, np.nan, np.float32)
@@ -137,7 +121,7 @@ class DenseCrf(TransparentPipeline):
         q = mean_field(unary, kernels, self.smooth_truncation, self.iterations)
         mean = (q @ label).astype(np.float64)
         spread = np.sqrt(np.maximum((q @ label**2).astype(np.float64) - mean**2, 0.0))
-        deviation: NDArray[np.float64] = step * np.sqrt(spread**2 + 1 / 12)
+        deviation: Doubles = step * np.sqrt(spread**2 + 1 / 12)
         return first + step * mean, deviation
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.sample_planes import Samples
+from depthcli.core.arrays import Floats, Mask
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
@@ -17,15 +17,9 @@ from depthcli.methods.transparent.pipeline import TransparentPipeline
 class NearestSample(TransparentPipeline):
     """The sensor's depth where it is near the nearest sample's, or far from any sample; the sample's elsewhere."""
 
-    tolerance: float = Field(
-        0.015, ge=0, description="largest difference from the nearest sample at which the sensor is kept, meters"
-    )
-    relative_tolerance: float = Field(
-        0.02, ge=0, description="largest difference as a share of the depth; the larger of both tolerances counts"
-    )
-    reach: float = Field(
-        40.0, ge=0, description="largest distance of a sample that the sensor is compared with, pixels"
-    )
+    tolerance: float = Field(0.015, ge=0, description="largest difference of a sensor that is kept, meters")
+    relative_tolerance: float = Field(0.02, ge=0, description="as a share of the depth; the larger one counts")
+    reach: float = Field(40.0, ge=0, description="distance of a sample that the sensor is compared with, pixels")
 
     def __call__(self, frame: SparseFrame) -> DepthResult:
         clock = Clock()
@@ -36,7 +30,7 @@ class NearestSample(TransparentPipeline):
         values = np.where(np.isfinite(sensor) & ~unreliable, sensor, inverse_depth(dense))
         return refined_depth(frame, values, unreliable, clock)
 
-    def unreliable(self, frame: SparseFrame, dense: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def unreliable(self, frame: SparseFrame, dense: Floats) -> Mask:
         """Select the pixels whose depth by the sensor is far from ``dense``, median of 5 x 5, (H, W) bool."""
         blank = np.where(np.isfinite(frame.sparse), np.uint8(0), np.uint8(1))
         distance = cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
@@ -48,7 +42,7 @@ class NearestSample(TransparentPipeline):
         return 120 * shape[0] * shape[1] + (16 << 20)
 
 
-def nearest_depth(frame: SparseFrame) -> NDArray[np.float32]:
+def nearest_depth(frame: SparseFrame) -> Floats:
     """Return the depth of the nearest sample, median of 5 x 5, (H, W) float32, meters; NaN without any sample."""
     samples = Samples.of(frame.sparse)
     if samples.values.size == 0:

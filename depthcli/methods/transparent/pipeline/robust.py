@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
+from depthcli.core.arrays import Floats, Image8, Mask
 from depthcli.core.frames import SparseFrame
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock, DepthResult
@@ -29,13 +29,9 @@ class Smoothing(ConfigModel):
         0.011, ge=0, description="distance from the nearest sample beyond which values are smoothed, share of the width"
     )
     radius: int = Field(5, ge=0, le=50, description="half the side of the window, pixels")
-    color_scale: float = Field(
-        12.0, gt=0, description="color difference at which a neighbor's weight falls by exp(-1/2), grey levels"
-    )
+    color_scale: float = Field(12.0, gt=0, description="color difference where weights fall to exp(-1/2), grey levels")
 
-    def __call__(
-        self, values: NDArray[np.float32], samples: Samples, image: NDArray[np.uint8], wanted: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
+    def __call__(self, values: Floats, samples: Samples, image: Image8, wanted: Mask) -> Floats:
         """Smooth the ``wanted`` pixels of a map fitted to ``samples``; NaN is left out of the means."""
         height, width = values.shape
         selected = wanted & np.isfinite(values) & (samples.distance((height, width)) > self.reach * width)
@@ -53,9 +49,7 @@ class RobustPlanes(TransparentPipeline):
     unreliable: UnreliableRegions = Field(
         default_factory=UnreliableRegions, description="where the sensor is unreliable"
     )
-    smoothing: Smoothing = Field(
-        default_factory=Smoothing, description="how the planes are smoothed where they replace the sensor"
-    )
+    smoothing: Smoothing = Field(default_factory=Smoothing, description="of the planes where they replace the sensor")
 
     def __call__(self, frame: SparseFrame) -> DepthResult:
         clock = Clock()

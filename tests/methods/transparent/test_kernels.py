@@ -1,12 +1,14 @@
-"""Costs of flat windows, and costs at disparities between whole ones."""
+"""Kernels against their references: costs of flat windows, costs between whole disparities, smoothing by color."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.methods.transparent.cross_modal import cost_at, faded_costs, local_deviation, mean_cost
+from depthcli.methods.transparent.cross_modal import cost_at, faded_costs, local_deviation
+from depthcli.methods.transparent.pipeline.robust import Smoothing
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import transparent as naive
 
@@ -45,4 +47,32 @@ def test_costs_beside_a_disparity():
     np.testing.assert_allclose(found[0], np.minimum(at[0, :, 3], at[0, :, 4]), rtol=1e-6)
     np.testing.assert_allclose(found[2], at[2, :, 5], rtol=1e-6)
     assert np.isnan(found[1, 1])
-    np.testing.assert_allclose(mean_cost(costs), at.mean(axis=2), rtol=1e-5)
+
+
+def scene(shape, seed, samples):
+    """Values with gaps, colors, which pixels to smooth, and samples at some pixels."""
+    rng = np.random.default_rng(seed)
+    values = (1.5 + 0.1 * rng.standard_normal(shape)).astype(np.float32)
+    values[rng.random(shape) < 0.1] = np.nan
+    known = np.full(shape, np.nan, np.float32)
+    known[samples] = 1
+    return values, Samples.of(known), texture((*shape, 3), seed), rng.random(shape) < 0.7
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 17), (13, 2), (14, 19)])
+@pytest.mark.parametrize("radius", [0, 1, 4])
+def test_smoothing_agrees_with_the_reference_far_from_samples(shape, radius):
+    values, samples, image, wanted = scene(shape, 1, (0, 0))
+    ours = Smoothing(radius=radius, color_scale=40, reach=3.5 / shape[1])(values, samples, image, wanted)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    far = wanted & (np.hypot(y, x) > 3.5)
+    np.testing.assert_allclose(ours, naive.smoothed(values, image, far, radius, 40), rtol=1e-5)
+
+
+def test_near_samples_and_elsewhere_values_stay():
+    given = scene((20, 30), 2, np.s_[::2, ::2])
+    np.testing.assert_array_equal(Smoothing(reach=0.1)(*given), given[0])
+    values, one, image, wanted = scene((20, 30), 2, (10, 15))
+    changed = Smoothing(reach=0.1)(values, one, image, wanted) != values
+    assert changed[wanted & np.isfinite(values)].sum() > 100
+    assert not changed[~wanted & np.isfinite(values)].any()
