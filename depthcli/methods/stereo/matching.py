@@ -48,12 +48,7 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
     """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive, in the way that ``limits`` ask for.
 
     On the device, where one is given and the matcher has an implementation for it; in tiles, where the whole pair needs
-    more memory than tiles may take, or always; else whole.
-
-    Raises
-    ------
-    InputError
-        The memory that may be used, here or on the device, does not suffice.
+    more memory than tiles may take, or always; else whole. InputError where memory does not suffice.
     """
     clock = Clock()
 

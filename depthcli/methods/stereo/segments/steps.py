@@ -145,11 +145,10 @@ def _tables(
             {"plane": k, "a": a, "b": b, "c": c, "support": support, "segments": used}
             for k, ((a, b, c), support, used) in enumerate(planes)
         ]
+        names = ("plane", "pixels", "trusted", "lowest", "highest")
         columns = (assignment.labels, segments.graph.sizes, segments.trusted.sizes, ranges[:, 0], ranges[:, 1])
-        names = ("segment", "plane", "pixels", "trusted", "lowest", "highest")
-        result["segment_labels"] = [
-            dict(zip(names, (t, *map(int, row)), strict=True)) for t, row in enumerate(zip(*columns, strict=True))
-        ]
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        result["segment_labels"] = [{"segment": t, **dict(zip(names, row, strict=True))} for t, row in enumerate(rows)]
     if matches is not None:
         digits = {"x": 3, "y": 3, "disparity": 3, "distance": 4}
         result["keypoints"] = [
