@@ -24,15 +24,9 @@ def make_deformed_pair(
 ) -> DeformedPair:
     """Return an ellipsoid body with organs of their own texture, and a smooth residual up to ``largest`` voxels.
 
-    The fixed volume is the warped one sampled at x + residual(x), so that the residual is exact.
-
-    Parameters
-    ----------
-    shape : (Z, Y, X), at least 16 voxels each
-    noise : standard deviation in both volumes, where the body's range is about 600
+    The fixed volume is the warped one sampled at x + residual(x), so that the residual is exact. ``shape`` is
+    (Z, Y, X), ``noise`` the standard deviation in both volumes, where the body's range is about 600.
     """
-    if min(shape) < 16:
-        raise ValueError(f"want at least 16 voxels along each axis, got {shape}")
     rng = np.random.default_rng([seed, 0x3D])
     place = np.stack(np.meshgrid(*(np.linspace(-1, 1, n, dtype=np.float32) for n in shape), indexing="ij"))
     body = (place**2).sum(axis=0) <= 0.92

@@ -30,11 +30,8 @@ def make_kinect_scene(
 ) -> tuple[Image8, Floats]:
     """Return color (H, W, 3) uint8 RGB and exact disparity (H, W) float32, pixels, the same for the same arguments.
 
-    Parameters
-    ----------
-    kind : ``planes``, ``foreground``, ``curved`` as in :func:`depthcli.simulate.stereo_scenes.make_scene`;
-        ``camouflage``: boards before a wall, every other one painted like it, so that only the depth shows the edge
-    width, height, max_disparity : pixels; at least 16, 16, and 4, at most ``width / 2``
+    Kinds are ``planes``, ``foreground``, ``curved`` as in :func:`depthcli.simulate.stereo_scenes.make_scene`, and
+    ``camouflage``: boards before a wall, every other one painted like it, so that only the depth shows the edge.
     """
     if kind != "camouflage":
         scene = make_scene(kind, seed, width, height, max_disparity)

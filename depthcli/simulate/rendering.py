@@ -34,8 +34,7 @@ def rotation(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> Doubles
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
     about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
-    rows: Doubles = (about_y @ about_x @ about_z).T
-    return rows
+    return np.asarray((about_y @ about_x @ about_z).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,11 +107,8 @@ class Surface:
 
     def corners(self) -> Doubles:
         """Return the (8, 3) world corners of a box around the surface."""
-        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-        if self.shape == "plane":
-            signs[:, 2] = 0
-        box: Doubles = self.center + (signs * self.half_size) @ self.axes
-        return box
+        signs = np.array(list(itertools.product((-1, 1), (-1, 1), (0, 0) if self.shape == "plane" else (-1, 1))), float)
+        return np.asarray(self.center + (signs * self.half_size) @ self.axes)
 
 
 @dataclass

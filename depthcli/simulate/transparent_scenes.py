@@ -43,11 +43,8 @@ def make_transparent_scene(
 ) -> TransparentScene:
     """Render a room with two opaque and two transparent objects; the same arguments give the same scene.
 
-    Parameters
-    ----------
-    width, height : pixels
-    max_disparity : nothing is nearer, pixels
-    speckles : share of the infrared image's pixels with a projected dot, in [0, 1]
+    Nothing is nearer than ``max_disparity`` pixels; a share ``speckles`` of the infrared image's pixels has a projected
+    dot.
     """
     rng = np.random.default_rng([seed, 0x61A5])
     room = Room(rng, width, height, max_disparity, 1.0)
@@ -101,11 +98,8 @@ def glass_of_pair(
     stands in front of most of its surroundings; where there is none, an ellipse in the middle. Behind it lies a
     plane through the farther third of what surrounds it.
 
-    Parameters
-    ----------
-    left, right : (H, W) grey or (H, W, 3) RGB, uint8 or uint16
-    disparity : (H, W) float32, of the left view, pixels, NaN = unknown
-    speckles : share of the infrared image's pixels with a projected dot, in [0, 1]
+    ``left`` and ``right`` are (H, W) grey or (H, W, 3) RGB, uint8 or uint16, ``disparity`` (H, W) that of the left
+    view, pixels, NaN = unknown; a share ``speckles`` of the infrared image's pixels has a projected dot.
     """
     mask, best_share = np.zeros(disparity.shape, np.bool_), 0.4
     for surface in _surfaces(disparity):
@@ -173,13 +167,10 @@ def sparse_samples(
 
     Parameters
     ----------
-    depth : (H, W) float32, meters, NaN = unknown (never chosen)
-    color : (H, W, 3) uint8
-    share : of all pixels that get a sample, in [0, 1]
-    noise : standard deviation, meters
+    depth, color : (H, W) float32, meters, NaN = unknown (never chosen); (H, W, 3) uint8
+    share, noise : of all pixels that get a sample, in [0, 1]; standard deviation, meters
     outliers : share of the samples that are uniform between the 1st and the 99th percentile of ``depth`` instead
-    clustered : samples lie along edges of color, where stereo finds texture: a pixel's chance grows with the 1.5th
-        power of the image's gradient; else all pixels are as likely
+    clustered : a pixel's chance grows with the 1.5th power of the color's gradient, since stereo finds texture there
     """
     rng = np.random.default_rng([seed, 0x5A])
     known = np.flatnonzero(np.isfinite(depth))
@@ -204,13 +195,9 @@ def sparse_samples(
 def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> Image8:
     """Return an infrared camera's image, (H, W) uint8: ``255 * (0.6 R + 0.3 G + 0.1 B) ** 0.7 * gain + noise``.
 
-    The power is taken on the range [0, 1], so that black and white keep their places. The gain is a smooth
-    field that fills [0.7, 1.3]; the noise is Gaussian with sigma 4 grey levels; the result is clipped.
-
-    Parameters
-    ----------
-    image : (H, W, 3) RGB or (H, W) grey, uint8 or uint16
-    speckles : share of the pixels that get a bright projected dot, in [0, 1]; a depth camera's pattern
+    The power is taken on the range [0, 1]. The gain is a smooth field that fills [0.7, 1.3]; the noise is Gaussian with
+    sigma 4 grey levels; the result is clipped. ``image`` is (H, W, 3) RGB or (H, W) grey, uint8 or uint16; the share
+    ``speckles`` of the pixels get a bright projected dot, as of a depth camera's pattern.
     """
     rng = np.random.default_rng([seed, 0x17])
     top = np.float32(np.iinfo(image.dtype).max)

@@ -7,7 +7,6 @@ import shutil
 from dataclasses import asdict
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -276,31 +275,3 @@ def test_depth_of_another_aspect_is_refused(phone: Path, tmp_path: Path):
     error = str(rows(tmp_path / "r")["a"]["error"])
     assert "70 x 48, but the color image is 480 x 360" in error
     assert error.endswith("else give depth_intrinsics, and intrinsics of the color camera")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "factor", "warning"),
-    [
-        ("d.tiff", 1, ""),
-        ("d.npy", 1, ""),
-        ("d.npy", 1000, "100 % of the depths are beyond"),
-        ("d.npy", 0, "want depths"),
-    ],
-)
-def test_floats_are_meters(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, factor: int, warning: str):
-    depth = np.full((60, 80), 1.5, np.float32)
-    depth[20:30, 30:40] = 0
-    write_png(tmp_path / "c.png", np.random.default_rng(0).integers(0, 255, (60, 80, 3)).astype(np.uint8))
-    values = depth * factor if factor else depth > 0
-    if name.endswith(".npy"):
-        np.save(tmp_path / name, values)
-    else:
-        cv2.imwrite(str(tmp_path / name), values)
-    views = ("--color", tmp_path / "c.png", "--depth", tmp_path / name)
-    assert run("refine-kinect", "nearest", *views, "-o", tmp_path / "out") == (0 if factor else 3)
-    err = capsys.readouterr().err
-    assert warning in err and ("warning" in err) == bool(factor and warning)
-    assert err.count("the median depth is") == (1 if factor == 1000 else 0)
-    if factor == 1:
-        assert np.median(read_plane(tmp_path / "out" / "c" / "depth.png")) == 1500

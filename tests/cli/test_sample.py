@@ -84,16 +84,6 @@ def test_more_scenes_are_added_and_lost_files_made_again(tmp_path: Path):
     assert _bytes(tmp_path / "whole") == _bytes(tmp_path / "cut")
 
 
-def test_other_options_need_overwrite(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert sample(tmp_path, "-n", "2") == 0
-    before = _bytes(tmp_path)
-    assert sample(tmp_path, "-n", "2", "--noise", "5") == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert _bytes(tmp_path) == before
-    assert sample(tmp_path, "-n", "2", "--noise", "5", "--overwrite") == 0
-    assert _bytes(tmp_path)["planes_0/left.png"] != before["planes_0/left.png"]
-
-
 def test_files_of_others_are_left_alone(tmp_path: Path):
     (tmp_path / "planes_0").mkdir()
     (tmp_path / "planes_0" / "holiday.jpg").write_bytes(b"holiday")

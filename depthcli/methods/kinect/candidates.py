@@ -281,15 +281,13 @@ def choose_candidates(
     pixels: Ints,
     values: Floats,
     shares: Floats,
+    planes: WindowPlanes,
+    costs: tuple[float, float, float],
+    iterations: int,
     lab: Image8,
     disparity: Floats,
     p_correct: Floats,
     unreliable: Mask,
-    planes: WindowPlanes,
-    noise: float,
-    smoothness: float,
-    truncation: float,
-    iterations: int,
 ) -> Floats:
     """Choose a value for every unreliable pixel, (H, W) float32; NaN where it has no candidate, and elsewhere.
 
@@ -301,16 +299,17 @@ def choose_candidates(
     ----------
     pixels : (N, 2) int32, the ``unreliable`` pixels in raster order
     values, shares : (N, K) of :func:`cast_votes`
-    p_correct : (H, W) float32, probability that a measured value is correct
     planes : known surfaces; at reliable pixels they are the fixed neighbors
-    smoothness : weight of a difference, in units of the noise, between neighbors of one color
-    truncation : largest difference that counts, multiples of the noise
+    costs : noise; weight of a difference, in units of the noise, between neighbors of one color; largest difference
+        that counts, multiples of the noise
+    p_correct : (H, W) float32, probability that a measured value is correct
     """
     chosen = np.full(disparity.shape, np.nan, np.float32)
     candidates = np.zeros((len(pixels), values.shape[1] + 1), np.float32)
     unary = np.full(candidates.shape, np.inf, np.float32)
     weights = np.zeros((len(pixels), 4), np.float32)
     surfaces = (planes.value, planes.slope_x, planes.slope_y)
+    noise, smoothness, truncation = costs
     scales = (np.float32(noise), np.float32(smoothness), np.float32(truncation))
     given = (pixels, values, shares, lab, disparity, p_correct, unreliable)
     _costs(*given, *surfaces, *scales, candidates, unary, weights)

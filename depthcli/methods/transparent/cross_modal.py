@@ -72,10 +72,7 @@ class MatchSelection(ConfigModel):
     """
 
     margin: float = Field(
-        0.15,
-        ge=0,
-        description="how much cheaper than the sensor's disparity a match that contradicts it has to be, "
-        "in units of one measure",
+        0.15, ge=0, description="how much cheaper a contradicting match is than the sensor's, in units of one measure"
     )
     blind_margin: float = Field(
         0.1, ge=0, description="the same against the pixel's mean where the sensor has no depth"

@@ -72,17 +72,17 @@ def inverse_depth(depth: Floats) -> Floats:
 
 def refined_depth(
     frame: SparseFrame,
-    values: NDArray[np.floating[Any]],
+    values: Any,
     unreliable: Mask,
     clock: Clock,
-    sigma: NDArray[np.floating[Any]] | float = np.nan,
+    sigma: Any = np.nan,
     sampled: Mask | None = None,
-    figures: dict[str, float] | None = None,
+    **figures: float,
 ) -> DepthResult:
-    """Convert inverse depths ``values``, and their standard deviations, to the result of a pipeline.
+    """Convert inverse depths ``values``, (H, W), and their standard deviations, to the result of a pipeline.
 
     The sensor's depth was replaced at ``unreliable`` pixels; a sample at the pixel agrees at ``sampled`` ones, None:
-    at all samples.
+    at all samples. ``figures`` are for the report.
     """
     known = np.isfinite(frame.depth)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -96,6 +96,5 @@ def refined_depth(
     status[(status != DepthStatus.KEPT) & sampled] |= np.uint8(DepthStatus.SAMPLED)
     status[np.isnan(depth)] = DepthStatus.EMPTY
     pictures = {"unreliable": np.where(unreliable & known, np.uint8(255), np.uint8(0))}
-    return DepthResult(
-        DepthMap(depth, status), deviation, seconds=clock.seconds, pictures=pictures, figures=figures or {}
-    )
+    map_ = DepthMap(depth, status)
+    return DepthResult(map_, deviation, seconds=clock.seconds, pictures=pictures, figures=figures)

@@ -75,17 +75,10 @@ class UnreliableRegions(ConfigModel):
     model_error: float = Field(0.5, ge=0, description="share of the planes' deviation that is added to the noise")
     systematic: float = Field(0.0, ge=0, description="error that samples may share, standard deviations")
     contradiction: float = Field(
-        0.2,
-        gt=0,
-        le=0.5,
-        description="mean contradiction of the samples of a plane: positive scores are scaled from 0 at this mean to "
-        "1 at twice it",
+        0.2, gt=0, le=0.5, description="mean of the samples of a plane at which the gain of scores starts, from 0"
     )
     reach: float = Field(
-        0.011,
-        gt=0,
-        description="distance to the nearest sample at which a pixel's score has fallen to exp(-1/2) of its value, "
-        "as a share of the image width",
+        0.011, gt=0, description="distance to samples where scores have fallen to exp(-1/2), share of the image width"
     )
     outline: float = Field(5.0, ge=0, description="cost per pixel of outlines where the color stays the same")
     min_outline_share: float = Field(0.1, ge=0, le=1, description="share of it along a strong color edge")

@@ -71,26 +71,6 @@ def test_planes_continue_and_fade():
     np.testing.assert_array_equal(inside, np.isnan(values))
 
 
-def test_color_edges_limits_and_costs_decide_between_surfaces():
-    values = np.full((20, 60), 10, np.float32)
-    values[:, 30:] = 30
-    values[:, 15:45] = np.nan
-    lab = np.full((20, 60, 3), 100, np.uint8)
-    lab[:, 22:] = 180
-    none, free = np.empty((0, 20, 60), np.int32), np.full((20, 60), np.inf, np.float32)
-    level = np.zeros((20, 60), np.float32)
-    by_color = fill_gaps(values, lab, none, free, level, None)[0]
-    assert (by_color[:, :22] == 10).all() and (by_color[:, 22:] == 30).all()
-    limited = fill_gaps(values, lab, none, np.where(np.isnan(values), 12, free).astype(np.float32), level, None)[0]
-    assert (limited[:, :45] == 10).all()
-    grey = np.full((20, 60, 3), 100, np.uint8)
-    far_first = np.where(values == 30, np.float32(12), np.float32(0))
-    shares = [
-        (fill_gaps(values, grey, none, free, cost, None)[0][:, 15:45] == 10).mean() for cost in (level, far_first)
-    ]
-    assert shares[0] == pytest.approx(0.5, abs=0.04) and shares[1] == pytest.approx(0.7, abs=0.04)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("pipeline", [PlaneVotes(), Dsrm(), ShadowSmoother()], ids=["accurate", "dsrm", "fast"])
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved"])

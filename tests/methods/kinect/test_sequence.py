@@ -140,7 +140,7 @@ def test_still_pixels(shape):
     color = blocks(*shape)
     before = np.clip(color + rng.integers(-6, 7, color.shape), 0, 255).astype(np.uint8)
     reliable, disparity = noisy(*shape), noisy(*shape, seed=1)
-    found = still_pixels(color, before, reliable, disparity, 5, 2.0)
+    found = still_pixels(color, reliable, before, disparity, 5, 2.0)
     same = np.abs(color.astype(int) - before).max(axis=2) <= 5
     np.testing.assert_array_equal(found, same & ~(np.abs(reliable - disparity) > 2))
 

@@ -54,11 +54,7 @@ class PlaneVotes(KinectPipeline):
     )
     shadows: bool | Side = Field(True, description=SHADOW_SIDES)
     continued_share: float = Field(
-        0.3,
-        ge=0,
-        le=10,
-        description="votes for the surface at the start of the cheapest path into a gap, and for that of its segments "
-        "(dsrm), each: share of all",
+        0.3, ge=0, le=10, description="votes for surfaces continued into a gap, by paths and by dsrm: share of all each"
     )
     candidates: int = Field(4, ge=1, le=8, description="largest number of candidate surfaces per pixel")
     sigma_color: float = Field(11.0, gt=0, le=500, description="L1 difference in 8-bit Lab over which votes fade")
@@ -116,20 +112,10 @@ class PlaneVotes(KinectPipeline):
             values, shares = cast_votes(grid * pixels, lab, voters, prior, noise, self.candidates, *sigmas)
             clock.start("choice")
             chosen = np.full_like(measured, np.nan)
-            chosen[every] = choose_candidates(
-                pixels,
-                values,
-                shares,
-                lab[every],
-                measured[every],
-                p_correct[every],
-                unreliable[every],
-                planes.every(grid),
-                noise,
-                self.smoothness,
-                self.truncation,
-                self.iterations,
-            )
+            costs = noise, self.smoothness, self.truncation
+            maps = lab[every], measured[every], p_correct[every], unreliable[every]
+            around = planes.every(grid)
+            chosen[every] = choose_candidates(pixels, values, shares, around, costs, self.iterations, *maps)
             # Where the choice agrees with the measurement, the measurement is more exact.
             agreed = known & ~(np.abs(chosen - measured) >= np.float32(AGREEMENT * noise))
             old, old_trust = refined, trust

@@ -112,7 +112,7 @@ class Sequence(SequencePipeline, Dsrm):
         The view is None where the camera has not moved, or where fewer pixels would agree if it had.
         """
         limits = self.color_change, self.tolerance * measurement.noise
-        still = still_pixels(frame.color, state.color, measurement.reliable, state.disparity, *limits)
+        still = still_pixels(frame.color, measurement.reliable, state.color, state.disparity, *limits)
         agreed = float(still.mean())
         camera = frame.intrinsics or typical_intrinsics(frame.shape[1], frame.shape[0])
         way, min_gain, motion = "estimated", _MIN_GAIN, None
@@ -122,7 +122,7 @@ class Sequence(SequencePipeline, Dsrm):
             motion = estimated_motion(state.color, frame.color, state.disparity, camera, frame.fb)
         if motion is not None and displacement(motion, state.disparity, camera, frame.fb) >= _MIN_MOTION:
             view = view_after(motion, state.color, state.disparity, camera, frame.fb, measurement.jump)
-            moved = still_pixels(frame.color, view.color, measurement.reliable, view.disparity, *limits) & view.reached
+            moved = still_pixels(frame.color, measurement.reliable, view.color, view.disparity, *limits) & view.reached
             if moved.sum() > (agreed + min_gain) * max(view.reached.sum(), 1):
                 return way, view, moved
         return "still", None, still
@@ -142,20 +142,15 @@ def _blend(disparity, scale, status, previous, still, drift):
 
 
 def still_pixels(
-    color: Image8,
-    previous_color: Image8,
-    reliable: Floats,
-    previous_disparity: Floats,
-    color_change: int,
-    disparity_change: float,
+    color: Image8, reliable: Floats, before: Image8, disparity: Floats, color_change: int, disparity_change: float
 ) -> Mask:
     """Select the pixels, (H, W) bool, whose color channels and disparity change by at most the given amounts.
 
-    A pixel without a reliable disparity in both frames is judged by its color alone.
+    Color and disparity of the frame ``before`` count; without a reliable disparity in both frames the color alone.
     """
-    changes = cv2.absdiff(color, previous_color)
+    changes = cv2.absdiff(color, before)
     same_color = cv2.inRange(changes, np.zeros(3), np.full(3, float(color_change))) > 0
-    return np.asarray(same_color & ~(np.abs(reliable - previous_disparity) > np.float32(disparity_change)), np.bool_)
+    return np.asarray(same_color & ~(np.abs(reliable - disparity) > np.float32(disparity_change)), np.bool_)
 
 
 def carried_labels(layer: Layer, still: Mask, color: Image8, measurement: Measurement) -> tuple[Ints, Mask]:

@@ -72,7 +72,7 @@ class DenseCrf(TransparentPipeline):
         clock.start("decode")
         figures = {"labelled": float(region.mean()), "samples": float(fitted.samples.values.size)}
         sampled = None if self.unreliable is None else fitted.sampled(values)
-        return refined_depth(frame, values, replaced, clock, sigma, sampled, figures)
+        return refined_depth(frame, values, replaced, clock, sigma, sampled, **figures)
 
     def _label(self, frame: SparseFrame, fitted: FittedFrame, region: Mask, clock: Clock) -> tuple[Doubles, Doubles]:
         # Posterior mean and standard deviation of the inverse depth at the region's pixels.

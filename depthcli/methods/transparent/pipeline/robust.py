@@ -60,7 +60,7 @@ class RobustPlanes(TransparentPipeline):
         values = np.where(kept, fitted.sensor, smooth)
         sigma = np.where(kept, np.float32(fitted.noise), fitted.sigma)
         figures = {"samples": float(fitted.samples.values.size), "noise": fitted.noise}
-        return refined_depth(frame, values, fitted.unreliable, clock, sigma, fitted.sampled(values), figures)
+        return refined_depth(frame, values, fitted.unreliable, clock, sigma, fitted.sampled(values), **figures)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         # Neighbors of every pixel, and the graph of the cut.
