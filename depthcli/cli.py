@@ -23,10 +23,9 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from depthcli import __version__, commands
-from depthcli.commands._options import PluginOption, with_groups
-from depthcli.core.errors import DepthcliError, IncompleteError
+from depthcli.commands._shared_options import PluginOption, with_groups
+from depthcli.core.errors import SOME_FAILED, DepthcliError, IncompleteError
 from depthcli.core.registry import load_file
-from depthcli.run.batch import SOME_FAILED
 from depthcli.run.console import Reporter, silence_warnings
 
 _STREAM_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)

@@ -26,6 +26,7 @@ from depthcli import testing
 from depthcli.api.inputs import COMMANDS
 from depthcli.cli import command_of
 from depthcli.commands import grouped_names, help_of, own_names
+from depthcli.core.errors import EXIT_CODES
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.evaluation import columns as evaluation
@@ -36,7 +37,6 @@ from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 from depthcli.io.formats.volumes import VOLUME_SUFFIXES
 from depthcli.io.layouts import layouts
 from depthcli.methods.registration.search import MEASURES
-from depthcli.run.batch import EXIT_CODES
 from depthcli.run.folder import REPORT_FILES, RUN_FILE
 from depthcli.run.presets import find_config, list_presets
 

@@ -15,13 +15,13 @@ import pytest
 import depthcli
 from depthcli.cli import command_of
 from depthcli.commands import own_names
+from depthcli.core.errors import EXIT_CODES
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.evaluation import protocols
 from depthcli.io.formats.map_format import map_formats
 from depthcli.io.layouts import layouts
 from depthcli.methods.registration.search import MEASURES
-from depthcli.run.batch import EXIT_CODES
 from depthcli.run.presets import list_presets
 
 ROOT = Path(__file__).parent.parent

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.body import body
 from depthcli.algorithms.resampling import resample
-from depthcli.core.volumes import ENDS, PLANES, side_and_distance
+from depthcli.core.text import side_and_distance
+from depthcli.core.volumes import ENDS, PLANES
 from depthcli.io.formats.pictures import draw_text, preview
 from depthcli.io.scenes.volume_pair import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult

@@ -27,16 +27,16 @@ from depthcli.algorithms.calibration import (
     fit_camera,
     fit_rig,
 )
-from depthcli.commands._options import BoardOptions, Printing
+from depthcli.commands._options import BoardOptions
+from depthcli.commands._shared_options import Printing
 from depthcli.core.cameras.camera import Camera
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import SOME_FAILED, ConfigError, InputError
 from depthcli.core.frames import color8, luma
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import UNITS, write_calibration
 from depthcli.io.formats.files import remove_temporaries, write_text
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import draw_text
-from depthcli.run.batch import SOME_FAILED
 from depthcli.run.console import Reporter, aligned
 from depthcli.run.json_csv import Row, to_json
 

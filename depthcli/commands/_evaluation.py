@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from depthcli.commands._options import TableOptions
+from depthcli.commands._shared_options import TableOptions, parse_bytes
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import PAGE_FILE, Viewer
@@ -13,7 +13,6 @@ from depthcli.evaluation.tables import check_names, chosen_text, headline_text
 from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.page import Page, RunWithoutTruth
 from depthcli.run.console import Reporter
-from depthcli.run.resources import parse_bytes
 
 PAGE_BUDGET = "50MB"
 """Default size of a page's pictures beyond which they are scaled down."""

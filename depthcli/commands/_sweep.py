@@ -19,14 +19,14 @@ from depthcli.commands import _fuse, _refine_kinect, _register_confidence, _ster
 from depthcli.commands._batch import DONE, plan_of, run_batch
 from depthcli.commands._evaluation import viewers
 from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import SOME_FAILED, ConfigError
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.io.formats.files import write_text
 from depthcli.io.walk import discover_scenes
-from depthcli.run.batch import SOME_FAILED, Batch
+from depthcli.run.batch import Batch
 from depthcli.run.console import aligned
 from depthcli.run.json_csv import Row, to_csv, to_json
 

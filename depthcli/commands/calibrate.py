@@ -16,7 +16,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from depthcli.commands._options import BoardOptions, Printing
+from depthcli.commands._options import BoardOptions
+from depthcli.commands._shared_options import Printing
 
 
 def calibrate(

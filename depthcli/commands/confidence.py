@@ -13,7 +13,8 @@ from typing import Annotated
 
 from typer import Option
 
-from depthcli.commands._options import CodingOptions, MaxDisparityOption, PairOptions, ScoredRunOptions, WithinOption
+from depthcli.commands._options import CodingOptions, PairOptions, ScoredRunOptions
+from depthcli.commands._shared_options import MaxDisparityOption, WithinOption
 
 
 def confidence(

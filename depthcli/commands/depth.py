@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from depthcli.commands._options import CloudOptions, HtmlOption, MapOptions, RunOptions
+from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
+from depthcli.commands._shared_options import HtmlOption
 
 
 @dataclass(frozen=True, kw_only=True)

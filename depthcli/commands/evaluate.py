@@ -17,7 +17,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from depthcli.commands._options import (
+from depthcli.commands._shared_options import (
     FailFlaggedOption,
     FlagOption,
     LayoutOption,

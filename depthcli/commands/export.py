@@ -18,7 +18,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from depthcli.commands._options import Printing
+from depthcli.commands._shared_options import Printing
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.evaluation.benchmarks import Benchmark, Entry, Submission, benchmark
 from depthcli.evaluation.protocols import load

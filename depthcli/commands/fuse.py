@@ -16,14 +16,8 @@ from typing import Annotated
 
 from typer import Option
 
-from depthcli.commands._options import (
-    CodingOptions,
-    ConfigArgument,
-    RangeOptions,
-    ScoredRunOptions,
-    SetOption,
-    WithinOption,
-)
+from depthcli.commands._options import CodingOptions, RangeOptions, ScoredRunOptions
+from depthcli.commands._shared_options import ConfigArgument, SetOption, WithinOption
 from depthcli.core.errors import ConfigError
 
 

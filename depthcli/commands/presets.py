@@ -12,7 +12,7 @@ from typing import Annotated
 from typer import Argument
 
 from depthcli.commands import config_model
-from depthcli.commands._options import Printing
+from depthcli.commands._shared_options import Printing
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import ConfigError
 from depthcli.run.json_csv import to_json

@@ -11,7 +11,8 @@ from typing import Annotated
 
 from typer import Option
 
-from depthcli.commands._options import ConfigArgument, DepthScaleOption, FrameOptions, ScoredRunOptions, SetOption
+from depthcli.commands._options import FrameOptions, ScoredRunOptions
+from depthcli.commands._shared_options import ConfigArgument, DepthScaleOption, SetOption
 
 
 def refine_kinect(

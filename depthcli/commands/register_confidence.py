@@ -13,7 +13,8 @@ from typing import Annotated, ClassVar
 
 from typer import Option
 
-from depthcli.commands._options import ConfigArgument, SceneOptions, ScoredRunOptions, SetOption
+from depthcli.commands._options import SceneOptions, ScoredRunOptions
+from depthcli.commands._shared_options import ConfigArgument, SetOption
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,8 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from depthcli.commands._options import ConfigArgument, RangeOptions, ScoredRunOptions, SetOption
+from depthcli.commands._options import RangeOptions, ScoredRunOptions
+from depthcli.commands._shared_options import ConfigArgument, SetOption
 from depthcli.run.console import Reporter, aligned
 
 

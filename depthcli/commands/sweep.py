@@ -14,15 +14,8 @@ from typing import Annotated
 
 from typer import Option
 
-from depthcli.commands._options import (
-    ConfigArgument,
-    HtmlOption,
-    LayoutOption,
-    RunOptions,
-    SceneOptions,
-    ScenesOption,
-    SetOption,
-)
+from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.commands._shared_options import ConfigArgument, HtmlOption, LayoutOption, ScenesOption, SetOption
 
 
 def sweep(

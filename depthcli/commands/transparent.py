@@ -7,7 +7,8 @@ Examples:
 
 from __future__ import annotations
 
-from depthcli.commands._options import ConfigArgument, DepthScaleOption, FrameOptions, ScoredRunOptions, SetOption
+from depthcli.commands._options import FrameOptions, ScoredRunOptions
+from depthcli.commands._shared_options import ConfigArgument, DepthScaleOption, SetOption
 
 
 def transparent(

@@ -81,6 +81,11 @@ def show_bytes(size: int) -> str:
     return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"
 
 
+def side_and_distance(ends: str, millimeters: float) -> str:
+    """Return a position along an axis in words, ``S 12 mm``: the letter of the side of the origin, and the distance."""
+    return f"{ends[millimeters < 0]} {abs(millimeters):.0f} mm"
+
+
 def summarized(warnings: Iterable[tuple[str, str]]) -> list[str]:
     """Return one line a kind of warning (scene, line), that of its first scene, with the number of the other scenes."""
     kinds: dict[str, list[tuple[str, str]]] = {}

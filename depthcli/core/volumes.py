@@ -17,11 +17,6 @@ ENDS = ("SI", "AP", "RL")
 """Sides of the first and of the last voxel along these axes; positions are positive towards S, A and R."""
 
 
-def side_and_distance(ends: str, millimeters: float) -> str:
-    """Return a position along an axis in words, ``S 12 mm``: the side of the origin, of ``ENDS``, and the distance."""
-    return f"{ends[millimeters < 0]} {abs(millimeters):.0f} mm"
-
-
 @dataclass(frozen=True)
 class Grid:
     """Where the voxels of a volume are, in mm and in the LPS frame of ITK."""

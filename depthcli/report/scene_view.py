@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.core.volumes import side_and_distance
+from depthcli.core.text import side_and_distance
 from depthcli.evaluation.protocols import UNKNOWN, AnyProtocol, ShownMap, SliceAxis, pixel_kinds, shown_pixels
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import Palette, confidence_picture, read_status, status_color, status_words

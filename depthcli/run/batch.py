@@ -18,23 +18,6 @@ if TYPE_CHECKING:
     from depthcli.run.console import Column
     from depthcli.run.json_csv import Row
 
-SOME_FAILED = 3
-"""Exit code of a command that finished, but not for every scene."""
-
-FLAGGED = 4
-"""Exit code of a command with ``--fail-flagged`` that flagged a row."""
-
-EXIT_CODES = {
-    0: "all done",
-    1: "a bug in depthcli; the traceback is printed",
-    2: "wrong usage, config or folder, nothing was computed; or the disk became full",
-    SOME_FAILED: "finished, but something failed or could not be written; the report says what",
-    FLAGGED: "finished, and rows are flagged that count as failures here, or a condition has no values",
-    130: "ended by Ctrl-C; the same command goes on where it stopped",
-    143: "ended by SIGTERM; the same command goes on where it stopped",
-}
-"""Exit code -> what it means."""
-
 SceneT = TypeVar("SceneT", bound=Scene)
 
 

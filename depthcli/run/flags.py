@@ -8,9 +8,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import FLAGGED, SOME_FAILED, ConfigError
 from depthcli.core.text import did_you_mean
-from depthcli.run.batch import FLAGGED, SOME_FAILED
 from depthcli.run.console import Reporter
 
 _COMPARISONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}

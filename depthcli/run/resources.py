@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 from pathlib import Path
 
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import InputError
 from depthcli.core.text import show_bytes
-
-_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
 def cores() -> int:
@@ -18,15 +15,6 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def parse_bytes(text: str, option: str = "--max-memory") -> int:
-    """Return ``2GiB``, ``500M`` or ``1e9`` in bytes; ConfigError for any other text."""
-    match = re.fullmatch(r"\s*(\d{1,18}(?:\.\d{0,9})?(?:[eE]\d{1,2})?)\s*([kmgt]i?|)b?\s*", text, re.IGNORECASE)
-    size = int(float(match[1]) * _UNITS[match[2].lower()]) if match else 0
-    if size < 1:
-        raise ConfigError(f"{option}: must be a size such as 2GiB or 500M (got {text[:40]!r})")
-    return size
 
 
 def check_memory(need: int, limit: int, size: str, keys: str = "") -> None:

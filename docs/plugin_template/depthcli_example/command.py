@@ -14,8 +14,9 @@ from pydantic import Field
 
 from depthcli.commands import command
 from depthcli.commands._batch import config_of, run_batch
-from depthcli.commands._options import ConfigArgument, PairOptions, ScoredRunOptions, SetOption
+from depthcli.commands._options import PairOptions, ScoredRunOptions
 from depthcli.commands._scenes import find_scenes
+from depthcli.commands._shared_options import ConfigArgument, SetOption
 from depthcli.core.method import RootConfig
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.scenes.stereo import StereoScene

@@ -1,0 +1,122 @@
+"""Options that commands share, whether or not they run over scenes, as typer reads them from the types of parameters.
+
+A command takes single options (``set: SetOption = None``) and groups of them (``run: RunOptions``), dataclasses whose
+fields become options of their own.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias, get_type_hints
+
+from typer import Argument, Option
+
+from depthcli.core.errors import ConfigError
+from depthcli.run.console import Reporter
+
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
+
+# A name is given where typer would make another one of the parameter's: flags get no "--no-..." by it.
+ConfigArgument: TypeAlias = Annotated[str, Argument(metavar="CONFIG", help="YAML file, or the name of a preset.")]
+InputOption: TypeAlias = Annotated[
+    Path | None, Option("--input", "-i", metavar="DIR", help="Folder, archive or URL of scenes, or CSV of pairs.")
+]
+LayoutOption: TypeAlias = Annotated[
+    str | None, Option(metavar="NAME", help="Layout of the folder. Default: recognized.")
+]
+ScenesOption: TypeAlias = Annotated[
+    list[str] | None, Option(metavar="GLOB", help="Only scenes whose name matches; repeatable.")
+]
+SetOption: TypeAlias = Annotated[
+    list[str] | None, Option(metavar="KEY=VALUE", help="Override one key of the config; repeatable.")
+]
+MaxDisparityOption: TypeAlias = Annotated[
+    str | None, Option(metavar="N", help="Largest disparity searched, or auto: by key points.")
+]
+WithinOption: TypeAlias = Annotated[
+    float, Option(metavar="PX", min=0.25, max=8, help="Error up to which a value of a given map is right, pixels.")
+]
+DepthScaleOption: TypeAlias = Annotated[float | None, Option(metavar="CODES", help="Codes a meter of the depth files.")]
+HtmlOption: TypeAlias = Annotated[bool, Option("--html", help="Also write evaluation/report.html.")]
+FlagOption: TypeAlias = Annotated[
+    list[str] | None, Option(metavar="CONDITION", help="Flag rows, such as 'measured<0.6'; repeatable, any of them.")
+]
+FailFlaggedOption: TypeAlias = Annotated[bool, Option("--fail-flagged", help="Exit with 4 where a row is flagged.")]
+PluginOption: TypeAlias = Annotated[
+    list[Path] | None,
+    Option(metavar="FILE.py", help="Python file with methods, layouts or commands of your own; repeatable."),
+]
+"""Read by ``cli`` before all else, since the file may hold the command itself."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Printing:
+    """What a command prints."""
+
+    json: Annotated[bool, Option("--json", help="Print one JSON document instead of a table.")] = False
+    verbose: Annotated[bool, Option("--verbose", "-v", help="Print details on stderr.")] = False
+    quiet: Annotated[bool, Option("--quiet", "-q", help="Print only errors, and no table.")] = False
+
+    @cached_property
+    def reporter(self) -> Reporter:
+        """What takes messages and data."""
+        return Reporter(-1 if self.quiet else int(self.verbose))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableOptions:
+    """Which tables of an evaluation are printed, and how."""
+
+    tables: Annotated[
+        str | None, Option(metavar="NAMES", help="Tables to print: all, or metrics,scenes-nonocc ... or headline.")
+    ] = None
+    format: Annotated[str | None, Option(metavar="FORMAT", help="Print wide tables: latex, markdown or csv.")] = None
+    columns: Annotated[str | None, Option(metavar="NAMES", help="Of the tables, print only these columns.")] = None
+    caption: Annotated[str | None, Option(metavar="TEXT", help="Caption of the one table that --tables chooses.")] = (
+        None
+    )
+
+
+def parse_bytes(text: str, option: str = "--max-memory") -> int:
+    """Return ``2GiB``, ``500M`` or ``1e9`` in bytes; ConfigError for any other text."""
+    match = re.fullmatch(r"\s*(\d{1,18}(?:\.\d{0,9})?(?:[eE]\d{1,2})?)\s*([kmgt]i?|)b?\s*", text, re.IGNORECASE)
+    size = int(float(match[1]) * _UNITS[match[2].lower()]) if match else 0
+    if size < 1:
+        raise ConfigError(f"{option}: must be a size such as 2GiB or 500M (got {text[:40]!r})")
+    return size
+
+
+def with_groups(function: Callable[..., int]) -> Callable[..., int]:
+    """Return a command's function with the signature that typer reads: fields of groups are options of their own."""
+    groups: dict[str, tuple[type, list[str]]] = {}
+    make = functools.partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
+    parameters = [make("plugin", default=None, annotation=PluginOption)]
+    hints = get_type_hints(function, include_extras=True)
+    for name, parameter in inspect.signature(function).parameters.items():
+        kind = hints[name]
+        if not is_dataclass(kind):
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind))
+            continue
+        types = get_type_hints(kind, include_extras=True)
+        own = [field for field in fields(kind) if hasattr(types[field.name], "__metadata__")]
+        groups[name] = kind, [field.name for field in own]  # type: ignore[assignment]
+        for field in own:
+            default = inspect.Parameter.empty if field.default is MISSING else field.default
+            parameters.append(make(field.name, default=default, annotation=types[field.name]))
+
+    @functools.wraps(function)
+    def callback(**values: Any) -> int:
+        values.pop("plugin")
+        for name, (kind, names) in groups.items():
+            values[name] = kind(**{each: values.pop(each) for each in names})
+        return function(**values)
+
+    callback.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    callback.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return callback
