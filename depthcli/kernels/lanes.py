@@ -11,275 +11,270 @@ subtracted. Indices are not checked against the bounds of an array.
 
 from __future__ import annotations
 
+import functools
 import operator
 from collections.abc import Callable
 from typing import Any
 
+import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
 
-from depthcli.kernels.jit import intrinsic, jit, models, overload, register_model, types
+from depthcli.kernels.jit import cgutils, intrinsic, jit, models, overload, register_model, types
 
 LANES = 16
 """Values in a vector of float32."""
 SHORT_LANES = 32
 """Values in a vector of int16."""
+# As many as 8 registers of 512 bit, or of 256 bit, hold twice.
+WIDE = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
+"""Values in a wide vector of float32, for loops that have two of them."""
 
-_WORD = ir.IntType(32)
-_FLOATS = ir.VectorType(ir.FloatType(), LANES)
-_INTEGERS = ir.VectorType(_WORD, LANES)
-_SHORTS = ir.VectorType(ir.IntType(16), SHORT_LANES)
-_BYTE = ir.IntType(8)
 _FLAGS = ("reassoc", "contract", "arcp", "nsz")  # as in all kernels
 
 
-class _Lanes(types.Type):
-    def __init__(self, name: str, vector: Any) -> None:
-        self.vector = vector
-        super().__init__(name=name)
+class Lanes(types.Type):
+    """The type of ``count`` values in a vector, as numba knows it."""
+
+    def __init__(self, element: Any, count: int) -> None:
+        self.vector = ir.VectorType(element, count)
+        super().__init__(name=f"Lanes({self.vector})")
 
 
-_lanes = _Lanes("Lanes", _FLOATS)
-_short_lanes = _Lanes("ShortLanes", _SHORTS)
+FLOATS = Lanes(ir.FloatType(), LANES)
+_WIDE_FLOATS = Lanes(ir.FloatType(), WIDE)
+_SHORTS = Lanes(ir.IntType(16), SHORT_LANES)
+_INTEGERS = ir.VectorType(ir.IntType(32), LANES)
 
 
-@register_model(_Lanes)
+@register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, kind.vector)
 
 
-def _address(context: Any, builder: Any, kind: Any, array: Any, index: Any, vector: Any) -> Any:
+def _operation(signature: Any) -> Callable[[Any], Any]:
+    # Decorates a function (builder, *values) -> value, which becomes an operation of this signature in kernels. A
+    # signature that is None: all values have the type of the first.
+    def decorate(build: Any) -> Any:
+        @functools.wraps(build)  # numba reads the parameters, too
+        def define(typingctx, *kinds):
+            own = kinds[0](*kinds) if signature is None else signature
+            return own, lambda context, builder, signature, args: build(builder, *args)
+
+        return intrinsic(define)
+
+    return decorate
+
+
+def address(context: Any, builder: Any, kind: Any, array: Any, index: Any, vector: Any) -> Any:
+    """Return the pointer to a vector that begins at ``index`` of an array of numba's type ``kind``."""
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
 
 
+def spread(builder: Any, value: Any, vector: Any) -> Any:
+    """Return an LLVM vector with ``value`` in all lanes."""
+    nothing, word = ir.Constant(vector, ir.Undefined), ir.IntType(32)
+    single = builder.insert_element(nothing, value, ir.Constant(word, 0))
+    return builder.shuffle_vector(single, nothing, ir.Constant(ir.VectorType(word, vector.count), [0] * vector.count))
+
+
+def _loader(result: Lanes) -> Any:
+    # Numbers of other types than the result's are unsigned and have fewer bits.
+    def define(typingctx, array, index):
+        def codegen(context, builder, signature, args):
+            element, count = context.get_data_type(array.dtype), result.vector.count
+            place = address(context, builder, array, args[0], args[1], ir.VectorType(element, count))
+            value = builder.load(place, align=array.dtype.bitwidth // 8)
+            if element == result.vector.element:
+                return value
+            if isinstance(result.vector.element, ir.IntType):
+                return builder.zext(value, result.vector)
+            return builder.uitofp(builder.zext(value, ir.VectorType(ir.IntType(32), count)), result.vector)
+
+        return result(array, types.intp), codegen
+
+    return intrinsic(define)
+
+
+load = _loader(FLOATS)
+"""Return ``array[index : index + LANES]`` of a flat array of float32, uint8 or uint16 as a vector of float32."""
+load_shorts = _loader(_SHORTS)
+"""Return ``array[index : index + SHORT_LANES]`` of a flat int16 or uint8 array as a vector of int16."""
+
+
 @intrinsic
-def load(typingctx: Any, array: Any, index: Any) -> Any:
-    """Return ``array[index : index + LANES]`` of a flat float32 or uint8 array as a vector of float32."""
+def load_like(typingctx, like, array, index):
+    """Return as many float32 of a flat array, from ``index`` on, as the vector ``like`` has."""
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        if array.dtype == types.float32:
-            return builder.load(_address(context, builder, array, args[0], args[1], _FLOATS), align=4)
-        bytes_ = builder.load(_address(context, builder, array, args[0], args[1], ir.VectorType(_BYTE, LANES)), align=1)
-        return builder.uitofp(builder.zext(bytes_, _INTEGERS), _FLOATS)
+    def codegen(context, builder, signature, args):
+        return builder.load(address(context, builder, array, args[1], args[2], like.vector), align=4)
 
-    return _lanes(array, types.intp), codegen
+    return like(like, array, types.intp), codegen
+
+
+@_operation(_WIDE_FLOATS())
+def wide_zero(builder):
+    """Return a wide vector of zeros."""
+    return ir.Constant(_WIDE_FLOATS.vector, [0.0] * WIDE)
 
 
 @intrinsic
-def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
+def scaled(typingctx, value, array, index):
+    """Return float32 lanes times ``array[index]`` of a flat float32 array."""
+
+    def codegen(context, builder, signature, args):
+        factor = builder.load(address(context, builder, array, args[1], args[2], ir.FloatType()))
+        return builder.fmul(args[0], spread(builder, factor, value.vector))
+
+    return value(value, array, types.intp), codegen
+
+
+@_operation(None)
+def fused(builder, a, b, c):
+    """Return ``a * b + c`` of float32 lanes, rounded once where the processor can."""
+    return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
+
+
+@_operation(None)
+def ordered_sum(builder, a, b):
+    """Return ``a + b`` of float32 lanes, added in the order in which it is written."""
+    return builder.fadd(a, b)
+
+
+@intrinsic
+def store(typingctx, array, index, value):
     """Assign a vector to ``array[index : index + its lanes]`` of a flat array.
 
     float32 values are stored as float32, or cut off to uint8; int16 values as int16, or their low halves as uint8.
     """
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        content, align = args[2], array.dtype.bitwidth // 8
-        if value == _lanes and array.dtype == types.uint8:
-            content = builder.fptosi(content, _INTEGERS)
+    def codegen(context, builder, signature, args):
+        content = args[2]
         if array.dtype == types.uint8:
-            content = builder.trunc(content, ir.VectorType(_BYTE, value.vector.count))
-        builder.store(content, _address(context, builder, array, args[0], args[1], content.type), align=align)
+            if value == FLOATS:
+                content = builder.fptosi(content, _INTEGERS)
+            content = builder.trunc(content, ir.VectorType(ir.IntType(8), value.vector.count))
+        place = address(context, builder, array, args[0], args[1], content.type)
+        builder.store(content, place, align=array.dtype.bitwidth // 8)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, value), codegen
 
 
-@intrinsic
-def load_shorts(typingctx: Any, array: Any, index: Any) -> Any:
-    """Return ``array[index : index + SHORT_LANES]`` of a flat int16 or uint8 array as a vector of int16."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        if array.dtype == types.uint8:
-            kind = ir.VectorType(_BYTE, SHORT_LANES)
-            return builder.zext(
-                builder.load(_address(context, builder, array, args[0], args[1], kind), align=1), _SHORTS
-            )
-        return builder.load(_address(context, builder, array, args[0], args[1], _SHORTS), align=2)
-
-    return _short_lanes(array, types.intp), codegen
-
-
-def _constant(value: float) -> Any:
-    return ir.Constant(_FLOATS, [value] * LANES)
-
-
-def _splat(builder: Any, value: Any, vector: Any) -> Any:
-    nothing = ir.Constant(vector, ir.Undefined)
-    single = builder.insert_element(nothing, value, ir.Constant(_WORD, 0))
-    return builder.shuffle_vector(single, nothing, ir.Constant(ir.VectorType(_WORD, vector.count), [0] * vector.count))
-
-
-@intrinsic
-def splat(typingctx: Any, value: Any) -> Any:
+@_operation(FLOATS(types.float32))
+def splat(builder, value):
     """Return a vector with one float32 in all lanes."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return _splat(builder, args[0], _FLOATS)
-
-    return _lanes(types.float32), codegen
+    return spread(builder, value, FLOATS.vector)
 
 
-@intrinsic
-def splat_shorts(typingctx: Any, value: Any) -> Any:
+@_operation(_SHORTS(types.int16))
+def splat_shorts(builder, value):
     """Return a vector with one int16 in all lanes."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return _splat(builder, args[0], _SHORTS)
-
-    return _short_lanes(types.int16), codegen
+    return spread(builder, value, _SHORTS.vector)
 
 
-@intrinsic
-def shifted_right(typingctx: Any, value: Any, count: Any) -> Any:
+@_operation(_SHORTS(_SHORTS, types.int16))
+def shifted_right(builder, value, count):
     """Return the int16 lanes of ``value``, all >= 0, divided by 2^``count``."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.lshr(args[0], _splat(builder, args[1], _SHORTS))
-
-    return _short_lanes(_short_lanes, types.int16), codegen
+    return builder.lshr(value, spread(builder, count, _SHORTS.vector))
 
 
-@intrinsic
-def truncated(typingctx: Any, value: Any) -> Any:
+@_operation(FLOATS(FLOATS))
+def truncated(builder, value):
     """Return the float32 lanes of ``value`` without their fractions; they are less than 2^31."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.sitofp(builder.fptosi(args[0], _INTEGERS), _FLOATS)
-
-    return _lanes(_lanes), codegen
+    return builder.sitofp(builder.fptosi(value, _INTEGERS), FLOATS.vector)
 
 
-@intrinsic
-def halves(typingctx: Any, value: Any) -> Any:
+@_operation(types.UniTuple(FLOATS, 2)(_SHORTS))
+def halves(builder, value):
     """Return the int16 lanes of ``value`` as two vectors of float32."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        parts = []
-        for first in (0, LANES):
-            order = ir.Constant(_INTEGERS, list(range(first, first + LANES)))
-            half = builder.shuffle_vector(args[0], args[0], order)
-            parts.append(builder.sitofp(builder.sext(half, _INTEGERS), _FLOATS))
-        return context.make_tuple(builder, signature.return_type, parts)
-
-    return types.UniTuple(_lanes, 2)(_short_lanes), codegen
+    orders = (ir.Constant(_INTEGERS, list(range(first, first + LANES))) for first in (0, LANES))
+    parts = [builder.sext(builder.shuffle_vector(value, value, order), _INTEGERS) for order in orders]
+    return cgutils.pack_array(builder, [builder.sitofp(part, FLOATS.vector) for part in parts])
 
 
-@intrinsic
-def where_at_most(typingctx: Any, a: Any, b: Any, chosen: Any, other: Any) -> Any:
+@_operation(FLOATS(FLOATS, FLOATS, FLOATS, FLOATS))
+def where_at_most(builder, a, b, chosen, other):
     """Return ``chosen`` in the lanes where ``a <= b``, ``other`` elsewhere; all are float32."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.select(builder.fcmp_ordered("<=", args[0], args[1]), args[2], args[3])
-
-    return _lanes(_lanes, _lanes, _lanes, _lanes), codegen
+    return builder.select(builder.fcmp_ordered("<=", a, b), chosen, other)
 
 
-def _binary(build: Callable[[Any, Any, Any], Any]) -> Any:
-    @intrinsic
-    def operation(typingctx: Any, a: Any, b: Any) -> Any:
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            return build(builder, *args)
-
-        return a(a, b), codegen
-
-    return operation
-
-
-def _is_integer(value: Any) -> bool:
+def _has_integers(value: Any) -> bool:
     return isinstance(value.type.element, ir.IntType)
 
 
-def _chosen(symbol: str) -> Callable[[Any, Any, Any], Any]:
-    def build(builder: Any, a: Any, b: Any) -> Any:
-        compare = builder.icmp_signed if _is_integer(a) else builder.fcmp_ordered
-        return builder.select(compare(symbol, a, b), a, b)
-
-    return build
+def _chosen(builder: Any, symbol: str, a: Any, b: Any) -> Any:
+    compare = builder.icmp_signed if _has_integers(a) else builder.fcmp_ordered
+    return builder.select(compare(symbol, a, b), a, b)
 
 
-_minimum, _maximum = _chosen("<"), _chosen(">")
-minimum = _binary(_minimum)
+minimum = _operation(None)(lambda builder, a, b: _chosen(builder, "<", a, b))
 """Return the minimum of two values, lane by lane."""
-maximum = _binary(_maximum)
+maximum = _operation(None)(lambda builder, a, b: _chosen(builder, ">", a, b))
 """Return the maximum of two values, lane by lane."""
 
 
-def _operator(symbol: Callable[[Any, Any], Any], build: Callable[[Any, Any, Any], Any]) -> None:
-    operation = _binary(build)
+def _operator(symbol: Callable[[Any, Any], Any], of_integers: str, of_floats: str) -> None:
+    def build(builder, a, b):
+        if _has_integers(a):
+            return getattr(builder, of_integers)(a, b)
+        return getattr(builder, of_floats)(a, b, flags=_FLAGS)
 
-    def compute(a: Any, b: Any) -> Any:
+    operation = _operation(None)(build)
+
+    def compute(a, b):
         return operation(a, b)
 
-    def choose(a: Any, b: Any) -> Any:
-        return compute if a == b and isinstance(a, _Lanes) else None
-
-    overload(symbol)(choose)
+    overload(symbol)(lambda a, b: compute if a == b and isinstance(a, Lanes) else None)
 
 
-def _add(builder: Any, a: Any, b: Any) -> Any:
-    return builder.add(a, b) if _is_integer(a) else builder.fadd(a, b, flags=_FLAGS)
-
-
-def _subtract(builder: Any, a: Any, b: Any) -> Any:
-    return builder.sub(a, b) if _is_integer(a) else builder.fsub(a, b, flags=_FLAGS)
-
-
-for _symbol in (operator.add, operator.iadd):
-    _operator(_symbol, _add)
-_operator(operator.sub, _subtract)
-_operator(operator.truediv, lambda builder, a, b: builder.fdiv(a, b, flags=_FLAGS))
-_operator(operator.mul, lambda builder, a, b: builder.fmul(a, b, flags=_FLAGS))
+for _symbol, _name in ((operator.add, "add"), (operator.iadd, "add"), (operator.sub, "sub"), (operator.mul, "mul")):
+    _operator(_symbol, _name, f"f{_name}")
+_operator(operator.truediv, "sdiv", "fdiv")
 
 
 def _reduction(build: Callable[[Any, Any, Any], Any]) -> Any:
-    @intrinsic
-    def operation(typingctx: Any, value: Any) -> Any:
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            # Halves on halves: the same order of additions on every processor.
-            reduced, width = args[0], LANES
-            while width > 1:
-                width //= 2
-                order = [(k + width) % LANES for k in range(LANES)]
-                moved = builder.shuffle_vector(reduced, reduced, ir.Constant(_INTEGERS, order))
-                reduced = build(builder, reduced, moved)
-            return builder.extract_element(reduced, ir.Constant(_WORD, 0))
+    @_operation(types.float32(FLOATS))
+    def reduce(builder, reduced):
+        width = LANES
+        while width > 1:  # halves on halves: the same order of additions on every processor
+            width //= 2
+            order = ir.Constant(_INTEGERS, [(k + width) % LANES for k in range(LANES)])
+            reduced = build(builder, reduced, builder.shuffle_vector(reduced, reduced, order))
+        return builder.extract_element(reduced, ir.Constant(ir.IntType(32), 0))
 
-        return types.float32(_lanes), codegen
-
-    return operation
+    return reduce
 
 
 lane_sum = _reduction(lambda builder, a, b: builder.fadd(a, b))
 """Return the sum of the lanes."""
-lane_min = _reduction(_minimum)
+lane_min = _reduction(lambda builder, a, b: _chosen(builder, "<", a, b))
 """Return the smallest of the lanes."""
-lane_max = _reduction(_maximum)
+lane_max = _reduction(lambda builder, a, b: _chosen(builder, ">", a, b))
 """Return the largest of the lanes."""
 
 
-@intrinsic
-def exp_minus(typingctx: Any, value: Any) -> Any:
+@_operation(FLOATS(FLOATS))
+def exp_minus(builder, x):
     """Return exp(-x) of x >= 0 in every lane, relative error below 1e-6; x above 80 counts as 80.
 
     As :func:`depthcli.kernels.exponential.exp_minus`.
     """
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        x = _minimum(builder, args[0], _constant(80.0))
-        x = builder.fmul(x, _constant(-1.4426950408889634), flags=_FLAGS)
-        whole = builder.fptosi(x, _INTEGERS)
-        rest = builder.fsub(x, builder.sitofp(whole, _FLOATS), flags=_FLAGS)
-        t = builder.fmul(rest, _constant(0.6931471805599453), flags=_FLAGS)
-        p = _constant(1 / 5040)
-        for term in (1 / 720, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0):  # Taylor series of exp on (-0.694, 0]
-            p = builder.fadd(builder.fmul(p, t, flags=_FLAGS), _constant(term), flags=_FLAGS)
-        bias, bits = (ir.Constant(_INTEGERS, [number] * LANES) for number in (127, 23))
-        power = builder.bitcast(builder.shl(builder.add(whole, bias), bits), _FLOATS)
-        return builder.fmul(p, power, flags=_FLAGS)
+    def constant(value: float) -> Any:
+        return ir.Constant(FLOATS.vector, [value] * LANES)
 
-    return _lanes(_lanes), codegen
+    x = builder.fmul(_chosen(builder, "<", x, constant(80.0)), constant(-1.4426950408889634), flags=_FLAGS)
+    whole = builder.fptosi(x, _INTEGERS)
+    rest = builder.fsub(x, builder.sitofp(whole, FLOATS.vector), flags=_FLAGS)
+    t = builder.fmul(rest, constant(0.6931471805599453), flags=_FLAGS)
+    p = constant(1 / 5040)
+    for term in (1 / 720, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0):  # Taylor series of exp on (-0.694, 0]
+        p = builder.fadd(builder.fmul(p, t, flags=_FLAGS), constant(term), flags=_FLAGS)
+    bias, bits = (ir.Constant(_INTEGERS, [number] * LANES) for number in (127, 23))
+    return builder.fmul(p, builder.bitcast(builder.shl(builder.add(whole, bias), bits), FLOATS.vector), flags=_FLAGS)
 
 
 @jit

@@ -5,12 +5,10 @@ Yoon & Kweon, "Adaptive support-weight approach for correspondence search", PAMI
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
-import llvmlite.binding as llvm
 import numpy as np
-from llvmlite import ir
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -18,13 +16,10 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.kernels.exponential import exp2_minus
-from depthcli.kernels.jit import float32, intrinsic, jit, parallel_jit, prange, types
+from depthcli.kernels.jit import float32, jit, parallel_jit, prange
+from depthcli.kernels.lanes import LANES, WIDE, fused, load_like, ordered_sum, scaled, splat, store, wide_zero
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume
-
-_NARROW = 16  # disparities that are summed together where fewer than _WIDE are left
-# The sums of one chunk of disparities must stay in registers: 8 of 512 bit, or 8 of 256 bit.
-_WIDE = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
 
 
 class AdaptiveWeight(Aggregator):
@@ -72,75 +67,18 @@ class AdaptiveWeight(Aggregator):
         return np.ascontiguousarray(colors.transpose(0, 2, 1))
 
 
-def _accumulator(lanes: int) -> Any:
-    # An intrinsic that adds the taps of one window row to ``lanes`` weighted sums at once. With explicit vectors the
-    # sums stay in registers over all taps; in plain loops numba cannot know that the sums do not overlap the inputs,
-    # and loads and stores them at every tap (2-3 times slower).
-
-    @intrinsic
-    def accumulate(
-        typingctx: Any, sums: Any, weights: Any, at: Any, left: Any, left_at: Any, left_step: Any, right: Any,
-        right_at: Any, right_step: Any, cost: Any, cost_at: Any, cost_step: Any, taps: Any,
-    ) -> Any:  # fmt: skip
-        # For k < taps: t = left[k] * right[k, :]; sums += t * cost[k, :]; weights += t. All arrays are flat float32;
-        # ``*_at`` is the index of tap 0, ``*_step`` the distance to the next tap.
-        signature = types.void(
-            sums, weights, at, left, left_at, left_step, right, right_at, right_step, cost, cost_at, cost_step, taps
-        )
-
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            scalar, index = ir.FloatType(), ir.IntType(64)
-            vector = ir.VectorType(scalar, lanes)
-
-            def pointer(array: int, offset: int) -> Any:
-                data = context.make_array(signature.args[array])(context, builder, arguments[array]).data
-                return builder.gep(data, [arguments[offset]])
-
-            def load(address: Any) -> Any:
-                return builder.load(builder.bitcast(address, vector.as_pointer()), align=4)
-
-            sums_at, weights_at = pointer(0, 2), pointer(1, 2)
-            left_0, right_0, cost_0 = pointer(3, 4), pointer(6, 7), pointer(9, 10)
-            sums_0, weights_0 = load(sums_at), load(weights_at)
-            before = builder.block
-            loop = builder.append_basic_block("taps")
-            after = builder.append_basic_block("taps.end")
-            builder.branch(loop)
-            builder.position_at_end(loop)
-            k = builder.phi(index)
-            sums, weights = builder.phi(vector), builder.phi(vector)
-            weight = builder.load(builder.gep(left_0, [builder.mul(k, arguments[5])]))
-            lane = builder.insert_element(ir.Constant(vector, ir.Undefined), weight, ir.Constant(ir.IntType(32), 0))
-            zeros = ir.Constant(ir.VectorType(ir.IntType(32), lanes), [0] * lanes)
-            both = builder.fmul(
-                builder.shuffle_vector(lane, ir.Constant(vector, ir.Undefined), zeros),
-                load(builder.gep(right_0, [builder.mul(k, arguments[8])])),
-            )
-            fused = ("contract",)
-            costs = load(builder.gep(cost_0, [builder.mul(k, arguments[11])]))
-            new_sums = builder.fadd(builder.fmul(both, costs, flags=fused), sums, flags=fused)
-            new_weights = builder.fadd(weights, both)
-            next_k = builder.add(k, ir.Constant(index, 1))
-            for phi, start, step in (
-                (k, ir.Constant(index, 0), next_k),
-                (sums, sums_0, new_sums),
-                (weights, weights_0, new_weights),
-            ):
-                phi.add_incoming(start, before)
-                phi.add_incoming(step, loop)
-            builder.cbranch(builder.icmp_signed("<", next_k, arguments[12]), loop, after)
-            builder.position_at_end(after)
-            builder.store(new_sums, builder.bitcast(sums_at, vector.as_pointer()), align=4)
-            builder.store(new_weights, builder.bitcast(weights_at, vector.as_pointer()), align=4)
-            return context.get_dummy_value()
-
-        return signature, codegen
-
-    return accumulate
-
-
-_accumulate_wide = _accumulator(_WIDE)
-_accumulate_narrow = _accumulator(_NARROW)
+@jit
+def _add_taps(zero, sums, weights, at, left, left_at, left_step, right, right_at, right_step, cost, cost_at, cost_step,
+              taps):  # fmt: skip
+    # For k < taps: t = left[k] * right[k, :]; sums += t * cost[k, :]; weights += t, of as many disparities as ``zero``
+    # has lanes. Arrays are flat float32; ``*_at`` is the index of tap 0, ``*_step`` the distance to the next tap.
+    total, weight = load_like(zero, sums, at), load_like(zero, weights, at)
+    for k in range(taps):
+        both = scaled(load_like(zero, right, right_at + k * right_step), left, left_at + k * left_step)
+        total = fused(both, load_like(zero, cost, cost_at + k * cost_step), total)
+        weight = ordered_sum(weight, both)
+    store(sums, at, total)
+    store(weights, at, weight)
 
 
 @jit
@@ -160,13 +98,14 @@ def _aggregate(costs, left, right, radius, gamma_color, gamma_space, squared, fa
     # and right weights (tap, reversed x) are computed once; then every pixel adds its taps for all disparities. In
     # reversed order the right weights of a pixel are contiguous along d, and 0 after the row's end, outside the image.
     height, width, n_disparities = costs.shape
-    padded = (n_disparities + _NARROW - 1) // _NARROW * _NARROW
+    padded = (n_disparities + LANES - 1) // LANES * LANES
     # An odd number of cache lines, so that the taps' rows spread over all cache sets.
     stride = (width + padded + 15) // 16 * 16
     if stride % 32 == 0:
         stride += 16
     side = 2 * radius + 1
     log2e = float32(1.4426950408889634)
+    narrow, wide = splat(float32(0)), wide_zero()
     color_scale = log2e / gamma_color
     for y in prange(height):
         num = np.zeros(width * padded, np.float32)
@@ -208,14 +147,14 @@ def _aggregate(costs, left, right, radius, gamma_color, gamma_space, squared, fa
                 while d < padded:
                     at = x * padded + d
                     left_at, right_at, cost_at = k + x, k + width - 1 - x + d, (x + first) * padded + d
-                    if padded - d >= _WIDE:
-                        _accumulate_wide(num, den, at, flat_left, left_at, stride, flat_right, right_at, stride,
-                                         flat_cost, cost_at, padded, taps)  # fmt: skip
-                        d += _WIDE
+                    if padded - d >= WIDE:
+                        _add_taps(wide, num, den, at, flat_left, left_at, stride, flat_right, right_at, stride,
+                                  flat_cost, cost_at, padded, taps)  # fmt: skip
+                        d += WIDE
                     else:
-                        _accumulate_narrow(num, den, at, flat_left, left_at, stride, flat_right, right_at, stride,
-                                           flat_cost, cost_at, padded, taps)  # fmt: skip
-                        d += _NARROW
+                        _add_taps(narrow, num, den, at, flat_left, left_at, stride, flat_right, right_at, stride,
+                                  flat_cost, cost_at, padded, taps)  # fmt: skip
+                        d += LANES
         for x in range(width):
             source, target = costs[y, x], out[y, x]
             sums, weights = num[x * padded : x * padded + n_disparities], den[x * padded : x * padded + n_disparities]

@@ -61,24 +61,27 @@ class Cross(Aggregator):
         arms = self.arms(pair.color8[0])
         source = volume.costs
         if self.support == "intersection":
-            target = self.arms(pair.color8[1])
+            # Along d the other view is read backwards; behind its border stands an arm that cuts nothing.
+            target = np.full((4, *pair.shape[:1], pair.shape[1] + volume.n_disparities), 255, np.uint8)
+            target[:, :, : pair.shape[1]] = self.arms(pair.color8[1])[:, :, ::-1]
+            spans: NDArray[np.uint32] = memory.empty(source.shape, np.uint32)
             for iteration in range(self.iterations):
-                out = None if source is input_costs else source  # a copy is overwritten, to save memory
-                source = intersected_means(source, arms, target, iteration % 2 == 0, out)
+                along_rows = iteration % 2 == 0
+                # A copy of the costs is overwritten, to save memory.
+                means = memory.empty(source.shape, np.uint16) if source is input_costs else source
+                _intersected_spans(source, arms, target, along_rows, spans)
+                _intersected_means(spans, arms, target, not along_rows, means)
+                source = means
             return CostVolume(source, volume.scale)
         sums, means = (memory.empty(source.shape, np.uint16) for _ in range(2))
         # The sum of an arm is kept in 16 bits, rounded: cut off, small costs would come out too low.
         shift = max(0, (FixedPoint.LARGEST * (2 * self.length + 1)).bit_length() - 16)
         for iteration in range(self.iterations):
-            horizontal_first = iteration % 2 == 0
-            source = volume.costs if iteration == 0 else means
-            inverse = _inverse_areas(arms, horizontal_first)
-            if horizontal_first:
-                _row_sums(source, arms[0], arms[1], inverse, sums, shift, False)
-                _column_sums(sums, arms[2], arms[3], inverse, means, shift, True)
-            else:
-                _column_sums(source, arms[2], arms[3], inverse, sums, shift, False)
-                _row_sums(sums, arms[0], arms[1], inverse, means, shift, True)
+            along_rows = iteration % 2 == 0
+            inverse = _inverse_areas(arms, along_rows)
+            _arm_sums(source, arms, inverse, sums, shift, False, along_rows)
+            _arm_sums(sums, arms, inverse, means, shift, True, not along_rows)
+            source = means
         return CostVolume(means, volume.scale)
 
 
@@ -107,193 +110,118 @@ def _write(low, high, inverse, out, shift, last):
             out[i] = np.uint16(np.uint32(high[i] - low[i] + half) >> amount)
 
 
-@parallel_jit
-def _row_sums(source, before, after, inverse, out, shift, last):
-    height, width, n_disparities = source.shape
-    for y in prange(height):
-        prefix = np.empty((width + 1, n_disparities), np.uint32)
-        prefix[0] = 0
-        for x in range(width):
-            costs = source[y, x]
-            sums, next_sums = prefix[x], prefix[x + 1]
-            for i in range(next_sums.size):
-                next_sums[i] = sums[i] + np.uint32(costs[i])
-        for x in range(width):
-            low = prefix[x - before[y, x]]
-            high = prefix[x + after[y, x] + 1]
-            _write(low, high, inverse[y, x], out[y, x], shift, last)
+# Prefix sums are computed along lines: rows or columns. A block of columns is summed side by side, so that they stay in
+# cache while memory is still read in runs.
+
+
+@jit
+def _lines(shape, along_rows):
+    # Number of lines, of pixels on a line and of lines in a block; cells from line to line and from pixel to pixel.
+    height, width, n_disparities = shape
+    if along_rows:
+        return height, width, 1, width * n_disparities, n_disparities
+    return width, height, 4, n_disparities, width * n_disparities
 
 
 @parallel_jit
-def _column_sums(source, before, after, inverse, out, shift, last):
-    # Blocks of columns keep the prefix sums in cache while memory is still read in runs.
-    height, width, n_disparities = source.shape
-    block = 4
-    for start in prange((width + block - 1) // block):
-        x0 = start * block
-        x1 = min(width, x0 + block)
-        run = (x1 - x0) * n_disparities
-        prefix = np.empty((height + 1, run), np.uint32)
+def _arm_sums(source, arms, inverse, out, shift, last, along_rows):
+    # Sums over the arms along a line; the last ones are divided by the number of pixels of the support.
+    n_disparities = source.shape[2]
+    n_lines, length, block, line_step, step = _lines(source.shape, along_rows)
+    flat, side = source.reshape(source.size), 0 if along_rows else 2
+    for k in prange((n_lines + block - 1) // block):
+        first_line = np.int64(k) * block
+        n_here = min(block, n_lines - first_line)
+        run = n_here * n_disparities
+        prefix = np.empty((length + 1, run), np.uint32)
         prefix[0] = 0
-        for y in range(height):
-            costs = source[y, x0:x1].reshape(run)
-            sums, next_sums = prefix[y], prefix[y + 1]
+        for n in range(length):
+            start = first_line * line_step + n * step
+            costs, sums, next_sums = flat[start : start + run], prefix[n], prefix[n + 1]
             for i in range(next_sums.size):
                 next_sums[i] = sums[i] + np.uint32(costs[i])
-        for y in range(height):
-            for x in range(x0, x1):
-                offset = (x - x0) * n_disparities
-                low = prefix[y - before[y, x], offset : offset + n_disparities]
-                high = prefix[y + after[y, x] + 1, offset : offset + n_disparities]
+        for n in range(length):
+            for line in range(n_here):
+                y, x = (first_line + line, n) if along_rows else (n, first_line + line)
+                offset = line * n_disparities
+                low = prefix[n - arms[side, y, x], offset : offset + n_disparities]
+                high = prefix[n + arms[side + 1, y, x] + 1, offset : offset + n_disparities]
                 _write(low, high, inverse[y, x], out[y, x], shift, last)
 
 
-def intersected_means(
-    source: NDArray[np.uint16],
-    arms: NDArray[np.uint8],
-    target: NDArray[np.uint8],
-    horizontal_first: bool,
-    out: NDArray[np.uint16] | None,
-) -> NDArray[np.uint16]:
-    """Return means over the first arms of all pixels on the second arm of every pixel, cut to those of its match.
-
-    The cut makes every arm depend on the disparity. Both passes still read prefix sums, at a place of its own for every
-    d; sum and number of pixels travel in one word, so that one difference gives both. The (H, W, D) ``source`` is at
-    most 4080; ``out``, which it may be, gets the means; None: a new array.
-    """
-    height, width, n_disparities = source.shape
-    # Along d the other view is read backwards; behind its border stands an arm that cuts nothing.
-    mirrored = np.full((4, height, width + n_disparities), 255, np.uint8)
-    mirrored[:, :, :width] = target[:, :, ::-1]
-    spans: NDArray[np.uint32] = memory.empty(source.shape, np.uint32)
-    means: NDArray[np.uint16] = memory.empty(source.shape, np.uint16) if out is None else out
-    if horizontal_first:
-        _row_spans(source, arms, mirrored, spans)
-        _intersected_column_means(spans, arms, mirrored, means)
-    else:
-        _column_spans(source, arms, mirrored, spans)
-        _intersected_row_means(spans, arms, mirrored, means)
-    return means
+# Intersected supports: arms are cut to those of the match, so that they depend on the disparity. Both passes still read
+# prefix sums, at a place of its own for every d; sum and number of pixels travel in one word, so that one difference
+# gives both. Index arithmetic is unsigned, which spares the test for negative indices.
 
 
-# Index arithmetic is unsigned, which spares the test for negative indices.
+@jit
+def _cut_differences(prefix, arms, target, y, x, side, at, step, out):
+    # out[d] = the difference of flat prefix sums over the arms of (y, x), cut to those of its match. The sum before the
+    # pixel is at index ``at`` for d = 0, those of neighbors are ``step`` apart.
+    mirror = target.shape[2] - out.size - 1 - x
+    before, after = arms[side, y, x], arms[side + 1, y, x]
+    cut_before = target[side, y, mirror : mirror + out.size]
+    cut_after = target[side + 1, y, mirror : mirror + out.size]
+    for d in range(out.size):
+        b, a = np.uint64(min(before, cut_before[d])), np.uint64(min(after, cut_after[d]))
+        low = np.uint64(at) + np.uint64(d) - b * np.uint64(step)
+        out[d] = prefix[low + (a + b + np.uint64(1)) * np.uint64(step)] - prefix[low]
 
 
 @parallel_jit
-def _row_spans(source, arms, mirrored, spans):
-    height, width, n_disparities = source.shape
-    bits = np.uint32(_LENGTH_BITS)
-    for y in prange(height):
-        prefix = np.zeros((width + 1) * n_disparities, np.uint32)
-        costs = source[y].reshape(width * n_disparities)
-        later = prefix[n_disparities:]
-        for i in range(costs.size):
-            later[i] = prefix[i] + np.uint32(costs[i])
-        for x in range(width):
-            before, after = arms[0, y, x], arms[1, y, x]
-            cut_before = mirrored[0, y, width - 1 - x : width - 1 - x + n_disparities]
-            cut_after = mirrored[1, y, width - 1 - x : width - 1 - x + n_disparities]
-            out = spans[y, x]
-            for d in range(out.size):
-                b, a = np.uint64(min(before, cut_before[d])), np.uint64(min(after, cut_after[d]))
-                low = (np.uint64(x) - b) * np.uint64(n_disparities) + np.uint64(d)
-                length = a + b + np.uint64(1)
-                total = prefix[low + length * np.uint64(n_disparities)] - prefix[low]
-                out[d] = np.uint32((total << bits) | np.uint32(length))
-
-
-@parallel_jit
-def _column_spans(source, arms, mirrored, spans):
-    height, width, n_disparities = source.shape
-    bits = np.uint32(_LENGTH_BITS)
-    block = 4
-    for start in prange((width + block - 1) // block):
-        x0 = start * block
-        x1 = min(width, x0 + block)
-        run = (x1 - x0) * n_disparities
-        prefix = np.zeros((height + 1) * run, np.uint32)
-        for y in range(height):
-            costs = source[y, x0:x1].reshape(run)
-            here = prefix[y * run : (y + 1) * run]
-            there = prefix[(y + 1) * run : (y + 2) * run]
+def _intersected_spans(source, arms, target, along_rows, spans):
+    # Words of the sum over the arms along a line and, in the lower bits, their length. Prefix sums may overflow: a
+    # difference is right again.
+    n_disparities = source.shape[2]
+    n_lines, length, block, line_step, step = _lines(source.shape, along_rows)
+    flat, side = source.reshape(source.size), 0 if along_rows else 2
+    bits, one = np.uint32(_LENGTH_BITS), np.uint32(1)
+    for k in prange((n_lines + block - 1) // block):
+        first_line = np.int64(k) * block
+        n_here = min(block, n_lines - first_line)
+        run = n_here * n_disparities
+        prefix = np.zeros((length + 1) * run, np.uint32)
+        for n in range(length):
+            start = first_line * line_step + n * step
+            costs = flat[start : start + run]
+            here, there = prefix[n * run : (n + 1) * run], prefix[(n + 1) * run : (n + 2) * run]
             for i in range(costs.size):
-                there[i] = here[i] + np.uint32(costs[i])
-        for y in range(height):
-            for x in range(x0, x1):
-                before, after = arms[2, y, x], arms[3, y, x]
-                cut_before = mirrored[2, y, width - 1 - x : width - 1 - x + n_disparities]
-                cut_after = mirrored[3, y, width - 1 - x : width - 1 - x + n_disparities]
-                out = spans[y, x]
-                offset = np.uint64((x - x0) * n_disparities)
-                for d in range(out.size):
-                    b, a = np.uint64(min(before, cut_before[d])), np.uint64(min(after, cut_after[d]))
-                    low = (np.uint64(y) - b) * np.uint64(run) + offset + np.uint64(d)
-                    length = a + b + np.uint64(1)
-                    total = prefix[low + length * np.uint64(run)] - prefix[low]
-                    out[d] = np.uint32((total << bits) | np.uint32(length))
+                there[i] = here[i] + ((np.uint32(costs[i]) << bits) | one)
+        for n in range(length):
+            for line in range(n_here):
+                y, x = (first_line + line, n) if along_rows else (n, first_line + line)
+                _cut_differences(prefix, arms, target, y, x, side, n * run + line * n_disparities, run, spans[y, x])
 
 
 @parallel_jit
-def _intersected_column_means(spans, arms, mirrored, means):
-    height, width, n_disparities = spans.shape
-    bits, mask = np.uint64(_LENGTH_BITS), np.uint64((1 << _LENGTH_BITS) - 1)
-    block = 4
-    for start in prange((width + block - 1) // block):
-        x0 = start * block
-        x1 = min(width, x0 + block)
-        run = (x1 - x0) * n_disparities
-        # sum << 32 | number: the number of pixels of a column of arms is far below 2 ** 32
-        prefix = np.zeros((height + 1) * run, np.uint64)
+def _intersected_means(spans, arms, target, along_rows, means):
+    # Means from the words of all pixels on the arms along a line. Prefix sums are sum << 32 | number.
+    n_disparities = spans.shape[2]
+    n_lines, length, block, line_step, step = _lines(spans.shape, along_rows)
+    flat, side = spans.reshape(spans.size), 0 if along_rows else 2
+    bits, mask, half_word = np.uint64(_LENGTH_BITS), np.uint64((1 << _LENGTH_BITS) - 1), np.uint64(32)
+    for k in prange((n_lines + block - 1) // block):
+        first_line = np.int64(k) * block
+        n_here = min(block, n_lines - first_line)
+        run = n_here * n_disparities
+        prefix = np.zeros((length + 1) * run, np.uint64)
         total = np.empty(n_disparities, np.uint64)
-        for y in range(height):
-            packed = spans[y, x0:x1].reshape(run)
-            here = prefix[y * run : (y + 1) * run]
-            there = prefix[(y + 1) * run : (y + 2) * run]
+        for n in range(length):
+            start = first_line * line_step + n * step
+            packed = flat[start : start + run]
+            here, there = prefix[n * run : (n + 1) * run], prefix[(n + 1) * run : (n + 2) * run]
             for i in range(packed.size):
                 word = np.uint64(packed[i])
-                there[i] = here[i] + (((word >> bits) << np.uint64(32)) | (word & mask))
-        for y in range(height):
-            for x in range(x0, x1):
-                before, after = arms[2, y, x], arms[3, y, x]
-                cut_before = mirrored[2, y, width - 1 - x : width - 1 - x + n_disparities]
-                cut_after = mirrored[3, y, width - 1 - x : width - 1 - x + n_disparities]
-                offset = np.uint64((x - x0) * n_disparities)
-                for d in range(total.size):
-                    b, a = np.uint64(min(before, cut_before[d])), np.uint64(min(after, cut_after[d]))
-                    low = (np.uint64(y) - b) * np.uint64(run) + offset + np.uint64(d)
-                    total[d] = prefix[low + (a + b + np.uint64(1)) * np.uint64(run)] - prefix[low]
+                there[i] = here[i] + (((word >> bits) << half_word) | (word & mask))
+        for n in range(length):
+            for line in range(n_here):
+                y, x = (first_line + line, n) if along_rows else (n, first_line + line)
+                _cut_differences(prefix, arms, target, y, x, side, n * run + line * n_disparities, run, total)
                 out = means[y, x]
                 for d in range(out.size):
                     number = np.float32(np.int32(np.uint32(total[d])))
-                    out[d] = np.uint16(
-                        np.int32(np.float32(np.int32(total[d] >> np.uint64(32))) / number + np.float32(0.5))
-                    )
-
-
-@parallel_jit
-def _intersected_row_means(spans, arms, mirrored, means):
-    height, width, n_disparities = spans.shape
-    bits, mask = np.uint64(_LENGTH_BITS), np.uint64((1 << _LENGTH_BITS) - 1)
-    for y in prange(height):
-        prefix = np.zeros((width + 1) * n_disparities, np.uint64)
-        total = np.empty(n_disparities, np.uint64)
-        packed = spans[y].reshape(width * n_disparities)
-        later = prefix[n_disparities:]
-        for i in range(packed.size):
-            word = np.uint64(packed[i])
-            later[i] = prefix[i] + (((word >> bits) << np.uint64(32)) | (word & mask))
-        for x in range(width):
-            before, after = arms[0, y, x], arms[1, y, x]
-            cut_before = mirrored[0, y, width - 1 - x : width - 1 - x + n_disparities]
-            cut_after = mirrored[1, y, width - 1 - x : width - 1 - x + n_disparities]
-            for d in range(total.size):
-                b, a = np.uint64(min(before, cut_before[d])), np.uint64(min(after, cut_after[d]))
-                low = (np.uint64(x) - b) * np.uint64(n_disparities) + np.uint64(d)
-                total[d] = prefix[low + (a + b + np.uint64(1)) * np.uint64(n_disparities)] - prefix[low]
-            out = means[y, x]
-            for d in range(out.size):
-                number = np.float32(np.int32(np.uint32(total[d])))
-                out[d] = np.uint16(np.int32(np.float32(np.int32(total[d] >> np.uint64(32))) / number + np.float32(0.5)))
+                    mean = np.float32(np.int32(total[d] >> half_word)) / number
+                    out[d] = np.uint16(np.int32(mean + np.float32(0.5)))
 
 
 def cross_arms(
@@ -309,13 +237,8 @@ def cross_arms(
     """
     planes = np.ascontiguousarray(image.transpose(2, 0, 1))
     arms = np.empty((4, *image.shape[:2]), np.uint8)
-    _grow_horizontal(planes, arms, length, threshold, inner_length, inner_threshold)
-    _grow_vertical(planes, arms, length, threshold, inner_length, inner_threshold)
+    _grow(planes, arms, length, threshold, inner_length, inner_threshold)
     return arms
-
-
-# Both kernels advance the arms of a whole row of pixels by one step at a time: the loop over pixels is
-# branch-free SIMD, and ``alive`` remembers which arms still grow.
 
 
 @jit
@@ -333,42 +256,29 @@ def _step(center, neighbor, previous, alive, arm, limit, threshold):
 
 
 @parallel_jit
-def _grow_horizontal(planes, arms, length, threshold, inner_length, inner_threshold):
+def _grow(planes, arms, length, threshold, inner_length, inner_threshold):
+    # The arms of a whole row of pixels grow by one step at a time: the loop over pixels is branch-free SIMD, and
+    # ``alive`` remembers which arms still grow.
     _, height, width = planes.shape
-    for y in prange(height):
-        row = planes[:, y]
-        for side in range(2):
+    for row in prange(height):
+        y = np.int64(row)
+        for side in range(4):
+            dx = 2 * side - 1 if side < 2 else 0
+            dy = 2 * side - 5 if side > 1 else 0
             arm = arms[side, y]
             arm[:] = 0
             alive = np.ones(width, np.uint8)
-            for step in range(1, min(length, width - 1) + 1):
-                limit = np.int16(threshold if step <= inner_length else inner_threshold)
-                n = width - step
-                if side == 1:
-                    _step(row[:, :n], row[:, step:], row[:, step - 1 : width - 1], alive[:n], arm[:n],
-                          limit, np.int16(threshold))  # fmt: skip
-                else:
-                    _step(row[:, step:], row[:, :n], row[:, 1 : n + 1], alive[step:], arm[step:],
-                          limit, np.int16(threshold))  # fmt: skip
-            for x in range(width):
-                room = x if side == 0 else width - 1 - x
-                arm[x] = max(arm[x], np.uint8(min(1, room)))
-
-
-@parallel_jit
-def _grow_vertical(planes, arms, length, threshold, inner_length, inner_threshold):
-    _, height, width = planes.shape
-    for y in prange(height):
-        for side in range(2, 4):
-            direction = -1 if side == 2 else 1
-            room = y if side == 2 else height - 1 - y
-            arm = arms[side, y]
-            arm[:] = 0
-            alive = np.ones(width, np.uint8)
-            for step in range(1, min(length, room) + 1):
-                limit = np.int16(threshold if step <= inner_length else inner_threshold)
-                v = y + direction * step
-                _step(planes[:, y], planes[:, v], planes[:, v - direction], alive, arm, limit, np.int16(threshold))
-            shortest = np.uint8(min(1, room))
-            for x in range(width):
-                arm[x] = max(arm[x], shortest)
+            for n in range(1, length + 1):
+                v = y + n * dy
+                if v < 0 or v >= height or n * abs(dx) >= width:
+                    break
+                limit = np.int16(threshold if n <= inner_length else inner_threshold)
+                first, end = max(0, -n * dx), width - max(0, n * dx)  # of pixels whose neighbor is in the image
+                there, before = n * dx, n * dx - dx
+                _step(
+                    planes[:, y, first:end], planes[:, v, first + there : end + there],
+                    planes[:, v - dy, first + before : end + before], alive[first:end], arm[first:end], limit,
+                    np.int16(threshold),
+                )  # fmt: skip
+                if n == 1:
+                    arm[first:end] = 1

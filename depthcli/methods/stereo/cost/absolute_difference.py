@@ -10,7 +10,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.methods.stereo.cost import CostMeasure, Sampling
-from depthcli.methods.stereo.cost._fill import difference_volume, tolerant_volume
+from depthcli.methods.stereo.cost._fill import difference_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
@@ -41,9 +41,6 @@ class AbsoluteDifference(CostMeasure):
         scale = left.shape[0]
         costs = memory.empty((*pair.shape, n_disparities), np.uint8)
         limit = min(round(self.truncation * scale), self.MAX_STORED)
-        if self.sampling == "tolerant":
-            tolerant_volume(left, right, costs, 0, np.int16(limit))
-        else:
-            difference_volume(left, right, costs, np.int16(limit))
+        difference_volume(left, right, costs, limit, self.sampling)
         fill_outside(costs, np.uint8(min(round(self.outside * scale), limit)))
         return CostVolume(costs, float(scale))

@@ -49,19 +49,17 @@ class Combined(CostMeasure):
         return max(part.cost.pixel_bytes() for part in self.parts)
 
     def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
-        unit = 255 // len(self.parts)
-        total = memory.empty((*pair.shape, n_disparities), np.uint8)
+        unit, n_padded = 255 // len(self.parts), max(n_disparities, LANES)
+        total: NDArray[np.uint8] = memory.empty((*pair.shape, n_padded), np.uint8)
         total[:] = 0
         weights = light_weights([part.cost for part in self.parts], pair)
-        for k, part in enumerate(self.parts):
-            volume = part.cost(pair, n_disparities)
-            rate = _rate(volume.scale * part.lambda_)
-            if weights is None:
-                _add_exponential(volume.costs, rate, np.float32(unit), total)
-            else:
-                _add_weighted(volume.costs, rate, np.float32(unit) * weights[k], total)
+        if weights is None:
+            weights = np.ones((len(self.parts), *pair.shape), np.float32)
+        for part, weight in zip(self.parts, weights, strict=True):
+            volume = part.cost(pair, n_padded)
+            _add_exponential(volume.costs, _rate(volume.scale * part.lambda_), np.float32(unit) * weight, total)
         fill_outside(total, np.uint8(min(255, round(self.outside * unit))))
-        return CostVolume(total, float(unit))
+        return CostVolume(np.ascontiguousarray(total[:, :, :n_disparities]), float(unit))
 
 
 def part_shares(lambda_: float) -> NDArray[np.float32]:
@@ -82,31 +80,10 @@ def _share(rate, shares):
 
 
 @parallel_jit
-def _add_exponential(costs, rate, unit, total):
-    # A table of 256 entries would not vectorize.
+def _add_exponential(costs, rate, units, total):
+    # Adds ``units`` (H, W) times the terms of the costs. A table of 256 terms would not vectorize.
     height, width, n_disparities = costs.shape
-    half, one = np.float32(0.5), np.float32(1.0)
     for y in prange(height):
-        source = costs[y].reshape(width * n_disparities)
-        out = total[y].reshape(width * n_disparities)
-        for i in range(out.size):
-            part = one - exp_minus_16(np.float32(source[i]) * rate)
-            out[i] = np.uint8(out[i] + np.uint8(np.int32(unit * part + half)))
-
-
-@parallel_jit
-def _add_weighted(costs, rate, units, total):
-    # As above, with a unit for every pixel.
-    height, width, n_disparities = costs.shape
-    half, one = np.float32(0.5), np.float32(1.0)
-    for y in prange(height):
-        if n_disparities < LANES:
-            for x in range(width):
-                source, out, unit = costs[y, x], total[y, x], units[y, x]
-                for i in range(out.size):
-                    part = one - exp_minus_16(np.float32(source[i]) * rate)
-                    out[i] = np.uint8(min(np.int32(out[i]) + np.int32(unit * part + half), np.int32(255)))
-            continue
         sources, sums = costs[y].reshape(width * n_disparities), total[y].reshape(width * n_disparities)
         for x in range(width):
             at = x * n_disparities

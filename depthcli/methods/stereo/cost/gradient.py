@@ -11,9 +11,8 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.cost import CostMeasure, Sampling
-from depthcli.methods.stereo.cost._fill import tolerant_volume
+from depthcli.methods.stereo.cost._fill import difference_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
@@ -42,10 +41,7 @@ class Gradient(CostMeasure):
         costs = memory.empty((*pair.shape, n_disparities), np.uint8)
         left, right = (image_gradient(image, self.sigma) for image in pair.grey)
         limit = round(self.truncation * self.SCALE)
-        if self.sampling == "tolerant":
-            tolerant_volume(left, right, costs, 2, np.int16(limit))
-        else:
-            _gradient_volume(left, right, costs, np.int16(limit))
+        difference_volume(left, right, costs, limit, self.sampling, shift=2)  # sixteenths to quarters
         fill_outside(costs, np.uint8(min(limit, round(self.outside * self.SCALE))))
         return CostVolume(costs, float(self.SCALE))
 
@@ -71,23 +67,3 @@ def derivative_filters(sigma: float) -> tuple[NDArray[np.float64], NDArray[np.fl
     smooth = smooth / smooth.sum()
     slope = offsets * smooth
     return smooth, slope / (offsets * slope).sum()
-
-
-@parallel_jit
-def _gradient_volume(left, right, costs, limit):
-    # (2, H, W) int16 sixteenths into (H, W, D) uint8 quarters, rounded half up.
-    height, width, n_disparities = costs.shape
-    for y in prange(height):
-        mirror = np.zeros((2, width + n_disparities), np.int16)
-        mirror[:, :width] = right[:, y, ::-1]
-        for x in range(width):
-            start = width - 1 - x
-            a, b = left[0, y, x], left[1, y, x]
-            row_a = mirror[0, start : start + n_disparities]
-            row_b = mirror[1, start : start + n_disparities]
-            out = costs[y, x]
-            for i in range(out.size):
-                total = np.int16(
-                    np.int16(abs(np.int16(a - row_a[i]))) + np.int16(abs(np.int16(b - row_b[i]))) + np.int16(2)
-                )
-                out[i] = np.uint8(min(np.int16(total >> np.int16(2)), limit))

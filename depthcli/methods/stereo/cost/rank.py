@@ -33,7 +33,7 @@ class Rank(CostMeasure):
     def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
         costs = memory.empty((*pair.shape, n_disparities), np.uint8)
         left, right = (rank_transform(image, self.window) for image in pair.grey)
-        difference_volume(left[None], right[None], costs, np.int16(255))
+        difference_volume(left[None], right[None], costs, 255)
         fill_outside(costs, np.uint8(round(self.outside)))
         return CostVolume(costs, 1.0)
 

@@ -6,11 +6,10 @@ would not vectorize it.
 
 from __future__ import annotations
 
-from typing import Any
-
 from llvmlite import ir
 
 from depthcli.kernels.jit import cgutils, intrinsic, types
+from depthcli.kernels.lanes import address, spread
 
 LANES = 16
 """Number of 16-bit values in a vector; a volume needs at least as many disparities."""
@@ -20,10 +19,9 @@ BYTE_LANES = 32
 
 @intrinsic
 def path_step(
-    typingctx: Any, costs: Any, cost_at: Any, state: Any, before: Any, after: Any,
-    minima: Any, minima_before: Any, minima_after: Any, p1: Any, p2: Any, total: Any, total_at: Any, adds: Any,
-    n_disparities: Any,
-) -> Any:  # fmt: skip
+    typingctx, costs, cost_at, state, before, after, minima, minima_before, minima_after, p1, p2, total, total_at, adds,
+    n_disparities,
+):  # fmt: skip
     """Compute ``L(d) = C(d) + min(B(d), B(d +- 1) + P1, min B + P2) - min B`` for K paths.
 
     Parameters
@@ -40,98 +38,81 @@ def path_step(
     """
     paths = len(before)
     bits = state.dtype.bitwidth
-    lane_count = LANES if bits == 16 else BYTE_LANES
-    kind = types.uint16 if bits == 16 else types.uint8
+    n_lanes, kind = (LANES, types.uint16) if bits == 16 else (BYTE_LANES, types.uint8)
+    places, penalties = types.UniTuple(types.intp, paths), types.UniTuple(kind, paths)
     signature = types.void(
-        costs, types.intp, state, types.UniTuple(types.intp, paths), types.UniTuple(types.intp, paths),
-        minima, types.UniTuple(types.intp, paths), types.UniTuple(types.intp, paths),
-        types.UniTuple(kind, paths), types.UniTuple(kind, paths), total, types.intp, types.boolean, types.intp,
+        costs, types.intp, state, places, places, minima, places, places, penalties, penalties, total, types.intp,
+        types.boolean, types.intp,
     )  # fmt: skip
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    def codegen(context, builder, signature, args):
         cell, word = ir.IntType(bits), ir.IntType(64)
-        vector, sums = ir.VectorType(cell, lane_count), ir.VectorType(ir.IntType(16), lane_count)
+        vector, sums = ir.VectorType(cell, n_lanes), ir.VectorType(ir.IntType(16), n_lanes)
         align = bits // 8
+        adds, depth = args[12], args[13]
 
-        def data(k: int) -> Any:
-            return context.make_array(signature.args[k])(context, builder, args[k]).data
+        def at(k, index, kind):
+            return address(context, builder, signature.args[k], args[k], index, kind)
 
-        def member(k: int, path: int) -> Any:
-            return builder.extract_value(args[k], path)
+        def members(k):
+            return [builder.extract_value(args[k], path) for path in range(paths)]
 
-        def at(pointer: Any, offset: Any, kind: Any) -> Any:
-            return builder.bitcast(builder.gep(pointer, [offset]), kind.as_pointer())
-
-        def splat(value: Any) -> Any:
-            single = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
-            mask = ir.Constant(ir.VectorType(ir.IntType(32), lane_count), [0] * lane_count)
-            return builder.shuffle_vector(single, ir.Constant(vector, ir.Undefined), mask)
-
-        add_saturating = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(vector, [vector, vector]), f"llvm.uadd.sat.v{lane_count}i{bits}"
-        )
-
-        def minimum(a: Any, b: Any) -> Any:
+        def minimum(a, b):
             return builder.select(builder.icmp_unsigned("<", a, b), a, b)
 
-        cost_data, state_data, minima_data, total_data = data(0), data(2), data(5), data(10)
-        adds, depth_value = args[12], args[13]
-        lanes = ir.Constant(word, lane_count)
-        path_minima = [builder.load(builder.gep(minima_data, [member(6, k)])) for k in range(paths)]
-        offsets = [splat(value) for value in path_minima]
-        steps = [splat(member(8, k)) for k in range(paths)]
-        jumps = [splat(builder.add(path_minima[k], member(9, k))) for k in range(paths)]
+        add_saturating = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(vector, [vector, vector]), f"llvm.uadd.sat.v{n_lanes}i{bits}"
+        )
+        before, after = members(3), members(4)
+        path_minima = [builder.load(at(5, place, cell)) for place in members(6)]
+        offsets = [spread(builder, value, vector) for value in path_minima]
+        steps = [spread(builder, value, vector) for value in members(8)]
+        sums_of_jumps = (builder.add(*each) for each in zip(path_minima, members(9), strict=True))
+        jumps = [spread(builder, value, vector) for value in sums_of_jumps]
         lowest = [cgutils.alloca_once(builder, vector) for _ in range(paths)]
         for slot in lowest:
-            builder.store(ir.Constant(vector, [(1 << bits) - 1] * lane_count), slot)
-        chunks = builder.sdiv(builder.add(depth_value, ir.Constant(word, lane_count - 1)), lanes)
-        last = builder.sub(depth_value, lanes)
-
-        def total_pointer(start: Any) -> Any:
-            return at(total_data, builder.add(args[11], start), sums)
+            builder.store(ir.Constant(vector, [(1 << bits) - 1] * n_lanes), slot)
+        chunks = builder.sdiv(builder.add(depth, ir.Constant(word, n_lanes - 1)), ir.Constant(word, n_lanes))
+        last = builder.sub(depth, ir.Constant(word, n_lanes))
 
         # The last chunk is moved back to end at D: cells done twice are done alike, and are read before any is written.
-        earlier = cgutils.alloca_once(builder, sums)
-        earlier_last = cgutils.alloca_once(builder, sums)
-        builder.store(ir.Constant(sums, [0] * lane_count), earlier)
+        earlier, earlier_last = cgutils.alloca_once(builder, sums), cgutils.alloca_once(builder, sums)
+        builder.store(ir.Constant(sums, [0] * n_lanes), earlier)
         with builder.if_then(adds):
-            builder.store(builder.load(total_pointer(last), align=2), earlier_last)
+            builder.store(builder.load(at(10, builder.add(args[11], last), sums), align=2), earlier_last)
         with cgutils.for_range(builder, chunks) as loop:
-            start = builder.mul(loop.index, lanes)
+            start = builder.mul(loop.index, ir.Constant(word, n_lanes))
             is_last = builder.icmp_signed(">=", start, last)
             start = builder.select(is_last, last, start)
+            target = at(10, builder.add(args[11], start), sums)
             with builder.if_then(adds):
-                there = builder.load(total_pointer(start), align=2)
+                there = builder.load(target, align=2)
                 builder.store(builder.select(is_last, builder.load(earlier_last), there), earlier)
-            place = builder.add(args[1], start)
-            if signature.args[0].dtype.bitwidth == 8:
-                cost = builder.load(at(cost_data, place, ir.VectorType(ir.IntType(8), lane_count)), align=1)
-                if bits == 16:
-                    cost = builder.zext(cost, vector)
-            else:
-                cost = builder.load(at(cost_data, place, vector), align=2)
+            cost_bits = signature.args[0].dtype.bitwidth
+            place = at(0, builder.add(args[1], start), ir.VectorType(ir.IntType(cost_bits), n_lanes))
+            cost = builder.load(place, align=cost_bits // 8)
+            if cost_bits < bits:
+                cost = builder.zext(cost, vector)
             summed = builder.load(earlier)
             for k in range(paths):
-                origin = builder.add(member(3, k), start)
+                origin = builder.add(before[k], start)
                 lower, same, upper = (
-                    builder.load(at(state_data, builder.add(origin, ir.Constant(word, n)), vector), align=align)
+                    builder.load(at(2, builder.add(origin, ir.Constant(word, n)), vector), align=align)
                     for n in range(3)
                 )
                 best = minimum(builder.call(add_saturating, [minimum(lower, upper), steps[k]]), jumps[k])
                 best = minimum(best, same)
                 value = builder.add(builder.sub(best, offsets[k]), cost)
-                target = builder.add(builder.add(member(4, k), start), ir.Constant(word, 1))
-                builder.store(value, at(state_data, target, vector), align=align)
+                new = builder.add(builder.add(after[k], start), ir.Constant(word, 1))
+                builder.store(value, at(2, new, vector), align=align)
                 builder.store(minimum(builder.load(lowest[k]), value), lowest[k])
-                wide = value if bits == 16 else builder.zext(value, sums)
-                summed = builder.add(summed, wide)
-            builder.store(summed, total_pointer(start), align=2)
+                summed = builder.add(summed, value if bits == 16 else builder.zext(value, sums))
+            builder.store(summed, target, align=2)
         reduce = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(cell, [vector]), f"llvm.vector.reduce.umin.v{lane_count}i{bits}"
+            builder.module, ir.FunctionType(cell, [vector]), f"llvm.vector.reduce.umin.v{n_lanes}i{bits}"
         )
-        for k in range(paths):
-            smallest = builder.call(reduce, [builder.load(lowest[k])])
-            builder.store(smallest, builder.gep(minima_data, [member(7, k)]))
+        for slot, place in zip(lowest, members(7), strict=True):
+            builder.store(builder.call(reduce, [builder.load(slot)]), at(5, place, cell))
         return context.get_dummy_value()
 
     return signature, codegen

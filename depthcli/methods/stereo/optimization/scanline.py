@@ -46,10 +46,14 @@ class Scanline(Optimizer):
         in_bytes = costs.dtype == np.uint8 and n_disparities >= BYTE_LANES
         if in_bytes and int(table.max()) + int(costs.max()) < _BYTE_GUARD:
             table = table.astype(np.uint8)
-        edges = np.zeros((4, *pair.shape), np.uint8)
-        _mark_edges(np.ascontiguousarray(pair.color8[0].transpose(2, 0, 1)), edges, self.edge_threshold)
+        edges = _color_edges(pair.color8[0], self.edge_threshold)
         total = memory.empty(costs.shape, np.uint16)
-        _sweep_both(costs, total, edges, table, self.paths == 8)
+        # Path costs of two sweeps, 0 between guard cells, and their minima; see _sweep.
+        n_states = 2 + 6 * (pair.shape[1] + 2)
+        state = np.full((2, n_states, costs.shape[2] + 2), _BYTE_GUARD if table.itemsize == 1 else _GUARD, table.dtype)
+        state[:, :, 1:-1] = 0
+        minima = np.zeros((2, n_states), table.dtype)
+        _sweep_both(costs, total, edges, table, self.paths == 8, state.reshape(2, -1), minima)
         if n_disparities < LANES:
             total = np.ascontiguousarray(total[:, :, :n_disparities])
         return CostVolume(total, volume.scale * self.paths)
@@ -64,66 +68,30 @@ class Scanline(Optimizer):
         )
 
 
-@parallel_jit
-def _mark_edges(planes, edges, threshold):
-    # Sets (4, H, W) to 1 where the pixel to the left, upper left, above, upper right differs in color.
-    channels, height, width = planes.shape
-    for y in prange(height):
-        for k in range(4):
-            dy = 0 if k == 0 else 1
-            dx = -1 if k < 2 else k - 2
-            if y - dy < 0:
-                continue
-            x0, x1 = max(0, -dx), min(width, width - dx)
-            out = edges[k, y, x0:x1]
-            for c in range(channels):
-                color = planes[c, y, x0:x1]
-                neighbor = planes[c, y - dy, x0 + dx : x1 + dx]
-                for i in range(out.size):
-                    difference = np.int16(abs(np.int16(np.int16(color[i]) - np.int16(neighbor[i]))))
-                    out[i] = np.uint8(out[i] | np.uint8(difference > threshold))
+def _color_edges(image: NDArray[np.uint8], threshold: int) -> NDArray[np.uint8]:
+    # (4, H, W): 1 where the pixel to the left, upper left, above, upper right differs in color.
+    height, width = image.shape[:2]
+    planes = np.ascontiguousarray(image.transpose(2, 0, 1))
+    edges = np.zeros((4, height, width), np.uint8)
+    for k, (dy, dx) in enumerate(((0, -1), (1, -1), (1, 0), (1, 1))):
+        first, end = max(0, -dx), width - max(0, dx)
+        here, there = planes[:, dy:, first:end], planes[:, : height - dy, first + dx : end + dx]
+        difference = np.maximum(here, there) - np.minimum(here, there)
+        edges[k, dy:, first:end] = difference.max(axis=0) > threshold
+    return edges
 
 
 @parallel_jit
-def _sweep_both(costs, total, edges, table, diagonal):
+def _sweep_both(costs, total, edges, table, diagonal, state, minima):
     # One sweep downwards, one upwards. They write their sums until they meet in the middle, and then add them to what
     # the other one has written.
-    height, width, n_disparities = costs.shape
-    n_states = 2 + 6 * (width + 2)
-    state = np.empty((2, n_states * (n_disparities + 2)), table.dtype)
-    minima = np.zeros((2, n_states), table.dtype)
+    height = costs.shape[0]
     middle = (height + 1) // 2
-    for direction in prange(2):
-        _start(state[direction], n_states, n_disparities)
-        last = middle if direction == 0 else height - middle
-        _sweep(
-            costs, total, edges, table, diagonal, direction == 1, False, state[direction], minima[direction], 0, last
-        )
-    for direction in prange(2):
-        first = middle if direction == 0 else height - middle
-        _sweep(
-            costs,
-            total,
-            edges,
-            table,
-            diagonal,
-            direction == 1,
-            True,
-            state[direction],
-            minima[direction],
-            first,
-            height,
-        )
-
-
-@jit
-def _start(state, n_states, n_disparities):
-    # Path costs 0 between guard cells.
-    state[:] = _BYTE_GUARD if state.itemsize == 1 else _GUARD
-    for k in range(n_states):
-        at = k * (n_disparities + 2) + 1
-        for i in range(at, at + n_disparities):
-            state[i] = 0
+    for half in range(2):
+        for k in prange(2):
+            turn = middle if k == 0 else height - middle
+            first, end = (0, turn) if half == 0 else (turn, height)
+            _sweep(costs, total, edges, table, diagonal, k == 1, half == 1, state[k], minima[k], first, end)
 
 
 @jit

@@ -48,9 +48,7 @@ class DirectionalFill(Refinement):
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         measured = disparity.valid & ((disparity.status & np.uint8(Status.FILLED)) == 0)
-        planes = np.ascontiguousarray(self.smoothed(context.pair).transpose(2, 0, 1))
-        changes = np.zeros((len(_AXES), *measured.shape), np.uint16)
-        _color_changes(planes, _AXES, changes)
+        changes = _color_changes(self.smoothed(context.pair))
         values = disparity.values.copy()
         _replace(disparity.values, measured, changes, context.right, _AXES, *self.rates(), values)
         return DisparityMap(values, disparity.status)
@@ -65,21 +63,17 @@ class DirectionalFill(Refinement):
         return np.float32(1 / (3 * self.color_scale)), np.float32(1 / self.distance_scale)
 
 
-@parallel_jit
-def _color_changes(image, axes, changes):
-    # Of (3, H, W): sums over the channels of the differences between pixels and the ones a step back along each axis.
-    channels, height, width = image.shape
-    for y in prange(height):
-        for k in range(axes.shape[0]):
-            dy, dx = axes[k, 0], axes[k, 1]
-            if y < dy:
-                continue
-            first, end = max(dx, 0), width + min(dx, 0)
-            total = changes[k, y, first:end]
-            for c in range(channels):
-                here, there = image[c, y, first:end], image[c, y - dy, first - dx : end - dx]
-                for i in range(total.size):
-                    total[i] += np.uint16(abs(np.int16(np.int16(here[i]) - np.int16(there[i]))))
+def _color_changes(image: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    # Sums over the channels of the differences between pixels and the ones a step back along each axis, (4, H, W).
+    height, width = image.shape[:2]
+    planes = np.ascontiguousarray(image.transpose(2, 0, 1))
+    changes = np.zeros((len(_AXES), height, width), np.uint16)
+    for k, (dy, dx) in enumerate(_AXES.tolist()):
+        first, end = max(dx, 0), width + min(dx, 0)
+        here, there = planes[:, dy:, first:end], planes[:, : height - dy, first - dx : end - dx]
+        difference = np.maximum(here, there) - np.minimum(here, there)
+        changes[k, dy:, first:end] = difference.sum(axis=0, dtype=np.uint16)
+    return changes
 
 
 @parallel_jit
