@@ -64,10 +64,6 @@ def use(
     return int(kernels), int(said), timed == "True", folder.strip(), done.stderr
 
 
-def compiled(tmp_path: Path) -> list[Path]:
-    return sorted((tmp_path / "mine").rglob("*.nb[ci]"))
-
-
 @pytest.mark.slow
 def test_compiled_once_and_kept_in_the_users_cache(tmp_path: Path):
     kernels, said, timed, folder, messages = use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
@@ -81,10 +77,10 @@ def test_compiled_once_and_kept_in_the_users_cache(tmp_path: Path):
 @needs_proc
 @pytest.mark.slow
 def test_without_a_home_that_can_be_written_a_temporary_folder_serves(tmp_path: Path):
-    home = NOWHERE
-    first = use(tmp_path, HOME=home, XDG_CACHE_HOME=home)
-    assert Path(first[3]).parent.parent == tmp_path
-    assert use(tmp_path, HOME=home, XDG_CACHE_HOME=home) == (0, 0, False, first[3], "")
+    nowhere = {"HOME": NOWHERE, "XDG_CACHE_HOME": NOWHERE}
+    folder = use(tmp_path, **nowhere)[3]
+    assert Path(folder).parent.parent == tmp_path
+    assert use(tmp_path, **nowhere) == (0, 0, False, folder, "")
 
 
 @needs_proc
@@ -110,9 +106,8 @@ def flip(data: bytes) -> bytes:
 def test_damaged_files_are_compiled_again_and_that_is_said_once(tmp_path: Path, kind: str, damage):
     mine = str(tmp_path / "mine")
     use(tmp_path, NUMBA_CACHE_DIR=mine)
-    for file in compiled(tmp_path):
-        if file.suffix == f".{kind}":
-            file.write_bytes(damage(file.read_bytes()))
+    for file in (tmp_path / "mine").rglob(f"*.{kind}"):
+        file.write_bytes(damage(file.read_bytes()))
     kernels, _, _, _, messages = use(tmp_path, NUMBA_CACHE_DIR=mine)
     assert kernels == 2
     assert messages.count("are damaged; they are compiled again") == len(messages.splitlines()) == 1
@@ -141,21 +136,11 @@ print(hashlib.sha256(sums.tobytes()).hexdigest(), energy.discrepancy.stats.cache
 """
 
 
-PACKAGE = """
-import numpy as np
-from depthcli.kernels.jit import jit
-
-@jit
-def one(x):
-    return x + 1
-"""
-
-
 def test_a_change_of_any_file_with_kernels_is_another_folder(tmp_path: Path):
     package = tmp_path / "package"
     (package / "kernels").mkdir(parents=True)
     (package / "kernels" / "options.py").write_text("FAST = True")
-    (package / "one.py").write_text(PACKAGE)
+    (package / "one.py").write_text(KERNEL)
     (package / "other.py").write_text("def two():\n    return 2\n")
 
     def digest(folder: Path) -> str:

@@ -75,20 +75,3 @@ def test_values_that_the_right_view_contradicts_cost_more():
     before = DirectionalFill(distance_scale=16)(disparity, context).values[gap]
     contradicted = DirectionalFill(distance_scale=16)(disparity, seen).values[gap]
     assert 0 < np.count_nonzero(contradicted == 5) < np.count_nonzero(before == 5)
-
-
-def test_a_band_with_the_halo_has_the_values_of_the_whole_map():
-    step = DirectionalFill(distance_scale=3)
-    height, cut, halo = 70, 9, step.halo()
-    assert halo == 15
-    disparity, context = filled_case(height, 60, 20, 4)
-    rows = slice(cut, height - cut)
-    part = RefinementContext(
-        StereoPair(*(np.ascontiguousarray(image[rows]) for image in context.pair.color8)),
-        CostVolume(np.ascontiguousarray(context.volume.costs[rows])),
-        np.ascontiguousarray(context.right[rows]),
-    )
-    band = step(DisparityMap(disparity.values[rows].copy(), disparity.status[rows].copy()), part).values
-    whole = step(disparity, context).values
-    assert np.count_nonzero(whole != disparity.values) > 10
-    np.testing.assert_array_equal(band[halo:-halo], whole[rows][halo:-halo])

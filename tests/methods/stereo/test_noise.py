@@ -29,11 +29,11 @@ def smooth(channels, seed=0):
 def test_the_noise_of_the_mean_channel_is_measured(channels, sigma):
     clean = smooth(channels)
     noisy = clean + np.random.default_rng(1).normal(0, sigma, clean.shape)
-    found = noise.noise_level(np.rint(noisy).astype(np.uint8))
-    np.testing.assert_allclose(found.deviation, sigma / np.sqrt(channels), rtol=0.25)
-    deep = noise.noise_level(np.rint(noisy * 257).astype(np.uint16))
-    np.testing.assert_allclose(deep.deviation, 257 * sigma / np.sqrt(channels), rtol=0.25)
-    np.testing.assert_allclose(deep.contrast, found.contrast, rtol=0.15)
+    deviation, contrast = noise.noise_level(np.rint(noisy).astype(np.uint8))
+    np.testing.assert_allclose(deviation, sigma / np.sqrt(channels), rtol=0.25)
+    deep, deep_contrast = noise.noise_level(np.rint(noisy * 257).astype(np.uint16))
+    np.testing.assert_allclose(deep, 257 * sigma / np.sqrt(channels), rtol=0.25)
+    np.testing.assert_allclose(deep_contrast, contrast, rtol=0.15)
 
 
 def dark(seed, kind="planes", sigma=1.5):

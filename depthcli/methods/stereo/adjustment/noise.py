@@ -7,7 +7,7 @@ noise. Means over pixels of similar color do, and both images can be averaged be
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple, cast
+from typing import cast
 
 import cv2
 import numpy as np
@@ -28,13 +28,6 @@ _MAX_GAIN = 24.0
 _STRIP = 512  # rows that are filtered at a time
 
 
-class NoiseLevel(NamedTuple):
-    """Noise and contrast of an image."""
-
-    deviation: float  # standard deviation of the noise, levels
-    contrast: float  # typical standard deviation within 32 x 32 pixels over that of the noise
-
-
 def denoised(pair: StereoPair) -> StereoPair:
     """Return a pair without most of its noise, and brightened where it is dark; a pair of little noise as it is.
 
@@ -45,9 +38,8 @@ def denoised(pair: StereoPair) -> StereoPair:
     effect grows from none to the whole.
     """
     images = pair.clamped
-    found = [noise_level(image) for image in images]
-    deviation = max(level.deviation for level in found)
-    contrast = min(level.contrast for level in found)
+    deviations, contrasts = zip(*map(noise_level, images), strict=True)
+    deviation, contrast = max(deviations), min(contrasts)
     share = float(np.clip((_CLEAN - contrast) / (_CLEAN - _NOISY), 0, 1))
     if share == 0:
         return pair
@@ -59,11 +51,11 @@ def denoised(pair: StereoPair) -> StereoPair:
     return replace(pair, left=left, right=right, bits=None)
 
 
-def noise_level(image: Image) -> NoiseLevel:
-    """Measure the noise of an image by its flattest blocks.
+def noise_level(image: Image) -> tuple[float, float]:
+    """Return the standard deviation of an image's noise, levels, and the contrast over it, by the flattest blocks.
 
-    Noise is white: averaged over 2 x 2 pixels it has a quarter of the energy, while fine texture, which may fill an
-    image as evenly as noise, does not lose any.
+    The contrast is the typical standard deviation within 32 x 32 pixels. Noise is white: averaged over 2 x 2 pixels it
+    has a quarter of the energy, while fine texture, which may fill an image as evenly as noise, does not lose any.
     """
     level = _level(image)
     full = _flat_energy(level)
@@ -71,7 +63,7 @@ def noise_level(image: Image) -> NoiseLevel:
     variance = np.clip((_TEXTURE_GROWTH * full - half) / (_TEXTURE_GROWTH - 0.25), 0, full)
     deviation = max(float(np.sqrt(variance)), _ROUNDING_NOISE)
     spread = _block_means(level * level, _REGION) - _block_means(level, _REGION) ** 2
-    return NoiseLevel(deviation, float(np.sqrt(max(np.median(spread), 0))) / deviation)
+    return deviation, float(np.sqrt(max(np.median(spread), 0))) / deviation
 
 
 def _level(image: Image) -> NDArray[np.float32]:
@@ -99,18 +91,13 @@ def _filtered(image: Image, epsilon: float, share: float, gain: float, top: int)
     for y in range(0, image.shape[0], _STRIP):
         first = max(0, y - margin)
         part = image[first : y + _STRIP + margin]
-        values = _averaged(part, epsilon, share)[y - first :][:_STRIP] / np.float32(top)
-        values = np.clip(values, 0, 1)
+        guide, values = _level(part), part.astype(np.float32)
+        averaged = cv2.ximgproc.guidedFilter(guide, values, _RADIUS, epsilon)
+        if image.ndim == 3 and share < 1:
+            # A weak filter must not take away colors that the guide does not have: then all channels change alike.
+            alike = values + (cv2.ximgproc.guidedFilter(guide, guide, _RADIUS, epsilon) - guide)[..., None]
+            averaged = alike + np.float32(share) * (averaged - alike)
+        values = np.clip(averaged[y - first :][:_STRIP] / np.float32(top), 0, 1)
         values = gain * values / (1 + (gain - 1) * values)
         result[y : y + _STRIP] = np.rint(values * np.float32(65535))
     return result
-
-
-def _averaged(image: Image, epsilon: float, share: float) -> NDArray[np.float32]:
-    # A weak filter must not take away colors that the guide does not have: then all channels change alike.
-    guide, values = _level(image), image.astype(np.float32)
-    averaged = cv2.ximgproc.guidedFilter(guide, values, _RADIUS, epsilon)
-    if image.ndim == 2 or share == 1:
-        return np.asarray(averaged, np.float32)
-    alike = values + (cv2.ximgproc.guidedFilter(guide, guide, _RADIUS, epsilon) - guide)[..., None]
-    return np.asarray(alike + np.float32(share) * (averaged - alike), np.float32)

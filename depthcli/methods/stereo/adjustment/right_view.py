@@ -168,6 +168,11 @@ class Details(NamedTuple):
 
 
 @jit
+def _along_column(image, v, u, t):
+    return cubic(image[v - 1, u], image[v, u], image[v + 1, u], image[v + 2, u], t)
+
+
+@jit
 def _bilinear(image, v, u, t, s):
     upper = image[v, u] + s * (image[v, u + 1] - image[v, u])
     lower = image[v + 1, u] + s * (image[v + 1, u + 1] - image[v + 1, u])
@@ -199,14 +204,7 @@ def sum_blocks(disparity, left, right, row_shift, sums):
                 v = min(int(row), height - 4)
                 t = row - np.float32(v)
                 block = sums[:, i, x // BLOCK]
-                g0 = cubic(right_grey[v - 1, u], right_grey[v, u], right_grey[v + 1, u], right_grey[v + 2, u], t)
-                g1 = cubic(
-                    right_grey[v - 1, u + 1],
-                    right_grey[v, u + 1],
-                    right_grey[v + 1, u + 1],
-                    right_grey[v + 2, u + 1],
-                    t,
-                )
+                g0, g1 = _along_column(right_grey, v, u, t), _along_column(right_grey, v, u + 1, t)
                 residual = left.grey[y, x] - (g0 + s * (g1 - g0))
                 relative = min(abs(residual), _MAX_RESIDUAL) / _HALF_WEIGHT
                 block[7] += np.log(np.float32(1) + relative * relative)

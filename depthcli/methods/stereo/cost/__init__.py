@@ -63,6 +63,17 @@ Side = Annotated[int, Field(ge=1, le=255), *get_args(Odd)[1:]]
 """Side of a measure's window, pixels."""
 
 
+def window_check(max_pixels: int) -> AfterValidator:
+    """Return the check that a window (width, height) has 2 to ``max_pixels`` pixels."""
+
+    def check(window: tuple[int, int]) -> tuple[int, int]:
+        if not 2 <= window[0] * window[1] <= max_pixels:
+            raise ValueError(f"the window must have 2 to {max_pixels} pixels")
+        return window
+
+    return AfterValidator(check)
+
+
 def _check_outside(cost: CostMeasure) -> CostMeasure:
     outside = type(cost).model_fields.get("outside")
     if outside is not None and getattr(cost, "outside") != outside.default:  # noqa: B009  (not every measure has one)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.cost import CostMeasure, Side
+from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.cost._fill import hamming_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
@@ -17,17 +19,10 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 class Census(CostMeasure):
     """Hamming distance of census bit strings, whose bit k is set where neighbor k is brighter than the center."""
 
-    window: tuple[Side, Side] = Field(
+    window: Annotated[tuple[Side, Side], window_check(65)] = Field(
         (9, 7), description="window width and height, pixels; both odd, at most 64 neighbors"
     )
     outside: float = Field(16.0, ge=0, le=64, description="cost of a match outside the right image, bits")
-
-    @field_validator("window")
-    @classmethod
-    def _small(cls, window: tuple[int, int]) -> tuple[int, int]:
-        if not 2 <= window[0] * window[1] <= 65:
-            raise ValueError("the window must have 1 to 64 neighbors (9 x 7 has 62)")
-        return window
 
     def halo(self) -> int | None:
         return max(self.window) // 2

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.cost import CostMeasure, Side
+from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.cost._fill import difference_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
@@ -17,15 +19,10 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 class Rank(CostMeasure):
     """``|RT(y, x) - RT'(y, x - d)|``, where RT is the number of pixels of a window darker than its center."""
 
-    window: tuple[Side, Side] = Field((9, 9), description="window width and height, pixels; both odd, area at most 255")
+    window: Annotated[tuple[Side, Side], window_check(255)] = Field(
+        (9, 9), description="window width and height, pixels; both odd, area at most 255"
+    )
     outside: float = Field(16.0, ge=0, le=255, description="cost of a match outside the right image, ranks")
-
-    @field_validator("window")
-    @classmethod
-    def _small(cls, window: tuple[int, int]) -> tuple[int, int]:
-        if not 2 <= window[0] * window[1] <= 255:
-            raise ValueError("the window must have 2 to 255 pixels")
-        return window
 
     def halo(self) -> int | None:
         return max(self.window) // 2

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.stereo.cost import CostMeasure, Side
+from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 _BAND = 16  # rows whose windows one task slides over; any number gives the same costs
@@ -24,20 +24,13 @@ class Zncc(CostMeasure):
     Because of the noise n, windows without texture do not correlate by chance.
     """
 
-    window: tuple[Side, Side] = Field(
+    window: Annotated[tuple[Side, Side], window_check(1023)] = Field(
         (9, 9), description="window width and height, pixels; both odd, area at most 1023"
     )
     noise: float = Field(2.0, gt=0, le=255, description="standard deviation of the image noise, grey levels")
     outside: float = Field(0.8, ge=0, le=1, description="cost of a match outside the right image")
 
     SCALE: ClassVar[int] = 250
-
-    @field_validator("window")
-    @classmethod
-    def _fits(cls, window: tuple[int, int]) -> tuple[int, int]:
-        if not 2 <= window[0] * window[1] <= 1023:
-            raise ValueError("the window must have 2 to 1023 pixels")
-        return window
 
     def halo(self) -> int | None:
         return max(self.window) // 2

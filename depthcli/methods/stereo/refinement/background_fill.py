@@ -28,7 +28,10 @@ def fill_background(disparity: DisparityMap) -> DisparityMap:
     """Return the map filled as by :class:`BackgroundFill`."""
     values = disparity.values.copy()
     _fill_rows(values)
-    _fill_columns(values)
+    known = np.flatnonzero(~np.isnan(values[:, 0]))  # a row has all values now or none
+    if 0 < known.size < len(values):
+        above = np.searchsorted(known, np.arange(len(values)), side="right") - 1
+        values = values[known[np.maximum(above, 0)]]
     return with_filled(disparity, values)
 
 
@@ -48,21 +51,6 @@ def _fill_rows(values):
             value = row[x - 1] if x > 0 else np.float32(np.inf)
             if end < width:
                 value = min(value, row[end])
-            row[x:end] = value if value < np.inf else np.float32(np.nan)
+            for u in range(x, end):
+                row[u] = value if value < np.inf else np.float32(np.nan)
             x = end
-
-
-@parallel_jit
-def _fill_columns(values):
-    # Only rows that had no value at all are left.
-    height, width = values.shape
-    for x in prange(width):
-        last = np.float32(np.nan)
-        for y in range(height):
-            if np.isnan(values[y, x]):
-                values[y, x] = last
-            else:
-                last = values[y, x]
-        for y in range(height - 2, -1, -1):
-            if np.isnan(values[y, x]):
-                values[y, x] = values[y + 1, x]
