@@ -37,7 +37,7 @@ from depthcli.core.registry import (
     plugin_of,
     plugins_in_use,
     registered_name,
-    registry_in,
+    registries,
     registry_of,
 )
 from depthcli.core.text import did_you_mean
@@ -119,7 +119,7 @@ class Family(Registry[Method]):
     def of(cls, package: str) -> Family:
         """Return the family that ``package`` declares; TypeError where it declares none."""
         importlib.import_module(package)
-        family = registry_in(package)
+        family = registries.get(package)
         if not isinstance(family, cls):
             raise TypeError(f"{package} declares no family of methods")
         return family

@@ -33,7 +33,8 @@ _ROOMS = ("methods", "algorithms", "io", "simulate", "evaluation")  # the names 
 _FILE_MODULE = "depthcli_plugin_"  # the module of a file is called so, with the file's name behind it
 _FILES_VARIABLE = "DEPTHCLI_PLUGIN_FILES"  # worker processes find the files there
 
-_registries: dict[str, Registry[Any]] = {}  # by package
+registries: dict[str, Registry[Any]] = {}
+"""Package -> the registry that it declared when it was imported."""
 _file_plugins: dict[Path, list[Plugin]] = {}  # of every file that was read
 _plugin_by_class: dict[type, Plugin] = {}
 
@@ -82,7 +83,7 @@ class Registry(Generic[T]):
     def __init__(self, package: str, group: str = "") -> None:
         self.package = package
         self.group = group or ".".join(part for part in package.split(".") if part not in _ROOMS)
-        _registries[package] = self
+        registries[package] = self
 
     @property
     def own_names(self) -> tuple[str, ...]:
@@ -159,17 +160,11 @@ def plain_name(name: str) -> str:
 def registry_of(kind: type) -> Registry[Any] | None:
     """Return the registry that a class belongs to, by the packages of its base classes; None where there is none."""
     for base in kind.__mro__:
-        package = base.__module__
-        while package:
-            if package in _registries:
-                return _registries[package]
-            package = package.rpartition(".")[0]
+        parts = base.__module__.split(".")
+        for size in range(len(parts), 0, -1):
+            if found := registries.get(".".join(parts[:size])):
+                return found
     return None
-
-
-def registry_in(package: str) -> Registry[Any] | None:
-    """Return the registry that a package declared when it was imported; None where it has none."""
-    return _registries.get(package)
 
 
 def plugin_of(kind: type) -> Plugin | None:

@@ -197,12 +197,9 @@ def run_table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
     return aligned(lines)
 
 
-def aligned(lines: Sequence[tuple[str, ...]]) -> str:
-    """Return rows of cells as a table whose first two columns are aligned left and the others right."""
+def aligned(lines: Sequence[tuple[str, ...]], n_left: int = 2) -> str:
+    """Return rows of cells as a table whose first columns are aligned left and the others right."""
     lines = [tuple(map(one_line, line)) for line in lines]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
-    table = []
-    for line in lines:
-        cells = [c.ljust(w) if k < 2 else c.rjust(w) for k, (c, w) in enumerate(zip(line, widths, strict=True))]
-        table.append("  ".join(cells).rstrip())
-    return "\n".join(table)
+    sizes = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    rows = ([f"{cell:{'<' if k < n_left else '>'}{sizes[k]}}" for k, cell in enumerate(line)] for line in lines)
+    return "\n".join("  ".join(row).rstrip() for row in rows)

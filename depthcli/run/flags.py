@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from depthcli.core.errors import FLAGGED, SOME_FAILED, ConfigError
 from depthcli.core.text import did_you_mean
-from depthcli.run.console import Reporter
+from depthcli.run.console import Reporter, aligned
 
 _COMPARISONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 _COMPARISONS |= {"=": operator.eq, "!=": operator.ne}
@@ -71,11 +71,9 @@ class Flags(NamedTuple):
     def text(self) -> str:
         """Return the number of flagged rows and a table of them, for a terminal."""
         names = [name for name in ("scene", "run") if any(getattr(each, name) for each in self.flagged)]
-        rows = [[*(getattr(each, name) for name in names), "; ".join(each.reasons)] for each in self.flagged]
-        table = [[*names, "why"], *rows] if rows else []
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
-        return "\n".join(["", f"flagged: {len(rows) or 'none'} of {self.n_rows}", *lines, ""])
+        rows = [(*(getattr(each, name) for name in names), "; ".join(each.reasons)) for each in self.flagged]
+        table = [aligned([(*names, "why"), *rows], n_left=3)] if rows else []
+        return "\n".join(["", f"flagged: {len(rows) or 'none'} of {self.n_rows}", *table, ""])
 
     def exit_code(self, failed: bool, fail_flagged: bool, shard: str | None = None) -> int:
         """Return the exit code of a command; values that one shard lacks may be in the others."""

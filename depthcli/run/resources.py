@@ -18,13 +18,7 @@ def cores() -> int:
 
 
 def check_memory(need: int, limit: int, size: str, keys: str = "") -> None:
-    """Raise InputError where a scene needs more bytes than ``limit``.
-
-    Parameters
-    ----------
-    size : size of the scene, for the message
-    keys : config keys that help
-    """
+    """Raise InputError where a scene of a ``size`` needs more bytes than ``limit``; ``keys`` of the config help."""
     if need > limit:
         hint = f"; see {keys}" if keys else ""
         raise InputError(f"needs about {show_bytes(need)} of memory ({size}), {show_bytes(limit)} may be used{hint}")
@@ -32,21 +26,14 @@ def check_memory(need: int, limit: int, size: str, keys: str = "") -> None:
 
 def available_memory() -> int:
     """Return the free memory, within the limit of the control group, in bytes."""
-    found = [1 << 62]
-    try:
-        for line in Path("/proc/meminfo").read_text("ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                found.append(int(line.split()[1]) * 1024)
-    except (OSError, ValueError):
-        pass
+    free = _kilobytes("/proc/meminfo", "MemAvailable:")
+    found = [1 << 62] if free is None else [1 << 62, free * 1024]
     for limit, used in (
         ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
         ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
     ):
-        try:
+        with contextlib.suppress(OSError, ValueError):
             found.append(int(Path(limit).read_text("ascii")) - int(Path(used).read_text("ascii")))
-        except (OSError, ValueError):
-            continue
     if len(found) == 1 and hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     return max(min(found), 1)
@@ -60,15 +47,20 @@ def reset_peak() -> None:
 
 def peak_memory() -> int | None:
     """Return the largest resident size since :func:`reset_peak`, or since the start of the process, in bytes."""
-    try:
-        for line in Path("/proc/self/status").read_text("ascii", "replace").splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-    except (OSError, ValueError):
-        pass
+    if (peak := _kilobytes("/proc/self/status", "VmHWM:")) is not None:
+        return peak * 1024
     try:
         import resource
     except ImportError:
         return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return int(peak) * (1 if os.uname().sysname == "Darwin" else 1024)
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(largest) * (1 if os.uname().sysname == "Darwin" else 1024)
+
+
+def _kilobytes(file: str, key: str) -> int | None:
+    """Return the number behind a key in a file of Linux's /proc, None where it is not there."""
+    with contextlib.suppress(OSError, ValueError):
+        for line in Path(file).read_text("ascii", "replace").splitlines():
+            if line.startswith(key):
+                return int(line.split()[1])
+    return None

@@ -258,9 +258,9 @@ def compute_in_processes(
                 task, tries = retried.pop() if retried else (next(waiting, None), 0)
                 if task is None:
                     break
-                idle = next((worker for worker in workers if worker.task is None), None)
-                worker = idle or _start(context, work)
-                workers += [] if idle else [worker]
+                worker = next((worker for worker in workers if worker.task is None), None)
+                if worker is None:
+                    workers.append(worker := _start(context, work))
                 worker.task, worker.tries = task, tries + 1
                 with contextlib.suppress(OSError):  # it has died meanwhile, which is seen below
                     worker.pipe.send(task)

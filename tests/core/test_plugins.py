@@ -368,7 +368,7 @@ def test_a_file_of_a_family_holds_one_class(tmp_path: Path, monkeypatch: pytest.
     (folder / "both.py").write_text(f"{head}class A(Base): ...\nclass B(Base): ...\n")
     (folder / "none.py").write_text(head)
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(registry, "_registries", dict(registry._registries))  # the family is no one else's
+    monkeypatch.setattr(registry, "registries", dict(registry.registries))  # the family is no one else's
     family = Family("strange_family")
     with pytest.raises(TypeError, match=r"both defines A and B; a file of this folder holds one class"):
         family.load("both")
