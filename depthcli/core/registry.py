@@ -19,7 +19,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -63,14 +63,16 @@ class Plugin:
         """Return whether it is a class of a file, not of an installed package."""
         return self.reference.startswith(_FILE_MODULE)
 
-    def load(self, use: Callable[[Any], Any] = lambda value: value) -> Any:
-        """Return what ``use`` makes of the object; ConfigError, which names the package, where anything is wrong."""
+    def load(self) -> Any:
+        """Return the object; ConfigError, which names the package, where its import fails."""
         module, _, attribute = self.reference.partition(":")
         try:
-            return use(operator.attrgetter(attribute)(importlib.import_module(module)))
+            return operator.attrgetter(attribute)(importlib.import_module(module))
         except Exception as error:  # a stranger's code may raise anything
-            of = f"plug-in {self.name} of {self.package} {self.version}"
-            raise ConfigError(f"{of} cannot be loaded: {_reason(error)}") from error
+            raise ConfigError(f"{self} cannot be loaded: {_reason(error)}") from error
+
+    def __str__(self) -> str:
+        return f"plug-in {self.name} of {self.package} {self.version}"
 
 
 class Registry(Generic[T]):
@@ -142,13 +144,10 @@ class Registry(Generic[T]):
         return found[0]
 
     def _load_plugin(self, plugin: Plugin) -> type[T]:
-        def use(value: Any) -> type[T]:
-            if not isinstance(value, type) or registry_of(value) is not self:
-                raise TypeError(f"expected a class derived from one of {self.package}, got {value!r}")
-            _plugin_by_class[value] = plugin
-            return value
-
-        loaded: type[T] = plugin.load(use)
+        loaded: type[T] = plugin.load()
+        if not isinstance(loaded, type) or registry_of(loaded) is not self:
+            raise ConfigError(f"{plugin}: expected a class derived from one of {self.package}, got {loaded!r}")
+        _plugin_by_class[loaded] = plugin
         return loaded
 
 
