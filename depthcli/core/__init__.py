@@ -10,7 +10,7 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 | ``yaml_source`` | the YAML below it: plain data, with the line of every value; ``to_yaml`` back |
 | ``frames``, ``volumes`` | inputs: a rectified pair; color and depth (and infrared); two volumes on one grid |
 | ``maps``, ``result`` | outputs: a map with the status of every pixel; what else a method returns, and its times |
-| ``progress`` | stages and tiles, announced to whoever shows them |
+| ``scene`` | the scene that is computed, as programs need to know it |
 | ``cameras`` | one camera, two of them, their rectification; disparity and depth; the Kinect's raw codes |
 | ``networks`` | a trained network as arrays |
 | ``memory`` | large arrays that are recycled |
