@@ -11,13 +11,12 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from depthcli.cli import main
 from depthcli.run import records
-from depthcli.run.folder import REPORT_FILES
+from tests.run.processes import contents, rows, start, wait_for
 
 PRESET = "opencv-sgbm"
 SCENES = 48
@@ -55,32 +54,6 @@ def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cluster
     made = Cluster(tmp_path / "dask")
     yield made
     made.close()
-
-
-def start(*arguments: str | Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "depthcli", *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Every file but the reports, hidden ones included."""
-    paths = (
-        path for path in folder.rglob("*") if path.is_file() and path.name not in (*REPORT_FILES, records.RECORD_FILE)
-    )
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
-
-
-def wait_for(folder: Path, scenes: int, process: subprocess.Popen[Any]) -> None:
-    """Until so many scenes are done; the run must not be over by then."""
-    end = time.monotonic() + 120
-    while len(list(folder.glob(f"*/{records.RECORD_FILE}"))) < scenes:
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
-def rows(folder: Path) -> list[dict[str, Any]]:
-    return json.loads((folder / "report.json").read_text())["scenes"]
 
 
 @pytest.mark.system

@@ -7,7 +7,6 @@ import shlex
 import signal
 import subprocess
 import sys
-import time
 from collections import Counter
 from pathlib import Path
 
@@ -16,8 +15,8 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError
 from depthcli.run.batch import shard_of
-from depthcli.run.folder import LOCKS_FILE, REPORT_FILES, FolderLock
-from depthcli.run.records import RECORD_FILE
+from depthcli.run.folder import LOCKS_FILE, FolderLock
+from tests.run.processes import contents, rows, start, wait_for
 
 FAST = "opencv-bm"
 
@@ -26,20 +25,8 @@ def run(*arguments: str | Path) -> int:
     return main([str(a) for a in arguments])
 
 
-def start(*arguments: str | Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "depthcli", *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Every file without measured times, hidden ones included."""
-    others = (*REPORT_FILES, RECORD_FILE)
-    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in others)
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
-
-
 def report(folder: Path) -> dict[str, str]:
-    return {row["scene"]: row["status"] for row in json.loads((folder / "report.json").read_text())["scenes"]}
+    return {row["scene"]: row["status"] for row in rows(folder)}
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +67,7 @@ def test_a_killed_process_leaves_its_scenes_to_be_done_again(made_scenes: Path, 
     out = tmp_path / "run"
     common = ("stereo", FAST, "-i", made_scenes, "-o", out)
     victim = start(*common)
-    end = time.monotonic() + 60
-    while not list(out.glob(f"*/{RECORD_FILE}")) and time.monotonic() < end:
-        time.sleep(0.002)
+    wait_for(out, 1, victim)
     victim.send_signal(signal.SIGKILL)
     victim.communicate()
     assert run(*common, "-q") == 0
