@@ -10,7 +10,7 @@
    sparsification ``curves`` of the confidence maps. All that is known of one map is a ``MapResult``.
 4. ``comparison``: a ``Section`` holds the results of one data set under one protocol, with means and ranks by the
    protocol's rule and the tests of ``statistics``; an ``EvaluationReport`` all sections.
-5. ``tables`` arranges the numbers, ``render`` writes any table as text, Markdown, LaTeX, CSV or HTML, ``plots`` draws.
+5. ``tables`` arranges the numbers, ``render`` writes any table as text, Markdown, LaTeX or CSV, ``plots`` draws.
    A protocol's words, units and colors are its ``Presentation``. The page and the contact sheet (room ``report``) are
    viewers, which get the maps while they are scored.
 
