@@ -21,6 +21,7 @@ from depthcli.commands._shared_options import (
     MaxDisparityOption,
     Printing,
     ScenesOption,
+    option,
     parse_bytes,
 )
 from depthcli.core.errors import ConfigError
@@ -38,7 +39,7 @@ class SceneOptions:
     """The options that name the files of a single scene, for messages."""
 
     input: InputOption = None
-    name: Annotated[str | None, Option(metavar="NAME", help="Name of a single scene. Default: from its file.")] = None
+    name: str | None = option(None, metavar="NAME", help="Name of a single scene. Default: from its file.")
     layout: LayoutOption = None
     scenes: ScenesOption = None
 
@@ -54,41 +55,33 @@ class PairOptions(SceneOptions):
 
     single_files: ClassVar[str] = "--left FILE and --right FILE"
 
-    left: Annotated[
-        Path | None, Option(metavar="FILE", help="Left image, pattern, folder or video; replaces --input.")
-    ] = None
-    right: Annotated[Path | None, Option(metavar="FILE", help="Right image, likewise.")] = None
+    left: Path | None = option(None, metavar="FILE", help="Left image, pattern, folder or video; replaces --input.")
+    right: Path | None = option(None, metavar="FILE", help="Right image, likewise.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RangeOptions(PairOptions):
     """Image pairs with what else is known of them: calibration and search range, which override keys of the config."""
 
-    calibration: Annotated[
-        Path | None, Option(metavar="FILE", help="Calibration, for pairs that are not rectified.")
-    ] = None
-    unit: Annotated[
-        str | None, Option(metavar="UNIT", help="Unit of an OpenCV calibration's translation: m, cm or mm.")
-    ] = None
+    calibration: Path | None = option(None, metavar="FILE", help="Calibration, for pairs that are not rectified.")
+    unit: str | None = option(None, metavar="UNIT", help="Unit of an OpenCV calibration's translation: m, cm or mm.")
     max_disparity: MaxDisparityOption = None
-    min_disparity: Annotated[
-        str | None, Option(metavar="N", help="Smallest disparity searched, or auto. Default: 0.")
-    ] = None
+    min_disparity: str | None = option(None, metavar="N", help="Smallest disparity searched, or auto. Default: 0.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CodingOptions:
     """How the maps of other runs are named and coded."""
 
-    pattern: Annotated[
-        list[str] | None, Option(metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=...")
-    ] = None
-    scale: Annotated[
-        list[str] | None, Option(metavar="CODES", help="Codes per pixel of integer maps. Of one run: NAME=...")
-    ] = None
-    invalid: Annotated[
-        list[str] | None, Option(metavar="VALUE", help="Value of maps that means none, or nan. Of one run: NAME=...")
-    ] = None
+    pattern: list[str] | None = option(
+        None, metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=..."
+    )
+    scale: list[str] | None = option(
+        None, metavar="CODES", help="Codes per pixel of integer maps. Of one run: NAME=..."
+    )
+    invalid: list[str] | None = option(
+        None, metavar="VALUE", help="Value of maps that means none, or nan. Of one run: NAME=..."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,8 +90,8 @@ class FrameOptions(SceneOptions):
 
     single_files: ClassVar[str] = "--color FILE and --depth FILE"
 
-    color: Annotated[Path | None, Option(metavar="FILE", help="Color image, instead of --input.")] = None
-    depth: Annotated[Path | None, Option(metavar="FILE", help="Depth map, registered to --color if given.")] = None
+    color: Path | None = option(None, metavar="FILE", help="Color image, instead of --input.")
+    depth: Path | None = option(None, metavar="FILE", help="Depth map, registered to --color if given.")
 
 
 def _local(output: Path | None) -> Path | None:
@@ -115,28 +108,18 @@ class RunOptions(Printing):
     """
 
     output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder to write into.", callback=_local)]
-    overwrite: Annotated[bool, Option("--overwrite", help="Replace an earlier run that had another config.")] = False
-    keep: Annotated[
-        str | None, Option(metavar="NAMES", help="Files kept, as disp_left.pfm,status.png. Default: all.")
-    ] = None
-    jobs: Annotated[
-        int, Option("--jobs", "-j", metavar="N", min=1, max=512, help="Scenes at a time, each in a process.")
-    ] = 1
-    threads: Annotated[
-        int | None, Option(metavar="N", min=1, max=1024, help="Threads of a process. Default: cores / --jobs.")
-    ] = None
-    max_memory: Annotated[
-        str | None, Option(metavar="SIZE", help="Memory to use, such as 2GiB. Default: all free.")
-    ] = None
-    shard: Annotated[str | None, Option(metavar="I/N", help="Compute part I of N. Default: from Slurm.")] = None
-    scheduler: Annotated[
-        str | None, Option(metavar="ADDRESS", help="tcp://HOST:PORT of a dask.distributed cluster.")
-    ] = None
-    fail_fast: Annotated[bool, Option("--fail-fast", help="Stop at the first scene that fails.")] = False
-    list_scenes: Annotated[bool, Option("--list-scenes", help="Print the names of the scenes; compute nothing.")] = (
-        False
+    overwrite: bool = option(False, "--overwrite", help="Replace an earlier run that had another config.")
+    keep: str | None = option(None, metavar="NAMES", help="Files kept, as disp_left.pfm,status.png. Default: all.")
+    jobs: int = option(1, "--jobs", "-j", metavar="N", min=1, max=512, help="Scenes at a time, each in a process.")
+    threads: int | None = option(
+        None, metavar="N", min=1, max=1024, help="Threads of a process. Default: cores / --jobs."
     )
-    dry_run: Annotated[bool, Option("--dry-run", help="Print config, scenes and memory; compute nothing.")] = False
+    max_memory: str | None = option(None, metavar="SIZE", help="Memory to use, such as 2GiB. Default: all free.")
+    shard: str | None = option(None, metavar="I/N", help="Compute part I of N. Default: from Slurm.")
+    scheduler: str | None = option(None, metavar="ADDRESS", help="tcp://HOST:PORT of a dask.distributed cluster.")
+    fail_fast: bool = option(False, "--fail-fast", help="Stop at the first scene that fails.")
+    list_scenes: bool = option(False, "--list-scenes", help="Print the names of the scenes; compute nothing.")
+    dry_run: bool = option(False, "--dry-run", help="Print config, scenes and memory; compute nothing.")
     flag: FlagOption = None
     fail_flagged: FailFlaggedOption = False
     evaluate: bool = False
@@ -174,8 +157,40 @@ class RunOptions(Printing):
 class ScoredRunOptions(RunOptions):
     """The options of a run whose results can be compared with ground truth of its input."""
 
-    evaluate: Annotated[bool, Option("--evaluate", help="Compare the results with the input's ground truth.")] = False
+    evaluate: bool = option(False, "--evaluate", help="Compare the results with the input's ground truth.")
     html: HtmlOption = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleOptions:
+    """The scenes that are generated; each kind takes some of the options."""
+
+    count: int = option(6, "--count", "-n", metavar="N", min=1, max=10_000, help="Number of scenes.")
+    kind: list[str] | None = option(
+        None,
+        "--kind",
+        metavar="KIND",
+        help="planes, foreground, repetitive, curved, street; repeatable. Default: the first four.",
+    )
+    seed: int = option(0, metavar="N", min=0, max=2**31 - 1, help="Seed of the first scenes.")
+    width: int = option(400, metavar="N", min=16, max=8192, help="Width, pixels.")
+    height: int = option(300, metavar="N", min=16, max=8192, help="Height, pixels.")
+    max_disparity: int = option(48, metavar="N", min=4, max=4096, help="At most width / 2.")
+    noise: float = option(0.0, metavar="LEVELS", min=0, max=100, help="Standard deviation of noise, in levels.")
+    radiometric: float = option(0.0, metavar="SHARE", min=0, max=1, help="Change of light in the right image.")
+    brightness: float = option(1.0, metavar="SHARE", min=0, max=1, help="Factor on all levels; 0.08: a night scene.")
+    wall_contrast: float = option(1.0, metavar="SHARE", min=0, max=1, help="Texture of the walls, 0 (bare) to 1.")
+    cross_modal: bool = option(False, "--cross-modal", help="Right image as an infrared camera's.")
+    kinect: bool = option(False, "--kinect", help="Color, and depth as a Kinect measures it.")
+    registration: bool = option(False, "--registration", help="Volumes with a known smooth registration error.")
+    transparent: bool = option(False, "--transparent", help="Transparent objects, with sparse depth.")
+    speckles: float = option(0.0, metavar="SHARE", min=0, max=1, help="Share of the right pixels with a dot.")
+    frames: int = option(10, metavar="N", min=0, max=100_000, help="Frames of a sequence; 0: none.")
+    fattening: int = option(4, metavar="PIXELS", min=0, max=64, help="How far foreground is widened.")
+    share: float = option(0.02, metavar="SHARE", min=0, max=1, help="Share of the pixels with sparse depth.")
+    outliers: float = option(0.1, metavar="SHARE", min=0, max=1, help="Share of it that is wrong.")
+    at_edges: bool = option(False, "--at-edges", help="Sparse depth along edges of color only.")
+    from_: Path | None = option(None, "--from", metavar="DIR", help="Make them from the scenes of this folder instead.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,34 +199,29 @@ class BoardOptions:
 
     board: Annotated[str, Option(metavar="BOARD", help="COLUMNSxROWS: inner corners; charuco:COLUMNSxROWS: squares.")]
     square: Annotated[str, Option(metavar="LENGTH", help="Edge of a square, with its unit (mm, cm, m).")]
-    marker: Annotated[str | None, Option(metavar="LENGTH", help="Edge of a marker of a ChArUco board.")] = None
-    dictionary: Annotated[str, Option(metavar="NAME", help="Markers of a ChArUco board.")] = "4X4_50"
+    marker: str | None = option(None, metavar="LENGTH", help="Edge of a marker of a ChArUco board.")
+    dictionary: str = option("4X4_50", metavar="NAME", help="Markers of a ChArUco board.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RectifyOptions:
     """By what pairs are rectified."""
 
-    calibration: Annotated[
-        list[Path] | None,
-        Option(
-            metavar="FILE",
-            help="Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain or KITTI "
-            "calib_cam_to_cam; repeatable.",
-        ),
-    ] = None
-    uncalibrated: Annotated[
-        bool, Option("--uncalibrated", help="Rectify by matched key points alone; depths stay unknown.")
-    ] = False
-    unit: Annotated[
-        str, Option(metavar="UNIT", help="Unit of the translation in an OpenCV calibration: m, cm or mm.")
-    ] = "m"
-    fisheye: Annotated[bool, Option("--fisheye", help="The lenses of an OpenCV file are fisheye.")] = False
-    cameras: Annotated[str, Option(metavar="L,R", help="Numbers of the left and right camera in a KITTI file.")] = "2,3"
-    alpha: Annotated[
-        float,
-        Option(metavar="SHARE", min=0, max=1, help="0: keep only what both images show; 1: keep all of both."),
-    ] = 0.0
+    calibration: list[Path] | None = option(
+        None,
+        metavar="FILE",
+        help="Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain or KITTI "
+        "calib_cam_to_cam; repeatable.",
+    )
+    uncalibrated: bool = option(
+        False, "--uncalibrated", help="Rectify by matched key points alone; depths stay unknown."
+    )
+    unit: str = option("m", metavar="UNIT", help="Unit of the translation in an OpenCV calibration: m, cm or mm.")
+    fisheye: bool = option(False, "--fisheye", help="The lenses of an OpenCV file are fisheye.")
+    cameras: str = option("2,3", metavar="L,R", help="Numbers of the left and right camera in a KITTI file.")
+    alpha: float = option(
+        0.0, metavar="SHARE", min=0, max=1, help="0: keep only what both images show; 1: keep all of both."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,36 +232,24 @@ class MapOptions:
     input: InputOption = None
     layout: LayoutOption = None
     scenes: ScenesOption = None
-    left: Annotated[Path | None, Option(metavar="FILE", help="Left image of a single map, for the point cloud.")] = None
-    calibration: Annotated[
-        Path | None, Option(metavar="FILE", help="Calibration of all scenes: calib.txt, or KITTI's.")
-    ] = None
-    focal: Annotated[
-        float | None, Option(metavar="PIXELS", min=1e-6, help="Focal length, if there is no calibration.")
-    ] = None
-    baseline: Annotated[
-        float | None, Option(metavar="METERS", min=1e-9, help="Distance of the cameras, with --focal.")
-    ] = None
-    doffs: Annotated[
-        float | None, Option(metavar="PIXELS", help="x of the right principal point minus the left one's.")
-    ] = None
+    left: Path | None = option(None, metavar="FILE", help="Left image of a single map, for the point cloud.")
+    calibration: Path | None = option(None, metavar="FILE", help="Calibration of all scenes: calib.txt, or KITTI's.")
+    focal: float | None = option(None, metavar="PIXELS", min=1e-6, help="Focal length, if there is no calibration.")
+    baseline: float | None = option(None, metavar="METERS", min=1e-9, help="Distance of the cameras, with --focal.")
+    doffs: float | None = option(None, metavar="PIXELS", help="x of the right principal point minus the left one's.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CloudOptions:
     """Which pixels get a depth, and which are points of a cloud."""
 
-    mask: Annotated[
-        str | None,
-        Option(
-            metavar="WHICH",
-            help="Pixels that get a depth: all, measured, or confident:0.8, the 80 % of the measured ones with the "
-            "highest confidence (confident:0.8:NAME of several). Default: all, in clouds measured.",
-        ),
-    ] = None
-    ply: Annotated[bool, Option("--ply", help="Also write a colored point cloud of every scene.")] = False
-    near: Annotated[float, Option(metavar="METERS", min=0, help="Nearest depth of point clouds.")] = 0.0
-    far: Annotated[float | None, Option(metavar="METERS", min=0, help="Farthest depth of point clouds.")] = None
-    depth_scale: Annotated[float, Option(metavar="CODES", min=1e-3, max=1e6, help="Codes per meter in depth.png.")] = (
-        1000.0
+    mask: str | None = option(
+        None,
+        metavar="WHICH",
+        help="Pixels that get a depth: all, measured, or confident:0.8, the 80 % of the measured ones with the "
+        "highest confidence (confident:0.8:NAME of several). Default: all, in clouds measured.",
     )
+    ply: bool = option(False, "--ply", help="Also write a colored point cloud of every scene.")
+    near: float = option(0.0, metavar="METERS", min=0, help="Nearest depth of point clouds.")
+    far: float | None = option(None, metavar="METERS", min=0, help="Farthest depth of point clouds.")
+    depth_scale: float = option(1000.0, metavar="CODES", min=1e-3, max=1e6, help="Codes per meter in depth.png.")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from depthcli.commands._batch import run_batch
+from depthcli.commands._options import SampleOptions
 from depthcli.core.errors import ConfigError
 from depthcli.core.result import Clock
 from depthcli.run.batch import Batch, Outcome
@@ -21,24 +21,20 @@ _BY_SCENE = frozenset({"count", "kind", "seed", "from_"})
 """Options that choose scenes and say nothing about one of them beyond its settings."""
 
 
-def prepare(values: Mapping[str, Any], command: Callable[..., int]) -> tuple[Sample, list[SampleScene]]:
+def prepare(options: SampleOptions) -> tuple[Sample, list[SampleScene]]:
     """Return the batch that generates scenes of the kind that the options name, and these scenes.
-
-    Parameters
-    ----------
-    values : of all options of ``command``, whose defaults those have that a kind does not take
 
     Raises
     ------
     ConfigError
         Several kinds, or options that the kind does not take or that do not fit together.
     """
+    values, defaults = vars(options), {each.name: each.default for each in fields(options)}
     chosen = [name for name in SAMPLE_KINDS if values.get(name)]
     if len(chosen) > 1:
         raise ConfigError(f"--{chosen[0]} and --{chosen[1]} exclude each other".replace("_", "-"))
     name = chosen[0] if chosen else "stereo"
     kind = SAMPLE_KINDS[name]
-    defaults = {option: each.default for option, each in inspect.signature(command).parameters.items()}
     for other in {option for each in SAMPLE_KINDS.values() for option in each.options}.difference(kind.options):
         if values[other] not in (defaults[other], []):
             option = other.rstrip("_").replace("_", "-")

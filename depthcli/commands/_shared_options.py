@@ -10,7 +10,7 @@ import functools
 import inspect
 import re
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, get_type_hints
@@ -55,13 +55,18 @@ PluginOption: TypeAlias = Annotated[
 """Read by ``cli`` before all else, since the file may hold the command itself."""
 
 
+def option(default: Any, *names: str, **settings: Any) -> Any:
+    """Return a field of a group that is an option of its own, described as by ``typer.Option``."""
+    return field(default=default, metadata={"option": Option(*names, **settings)})
+
+
 @dataclass(frozen=True, kw_only=True)
 class Printing:
     """What a command prints."""
 
-    json: Annotated[bool, Option("--json", help="Print one JSON document instead of a table.")] = False
-    verbose: Annotated[bool, Option("--verbose", "-v", help="Print details on stderr.")] = False
-    quiet: Annotated[bool, Option("--quiet", "-q", help="Print only errors, and no table.")] = False
+    json: bool = option(False, "--json", help="Print one JSON document instead of a table.")
+    verbose: bool = option(False, "--verbose", "-v", help="Print details on stderr.")
+    quiet: bool = option(False, "--quiet", "-q", help="Print only errors, and no table.")
 
     @cached_property
     def reporter(self) -> Reporter:
@@ -73,14 +78,12 @@ class Printing:
 class TableOptions:
     """Which tables of an evaluation are printed, and how."""
 
-    tables: Annotated[
-        str | None, Option(metavar="NAMES", help="Tables to print: all, or metrics,scenes-nonocc ... or headline.")
-    ] = None
-    format: Annotated[str | None, Option(metavar="FORMAT", help="Print wide tables: latex, markdown or csv.")] = None
-    columns: Annotated[str | None, Option(metavar="NAMES", help="Of the tables, print only these columns.")] = None
-    caption: Annotated[str | None, Option(metavar="TEXT", help="Caption of the one table that --tables chooses.")] = (
-        None
+    tables: str | None = option(
+        None, metavar="NAMES", help="Tables to print: all, or metrics,scenes-nonocc ... or headline."
     )
+    format: str | None = option(None, metavar="FORMAT", help="Print wide tables: latex, markdown or csv.")
+    columns: str | None = option(None, metavar="NAMES", help="Of the tables, print only these columns.")
+    caption: str | None = option(None, metavar="TEXT", help="Caption of the one table that --tables chooses.")
 
 
 def parse_bytes(text: str, option: str = "--max-memory") -> int:
@@ -103,12 +106,15 @@ def with_groups(function: Callable[..., int]) -> Callable[..., int]:
         if not is_dataclass(kind):
             parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind))
             continue
-        types = get_type_hints(kind, include_extras=True)
-        own = [field for field in fields(kind) if hasattr(types[field.name], "__metadata__")]
-        groups[name] = kind, [field.name for field in own]  # type: ignore[assignment]
-        for field in own:
-            default = inspect.Parameter.empty if field.default is MISSING else field.default
-            parameters.append(make(field.name, default=default, annotation=types[field.name]))
+        types, own = get_type_hints(kind, include_extras=True), []
+        for each in fields(kind):
+            described = each.metadata.get("option")
+            annotation = types[each.name] if described is None else Annotated[types[each.name], described]
+            if hasattr(annotation, "__metadata__"):
+                default = inspect.Parameter.empty if each.default is MISSING else each.default
+                parameters.append(make(each.name, default=default, annotation=annotation))
+                own.append(each.name)
+        groups[name] = kind, own  # type: ignore[assignment]
 
     @functools.wraps(function)
     def callback(**values: Any) -> int:

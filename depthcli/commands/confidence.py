@@ -21,24 +21,18 @@ def confidence(
     pairs: PairOptions,
     run: ScoredRunOptions,
     coding: CodingOptions,
-    maps: Annotated[
-        str, Option("--maps", metavar="RUN", help="Run folder, or map, that is judged; NAME=DIR names it.")
-    ],
+    maps: Annotated[str, Option(metavar="RUN", help="Run folder, or map, that is judged; NAME=DIR names it.")],
     witness: Annotated[
-        list[str] | None,
-        Option("--witness", metavar="RUN", help="Run folder with maps of another method; repeatable."),
+        list[str] | None, Option(metavar="RUN", help="Run folder with maps of another method; repeatable.")
     ] = None,
-    right_maps: Annotated[
-        str | None, Option("--right-maps", metavar="RUN", help="Run folder, or map, of the right views.")
-    ] = None,
+    right_maps: Annotated[str | None, Option(metavar="RUN", help="Run folder, or map, of the right views.")] = None,
     max_disparity: MaxDisparityOption = None,
     within: WithinOption = 1.0,
     measure: Annotated[
-        list[str] | None, Option("--measure", metavar="NAME", help="Also write this measure, or all; repeatable.")
+        list[str] | None, Option(metavar="NAME", help="Also write this measure, or all; repeatable.")
     ] = None,
     threshold: Annotated[
-        float | None,
-        Option("--threshold", metavar="P", min=0, max=1, help="Smallest confidence of a pixel in disp_left."),
+        float | None, Option(metavar="P", min=0, max=1, help="Smallest confidence of a pixel in disp_left.")
     ] = None,
 ) -> int:
     """Judge the map of every scene; ``--keep SHARE`` and ``--threshold`` leave doubtful pixels out of disp_left."""

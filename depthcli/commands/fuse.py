@@ -28,8 +28,7 @@ def fuse(
     coding: CodingOptions,
     set: SetOption = None,
     maps: Annotated[
-        list[str] | None,
-        Option("--maps", metavar="RUN", help="With maps: run folder, or map; repeatable; NAME=DIR names it."),
+        list[str] | None, Option(metavar="RUN", help="With maps: run folder, or map; repeatable; NAME=DIR names it.")
     ] = None,
     within: WithinOption = 1.0,
     surfaces: Annotated[bool, Option("--surfaces", help="With maps: also propose planes of segments; slower.")] = False,

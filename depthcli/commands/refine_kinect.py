@@ -23,16 +23,14 @@ def refine_kinect(
     set: SetOption = None,
     ply: Annotated[bool, Option("--ply", help="Also write a colored point cloud of every frame.")] = False,
     intrinsics: Annotated[
-        str | None, Option("--intrinsics", metavar="NUMBERS", help="Of the color camera, pixels: fx,fy,cx,cy.")
+        str | None, Option(metavar="NUMBERS", help="Of the color camera, pixels: fx,fy,cx,cy.")
     ] = None,
     depth_intrinsics: Annotated[
-        str | None, Option("--depth-intrinsics", metavar="NUMS", help="Of the depth camera, if not registered.")
+        str | None, Option(metavar="NUMS", help="Of the depth camera, if not registered.")
     ] = None,
-    mask: Annotated[
-        str | None, Option("--mask", metavar="WHICH", help="Pixels of clouds: all, measured, confident:0.8.")
-    ] = None,
-    near: Annotated[float | None, Option("--near", metavar="METERS", help="Nearest depth of point clouds.")] = None,
-    far: Annotated[float | None, Option("--far", metavar="METERS", help="Farthest depth of point clouds.")] = None,
+    mask: Annotated[str | None, Option(metavar="WHICH", help="Pixels of clouds: all, measured, confident:0.8.")] = None,
+    near: Annotated[float | None, Option(metavar="METERS", help="Nearest depth of point clouds.")] = None,
+    far: Annotated[float | None, Option(metavar="METERS", help="Farthest depth of point clouds.")] = None,
 ) -> int:
     """Refine single frames, or sequences where the method carries state from frame to frame."""
     from depthcli.commands._refine_kinect import prepare, run_batch

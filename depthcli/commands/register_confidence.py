@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 from typer import Option
 
 from depthcli.commands._options import SceneOptions, ScoredRunOptions
-from depthcli.commands._shared_options import ConfigArgument, SetOption
+from depthcli.commands._shared_options import ConfigArgument, SetOption, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,19 +23,13 @@ class VolumeOptions(SceneOptions):
 
     single_files: ClassVar[str] = "--fixed FILE and --warped FILE"
 
-    fixed: Annotated[Path | None, Option(metavar="FILE", help="Fixed volume, instead of --input.")] = None
-    warped: Annotated[
-        Path | None, Option(metavar="FILE", help="Moving volume after registration, on the fixed grid.")
-    ] = None
-    moving: Annotated[
-        Path | None, Option(metavar="FILE", help="Moving volume, with --displacement or --transform.")
-    ] = None
-    displacement: Annotated[Path | None, Option(metavar="FILE", help="Displacement field of the registration.")] = None
-    transform: Annotated[Path | None, Option(metavar="FILE", help="Transform of the registration.")] = None
-    apply: Annotated[
-        str | None, Option(metavar="WHICH", help="With both files: displacement, transform, or both (ANTs).")
-    ] = None
-    mask: Annotated[Path | None, Option(metavar="FILE", help="Mask of the fixed volume.")] = None
+    fixed: Path | None = option(None, metavar="FILE", help="Fixed volume, instead of --input.")
+    warped: Path | None = option(None, metavar="FILE", help="Moving volume after registration, on the fixed grid.")
+    moving: Path | None = option(None, metavar="FILE", help="Moving volume, with --displacement or --transform.")
+    displacement: Path | None = option(None, metavar="FILE", help="Displacement field of the registration.")
+    transform: Path | None = option(None, metavar="FILE", help="Transform of the registration.")
+    apply: str | None = option(None, metavar="WHICH", help="With both files: displacement, transform, or both (ANTs).")
+    mask: Path | None = option(None, metavar="FILE", help="Mask of the fixed volume.")
 
 
 def register_confidence(
@@ -44,8 +38,7 @@ def register_confidence(
     run: ScoredRunOptions,
     set: SetOption = None,
     field: Annotated[
-        str | None,
-        Option("--field", metavar="NAME", help="Convention of the field: auto, itk, ants, niftyreg, voxels."),
+        str | None, Option(metavar="NAME", help="Convention of the field: auto, itk, ants, niftyreg, voxels.")
     ] = None,
     neurological: Annotated[
         bool, Option("--neurological", help="Show the patient's right on the right in pictures.")

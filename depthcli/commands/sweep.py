@@ -20,23 +20,18 @@ from depthcli.commands._shared_options import ConfigArgument, HtmlOption, Layout
 
 def sweep(
     config: ConfigArgument,
-    over: Annotated[
-        list[str],
-        Option("--over", metavar="KEY=VALUES", help="KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable."),
-    ],
+    over: Annotated[list[str], Option(metavar="KEY=VALUES", help="KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable.")],
     input: Annotated[Path, Option("--input", "-i", metavar="DIR", help="Folder of scenes.")],
     run: RunOptions,
-    command: Annotated[str, Option("--command", metavar="COMMAND", help="The command of CONFIG.")] = "stereo",
-    random: Annotated[
-        int | None, Option("--random", metavar="N", min=1, help="Draw N combinations at random, not all.")
-    ] = None,
-    seed: Annotated[int, Option("--seed", metavar="N", min=0, help="Seed of --random.")] = 0,
+    command: Annotated[str, Option(metavar="COMMAND", help="The command of CONFIG.")] = "stereo",
+    random: Annotated[int | None, Option(metavar="N", min=1, help="Draw N combinations at random, not all.")] = None,
+    seed: Annotated[int, Option(metavar="N", min=0, help="Seed of --random.")] = 0,
     layout: LayoutOption = None,
     scenes: ScenesOption = None,
     set: SetOption = None,
     html: HtmlOption = False,
     html_budget: Annotated[
-        str, Option("--html-budget", metavar="SIZE", help="Size of its pictures beyond which they are scaled down.")
+        str, Option(metavar="SIZE", help="Size of its pictures beyond which they are scaled down.")
     ] = "50MB",
 ) -> int:
     """Run every combination, evaluate all runs, and print the runs by their figure and the effect of every key."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from depthcli.commands.sample import sample as sample_command
+from depthcli.commands._options import SampleOptions
 from depthcli.core.method import Family
 from depthcli.evaluation.protocols import load, missing_scores, picture
 from depthcli.evaluation.scores import MapResult
@@ -68,7 +67,7 @@ def test_protocols(name: str, made_scenes: Path):
 def test_samples_are_found_with_their_truth_and_are_the_same_again(name: str, tmp_path: Path):
     sample = SAMPLE_KINDS[name]
     small = {"count": 2, "width": 96, "height": 64, "max_disparity": 12}
-    defaults = {key: each.default for key, each in inspect.signature(sample_command).parameters.items()}
+    defaults = vars(SampleOptions())
     given = {key: small.get(key, defaults[key]) for key in sample.options}
     scenes, written = sample_scenes(name, given), []
     for root in (tmp_path / "once", tmp_path / "twice"):
