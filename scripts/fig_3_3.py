@@ -25,6 +25,7 @@ from depthcli.evaluation.plots import Line, line_plot
 from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number, Table
+from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
@@ -56,7 +57,7 @@ def main() -> None:
     rates: dict[tuple[str, str, int, str], list[float]] = {}
     scenes, judge = discover_scenes(options.data), MiddleburyV2Protocol()
     for scene in scenes:
-        pair, truth = scene.load(), judge.truth(scene)
+        pair, truth = load_pair(scene), judge.truth(scene)
         for similarity, cost in costs.items():
             volume = cost(pair, scene.max_disparity + 1)
             for way, aggregate in ways.items():

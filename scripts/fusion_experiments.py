@@ -24,7 +24,8 @@ from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.protocols import headlines, load
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.statistics import compare
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
+from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps, measures
@@ -47,7 +48,7 @@ def preset(name: str, **fields: Any) -> dict[str, Any]:
 def confidences(scenes: list[StereoScene]) -> None:
     """Print a table a scene: a row a measure, a column a cost."""
     for scene in (scene for scene in scenes if scene.name.rpartition("/")[2] in ("Teddy", "Cones")):
-        pair, truth, top = scene.load(), load(V2)().truth(scene).values, scene.max_disparity or 0
+        pair, truth, top = load_pair(scene), load(V2)().truth(scene).values, scene.max_disparity or 0
         found: dict[str, tuple[Any, dict[str, Any]]] = {}  # column -> disparities, and confidences by name
         for cost in ALL:
             volume = Fusion.model_validate({"measures": [cost], **EQUAL, "aggregation": None}).measures[0].cost
@@ -85,7 +86,7 @@ def fusion(scenes: list[StereoScene]) -> None:
     models = {name: with_network(Fusion.model_validate(config)) for name, config in configs.items()}
     judge = load(V2)()
     for scene in scenes:
-        pair, truth = scene.load(), judge.truth(scene)
+        pair, truth = load_pair(scene), judge.truth(scene)
         for name, model in models.items():
             values = model(pair, scene.max_disparity or 255).disparity.values
             rates[name].append(headlines(judge, values, truth)["nonocc"])

@@ -27,6 +27,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.evaluation import protocols
 from depthcli.evaluation.curves import HiddenPixels, reliability, sparsification
+from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.given_maps import judge
 from depthcli.methods.given_maps.fusion import fuse
@@ -138,7 +139,7 @@ def main() -> int:
     for folder, scene in real_scenes(options.data, options.group):
         if folder != "kitti":
             protocol = protocols.load("middlebury_v3" if folder == "middlebury_v3" else "middlebury_v2")
-            pair = scene.load()
+            pair = load_pair(scene)
             of_set = sums.setdefault(folder, Sums())
             of_set.add(pair, scene.max_disparity, protocol().truth(scene), maps(folder, scene, pair))
             print(f"{folder} {scene.name}", file=sys.stderr)
@@ -148,7 +149,7 @@ def main() -> int:
     header = ["set", *FUSED, "fused", "fused, surfaces", "SGBM + WLS", "SGBM refined", "over the best", "worst scene"]
     show("Fusions", header, [[folder, *each.fused()] for folder, each in sums.items()])
     (scene,) = discover_scenes(options.data / "middlebury_v2", patterns=["Teddy"])
-    pair = scene.load()
+    pair = load_pair(scene)
     jobs = jobs_of(pair, scene.max_disparity, maps("middlebury_v2", scene, pair))
     taken = {name: float(np.median(found)) for name, found in seconds_in_turns(jobs, 7).items()}
     print("time, SGBM = 1: " + ", ".join(f"{name} {seconds / taken['SGBM']:.1f}" for name, seconds in taken.items()))

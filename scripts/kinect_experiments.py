@@ -32,8 +32,9 @@ from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.frames import RgbdFrame, color8
 from depthcli.evaluation.render import Number
 from depthcli.io.formats.images import read_image
-from depthcli.io.scenes.rgbd import RgbdScene
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.rgbd_frames import load_frame
+from depthcli.io.scenes import RgbdScene, StereoScene
+from depthcli.io.stereo_pairs import true_disparity
 from depthcli.io.walk import discover_scenes
 from depthcli.run.presets import list_presets
 from depthcli.simulate.depth_sensor import KinectSample, Sensor, simulate_kinect
@@ -76,7 +77,7 @@ def images(data: Path, folder: str) -> Iterator[tuple[str, NDArray[np.uint8], Ma
     """Yield name, color image and true disparity of the scenes of a set."""
     for scene in discover_scenes(data / folder, (StereoScene,)):
         if scene.has_truth:
-            yield scene.name, color8(read_image(scene.left)), scene.truth().disparity
+            yield scene.name, color8(read_image(scene.left)), true_disparity(scene).disparity
 
 
 def errors_of(run: Refine | None, made: KinectSample) -> Map:
@@ -161,7 +162,7 @@ def _real_frames(data: Path) -> list[tuple[str, RgbdFrame]]:
             if isinstance(scene, RgbdScene):
                 if folder.name == "rgbd_tum":
                     scene = replace(scene, depth_scale=5000.0)
-                frames.append((f"{scene.folder.parent.name}/{scene.name}", scene.load()))
+                frames.append((f"{scene.folder.parent.name}/{scene.name}", load_frame(scene)))
     return frames
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from depthcli.evaluation.protocols import headlines, picture
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.io.formats.disparity import read_disparity
+from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
 
 OUTPUT = _env.ROOT / "docs" / "static" / "overview.png"
@@ -40,7 +41,7 @@ def main() -> int:
         run("sample", "--output", scenes, "--count", "1", "--kind", options.kind, "--seed", options.seed,
             "--width", WIDTH, "--height", HEIGHT, "--noise", "2", "--radiometric", "0.1")  # fmt: skip
         (scene,) = discover_scenes(scenes)
-        left, truth = scene.load().left, protocol.truth(scene)
+        left, truth = load_pair(scene).left, protocol.truth(scene)
         panels = [left]
         for preset in ("accurate", "opencv-sgbm"):
             run("stereo", preset, "--input", scenes, "--output", Path(scratch) / preset)

@@ -28,7 +28,8 @@ from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.volumes import simple_itk
-from depthcli.io.scenes.volume_pair import VolumePairScene
+from depthcli.io.scenes import VolumePairScene
+from depthcli.io.volume_pairs import load_volumes, true_errors
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.pipeline import RegistrationResult
@@ -63,7 +64,7 @@ def at_points(result: RegistrationResult, values: NDArray[np.float32], places: N
 def real(scenes: list[VolumePairScene], presets: Iterable[str]) -> Table:
     rows = []
     for scene in scenes:
-        loaded, truth = scene.load(), scene.truth()
+        loaded, truth = load_volumes(scene), true_errors(scene)
         places = loaded.grid.to_index(truth.points)
         for preset in presets:
             result = pipeline(preset)(loaded.pair)
@@ -122,7 +123,7 @@ def synthetic(scenes: list[VolumePairScene]) -> Table:
     methods = {"mind": pipeline("mind"), "intensity": pipeline("intensity"), "cost0": pipeline("mind", "measure=cost0")}
     by_volume = {scene.name.rsplit("_", 1)[0].split("_cyc")[0]: scene for scene in reversed(scenes)}
     for base, scene in by_volume.items():
-        pair = scene.load().pair
+        pair = load_volumes(scene).pair
         inside = np.ones(pair.shape, np.bool_) if pair.mask is None else pair.mask
         places = np.argwhere(inside)[:: max(1, int(inside.sum()) // 20_000)].astype(np.float64)
         for k, largest in enumerate((3.0, 6.0, 10.0)):
@@ -139,7 +140,7 @@ def baselines(scenes: list[VolumePairScene]) -> Table:
 
     rows = []
     for scene in scenes:
-        loaded, truth = scene.load(), scene.truth()
+        loaded, truth = load_volumes(scene), true_errors(scene)
         places = loaded.grid.to_index(truth.points)
         fixed = loaded.pair.fixed
         mean = gaussian(fixed, 3.0)

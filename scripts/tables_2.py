@@ -22,6 +22,7 @@ from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.statistics import average_ranks
+from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
 
 SCENES = ("Tsukuba", "Venus", "Teddy", "Cones")
@@ -51,7 +52,7 @@ def main() -> None:
     ours: dict[str, list[float]] = {}
     for row, name in ROWS.items():
         for scene in (scenes[name] for name in SCENES):
-            values = matcher(name)(scene.load(), scene.max_disparity).disparity.values
+            values = matcher(name)(load_pair(scene), scene.max_disparity).disparity.values
             rates = headlines(judge, values, judge.truth(scene))
             ours.setdefault(row, []).extend(rates[mask] for mask in MASKS)
     rows = [

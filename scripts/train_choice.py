@@ -39,6 +39,7 @@ from depthcli.core.networks import TrainedNetwork
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
 from depthcli.io.formats.networks import write_network
+from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.choice.network import NetworkInputs, input_names
@@ -75,7 +76,7 @@ def scenes(data: Path) -> Iterator[TrainingScene]:
     for folder, scene in real_scenes(data, "tuning"):
         half = 1 - half
         for variant, weight in VARIANTS.items():
-            if variant != "mirrored" or scene.truth().right is not None:
+            if variant != "mirrored" or true_disparity(scene).right is not None:
                 name, step = f"{folder}_{scene.name}_{variant}", 20 if variant else 10
                 yield TrainingScene(name, half, weight, step, partial(real, scene, variant))
     for name, kind, seed, look in generated_scenes("tuning"):
@@ -96,10 +97,10 @@ def scenes(data: Path) -> Iterator[TrainingScene]:
 
 
 def real(scene: Any, variant: str) -> Loaded:
-    pair, truth = scene.load(), protocols.load("middlebury_v2")().truth(scene)
+    pair, truth = load_pair(scene), protocols.load("middlebury_v2")().truth(scene)
     disparity, masks = truth.values, dict(truth.masks)
     if variant == "mirrored":
-        stored = scene.truth()
+        stored = true_disparity(scene)
         disparity, other = (np.ascontiguousarray(one[:, ::-1]) for one in (stored.right, stored.disparity))
         masks = derive_masks(disparity, other)
         left, right = (np.ascontiguousarray(one[:, ::-1]) for one in pair.color8)

@@ -30,8 +30,9 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
 from depthcli.core.result import Clock
-from depthcli.io.scenes.rgbd import RgbdScene
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.rgbd_frames import load_frame, true_depth
+from depthcli.io.scenes import RgbdScene, StereoScene
+from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion import Fusion
@@ -54,7 +55,7 @@ HalvedScene = tuple[NDArray[np.uint8], Map, Map, NDArray[np.bool_]]
 
 def halved(files: RgbdScene) -> HalvedScene:
     """Return color, sensor, truth and mask at half size."""
-    frame, truth = files.load(), files.truth()
+    frame, truth = load_frame(files), true_depth(files)
     height, width = frame.shape
     color = cv2.resize(frame.color, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     cut = slice(0, height // 2 * 2, 2), slice(0, width // 2 * 2, 2)
@@ -110,7 +111,7 @@ def cross_modal(folders: list[Path]) -> None:
     for files in (files for folder in folders for files in discover_scenes(folder, (StereoScene,))):
         if not isinstance(files, StereoScene) or files.right is None or not files.has_truth:
             continue
-        pair, truth = files.load(), files.truth()
+        pair, truth = load_pair(files), true_disparity(files)
         scene = glass_of_pair(pair.left, pair.right, truth.disparity)
         known = np.isfinite(scene.disparity)
         visible = truth.masks.get("nonocc", known) & known

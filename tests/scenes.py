@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation import protocols
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.rgbd_frames import load_frame, true_depth
+from depthcli.io.scenes import RgbdScene, Scene, StereoScene
+from depthcli.io.stereo_pairs import load_pair, true_disparity
+from depthcli.io.volume_pairs import load_volumes, true_errors
 from depthcli.io.walk import discover_scenes
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -39,7 +42,7 @@ def real_scenes(folder: str = V2, protocol: str = "middlebury_v2") -> dict[str, 
         assert isinstance(scene, StereoScene)
         if scene.right is not None:
             assert scene.max_disparity is not None
-            found[scene.name] = RealScene(scene.load(), judge.truth(scene), scene.max_disparity)
+            found[scene.name] = RealScene(load(scene), judge.truth(scene), scene.max_disparity)
     return found
 
 
@@ -48,3 +51,17 @@ def rates(values: NDArray[Any], truth: Any, protocol: str = "middlebury_v2") -> 
     judge = protocols.load(protocol)()
     scores = judge.scores(values.astype(np.float32), truth)
     return {score.region: score.value for score in scores if score.metric == judge.headline}
+
+
+def load(scene: Scene) -> Any:
+    """The input of a method, of a scene of any kind."""
+    if isinstance(scene, StereoScene):
+        return load_pair(scene)
+    return load_frame(scene) if isinstance(scene, RgbdScene) else load_volumes(scene)
+
+
+def true(scene: Scene) -> Any:
+    """The ground truth of a scene of any kind."""
+    if isinstance(scene, StereoScene):
+        return true_disparity(scene)
+    return true_depth(scene) if isinstance(scene, RgbdScene) else true_errors(scene)

@@ -24,7 +24,8 @@ from depthcli.core.volumes import Grid
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.volumes import Slab, simple_itk, write_volume
-from depthcli.io.scenes.volume_pair import LoadedPair, VolumePairScene, blocks_of, joined, usable
+from depthcli.io.scenes import VolumePairScene
+from depthcli.io.volume_pairs import LoadedPair, blocks_of, joined, region_masks, usable
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult
 from depthcli.run.json_csv import to_csv
@@ -265,7 +266,7 @@ def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volume
     voxel = math.prod(loaded.grid.spacing) / 1000
     for file, _ in scene.regions:
         try:
-            for name, mask in scene.region_masks(file, loaded.grid):
+            for name, mask in region_masks(scene, file, loaded.grid):
                 if f"region_volume_{name}" in figures:
                     twice = f"{scene.folder}: two regions are called {name}: give one of them another name"
                     figures.setdefault(f"region_error_{file}", twice)

@@ -11,7 +11,7 @@ from depthcli.algorithms.resampling import resample
 from depthcli.core.text import side_and_distance
 from depthcli.core.volumes import ENDS, PLANES
 from depthcli.io.formats.pictures import draw_text, preview
-from depthcli.io.scenes.volume_pair import LoadedPair
+from depthcli.io.volume_pairs import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
 _MAX_SHOWN_ERROR = 10.0  # mm; this and more is dark red

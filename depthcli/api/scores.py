@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,12 +19,10 @@ from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol, scale_warning
 from depthcli.evaluation.scores import Score, find_score
 from depthcli.io.formats.images import png_bytes
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgbd import RgbdScene, RgbdTruth
-from depthcli.io.scenes.stereo import StereoScene, StereoTruth
-from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
-
-SceneT = TypeVar("SceneT", bound=Scene)
+from depthcli.io.rgbd_frames import RgbdTruth
+from depthcli.io.scenes import RgbdScene, Scene, StereoScene, VolumePairScene
+from depthcli.io.stereo_pairs import StereoTruth
+from depthcli.io.volume_pairs import RegistrationTruth
 
 _TRUTH = Path("truth")  # files of a truth in memory, for messages
 
@@ -117,8 +115,10 @@ def evaluate(
     if isinstance(estimate, Disparity | Depth | RefinedDepth):
         estimate = estimate.values
     scene: Scene
+    stored: Any
     if issubclass(judge.kind, VolumePairScene):
-        scene, values = _points(estimate, truth, mask)
+        scene = VolumePairScene(name="truth", folder=_TRUTH, fixed=_TRUTH)
+        stored, values = _points(estimate, truth, mask)
     else:
         both = as_map(truth, "truth"), as_map(estimate, "estimate")
         known, values = (np.where(np.isfinite(each), each, np.float32(np.nan)) for each in both)
@@ -134,10 +134,11 @@ def evaluate(
             front = None if objects is None else as_map(objects, "objects", shape) > 0
             noc = np.where(masks["noc"], known, np.float32(np.nan)) if "noc" in masks else None
             stored = StereoTruth(known, right, noc, front, masks)
-            scene = _with_truth(StereoScene(name="truth", folder=_TRUTH, left=_TRUTH, disparity_left=_TRUTH), stored)
+            scene = StereoScene(name="truth", folder=_TRUTH, left=_TRUTH, disparity_left=_TRUTH)
         else:
-            frame = RgbdScene(name="truth", folder=_TRUTH, color=_TRUTH, depth=_TRUTH)
-            scene = _with_truth(frame, RgbdTruth(known, masks, fb))
+            stored = RgbdTruth(known, masks, fb)
+            scene = RgbdScene(name="truth", folder=_TRUTH, color=_TRUTH, depth=_TRUTH)
+    judge.read_truth = lambda _: stored
     prepared = judge.truth(scene)
     try:
         error = judge.error(values, prepared)
@@ -157,16 +158,10 @@ def evaluate(
     )
 
 
-def _with_truth(scene: SceneT, truth: object) -> SceneT:
-    """Return the scene, whose ``truth()`` gives what is in memory instead of reading files."""
-    object.__setattr__(scene, "truth", lambda *_: truth)
-    return scene
-
-
 def _points(
     estimate: Any, truth: ArrayLike, mask: ArrayLike | Mapping[str, ArrayLike] | None
-) -> tuple[VolumePairScene, NDArray[np.float32]]:
-    """Return the true registration errors as a scene, and the expected ones at its points."""
+) -> tuple[RegistrationTruth, NDArray[np.float32]]:
+    """Return the true registration errors, and the expected ones at their points."""
     given, wanted = np.asarray(estimate), np.asarray(truth)
     if given.shape != wanted.shape or given.size == 0:
         raise InputError(f"estimate: shape {given.shape}, but the truth has {wanted.shape}")
@@ -181,5 +176,4 @@ def _points(
     stored = RegistrationTruth(grid, np.zeros((0, 3)), error)
     if wanted.ndim == 1 and inside.any():
         stored = RegistrationTruth(grid, np.zeros((int(inside.sum()), 3)), error[inside])
-    scene = VolumePairScene(name="truth", folder=_TRUTH, fixed=_TRUTH)
-    return _with_truth(scene, stored), expected[inside]
+    return stored, expected[inside]

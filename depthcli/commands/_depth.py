@@ -24,14 +24,12 @@ from depthcli.core.maps import DisparityMap, MatchedMap
 from depthcli.core.result import Clock
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
-from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.files import naming
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
 from depthcli.io.inputs import local
-from depthcli.io.scenes import Scene, check_same_size
-from depthcli.io.scenes.maps import DisparityScene
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
 from depthcli.io.walk import matches_any, scenes_with_files
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, Reporter, number, percent
@@ -87,7 +85,8 @@ class Depth(Batch[DisparityScene]):
         """Load a map with what belongs to it, choose pixels, compute their depth, save it and the cloud."""
         config, clock = self.config, Clock()
         clock.start("load")
-        disparity = scene.load()
+        scene.check()
+        disparity = read_disparity(scene.disparity)
         height, width = disparity.shape
         geometry = self._geometry(scene, disparity.shape).for_size(width, height)
         status, image = np.zeros(disparity.shape, np.uint8), None

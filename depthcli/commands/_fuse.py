@@ -15,7 +15,7 @@ from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import map_npy
 from depthcli.io.formats.networks import network_path
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.stages import PairMatcher
 

@@ -30,12 +30,13 @@ from depthcli.evaluation.map_files import (
     positive,
     recognized,
 )
-from depthcli.io.formats.files import collected_warnings
+from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
+from depthcli.io.formats.files import collected_warnings, shown, warn
 from depthcli.io.formats.images import image_size, read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.inputs import local
-from depthcli.io.scenes.maps import GivenMap, MapsScene
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import GivenMap, MapsScene, StereoScene
+from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps import peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
 from depthcli.run.batch import Batch, Outcome
@@ -145,7 +146,7 @@ class FuseMaps(_GivenMaps):
         """Load a pair and its maps, fuse them, save."""
         clock = Clock()
         clock.start("load")
-        pair = scene.load()
+        pair = load_pair(scene)
         maps = {one.run: _loaded(one, pair.shape) for one in scene.maps}
         clock.start("other")
         config = self.config
@@ -178,7 +179,7 @@ class Confidence(_GivenMaps):
         clock.start("load")
         if scene.right is None and len(scene.maps) > 1:
             raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
-        images = read_image(scene.left) if scene.right is None else scene.load()
+        images = read_image(scene.left) if scene.right is None else load_pair(scene)
         shape = (images.shape[0], images.shape[1])
         maps = {one.run: _loaded(one, shape) for one in scene.maps}
         right = None if scene.right_map is None else _loaded(scene.right_map, shape)
@@ -204,11 +205,32 @@ class Confidence(_GivenMaps):
 
 def _loaded(one: GivenMap, shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Return a map; InputError where it cannot be read or has another size than the images."""
-    values = one.load()
+    values = _read_map(one)
     if values.shape != shape:
         raise InputError(
             f"{one.path}: {values.shape[1]} x {values.shape[0]}, but the images are {shape[1]} x {shape[0]}"
         )
+    return values
+
+
+def _read_map(one: GivenMap) -> NDArray[np.float32]:
+    """Return a map, (H, W) float32, pixels, NaN = no value.
+
+    Where nothing is said about what stands for no value, a constant at or below 0 that stands alone does, in maps of
+    other programs; a warning says so.
+    """
+    values = read_disparity(one.path, one.scale)
+    if one.invalid is not None:
+        values[read_plane(one.path) == np.float32(one.invalid)] = np.nan
+    elif not (one.path.parent / "record.json").is_file():  # runs of this program mark what has no value
+        constant = lone_constant(values)
+        if constant is not None:
+            marked = values == np.float32(constant)
+            values[marked] = np.nan
+            warn(
+                f"{shown(one.path)}: {100 * np.mean(marked):.3g} % of the pixels are {constant:g}: taken as no value "
+                "(--invalid nan keeps them)"
+            )
     return values
 
 
@@ -278,7 +300,9 @@ def _find_scenes(
             where = ", ".join(str(places[name]) for name in own)
             problem = f"{where}: no map of scene {scene.name}{known.searched(names[scene.name])}"
         there = tuple(one for one in maps.values() if one is not None)
-        made.append(MapsScene.of(scene, there, next(iter(other.values()), None), tuple(absent), problem))
+        own_fields = {**vars(scene), "problem": scene.problem or problem}
+        right_map = next(iter(other.values()), None)
+        made.append(MapsScene(**own_fields, maps=there, right_map=right_map, absent=tuple(absent)))
     return made
 
 
@@ -291,7 +315,7 @@ def _recognized(
     def fits(name: str, path: Path, tried: MapNaming) -> bool:
         with collected_warnings():
             try:
-                shape = GivenMap(run, path, tried.scale, tried.invalid).load().shape
+                shape = _read_map(GivenMap(run, path, tried.scale, tried.invalid)).shape
                 return shape == image_size(usable[name].left)
             except DepthcliError:
                 return False

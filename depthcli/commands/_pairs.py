@@ -23,7 +23,8 @@ from depthcli.core.scene import current_scene
 from depthcli.device import Device
 from depthcli.io.formats.images import image_size
 from depthcli.io.formats.pictures import STATUS_PALETTE
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
+from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.stereo.config import PairConfig
 from depthcli.methods.stereo.matching import host_bytes
 from depthcli.methods.stereo.stages import PairMatcher
@@ -141,7 +142,7 @@ class MatchPairs(Batch[StereoScene]):
         with contextlib.ExitStack() as side_work:
             if config.calibration is None:
                 clock.start("load")
-                pair = scene.load()
+                pair = load_pair(scene)
                 if scene.right is not None and scene.frame_number is None:
                     current_scene().originals = pair, (scene.left, scene.right)
             else:

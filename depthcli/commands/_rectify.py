@@ -24,7 +24,8 @@ from depthcli.core.result import Clock
 from depthcli.io.formats.calibrations import UNITS, write_geometry
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import pair_of, write_png
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
+from depthcli.io.stereo_pairs import load_pair, load_views
 from depthcli.methods.stereo.config import Calibration
 from depthcli.methods.stereo.rectification import (
     Points,
@@ -100,7 +101,7 @@ class Rectify(Batch[StereoScene]):
         """
         clock = Clock()
         clock.start("load")
-        left, right = scene.load_views()
+        left, right = load_views(scene)
         clock.start("key points")
         frames = scene.sequence if scene.frame_number is not None and self.calibration is not None else ()
         points = None if frames and not scene.is_first else match_views(_grey8(left), _grey8(right))
@@ -152,7 +153,7 @@ def rectified_pair(
 
     Rows are compared in single pairs and the first frames of sequences: the others have the same cameras.
     """
-    left, right = scene.load_views()
+    left, right = load_views(scene)
     rig = rectified_rig(calibration, left, right)
     pair, view = _pair_of(rig, scene, left, right)
     points = match_views(_grey8(left), _grey8(right)) if scene.is_first else None
@@ -186,9 +187,9 @@ def _sequence_range(
     for frame in frames:
         try:
             if calibration is None:
-                pair = frame.load()
+                pair = load_pair(frame)
             else:
-                views = frame.load_views()
+                views = load_views(frame)
                 pair, _ = _pair_of(rectified_rig(calibration, *views), frame, *views)
             one = range_of_key_points(pair)
         except InputError:  # where no frame has a range, every one is on its own

@@ -28,7 +28,8 @@ from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts import Folder
 from depthcli.io.layouts.depth import cameras
-from depthcli.io.scenes.rgbd import RgbdScene, SequenceScene, sequences
+from depthcli.io.rgbd_frames import frame_size, load_frame
+from depthcli.io.scenes import RgbdScene, SequenceScene, sequences
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import SequencePipeline, frame_by_frame
 from depthcli.run.batch import Batch, Outcome
@@ -112,7 +113,7 @@ class RefineKinect(Batch[FrameOrSequence]):
     def memory(self, scene: FrameOrSequence) -> int:
         """Estimate by the size of the image, or of the first one."""
         first = scene.frames[0] if isinstance(scene, SequenceScene) else scene
-        return self.config.pipeline.peak_bytes(first.frame_size())
+        return self.config.pipeline.peak_bytes(frame_size(first))
 
     def compute(self, scene: FrameOrSequence, folder: Path, memory: int) -> Outcome:
         """Refine a frame; or the frames of a sequence, each into a folder, with means of their facts."""
@@ -150,7 +151,7 @@ class RefineKinect(Batch[FrameOrSequence]):
         if not scene.raw:
             scale, intrinsics = config.depth_scale or scene.depth_scale, config.intrinsics or scene.intrinsics
             scene = replace(scene, depth_scale=scale, intrinsics=intrinsics)
-        frame = scene.load()
+        frame = load_frame(scene)
         height, width = frame.shape
         check_memory(config.pipeline.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
         found = refined_frame(config, frame, refine, clock, scene.depth_scale, 3 if scene.rotated else 0)

@@ -14,7 +14,8 @@ from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.result import Clock
 from depthcli.io.formats.volumes import written_suffix
-from depthcli.io.scenes.volume_pair import VolumePairScene
+from depthcli.io.scenes import VolumePairScene
+from depthcli.io.volume_pairs import landmarks, load_volumes, loaded_size
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import Column, number, percent
@@ -67,7 +68,7 @@ class RegisterConfidence(Batch[VolumePairScene]):
 
     def memory(self, scene: VolumePairScene) -> int:
         """Estimate by the size that the fixed volume says."""
-        return peak_bytes(self.config, *scene.size(self.config.pipeline.voxel_limit))
+        return peak_bytes(self.config, *loaded_size(scene, self.config.pipeline.voxel_limit))
 
     def settings(self, scene: VolumePairScene) -> dict[str, str]:
         """Return the names of the labels of label maps."""
@@ -77,8 +78,8 @@ class RegisterConfidence(Batch[VolumePairScene]):
         """Load the volumes, search around every voxel, save the maps and the figures of regions."""
         config, clock = self.config, Clock()
         clock.start("load")
-        loaded = scene.load(config.field, config.pipeline.voxel_limit)
-        points = scene.landmarks(loaded.grid)
+        loaded = load_volumes(scene, config.field, config.pipeline.voxel_limit)
+        points = landmarks(scene, loaded.grid)
         check_voxels(config, loaded, memory)
         found = measured_pair(config, loaded, clock)
         clock.start("save")

@@ -12,8 +12,8 @@ from typing import cast
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError
 from depthcli.io.inputs import local
-from depthcli.io.pairs import TABLE_SUFFIXES
-from depthcli.io.scenes import Scene
+from depthcli.io.named_files import TABLE_SUFFIXES, named_scenes, scenes_of_table
+from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.walk import NoScenesError, chosen_scenes, discover_scenes
 from depthcli.run.batch import SceneT
 from depthcli.run.console import Reporter
@@ -33,7 +33,7 @@ def find_scenes(kinds: tuple[type[SceneT], ...], source: SceneOptions, run: RunO
     """
     place, name, single = source.input, source.name, source.single_files
     files = {key: local(value) if isinstance(value, Path) else value for key, value in vars(source).items()}
-    if named := next((scenes for kind in kinds if (scenes := kind.named(files))), []):
+    if named := cast("list[SceneT]", named_scenes(kinds, files)):
         if place is not None:
             raise ConfigError(f"--input and {single} exclude each other")
         if run.evaluate:
@@ -60,7 +60,9 @@ def scenes_at(
 ) -> list[SceneT]:
     """Return the scenes of a folder, or those that a table of files lists."""
     if os.path.isfile(place) and place.suffix.lower() in TABLE_SUFFIXES:
-        return _chosen(kinds[0].of_table(place), patterns, place)
+        if not issubclass(StereoScene, kinds):
+            raise ConfigError(f"{place}: want a folder")
+        return _chosen(cast("list[SceneT]", scenes_of_table(place)), patterns, place)
     # Folders that cannot be read are among them as scenes with a ``problem``, which are reported and not computed.
     found = cast("list[SceneT]", discover_scenes(place, kinds, layout, patterns, reporter.info))
     if len(found) >= _MIN_SCENES_TO_FREEZE:

@@ -14,8 +14,7 @@ from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, evaluate_runs
 from depthcli.evaluation.map_files import run_names
 from depthcli.evaluation.protocols import load
 from depthcli.io.inputs import local
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgbd import SequenceScene
+from depthcli.io.scenes import Scene, SequenceScene
 from depthcli.report.page import Page, RunWithoutTruth
 from depthcli.run.batch import Batch, SceneT
 from depthcli.run.flags import Condition, Flags, flag_rows

@@ -13,7 +13,7 @@ from depthcli.commands._pairs import MatchPairs, pair_config
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.method import device_implementation_of
 from depthcli.device import Device
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.json_csv import Row

@@ -19,7 +19,8 @@ from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, Result
 from depthcli.io.formats.depth import beyond_png
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
-from depthcli.io.scenes.rgbd import RgbdScene, RgbIrScene
+from depthcli.io.rgbd_frames import frame_size, load_infrared_frame, load_sparse_frame
+from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, percent
@@ -67,7 +68,7 @@ class Transparent(Batch[RgbdScene]):
 
     def memory(self, scene: RgbdScene) -> int:
         """Return an estimate of the peak memory once the sparse depth is known, bytes."""
-        return self.config.pipeline.peak_bytes(scene.frame_size())
+        return self.config.pipeline.peak_bytes(frame_size(scene))
 
     def compute(self, scene: RgbdScene, folder: Path, memory: int) -> Outcome:
         """Load a frame with its sparse depth, or match color and infrared image for it; complete it; save."""
@@ -76,12 +77,12 @@ class Transparent(Batch[RgbdScene]):
         if config.depth_scale is not None:
             scene = replace(scene, depth_scale=config.depth_scale)
         if (stereo := config.stereo) is None:
-            frame = scene.load_sparse()
+            frame = load_sparse_frame(scene)
             check_completion_memory(config, None, frame.shape, memory)
         elif not isinstance(scene, RgbIrScene):
             raise InputError(f"{scene.folder}: {scene.name} has no infrared image (ir.*), which this config needs")
         else:
-            pair = scene.load_pair()
+            pair = load_infrared_frame(scene)
             if stereo.max_disparity is None and scene.max_disparity is not None:
                 stereo = stereo.model_copy(update={"max_disparity": scene.max_disparity})
             check_completion_memory(config, stereo, (pair.depth.shape[0], pair.depth.shape[1]), memory)

@@ -29,9 +29,7 @@ from depthcli.io.formats.map_format import format_plugins
 from depthcli.io.formats.pictures import read_status
 from depthcli.io.inputs import local, origin
 from depthcli.io.layouts import layout_plugins
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgbd import RgbdScene
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 from depthcli.io.walk import discover_scenes, scene_with_file
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, flag_rows, plain_name

@@ -8,6 +8,7 @@ import gc
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,8 +17,7 @@ from depthcli.io.formats.files import read_bytes
 from depthcli.io.inputs import archives_in, gathered, local
 from depthcli.io.layouts import Folder, Layout, layouts, own_layouts
 from depthcli.io.layouts.rows import rows_in_file
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.stereo import with_sequences
+from depthcli.io.scenes import Scene, StereoScene
 
 _RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.run.run_folder
 _MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
@@ -127,7 +127,7 @@ def _scenes_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], reques
     try:
         return _scenes_of(Folder(path, name, name + "/", requested), wanted)
     except InputError as error:
-        return [BrokenScene(name=name, folder=path, problem=str(error))]
+        return [Scene(name=name, folder=path, problem=str(error))]
 
 
 def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -> list[Path]:
@@ -151,22 +151,9 @@ def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -
     return kept
 
 
-class BrokenScene(Scene):
-    """A folder that is meant to be a scene but cannot be used."""
-
-    @property
-    def input_files(self) -> dict[str, Path]:
-        """Return no file: none can be named."""
-        return {}
-
-    def load(self) -> None:
-        """Raise the scene's problem."""
-        self.check()
-
-
 def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path | str) -> list[Scene]:
     """Return the scenes whose name matches one of the patterns, sorted by name; frames know their sequence."""
-    ordered = with_sequences(scenes)
+    ordered = _with_sequences(scenes)
     chosen = [scene for scene in ordered if matches_any(scene.name, patterns)]
     for scene, after in pairwise(ordered):
         if scene.name == after.name:
@@ -178,6 +165,30 @@ def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path 
                 f"{place}: no scene matches {pattern!r}; there are: {there}{', ...' if len(ordered) > 6 else ''}"
             )
     return chosen
+
+
+def _with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
+    """Return the scenes by name, of which stereo pairs know three frames of their sequence.
+
+    Pairs whose left and right images lie in the same two folders, or which are frames of the same two videos, are a
+    sequence in the order of their names.
+    """
+    ordered = sorted(scenes, key=lambda scene: scene.name)
+    frames: dict[tuple[str, str, bool], list[StereoScene]] = {}
+    for scene in ordered:
+        if isinstance(scene, StereoScene) and scene.right is not None and not scene.problem:
+            views, of_video = (str(scene.left), str(scene.right)), scene.frame_number is not None
+            left, right = views if of_video else map(os.path.dirname, views)  # Path.parent takes long
+            frames.setdefault((left, right, of_video), []).append(scene)
+    three: dict[str, tuple[StereoScene, ...]] = {}
+    for same in frames.values():
+        if len(same) > 1:
+            some = tuple(dict.fromkeys((same[0], same[len(same) // 2], same[-1])))
+            three |= {scene.name: some for scene in same}
+    return [
+        replace(scene, sequence=three[scene.name]) if isinstance(scene, StereoScene) and scene.name in three else scene
+        for scene in ordered
+    ]
 
 
 def scene_with_file(file: Path) -> Scene | None:

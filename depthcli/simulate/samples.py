@@ -18,9 +18,9 @@ from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.volumes import write_array
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgbd import RgbdScene
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.rgbd_frames import load_frame, true_depth
+from depthcli.io.scenes import RgbdScene, Scene, StereoScene
+from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.io.walk import discover_scenes
 from depthcli.simulate.deformed_volumes import make_deformed_pair
 from depthcli.simulate.depth_sensor import simulate_kinect
@@ -56,11 +56,6 @@ class SampleScene(Scene):
     def input_files(self) -> dict[str, Path]:
         """Role -> file that it is made from."""
         return self.files
-
-    def load(self) -> dict[str, Any]:
-        """Return the settings."""
-        self.check()
-        return self.settings
 
 
 def sample_scenes(sample: str, values: Values) -> list[SampleScene]:
@@ -125,10 +120,10 @@ def _make_stereo(values: Values, scene: SampleScene, folder: Path) -> dict[str, 
     maps: dict[str, Any] = {}
     meta: dict[str, Any] = {"protocol": "middlebury_v2"}
     if isinstance(origin, StereoScene):
-        pair = origin.load()
+        pair = load_pair(origin)
         left, right = pair.left, pair.right
         if origin.has_truth:
-            truth = origin.truth()
+            truth = true_disparity(origin)
             maps, masks = {"disp_left": truth.disparity, "disp_right": truth.right}, truth.masks
         meta |= {"protocol": origin.protocol} if origin.protocol else {}
         more = {
@@ -167,7 +162,7 @@ def _make_kinect(values: Values, scene: SampleScene, folder: Path) -> dict[str, 
         samples = make_kinect_sequence(kind, values["frames"], seed, *size, fattening=fattening)
     else:
         if isinstance(scene.origin, StereoScene):
-            color, truth = color8(read_image(scene.origin.left)), scene.origin.truth().disparity
+            color, truth = color8(read_image(scene.origin.left)), true_disparity(scene.origin).disparity
         else:
             color, truth = make_kinect_scene(kind, seed, *size)
         samples = [simulate_kinect(color, truth, seed, fattening=fattening)]
@@ -189,12 +184,12 @@ def _make_transparent(values: Values, scene: SampleScene, folder: Path) -> dict[
     seed, origin = scene.settings["seed"], scene.origin
     meta: dict[str, Any] = {"notes": "sparse: emulated from depth_true; the rest is the source's"}
     if isinstance(origin, RgbdScene):
-        frame, true = origin.load(), origin.truth()
+        frame, true = load_frame(origin), true_depth(origin)
         color, sensor, truth, masks = frame.color, frame.depth, true.depth, true.masks
     else:
         if isinstance(origin, StereoScene):
-            pair, top = origin.load(), origin.max_disparity
-            made = glass_of_pair(pair.left, pair.right, origin.truth().disparity, seed, values["speckles"])
+            pair, top = load_pair(origin), origin.max_disparity
+            made = glass_of_pair(pair.left, pair.right, true_disparity(origin).disparity, seed, values["speckles"])
         else:
             top = values["width"] // 8
             made = make_transparent_scene(seed, values["width"], values["height"], top, values["speckles"])

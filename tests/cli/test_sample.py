@@ -12,9 +12,10 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.io.formats.images import read_image
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.simulate.stereo_scenes import Radiometry, make_scene
+from tests.scenes import load, true
 
 SMALL = ("--width", "64", "--height", "48", "--max-disparity", "10")
 
@@ -42,7 +43,7 @@ def test_scenes_are_what_the_generator_made(tmp_path: Path):
     assert sorted(scenes(tmp_path)) == ["curved_0", "foreground_0", "planes_0", "planes_1", "repetitive_0"]
     stored = scenes(tmp_path)["planes_1"]
     made = make_scene("planes", 1, 64, 48, 10, noise=2.0, radiometry=Radiometry.of_strength(0.5))
-    pair, truth = stored.load(), stored.truth()
+    pair, truth = load(stored), true(stored)
     np.testing.assert_array_equal(pair.left, made.left)
     np.testing.assert_array_equal(pair.right, made.right)
     np.testing.assert_array_equal(truth.disparity, made.disparity_left)
@@ -98,10 +99,10 @@ def test_cross_modal_keeps_the_truth(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "right.png" in capsys.readouterr().err
     before, after = (scenes(tmp_path / folder)["planes_0"] for folder in ("in", "out"))
     assert sorted(scenes(tmp_path / "out")) == ["foreground_0", "planes_0", "repetitive_0"]
-    np.testing.assert_array_equal(before.truth().disparity, after.truth().disparity)
-    np.testing.assert_array_equal(before.truth().masks["nonocc"], after.truth().masks["nonocc"])
+    np.testing.assert_array_equal(true(before).disparity, true(after).disparity)
+    np.testing.assert_array_equal(true(before).masks["nonocc"], true(after).masks["nonocc"])
     assert after.max_disparity == 10
-    assert after.load().right.ndim == 2
+    assert load(after).right.ndim == 2
     assert sample(tmp_path / "in", "--cross-modal", "--from", tmp_path / "in") == 2
     assert sample(tmp_path / "x", "--cross-modal", "--from", tmp_path / "missing") == 2
 

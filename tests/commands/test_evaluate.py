@@ -26,6 +26,7 @@ from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.walk import discover_scenes
 from depthcli.run.records import Record, write_record
+from tests.scenes import true
 
 SHAPE = (24, 32)
 TRUTH = np.linspace(4, 12, SHAPE[1], dtype=np.float32) * np.ones((SHAPE[0], 1), np.float32)
@@ -50,7 +51,7 @@ def truth(tmp_path: Path) -> Path:
 
 
 def exact(truth: Path, name: str = "a") -> np.ndarray:
-    return discover_scenes(truth, patterns=[name])[0].truth().disparity
+    return true(discover_scenes(truth, patterns=[name])[0]).disparity
 
 
 def run_of(folder: Path, maps: dict[str, np.ndarray]) -> Path:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from depthcli.io.layouts import Folder, Layout, own_layouts
 from depthcli.io.scenes import Scene
+from tests.scenes import load
 
 
 def check_layout(layout: Layout, folder: Path) -> None:
@@ -16,7 +17,7 @@ def check_layout(layout: Layout, folder: Path) -> None:
     for scene in found:
         assert isinstance(scene, layout.kind) and scene.layout == layout.name and not scene.problem
         assert all(file.is_file() for file in scene.input_files.values())
-        scene.load()
+        load(scene)
     for each in holding:
         assert [own.name for own in own_layouts() if _scenes(own, each)] == [layout.name]
 

@@ -18,6 +18,7 @@ from depthcli.io.walk import discover_scenes
 from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes
 from tests.contracts.checks import CHECKS
 from tests.contracts.layouts import check_layout
+from tests.scenes import load as load_scene
 
 FIELDS: dict[str, dict[str, Any]] = {
     "local": {"cost": "census", "aggregation": {"method": "constant_window", "window": 5}},
@@ -80,4 +81,4 @@ def test_samples_are_found_with_their_truth_and_are_the_same_again(name: str, tm
     assert all(any(f"{made.name}/".startswith(f"{scene.name}/") for made in found) for scene in scenes)
     for made in found:
         assert not made.problem and made.has_truth
-        made.load()
+        load_scene(made)

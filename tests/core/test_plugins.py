@@ -38,7 +38,7 @@ from depthcli.commands import command
 from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
 from depthcli.io.formats.map_format import MapFormat
 from depthcli.io.layouts import Folder, Layout
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
 from depthcli.methods.confidence import ConfidenceMeasure
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
 from depthcli.methods.kinect.pipeline.nearest import NearestFill

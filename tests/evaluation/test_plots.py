@@ -16,7 +16,8 @@ from depthcli.evaluation.protocols import Settings, load, missing_scores, names
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
 from depthcli.evaluation.scores import in_order
-from depthcli.io.scenes.stereo import StereoScene, StereoTruth
+from depthcli.io.scenes import StereoScene
+from depthcli.io.stereo_pairs import StereoTruth
 
 
 def test_a_plot_is_well_formed_and_escapes():

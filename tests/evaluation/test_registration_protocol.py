@@ -14,7 +14,7 @@ from depthcli.evaluation.protocols import missing_scores, registration
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol, error_classes
 from depthcli.evaluation.scores import COMMON_MEAN, MEAN, MapResult
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
-from depthcli.io.scenes.volume_pair import RegistrationTruth
+from depthcli.io.volume_pairs import RegistrationTruth
 
 
 def test_correlation():

@@ -9,9 +9,10 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.depth import write_depth_png
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.rgbd_frames import load_sparse_frame
+from depthcli.io.scenes import RgbdScene
 from depthcli.io.walk import discover_scenes
-from tests.scenes import DATA
+from tests.scenes import DATA, load, true
 
 
 def only(folder):
@@ -30,12 +31,12 @@ def test_sparse_depth_has_the_codes_of_the_depth(tmp_path, depth):
     write_png(tmp_path / "color.png", np.zeros((4, 6, 3), np.uint8))
     write_depth_png(tmp_path / "depth.png", depth)
     write_depth_png(tmp_path / "sparse.png", sparse)
-    frame = only(tmp_path).load_sparse()
+    frame = load_sparse_frame(only(tmp_path))
     np.testing.assert_allclose(frame.depth, depth)
     np.testing.assert_allclose(frame.sparse, sparse)
     assert frame.sparse_confidence is None
     write_png(tmp_path / "sparse_confidence.png", np.full((4, 6), 51, np.uint8))
-    np.testing.assert_allclose(only(tmp_path).load_sparse().sparse_confidence, 0.2)
+    np.testing.assert_allclose(load_sparse_frame(only(tmp_path)).sparse_confidence, 0.2)
 
 
 def test_sparse_depth_that_cannot_be_used(tmp_path, depth):
@@ -46,7 +47,7 @@ def test_sparse_depth_that_cannot_be_used(tmp_path, depth):
         if sparse is not None:
             write_pfm(tmp_path / "sparse.pfm", sparse)
         with pytest.raises(InputError, match=said):
-            only(tmp_path).load_sparse()
+            load_sparse_frame(only(tmp_path))
 
 
 @pytest.mark.parametrize("real", [True, False])
@@ -60,9 +61,9 @@ def test_cleargrasp(tmp_path, depth, real):
         write_depth_png(tmp_path / "depth_sensor_mm.png", 2 * depth)
     scene = only(tmp_path)
     assert (scene.layout, scene.protocol, scene.has_truth) == ("cleargrasp", "depth", True)
-    np.testing.assert_allclose(scene.load().depth, 2 * depth if real else np.where(mask, np.nan, depth))
-    np.testing.assert_allclose(scene.truth().depth, depth)
-    np.testing.assert_array_equal(scene.truth().masks["transparent"], mask)
+    np.testing.assert_allclose(load(scene).depth, 2 * depth if real else np.where(mask, np.nan, depth))
+    np.testing.assert_allclose(true(scene).depth, depth)
+    np.testing.assert_array_equal(true(scene).masks["transparent"], mask)
 
 
 def test_cleargrasp_without_the_sensor_s_depth_is_a_row_with_its_reason(tmp_path, depth):
@@ -70,7 +71,7 @@ def test_cleargrasp_without_the_sensor_s_depth_is_a_row_with_its_reason(tmp_path
     write_png(tmp_path / "rgb_transparent.png", np.zeros((4, 6, 3), np.uint8))
     write_depth_png(tmp_path / "depth_opaque_gt_mm.png", depth)
     with pytest.raises(InputError, match=r"no depth_sensor_mm\.png"):
-        only(tmp_path).load()
+        load(only(tmp_path))
 
 
 def test_the_shared_folders_are_recognized_as_they_lie_there():
@@ -79,7 +80,7 @@ def test_the_shared_folders_are_recognized_as_they_lie_there():
     scenes = discover_scenes(DATA / "transparent", (RgbdScene,))
     assert [scene.layout for scene in scenes] == ["cleargrasp"] * 5
     for scene in scenes:
-        frame, truth = scene.load(), scene.truth()
+        frame, truth = load(scene), true(scene)
         inside = truth.masks["transparent"]
         assert np.isfinite(frame.depth[~inside]).mean() > 0.5
         assert np.isfinite(frame.depth[inside]).mean() < (0.75 if "real" in scene.name else 1e-9)

@@ -10,9 +10,10 @@ import pytest
 from depthcli.core.errors import InputError
 from depthcli.io.formats.images import write_png
 from depthcli.io.layouts import own_layouts
-from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.scenes import RgbdScene
 from depthcli.io.walk import discover_scenes
 from tests.contracts.layouts import check_layout
+from tests.scenes import load
 
 HEIGHT, WIDTH = 6, 8
 COLOR = np.dstack([np.arange(48, dtype=np.uint8).reshape(HEIGHT, WIDTH) + k for k in range(3)]).astype(np.uint8)
@@ -53,13 +54,13 @@ def test_scannet(tmp_path: Path, names: str):
     assert (first.layout, second.number, second.sequence) == ("scannet", 10, "scene0000_00")
     assert first.intrinsics == (40, 40, 15.5, 11.5)
     assert first.depth_intrinsics == (20, 20, 7.5, 5.5)
-    frame = first.load()
+    frame = load(first)
     assert frame.depth.shape == (24, 32)
     np.testing.assert_allclose(frame.depth[8:16, 8:24], 1.5)
     check("scannet", tmp_path)
     (folder / "depth" / "10.png").unlink()
     with pytest.raises(InputError, match=r"10\.jpg: a frame without its depth"):
-        find(tmp_path)[1].load()
+        load(find(tmp_path)[1])
 
 
 @pytest.mark.parametrize(

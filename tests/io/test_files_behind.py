@@ -10,10 +10,9 @@ import pytest
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
-from depthcli.io.formats import fields, volumes
-from depthcli.io.formats.calibrations import kinect_files_beside
+from depthcli.io.formats.files_behind import kinect_files, transform_files, volume_files
 from depthcli.io.formats.volumes import read_volume, write_array
-from depthcli.io.scenes.volume_pair import VolumePairScene
+from depthcli.io.scenes import VolumePairScene
 
 pytest.importorskip("SimpleITK")
 
@@ -52,7 +51,7 @@ def pointing(folder: Path) -> dict[str, Path]:
 def test_files_with_values_are_inputs(tmp_path: Path):
     for kind, header in pointing(tmp_path).items():
         np.testing.assert_array_equal(read_volume(header).values, VALUES, err_msg=kind)
-        behind = volumes.files_read_with(header)
+        behind = volume_files(header)
         wanted = {"v.raw.gz"} if "gzip" in kind else {"v.raw"}
         if "list" in kind or "pattern" in kind:
             wanted = {f"s{number:02}.raw" for number in range(1, 5)}
@@ -70,10 +69,10 @@ def test_what_is_read_beside_a_file_is_an_input(tmp_path: Path):
     )
     (tmp_path / "b.txt").write_text('(Transform "A")\n(InitialTransformParameterFileName "./c.txt")\n')
     (tmp_path / "c.txt").write_text('(Transform "A")\n(InitialTransformParameterFileName "transform.txt")\n')
-    chain = fields.transform_files_read_with(tmp_path / "transform.txt")
+    chain = transform_files(tmp_path / "transform.txt")
     assert [file.name for file in chain] == ["b.txt", "c.txt", "transform.txt"]  # it comes back, and ends
     (tmp_path / "dc_beta.npy").touch()
-    assert kinect_files_beside(tmp_path / "calib.json") == (tmp_path / "dc_beta.npy",)
+    assert kinect_files(tmp_path / "calib.json") == (tmp_path / "dc_beta.npy",)
 
 
 def test_a_changed_file_behind_a_header_is_computed_again(tmp_path: Path):

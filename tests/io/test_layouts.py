@@ -12,10 +12,9 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.layouts import layouts
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.walk import discover_scenes
-from tests.scenes import DATA, needs_data
+from tests.scenes import DATA, load, needs_data, true
 
 GREY = np.arange(48, dtype=np.uint8).reshape(6, 8)
 COLOR = np.dstack([GREY, GREY + 1, GREY + 2]).astype(np.uint8)
@@ -70,10 +69,10 @@ def test_own_layout(tmp_path: Path):
     scenes = find(folder)
     assert [s.name for s in scenes] == ["a", "b"]
     assert (scenes[0].layout, scenes[0].protocol, scenes[0].max_disparity) == ("scenes", "middlebury_v2", 5)
-    pair = scenes[0].load()
+    pair = load(scenes[0])
     np.testing.assert_array_equal(pair.left, COLOR)
     assert pair.right.shape == COLOR.shape
-    truth = scenes[0].truth()
+    truth = true(scenes[0])
     np.testing.assert_array_equal(truth.disparity, TRUTH)
     assert list(truth.masks) == ["nonocc"]
     assert truth.masks["nonocc"].sum() == 24  # 128 does not count
@@ -87,7 +86,7 @@ def test_single_view_with_truth_is_a_scene_without_a_pair(tmp_path: Path):
     (scene,) = find(tmp_path)
     assert scene.right is None
     with pytest.raises(InputError, match="no right image"):
-        scene.load()
+        load(scene)
 
 
 def test_the_protocol_is_said_never_guessed(tmp_path: Path):
@@ -99,7 +98,7 @@ def test_the_protocol_is_said_never_guessed(tmp_path: Path):
     write_disparity_png(tmp_path / "c" / "disp_left_noc.png", TRUTH)
     scenes = find(tmp_path)
     assert [s.protocol for s in scenes] == ["middlebury_v2", "middlebury_v2", "kitti_2015"]
-    assert scenes[2].truth().noc is not None
+    assert true(scenes[2]).noc is not None
 
 
 def test_half_a_pair_is_an_item_with_a_problem(tmp_path: Path):
@@ -111,7 +110,7 @@ def test_half_a_pair_is_an_item_with_a_problem(tmp_path: Path):
     (tmp_path / "c" / "im1.png").unlink()
     for scene, side in zip(find(tmp_path), ("no right", "no left", "no im1"), strict=True):
         with pytest.raises(InputError, match=f"only one image of the pair, {side}"):
-            scene.load()
+            load(scene)
 
 
 def test_a_scene_too_deep_is_told(tmp_path: Path):
@@ -138,9 +137,9 @@ def test_listing_opens_no_image(tmp_path: Path):
         write_png(tmp_path / "a" / f"{stem}.png", COLOR)
     (tmp_path / "a" / "disp1.png").write_bytes(b"damaged")
     (scene,) = find(tmp_path)
-    scene.load()
+    load(scene)
     with pytest.raises(InputError, match="disp1"):
-        scene.truth()
+        true(scene)
 
 
 def test_every_layout_says_what_it_wants():
@@ -163,7 +162,7 @@ def test_middlebury_v2(tmp_path: Path, stems, truth):
     assert scene.layout == "middlebury-v2"
     third = stems[0] == "view1"  # 2005/2006 sets: a narrow image is third size
     assert scene.max_disparity == (None if third else 59)
-    loaded = scene.truth()
+    loaded = true(scene)
     assert np.all(loaded.disparity == (4 if third else 3))
     assert (loaded.right is None) == (truth[1] is None)
     assert scene.protocol == "middlebury_v2"
@@ -177,7 +176,7 @@ def test_middlebury_v3_and_eth3d(tmp_path: Path):
     a, b = find(tmp_path)
     assert (a.layout, a.max_disparity, a.round_disparity, a.protocol) == ("middlebury-v3", 7, True, "middlebury_v3")
     assert (b.layout, b.max_disparity, b.round_disparity, b.protocol) == ("eth3d", None, False, "eth3d")
-    assert list(a.truth().masks) == ["nonocc"]
+    assert list(true(a).masks) == ["nonocc"]
     assert [s.name for s in find(tmp_path, "eth3d")] == ["B"]
 
 
@@ -188,7 +187,7 @@ def test_kitti(tmp_path: Path):
     scenes = find(tmp_path)
     assert [s.name for s in scenes] == ["k12/000000_10", "k12/000001_10", "k15/000000_10", "k15/000001_10"]
     assert [s.layout for s in scenes[1:3]] == ["kitti-2012", "kitti-2015"]
-    truth = scenes[2].truth()
+    truth = true(scenes[2])
     assert truth.objects is not None
     assert truth.noc is not None
     assert (truth.objects.sum(), np.isfinite(truth.noc).sum(), np.isfinite(truth.disparity).sum()) == (6, 32, 40)
@@ -216,8 +215,8 @@ def test_a_broken_scene_spoils_no_other(tmp_path: Path):
     broken, good = find(tmp_path)
     assert (broken.name, good.name, good.problem) == ("a", "b", "")
     with pytest.raises(InputError, match=r"meta\.json: .*disp_scale"):
-        broken.load()
-    good.load()
+        load(broken)
+    load(good)
 
 
 def test_what_is_said_where_nothing_fits(tmp_path: Path):
@@ -249,9 +248,9 @@ def test_sizes_must_agree(tmp_path: Path):
     write_png(folder / "mask_nonocc.png", GREY[:5])
     (scene,) = find(tmp_path)
     with pytest.raises(InputError, match="8 x 5"):
-        scene.load()
+        load(scene)
     with pytest.raises(InputError, match=r"mask_nonocc\.png: 8 x 5"):
-        scene.truth()
+        true(scene)
 
 
 @pytest.mark.slow
@@ -264,13 +263,13 @@ def test_every_stereo_scene_of_the_shared_data_loads():
     assert sum(scene.layout == "middlebury-v3" for scene in scenes) == 8
     for scene in own_layout:
         facts = json.loads((scene.left.parent / "meta.json").read_text())
-        truth = scene.truth()
+        truth = true(scene)
         assert truth.disparity.shape == (facts["height"], facts["width"])
         assert scene.max_disparity == facts["max_disparity"]
         assert np.nanmin(truth.disparity) > 0
         assert np.nanmax(truth.disparity) <= facts["max_disparity"] + 1
         if scene.right is not None:
-            assert scene.load().shape == truth.disparity.shape
+            assert load(scene).shape == truth.disparity.shape
 
 
 @pytest.mark.parametrize("name", ["middlebury-v3", "middlebury_v3", "Middlebury_V3"])
@@ -291,7 +290,7 @@ def test_layouts_of_a_users_file(tmp_path: Path):
     )
     first, second = find(tmp_path / "set", str(rows))
     assert (first.name, first.layout, first.max_disparity, second.has_truth) == ("7", "mine", 5, False)
-    np.testing.assert_array_equal(first.truth().disparity, TRUTH)
+    np.testing.assert_array_equal(true(first).disparity, TRUTH)
     rows.write_text("mine: {left: 'cam/a_{id}.*', rihgt: x}")
     with pytest.raises(ConfigError, match=r"mine\.yaml: mine: no field is called 'rihgt'"):
         find(tmp_path / "set", str(rows))

@@ -12,8 +12,8 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.disparity import map_npy
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.pairs import read_table
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.named_files import scenes_of_table
+from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import chosen_scenes, discover_scenes
 
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
@@ -39,7 +39,7 @@ def test_calib_txt_with_numbers_too_large(tmp_path: Path, number: str):
 @pytest.mark.parametrize("column", ["min_disparity", "max_disparity"])
 def test_lists_with_numbers_too_large(tmp_path: Path, column: str, number: str):
     (tmp_path / "pairs.csv").write_text(f"left,right,{column}\na.png,b.png,{number}\n")
-    (scene,) = StereoScene.of_table(tmp_path / "pairs.csv")
+    (scene,) = scenes_of_table(tmp_path / "pairs.csv")
     assert column in scene.problem and len(scene.problem) < 400
 
 
@@ -54,14 +54,14 @@ def test_arrays_that_announce_terabytes(tmp_path: Path):
 def test_names_of_lists_are_unique(tmp_path: Path):
     table = tmp_path / "pairs.csv"
     table.write_text("left,right,name\na.png,b.png,2_left\nleft.png,b.png,\nleft.png,c.png,\n")
-    assert [pair.name for pair in read_table(table)] == ["2_left", "2_left_", "3_left"]
+    assert [pair.name for pair in scenes_of_table(table)] == ["2_left", "2_left_", "3_left"]
     table.write_text("left,right,name\na.png,b.png,same\nleft.png,b.png,\nc.png,c.png,same\n")
     with pytest.raises(InputError, match="'same'"):
-        read_table(table)
+        scenes_of_table(table)
     for columns in ("left,right,right", "left,right,LEFT", "left,right,name,name"):
         table.write_text(f"{columns}\na.png,b.png,c,d\n")
         with pytest.raises(InputError, match="two columns"):
-            read_table(table)
+            scenes_of_table(table)
     scenes = [StereoScene(name="a", folder=tmp_path / folder, left=tmp_path) for folder in ("x", "y")]
     with pytest.raises(InputError, match="two scenes are called 'a'"):
         chosen_scenes(scenes, ["*"], tmp_path)

@@ -12,9 +12,11 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.images import write_png
-from depthcli.io.pairs import match_patterns, read_table
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.named_files import match_patterns, named_scenes, scenes_of_table
+from depthcli.io.scenes import StereoScene
+from depthcli.io.stereo_pairs import load_views
 from depthcli.io.walk import discover_scenes
+from tests.scenes import load
 
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
 
@@ -29,8 +31,7 @@ def put(folder: Path, *names: str) -> None:
 
 
 def named(left: Path, right: Path) -> dict[str, tuple[str | None, str | None]]:
-    pairs = match_patterns(left, right, (".png",))
-    return {p.name: (p.left.name if p.left else None, p.right.name if p.right else None) for p in pairs}
+    return {name: (a.name if a else None, b.name if b else None) for name, a, b in match_patterns(left, right)}
 
 
 def test_patterns(tmp_path: Path):
@@ -71,25 +72,25 @@ def test_names_that_say_the_view(tmp_path: Path):
     put(tmp_path / "x", "cat.png")
     put(tmp_path / "y", "dog.png")
     with pytest.raises(ConfigError, match="no two names belong together"):
-        match_patterns(tmp_path / "x", tmp_path / "y", (".png",))
+        match_patterns(tmp_path / "x", tmp_path / "y")
     with pytest.raises(ConfigError, match="matches no image"):
-        match_patterns(tmp_path / "x/*.jpg", tmp_path / "y", (".png",))
+        match_patterns(tmp_path / "x/*.jpg", tmp_path / "y")
 
 
 def test_tables(tmp_path: Path):
     put(tmp_path, "a.png", "b.png", "c.png")
     table = tmp_path / "pairs.csv"
     table.write_text("# our pairs\na.png,b.png\nsub dir/b.png , c.png\n")
-    pairs = read_table(table)
+    pairs = scenes_of_table(table)
     assert [(p.name, p.left, p.right) for p in pairs] == [
         ("a", tmp_path / "a.png", tmp_path / "b.png"), ("b", tmp_path / "sub dir/b.png", tmp_path / "c.png"),
     ]  # fmt: skip
     table.write_text("right,left,max_disparity,name,calibration\nb.png,a.png,40,one,calib.txt\nc.png,a.png,,two,\n")
-    one, two = StereoScene.of_table(table)
+    one, two = scenes_of_table(table)
     assert (one.name, one.left.name, one.max_disparity, one.calibration) == ("one", "a.png", 40, tmp_path / "calib.txt")
     assert (two.name, two.max_disparity, two.calibration) == ("two", None, None)
     table.write_text("a.png,b.png\na.png,c.png\n")
-    assert [p.name for p in read_table(table)] == ["1_a", "2_a"]
+    assert [p.name for p in scenes_of_table(table)] == ["1_a", "2_a"]
     for text, said in (
         ("left,right,depht\na,b,c\n", "no such column: depht"), ("a.png\n", "pair 1: want left, right"),
         ("", "no pair"),
@@ -97,7 +98,7 @@ def test_tables(tmp_path: Path):
     ):  # fmt: skip
         table.write_text(text)
         with pytest.raises(InputError, match=said):
-            read_table(table)
+            scenes_of_table(table)
 
 
 def video(path: Path, shift: int, count: int = 5) -> Path:
@@ -114,14 +115,14 @@ def video(path: Path, shift: int, count: int = 5) -> Path:
 @pytest.mark.slow
 def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     left, right = video(tmp_path / "l.avi", 0), video(tmp_path / "r.avi", 6)
-    scenes = StereoScene.named({"left": left, "right": right})
+    scenes = named_scenes((StereoScene,), {"left": left, "right": right})
     assert [scene.name for scene in scenes] == [f"{k:06}" for k in range(5)]
     reader = cv2.VideoCapture(str(left))
     frames = [reader.read()[1][..., ::-1] for _ in range(5)]
     for number in (0, 1, 3, 2, 4):  # in any order
         scene = scenes[number]
         assert scene.frame_number == number
-        np.testing.assert_array_equal(scene.load_views()[0], frames[number])
+        np.testing.assert_array_equal(load_views(scene)[0], frames[number])
     pair = ("--left", left, "--right", right, "--max-disparity", "12")
     assert run("stereo", "opencv-bm", *pair, "-o", tmp_path / "run", "-q") == 0
     assert (tmp_path / "run/000004/disp_left.pfm").is_file()
@@ -145,7 +146,7 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
     (tmp_path / "views/meta.json").write_text(json.dumps({"max_disparity": 9, "min_disparity": -3}))
     scenes = find(tmp_path / "views")
     assert sorted(scenes) == ["0001", "0002", "0003"]
-    assert scenes["0001"].load().shape == (6, 8)
+    assert load(scenes["0001"]).shape == (6, 8)
     assert (scenes["0001"].max_disparity, scenes["0001"].min_disparity) == (9, -3)
     assert scenes["0001"].calibration == tmp_path / "views/calib.txt"
     assert "no right/0002.*" in scenes["0002"].problem and "no left/0003.*" in scenes["0003"].problem

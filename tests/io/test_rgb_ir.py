@@ -13,7 +13,8 @@ from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.scenes.rgbd import RgbdScene, RgbIrScene
+from depthcli.io.rgbd_frames import load_infrared_frame
+from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.io.walk import discover_scenes
 
 K = [[190.0, 0, 20], [0, 190, 15], [0, 0, 1]]
@@ -43,13 +44,13 @@ def only(folder):
 def test_a_rig_and_a_rectified_pair(tmp_path):
     write(tmp_path)
     scene = only(tmp_path)
-    frame = scene.load_pair()
+    frame = load_infrared_frame(scene)
     assert scene.layout == "rgb-ir"
     assert isinstance(frame.rig, Rig)
     assert frame.infrared.shape == (28, 36)
     assert frame.rig.left.distortion[0] == 0.1
     write(tmp_path, {"rectified": True, "fb": 12.5}, (30, 40))
-    assert (only(tmp_path).load_pair().rig, only(tmp_path).load_pair().fb) == (None, 12.5)
+    assert (load_infrared_frame(only(tmp_path)).rig, load_infrared_frame(only(tmp_path)).fb) == (None, 12.5)
 
 
 def test_yaml_of_opencv(tmp_path):
@@ -60,7 +61,7 @@ def test_yaml_of_opencv(tmp_path):
     for name, value in values.items():
         storage.write(name, np.asarray(value, np.float64))
     storage.release()
-    rig = only(tmp_path).load_pair().rig
+    rig = load_infrared_frame(only(tmp_path)).rig
     assert rig is not None
     np.testing.assert_allclose(rig.translation, [-0.05, 0, 0])
     assert rig.left.distortion == (0.1, 0, 0, 0, 0)
@@ -69,12 +70,12 @@ def test_yaml_of_opencv(tmp_path):
 def test_the_image_without_the_projector_is_used(tmp_path):
     write(tmp_path)
     write_png(tmp_path / "ir_noprojector.png", np.full((28, 36), 77, np.uint8))
-    assert (only(tmp_path).load_pair().infrared == 77).all()
+    assert (load_infrared_frame(only(tmp_path)).infrared == 77).all()
 
 
 def test_sixteen_bits_use_their_own_range(tmp_path):
     write(tmp_path, dtype=np.uint16)
-    infrared = only(tmp_path).load_pair().infrared
+    infrared = load_infrared_frame(only(tmp_path)).infrared
     assert infrared.dtype == np.uint8
     assert infrared.max() == 255
     assert 100 < infrared.mean() < 150
@@ -97,7 +98,7 @@ def test_sixteen_bits_use_their_own_range(tmp_path):
 def test_what_cannot_be_used_says_why_in_a_line(tmp_path, change, infrared, said):
     write(tmp_path, None if change is None else {**RIG, **change}, infrared)
     with pytest.raises(InputError, match=said) as caught:
-        only(tmp_path).load_pair()
+        load_infrared_frame(only(tmp_path))
     assert "\n" not in str(caught.value)
 
 

@@ -18,9 +18,10 @@ from depthcli.io.formats.depth import read_kinect_raw
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_grey, write_png
-from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.rgbd_frames import frame_size, load_sparse_frame
+from depthcli.io.scenes import RgbdScene
 from depthcli.io.walk import discover_scenes
-from tests.scenes import DATA, needs_data
+from tests.scenes import DATA, load, needs_data, true
 
 COLOR = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
 DEPTH = np.full((6, 8), 2000, np.uint16)
@@ -44,13 +45,13 @@ def test_our_layout(tmp_path: Path):
     (tmp_path / "a" / "meta.json").write_text(json.dumps(meta))
     (scene,) = find(tmp_path)
     assert (scene.name, scene.layout, scene.protocol, scene.has_truth) == ("a", "rgbd", "depth", True)
-    frame, truth = scene.load(), scene.truth()
+    frame, truth = load(scene), true(scene)
     assert np.isnan(frame.depth[0]).all()
     assert (frame.depth[1:] == 1).all()
     assert (frame.fb, frame.intrinsics.fy if frame.intrinsics else None) == (40, 510)
     assert (truth.depth[1:] == 2).all()
     np.testing.assert_array_equal(truth.masks["gap"], DEPTH == 0)
-    np.testing.assert_array_equal(replace(scene, depth_scale=1000).load().depth[1:], 2)
+    np.testing.assert_array_equal(load(replace(scene, depth_scale=1000)).depth[1:], 2)
 
 
 @pytest.mark.parametrize(
@@ -71,9 +72,9 @@ def test_implausible_inputs_are_warned_of(tmp_path: Path, meta: dict[str, float]
     write_png(tmp_path / "a" / "depth_true.png", DEPTH)
     (tmp_path / "a" / "meta.json").write_text(json.dumps(meta))
     (scene,) = find(tmp_path)
-    for read, end in ((scene.load, "depth.png"), (scene.truth, "depth_true.png")):
+    for read, end in ((load, "depth.png"), (true, "depth_true.png")):
         with collected_warnings() as lines:
-            read()
+            read(scene)
         assert len(lines) == len(warned)
         for line, text in zip(lines, warned, strict=True):
             assert text.replace("depth.png", end) in line
@@ -83,7 +84,7 @@ def test_meters_and_a_missing_fb(tmp_path: Path):
     write_png(tmp_path / "color.png", COLOR[..., 0])
     write_pfm(tmp_path / "depth.pfm", np.where(DEPTH > 0, np.float32(1.5), np.float32(np.nan)))
     (scene,) = find(tmp_path)
-    frame = scene.load()
+    frame = load(scene)
     assert (frame.depth[1:] == 1.5).all()
     assert frame.color.shape == (6, 8, 3)
     assert frame.fb == pytest.approx(43.5)
@@ -101,8 +102,8 @@ def test_sequences_are_frames_by_number(tmp_path: Path, split: bool):
         ("s/00000", "s", 0, False), ("s/00001", "s", 1, True), ("s/00003", "s", 3, False),
     ]  # fmt: skip
     with pytest.raises(InputError, match="a frame without its color"):
-        scenes[1].load()
-    assert scenes[2].load().shape == (6, 8)
+        load(scenes[1])
+    assert load(scenes[2]).shape == (6, 8)
 
 
 def test_tum_pairs_by_time(tmp_path: Path):
@@ -112,9 +113,9 @@ def test_tum_pairs_by_time(tmp_path: Path):
     (tmp_path / "t" / "rgb.txt").write_text("# color\n1.000 rgb/1.png\n2.000 rgb/2.png\n")
     (tmp_path / "t" / "depth.txt").write_text("1.010 depth/a.png\n")
     near, far = find(tmp_path)
-    assert near.load().depth[1, 0] == pytest.approx(0.4)  # 5000 codes a meter
+    assert load(near).depth[1, 0] == pytest.approx(0.4)  # 5000 codes a meter
     with pytest.raises(InputError, match=r"the nearest depth is 0\.990 s off"):
-        far.load()
+        load(far)
     (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png 2.001 depth/a.png\n")
     assert [i.problem for i in find(tmp_path)] == [""]
     (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png nonsense\n")
@@ -144,7 +145,7 @@ def test_tum_frames_have_the_pose_of_their_time(tmp_path: Path):
     half = np.sqrt(0.5)
     np.testing.assert_allclose(between[:3, :3], [[half, -half, 0], [half, half, 0], [0, 0, 1]], atol=1e-6)
     assert nearest[0, 3] == 4 and none is None
-    np.testing.assert_array_equal(find(tmp_path)[0].load().pose, exact)
+    np.testing.assert_array_equal(load(find(tmp_path)[0]).pose, exact)
 
 
 @pytest.mark.parametrize("lines", [1, 4])
@@ -187,24 +188,24 @@ def test_sun_rotates_its_bits(tmp_path: Path):
     (tmp_path / "s" / "intrinsics.txt").write_text("500 0 4\n0 510 3\n0 0 1\n")
     (scene,) = find(tmp_path)
     assert scene.layout == "sun-rgbd"
-    assert (scene.load().depth[1:] == 2).all()
+    assert (load(scene).depth[1:] == 2).all()
 
 
 def test_half_a_frame_is_a_row_with_its_reason(tmp_path: Path):
     write_png(tmp_path / "a" / "color.png", COLOR)
     (scene,) = find(tmp_path)
     with pytest.raises(InputError, match="no depth"):
-        scene.load()
+        load(scene)
 
 
 def test_depth_alone_is_a_frame_without_color(tmp_path: Path):
     write_png(tmp_path / "a" / "depth.png", DEPTH)
     (scene,) = find(tmp_path)
-    frame = scene.load()
+    frame = load(scene)
     assert not frame.has_color and (frame.color == 128).all() and frame.shape == DEPTH.shape
-    assert scene.frame_size() == DEPTH.shape and set(scene.input_files) == {"depth"}
+    assert frame_size(scene) == DEPTH.shape and set(scene.input_files) == {"depth"}
     with pytest.raises(InputError, match="no color image"):
-        scene.load_sparse()
+        load_sparse_frame(scene)
 
 
 def test_frames_that_cannot_be_used(tmp_path: Path):
@@ -216,7 +217,7 @@ def test_frames_that_cannot_be_used(tmp_path: Path):
     ):
         write_png(tmp_path / "a" / "depth.png", depth)
         with pytest.raises(InputError, match=said):
-            find(tmp_path)[0].load()
+            load(find(tmp_path)[0])
 
 
 def smaller_depth(folder: Path, **meta: object) -> RgbdScene:
@@ -235,15 +236,15 @@ DEPTH_CAMERA = {"fx": 20, "fy": 20, "cx": 15, "cy": 10}
 def test_depth_of_its_own_camera_is_registered(tmp_path: Path):
     place = {"rotation": np.eye(3).tolist(), "translation": [0.1, 0, 0]}
     scene = smaller_depth(tmp_path, intrinsics=CAMERA, depth_intrinsics=DEPTH_CAMERA, depth_to_color=place)
-    frame = scene.load()
+    frame = load(scene)
     assert frame.interpolated
     known = np.isfinite(frame.depth)
     assert (frame.depth[known] == 2).all()
     # The 30 x 20 samples cover 150 x 100 pixels around the center, 5 pixels (100 x 0.1 / 2) farther right than alone.
     assert known[:, 5:].all()
     np.testing.assert_array_equal(known[:, :5].any(), True)
-    alone = replace(scene, depth_to_color=None, depth_intrinsics=(25, 25, 15, 10)).load().depth
-    moved = replace(scene, depth_intrinsics=(25, 25, 15, 10)).load().depth
+    alone = load(replace(scene, depth_to_color=None, depth_intrinsics=(25, 25, 15, 10))).depth
+    moved = load(replace(scene, depth_intrinsics=(25, 25, 15, 10))).depth
     np.testing.assert_array_equal(np.isfinite(moved[:, 5:]), np.isfinite(alone[:, :-5]))
     assert 0 < np.isnan(alone[:, :2]).sum() < 3 * 90
 
@@ -272,7 +273,7 @@ def test_cameras_of_meta_json_that_cannot_be(tmp_path: Path, meta: dict[str, obj
     write_png(tmp_path / "depth.png", np.full((20, 30), 2000, np.uint16))
     (tmp_path / "meta.json").write_text(json.dumps(meta))
     with pytest.raises(InputError, match=said) as error:
-        find(tmp_path)[0].load()
+        load(find(tmp_path)[0])
     assert "\n" not in str(error.value)
 
 
@@ -281,7 +282,7 @@ def test_smaller_depth_of_the_same_aspect_is_scaled_and_said(tmp_path: Path):
     write_png(tmp_path / "depth.png", np.full((15, 20), 2000, np.uint16))
     (scene,) = find(tmp_path)
     with collected_warnings() as lines:
-        frame = scene.load()
+        frame = load(scene)
     assert (frame.depth == 2).all()
     (line,) = lines
     assert line.startswith(f"{tmp_path}/depth.png: 20 x 15, taken as registered to the color image of 120 x 90")
@@ -325,7 +326,7 @@ class TestRealFrames:
         folders = ("rgbd_nyu", "rgbd_primesense", "rgbd_sun", "rgbd_tum", "kinect_v1_raw")
         for folder in folders:
             for scene in find(DATA / folder):
-                frame = scene.load()
+                frame = load(scene)
                 assert 0.5 < np.isfinite(frame.depth).mean() < 0.95, scene.name
 
     def test_raw_depth_lies_on_the_checkerboards(self):

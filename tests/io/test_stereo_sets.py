@@ -13,9 +13,10 @@ from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.layouts import own_layouts
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes, scene_with_file
 from tests.contracts.layouts import check_layout
+from tests.scenes import load, true
 
 HEIGHT, WIDTH = 6, 8
 COLOR = np.dstack([np.arange(48, dtype=np.uint8).reshape(HEIGHT, WIDTH) + k for k in range(3)]).astype(np.uint8)
@@ -65,7 +66,7 @@ def test_the_three_scene_flow_sets(tmp_path: Path, where: str):
     found = scene_with_file(clean.disparity_left)
     assert found is not None
     assert found.folder == root
-    truth = clean.truth()
+    truth = true(clean)
     np.testing.assert_array_equal(truth.disparity, DISPARITY)
     np.testing.assert_array_equal(truth.right, DISPARITY)
     assert [scene.name for scene in find(tmp_path)] == [f"Set/{clean.name}", f"Set/{final.name}"]
@@ -80,7 +81,7 @@ def test_negative_disparities_and_occlusions_of_the_subset(tmp_path: Path):
     write_png(tmp_path / "train" / "disparity_occlusions" / "left" / "0000000.png", occluded)
     (scene,) = find(tmp_path)
     assert scene.name == "train/image_clean/0000000"
-    truth = scene.truth()
+    truth = true(scene)
     np.testing.assert_array_equal(truth.disparity, DISPARITY)
     assert truth.right is None
     np.testing.assert_array_equal(truth.masks["nonocc"], occluded == 0)
@@ -92,14 +93,14 @@ def test_a_scene_flow_frame_without_its_right_image_or_truth(tmp_path: Path):
     (root / "disparity/TEST/B/0001/left/0006.pfm").unlink()
     (scene,) = find(root)
     with pytest.raises(InputError, match=r"left/0006\.png: only one image of the pair, no .*right/0006\.png"):
-        scene.load()
+        load(scene)
     assert not scene.has_truth
 
 
 def test_webp_frames_of_the_scene_flow_sets_are_refused(tmp_path: Path):
     images(*(tmp_path / "frames_cleanpass" / "a" / side / "0006.webp" for side in ("left", "right")))
     with pytest.raises(InputError, match=r"left/0006\.webp: WebP is not read; use the set's PNG images"):
-        find(tmp_path)[0].load()
+        load(find(tmp_path)[0])
 
 
 # MPI Sintel
@@ -128,7 +129,7 @@ def sintel(folder: Path) -> Path:
 def test_sintel(tmp_path: Path):
     clean, final = find(sintel(tmp_path / "training"))
     assert (clean.name, final.name) == ("clean/alley_1_frame_0001", "final/alley_1_frame_0001")
-    truth = final.truth()
+    truth = true(final)
     assert np.isnan(truth.disparity[0, 0])
     np.testing.assert_allclose(truth.disparity[0, 1:4], [1023.9999, 100 + 1 / 64, 7 + 3 / 16384], rtol=0, atol=1e-4)
     np.testing.assert_array_equal(truth.disparity[1:], DISPARITY[1:])
@@ -146,11 +147,11 @@ def test_what_is_said_of_other_disparities_in_sintel(tmp_path: Path):
     sintel(tmp_path)
     codes(tmp_path / "disparities" / "alley_1" / "frame_0001.png", DISPARITY, 256)
     with pytest.raises(InputError, match=r"frame_0001\.png: expected disparities packed into three channels"):
-        find(tmp_path)[0].truth()
+        true(find(tmp_path)[0])
     sintel(tmp_path)
     write_png(tmp_path / "outofframe" / "alley_1" / "frame_0001.png", np.zeros((3, 3), np.uint8))
     with pytest.raises(InputError, match=r"outofframe.*frame_0001\.png: 3 x 3"):
-        find(tmp_path)[0].truth()
+        true(find(tmp_path)[0])
 
 
 # DrivingStereo
@@ -173,7 +174,7 @@ def test_driving_stereo(tmp_path: Path):
     calib.write_text(_CALIB)
     (scene,) = find(tmp_path)
     assert (scene.name, scene.layout, scene.max_disparity) == (f"train-left-image/{frame}", "driving-stereo", 255)
-    np.testing.assert_array_equal(scene.truth().disparity, unknown)
+    np.testing.assert_array_equal(true(scene).disparity, unknown)
     assert scene.calibration == calib
     geometry = read_geometry(calib, scene.cameras)
     assert (geometry.left.fx, geometry.baseline) == (1003.5, pytest.approx(546.9 / 1003.5))
@@ -192,7 +193,7 @@ def test_full_size_frames_of_driving_stereo_have_another_scale(tmp_path: Path):
     assert (full.disparity_scale, half.disparity_scale) == (128, 256)
     assert (full.calibration, half.calibration) == (calib, None)
     for scene in (full, half):
-        np.testing.assert_array_equal(scene.truth().disparity, DISPARITY)
+        np.testing.assert_array_equal(true(scene).disparity, DISPARITY)
 
 
 # Sets with integer codes: CREStereo's and InStereo2K
@@ -204,13 +205,13 @@ def test_crestereo(tmp_path: Path):
         codes(tmp_path / "hole" / f"0003c2ad-2128_{side}.disp.png", DISPARITY, 32)
     (scene,) = find(tmp_path)
     assert (scene.name, scene.layout) == ("hole/0003c2ad-2128", "crestereo")
-    truth = scene.truth()
+    truth = true(scene)
     np.testing.assert_array_equal(truth.disparity, DISPARITY)
     np.testing.assert_array_equal(truth.right, DISPARITY)
     check("crestereo", tmp_path)
     (tmp_path / "hole" / "0003c2ad-2128_right.jpg").unlink()
     with pytest.raises(InputError, match=r"only one image of the pair, no 0003c2ad-2128_right\.jpg"):
-        find(tmp_path)[0].load()
+        load(find(tmp_path)[0])
 
 
 def test_instereo2k(tmp_path: Path):
@@ -222,12 +223,12 @@ def test_instereo2k(tmp_path: Path):
         codes(folder / f"{side}_disp.png", unknown, 100)
     (scene,) = find(tmp_path)
     assert (scene.name, scene.layout) == ("part1/000003", "instereo2k")
-    np.testing.assert_array_equal(scene.truth().disparity, unknown)
+    np.testing.assert_array_equal(true(scene).disparity, unknown)
     assert set(protocols.load(scene.protocol)().truth(scene).masks) == {"nonocc", "all", "disc"}
     check("instereo2k", tmp_path / "part1")
     (folder / "right.png").unlink()
     with pytest.raises(InputError, match=r"only one image of the pair, no right\.\*"):
-        find(tmp_path)[0].load()
+        load(find(tmp_path)[0])
 
 
 # Middlebury 2021 and Booster
@@ -286,7 +287,7 @@ def test_booster(tmp_path: Path):
     first, second = find(tmp_path)
     assert (first.name, second.name) == ("balanced/Bathroom_im0", "balanced/Bathroom_im1")
     assert (first.layout, first.protocol) == ("booster", "booster")
-    truth = second.truth()
+    truth = true(second)
     assert np.isnan(truth.disparity[0, 0])
     np.testing.assert_array_equal(truth.disparity.ravel()[1:], DISPARITY.ravel()[1:])
     counts = {name: int(mask.sum()) for name, mask in truth.masks.items()}
@@ -312,7 +313,7 @@ def test_unbalanced_pairs_of_booster_are_refused(tmp_path: Path):
     (tmp_path / "unbalanced" / "Bathroom" / "camera_02").rename(tmp_path / "unbalanced" / "Bathroom" / "camera_01")
     scene = find(tmp_path)[0]
     with pytest.raises(InputError, match=r"an unbalanced pair, of two sizes; use camera_02"):
-        scene.load()
+        load(scene)
 
 
 # ETH3D
@@ -336,8 +337,8 @@ def test_the_truth_of_eth3d_lies_in_a_folder_beside(tmp_path: Path):
     write_png(truth / "mask0nocc.png", np.full((HEIGHT, WIDTH), 255, np.uint8))
     (scene,) = find(tmp_path)
     assert (scene.name, scene.layout, scene.protocol) == ("two_view_training/delivery_area_1l", "eth3d", "eth3d")
-    np.testing.assert_array_equal(scene.truth().disparity, DISPARITY)
-    assert scene.truth().masks["nonocc"].all()
+    np.testing.assert_array_equal(true(scene).disparity, DISPARITY)
+    assert true(scene).masks["nonocc"].all()
     check("eth3d", tmp_path / "two_view_training")
 
 

@@ -13,7 +13,7 @@ from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.io.formats.volumes import read_volume, write_array
-from depthcli.io.scenes.volume_pair import LoadedPair, label_masks
+from depthcli.io.volume_pairs import LoadedPair, label_masks
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -13,7 +13,7 @@ from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.images import read_image
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
 from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.packing import map_colors
 

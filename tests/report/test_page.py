@@ -23,8 +23,8 @@ from depthcli.evaluation.protocols.registration import PreparedTruth, Registrati
 from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.formats.volumes import read_volume
-from depthcli.io.scenes.volume_pair import RegistrationTruth
-from depthcli.io.walk import BrokenScene
+from depthcli.io.scenes import Scene
+from depthcli.io.volume_pairs import RegistrationTruth
 from depthcli.report.packing import pack, pack_bytes, slices, thinned, unpack
 from depthcli.report.page import Page
 from tests.report.conftest import ODD, SHAPE
@@ -207,7 +207,7 @@ class Shifted(RegistrationProtocol):
 
 
 def test_points_show_where_they_lie_on_a_grid(tmp_path: Path):
-    judge, scene, page, grid = Shifted(), BrokenScene(name="box", folder=tmp_path), Page(), Grid((8, 6, 4), (1, 1, 1))
+    judge, scene, page, grid = Shifted(), Scene(name="box", folder=tmp_path), Page(), Grid((8, 6, 4), (1, 1, 1))
     inside = np.zeros((4, 6, 8), bool)
     inside[1:3, 2:, ::2] = True
     points = np.arange(inside.sum(), dtype=np.float32) / 8

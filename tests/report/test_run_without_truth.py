@@ -17,7 +17,8 @@ from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
 from depthcli.io.formats.volumes import read_volume
-from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
+from depthcli.io.scenes import VolumePairScene
+from depthcli.io.volume_pairs import RegistrationTruth
 from depthcli.report.packing import unpack
 from depthcli.report.scene_view import view_with_truth
 from tests.report.conftest import ODD

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.rgbd_frames import load_sparse_frame, true_depth
+from depthcli.io.scenes import RgbdScene
 from depthcli.io.walk import discover_scenes
 from depthcli.simulate.transparent_scenes import (
     cross_modal_pair,
@@ -61,7 +62,7 @@ def test_the_command_makes_frames_and_makes_them_from_others(tmp_path):
         assert [scene.name for scene in scenes] == ["glass_0", "glass_1"]
         for scene in scenes:
             assert isinstance(scene, RgbdScene)
-            frame, truth = scene.load_sparse(), scene.truth()
+            frame, truth = load_sparse_frame(scene), true_depth(scene)
             assert np.isfinite(frame.sparse).mean() == pytest.approx(share, abs=0.001)
             assert truth.masks["transparent"].any()
             assert truth.fb == (24.0 if folder == made else None)

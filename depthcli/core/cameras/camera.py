@@ -14,6 +14,8 @@ from depthcli.core.errors import InputError
 # How many distortion coefficients OpenCV's models take, by whether it is the fisheye model.
 _COEFFICIENT_COUNTS = {False: (4, 5, 8, 12, 14), True: (4,)}
 
+_MAX_TRANSLATION = 10.0  # meters between the cameras of one sensor; a longer one is in another unit
+
 
 @dataclass(frozen=True)
 class Intrinsics:
@@ -51,9 +53,21 @@ def typical_intrinsics(width: int, height: int) -> Intrinsics:
     return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
+Place = tuple[tuple[float, ...], tuple[float, ...]]
+"""Rotation (3 x 3, row by row) and translation (meters) from one camera's frame to another one's."""
+
+
 def is_rotation(matrix: NDArray[np.float64]) -> bool:
     """Return whether a (3, 3) matrix turns, within 1e-3, and does nothing else."""
     return bool(np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) and np.linalg.det(matrix) > 0)
+
+
+def check_place(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> None:
+    """Raise InputError where (3, 3) is no rotation, or (3,) no distance of two cameras of one sensor, meters."""
+    if not is_rotation(rotation):
+        raise InputError("depth_to_color: the rotation is not a rotation matrix")
+    if not np.linalg.norm(translation) <= _MAX_TRANSLATION:
+        raise InputError(f"depth_to_color: the translation is longer than {_MAX_TRANSLATION:g} m; want meters")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Camera, Intrinsics, is_rotation, typical_intrinsics
+from depthcli.core.cameras.camera import Camera, Intrinsics, Place, check_place, typical_intrinsics
 from depthcli.core.errors import InputError
 from depthcli.kernels.jit import jit
 
@@ -19,14 +19,10 @@ _MAX_STEP = 0.03
 # and the least and the largest of it; set by hand.
 _MAX_BEND, _MIN_LIMIT, _MAX_LIMIT = 6.0, 0.005, 0.1
 _MAD_TO_SIGMA = 1.4826
-_MAX_TRANSLATION = 10.0  # meters; a longer one is in another unit
 _PATCHES_AT_ONCE = 1 << 15  # limits the memory of their points
 _MAX_APPROACH = 0.1  # of a depth: surfaces that would be nearer to the color camera are left out
 
 _ON_EDGE = -1e-9  # share of a triangle: pixels on an edge belong to it in spite of rounding
-
-Place = tuple[tuple[float, ...], tuple[float, ...]]
-"""Rotation (3 x 3, row by row) and translation (meters) from the depth camera's frame to the color camera's."""
 
 
 @dataclass(frozen=True)
@@ -128,14 +124,6 @@ def registered(
         "if it is not, give depth_intrinsics"
     )
     return Registered(result, cameras.interpolates, "" if camera else note)
-
-
-def check_place(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> None:
-    """Raise InputError where (3, 3) is no rotation, or (3,) no distance of two cameras of one sensor, meters."""
-    if not is_rotation(rotation):
-        raise InputError("depth_to_color: the rotation is not a rotation matrix")
-    if not np.linalg.norm(translation) <= _MAX_TRANSLATION:
-        raise InputError(f"depth_to_color: the translation is longer than {_MAX_TRANSLATION:g} m; want meters")
 
 
 def _close_gaps(depth: NDArray[np.float32]) -> NDArray[np.float32]:

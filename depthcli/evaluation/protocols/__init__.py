@@ -181,6 +181,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
     kind: ClassVar[type[Scene]]  # of scene that is scored
     files: ClassVar[MapFiles]  # where a run folder may hold the maps
     presentation: ClassVar[Presentation]
+    read_truth: Callable[[Any], Any]  # reads the ground truth of a scene of that kind as stored
     headline: Metric  # the metric that ranks runs; ``scores`` has it for every region
     takes: ClassVar[tuple[str, ...]] = ("scale", "threshold")  # names of the settings that make a difference
     region_order: ClassVar[tuple[str, ...]] = ("nonocc", "all", "disc")  # in tables; the first present is the main one

@@ -20,8 +20,8 @@ from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally, in_
 from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
 from depthcli.io.formats.files import shown, warn
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.stereo import StereoScene, StereoTruth
+from depthcli.io.scenes import Scene, StereoScene
+from depthcli.io.stereo_pairs import StereoTruth, true_disparity
 
 Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]
@@ -88,6 +88,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     """
 
     kind = StereoScene
+    read_truth = staticmethod(true_disparity)
     files = DisparityFiles()
     curve_regions: ClassVar[tuple[str, ...]] = ("nonocc", "all")
     takes: ClassVar[tuple[str, ...]] = ("scale", "threshold", "invalid")
@@ -114,7 +115,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         scene.check()
         if not isinstance(scene, StereoScene):
             raise InputError(f"{scene.folder}: {scene.name} is no stereo pair, which {self.name} scores")
-        stored = scene.truth()
+        stored = self.read_truth(scene)
         known, (height, width), other = float(np.mean(~np.isnan(stored.disparity))), stored.disparity.shape, ""
         if not known:
             raise InputError(f"{scene.disparity_left}: the ground truth has no known pixel")

@@ -20,8 +20,8 @@ from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.map_format import map_formats
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgbd import RgbdScene, RgbdTruth
+from depthcli.io.rgbd_frames import true_depth
+from depthcli.io.scenes import RgbdScene, Scene
 
 Depth = NDArray[np.float32]
 
@@ -78,6 +78,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     """
 
     kind = RgbdScene
+    read_truth = staticmethod(true_depth)
     files = MapFiles(("{scene}/depth", "{scene}"), (".pfm", ".npy", ".npz", ".png", ".pgm", ".tif", ".tiff"))
     presentation = Presentation(
         title="Depth: mean absolute error, mm; estimated pixels only",
@@ -98,9 +99,10 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
 
     def truth(self, scene: Scene) -> DepthTruth:
         """Return the true depth with its regions, at the size of the settings."""
-        stored = scene.truth()
-        if not isinstance(stored, RgbdTruth):
+        scene.check()
+        if not isinstance(scene, RgbdScene):
             raise InputError(f"{scene.folder}: {scene.name} has no true depth, which {self.name} scores")
+        stored = self.read_truth(scene)
         depth = self._resized(stored.depth)
         known = np.isfinite(depth)
         if not known.any():

@@ -21,7 +21,7 @@ from depthcli.evaluation.protocols._disparity import (
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, float_sum, mean_of_scenes
 from depthcli.io.formats.disparity import KITTI_SCALE
 from depthcli.io.scenes import Scene
-from depthcli.io.scenes.stereo import StereoTruth
+from depthcli.io.stereo_pairs import StereoTruth
 
 INTERPOLATED = "background-interpolated"
 NOTHING_ESTIMATED = 0.0

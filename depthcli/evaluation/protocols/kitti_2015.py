@@ -19,7 +19,7 @@ from depthcli.evaluation.protocols._disparity import (
 )
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, NOTHING_ESTIMATED, Kitti2012Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, percent
-from depthcli.io.scenes.stereo import StereoTruth
+from depthcli.io.stereo_pairs import StereoTruth
 
 
 def pool_pixels(scores: Sequence[Score], weights: Sequence[float]) -> Score:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import discontinuity_mask
 from depthcli.evaluation.protocols._disparity import PRESENTATION, DisparityProtocol, Masks
-from depthcli.io.scenes.stereo import StereoTruth
+from depthcli.io.stereo_pairs import StereoTruth
 
 
 class MiddleburyV2Protocol(DisparityProtocol):

@@ -24,7 +24,7 @@ from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Metric, Score, float_sum
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.scenes import Scene
-from depthcli.io.scenes.stereo import StereoTruth
+from depthcli.io.stereo_pairs import StereoTruth
 
 QUANTILES = (50, 90, 95, 99)  # percent, as printed by the SDK
 # The site's average weighs the hard scenes with 4 % and the other ten with 8 %.

@@ -22,8 +22,8 @@ from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.scores import MapResult, Metric, Score, percent
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.volumes import read_volume
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.volume_pair import RegistrationTruth, VolumePairScene
+from depthcli.io.scenes import Scene, VolumePairScene
+from depthcli.io.volume_pairs import RegistrationTruth, true_errors
 
 Errors = NDArray[np.float32]
 
@@ -182,6 +182,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
     """
 
     kind = VolumePairScene
+    read_truth = staticmethod(true_errors)
     files = ExpectedErrorFiles(("{scene}/expected_error", "{scene}"), (".nii.gz", ".nii", ".mha", ".nrrd"))
     presentation = Presentation(
         title="Registration confidence: expected against true error",
@@ -209,9 +210,10 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
 
     def truth(self, scene: Scene) -> PreparedTruth:
         """Return the true errors at landmarks or voxels."""
-        stored = scene.truth()
-        if not isinstance(stored, RegistrationTruth):
+        scene.check()
+        if not isinstance(scene, VolumePairScene):
             raise InputError(f"{scene.folder}: {scene.name} has no registration errors, which {self.name} scores")
+        stored: RegistrationTruth = self.read_truth(scene)
         if stored.error.ndim == 1:
             return PreparedTruth(stored.error, stored.grid.to_index(stored.points), None, stored)
         inside = np.isfinite(stored.error)

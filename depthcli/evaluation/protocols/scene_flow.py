@@ -11,7 +11,7 @@ from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks
 from depthcli.evaluation.protocols.kitti_2015 import is_d1
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_IS_BAD, Metric, Score
-from depthcli.io.scenes.stereo import StereoTruth
+from depthcli.io.stereo_pairs import StereoTruth
 
 _RANGE = 192.0  # pixels: true disparities from here on are not evaluated
 _WRONG = 3.0  # pixels, from which on a pixel is shown as wrong

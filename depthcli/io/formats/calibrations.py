@@ -26,6 +26,7 @@ from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import naming, read_bytes, write_text
+from depthcli.io.formats.files_behind import kinect_files
 from depthcli.io.formats.plain_text import image_sides, json_object, key_values, numbers
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -178,19 +179,13 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
         if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
             raise InputError("singular: focal lengths and dc[1] must not be zero")
         depth, color = (Camera(arrays[f"{k}_K"], tuple(arrays[f"{k}_kc"].tolist())) for k in ("depth", "color"))
-    beta = kinect_files_beside(path)
+    beta = kinect_files(path)
     start, slope = arrays["dc"].tolist()
     one, other = arrays["dc_alpha"].tolist()
     return KinectCalibration(
         depth, color, arrays["depth_to_color_R"], arrays["depth_to_color_t"], offset=-start / slope,
         factor=-1.0 / slope, beta=read_plane(beta[0]).astype(np.float64) if beta else None, alpha=(one, other),
     )  # fmt: skip
-
-
-def kinect_files_beside(path: Path) -> tuple[Path, ...]:
-    """Return the files that are read beside a Kinect calibration: ``dc_beta.npy``, where it is there."""
-    beta = path.with_name("dc_beta.npy")
-    return (beta,) if beta.is_file() else ()
 
 
 def _camera(

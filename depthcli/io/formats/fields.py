@@ -11,7 +11,6 @@ Learn2Reg, VoxelMorph   ``.npz`` or 4-D NIfTI (X, Y, Z, 3): displacement, voxels
 
 from __future__ import annotations
 
-import contextlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from depthcli.algorithms.resampling import nearest
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.files import naming, open_regular, read_bytes
+from depthcli.io.formats.files_behind import MAX_CHAIN, MAX_TRANSFORM_BYTES, initial_transform
 from depthcli.io.formats.plain_text import numbers
 from depthcli.io.formats.volumes import (
     itk_header,
@@ -47,9 +47,6 @@ _MIN_RATIO = 1.1  # mutual information of the better reading over that of the na
 _MIN_GAIN = 0.02  # and by how much it must be more, nats
 _N_SAMPLES = 60_000  # voxels that the readings of a field are compared at
 _N_BINS = 24  # of the histogram of each volume
-_MAX_BYTES = 1 << 30  # a text of B-spline parameters may be long
-_INITIAL = re.compile(r'^\s*\(InitialTransformParameters?FileName\s+("[^"\n]*"|[^\s)]+)', re.MULTILINE)
-_MAX_CHAIN = 100  # transforms of elastix that begin with one another; a registration has two or three
 _COLUMNS = re.compile(r"(?:^|_)([xyz])(?:_|$)")
 
 
@@ -194,7 +191,7 @@ def read_transform(path: Path) -> Any:
     sitk = simple_itk()
     with naming(path):
         if suffix_of(path) == ".txt":
-            text = read_bytes(path, _MAX_BYTES).decode("latin-1")
+            text = read_bytes(path, MAX_TRANSFORM_BYTES).decode("latin-1")
             if "(Transform " in text:
                 with library_errors():
                     return sitk.CompositeTransform(_elastix_chain(path, text, ()))
@@ -207,41 +204,17 @@ def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]
     fields = {}
     for name, words in re.findall(r"^\s*\((\w+)\s+(.*?)\)\s*(?://.*)?$", text, re.MULTILINE):
         fields[name] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', words)] or [""]
-    if path.resolve() in before or len(before) > _MAX_CHAIN:
+    if path.resolve() in before or len(before) > MAX_CHAIN:
         raise InputError("its chain of initial transforms comes back to it")
     if fields.get("HowToCombineTransforms", ["Compose"])[0] != "Compose":
         raise InputError("transforms that are added, not composed, are not read")
     own = _elastix_transform(fields)
-    file = _initial(path, text)
+    file = initial_transform(path, text)
     if file is None:
         return [own]
     with naming(file):
-        below = read_bytes(file, _MAX_BYTES).decode("latin-1")
+        below = read_bytes(file, MAX_TRANSFORM_BYTES).decode("latin-1")
     return [own, *_elastix_chain(file, below, (*before, path.resolve()))]
-
-
-def _initial(path: Path, text: str) -> Path | None:
-    """The file that an elastix transform starts from, beside it or where it says; None where there is none."""
-    found = _INITIAL.findall(text)
-    name = found[-1].strip('"') if found else ""
-    if name in ("", "NoInitialTransform"):
-        return None
-    beside, elsewhere = path.parent / Path(name).name, Path(name)
-    return elsewhere if not beside.is_file() and elsewhere.is_file() else beside
-
-
-def transform_files_read_with(path: Path) -> tuple[Path, ...]:
-    """Return the files that a chain of elastix parameter files leads to, ``path`` not among them."""
-    files: list[Path] = []
-    with contextlib.suppress(InputError):  # reading the transform says what is wrong
-        while suffix_of(path) == ".txt" and len(files) < _MAX_CHAIN:
-            text = read_bytes(path, _MAX_BYTES).decode("latin-1")
-            below = _initial(path, text) if "(Transform " in text else None
-            if below is None or below in files:
-                break
-            files.append(below)
-            path = below
-    return tuple(files)
 
 
 def _elastix_transform(fields: dict[str, list[str]]) -> Any:

@@ -10,7 +10,6 @@ import contextlib
 import gzip
 import math
 import os
-import re
 import struct
 import warnings
 import zlib
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.files import atomic_path, naming, open_regular, read_bytes, shown
+from depthcli.io.formats.files_behind import volume_files
 from depthcli.io.formats.images import IMAGE_SUFFIXES, image_size, read_grey
 from depthcli.io.formats.plain_text import json_object, numbers
 
@@ -35,9 +35,8 @@ _ITK_READERS |= dict.fromkeys((".nrrd", ".nhdr"), "NrrdImageIO")
 _MAX_SIDE = 1 << 20  # voxels; no volume is as wide
 _MAX_SPACING = 1e12  # mm; 1e-12 is the smallest: squares of both are well within the range of 32 bit
 _NIFTI_FLOATS = {"16": "f4", "64": "f8"}  # by the header's datatype
-_HEADER_BYTES = 1 << 20  # first part of a MetaImage or NRRD file that is searched for the file with its values
+_HEADER_BYTES = 1 << 20  # first part of a MetaImage file that its header lies in
 _MAX_LINE = 250  # characters in a header of MetaImage, whose library copies longer ones without a check
-_DATA_FILE = re.compile(rb"^(?:ElementDataFile\s*[=:]|data ?file:)[ \t]*([^\r\n]+)\r?\n?((?:[^\r\n]+\r?\n?)*)", re.M)
 
 Slab = Callable[[int, int], NDArray[np.float32]]
 """Slices ``first`` up to ``last`` of a volume, (n, Y, X), or (n, Y, X, 3) of a vector field."""
@@ -132,7 +131,7 @@ def itk_header(path: Path) -> Any:
             header = stream.read(_HEADER_BYTES).partition(b"ElementDataFile")[0]
         if any(len(line) > _MAX_LINE for line in header.splitlines()):
             raise InputError(f"a line of over {_MAX_LINE} characters in its header")
-    for file in (path, *files_read_with(path)):
+    for file in (path, *volume_files(path)):
         if not file.is_relative_to(path.parent) or ".." in file.relative_to(path.parent).parts:
             raise InputError(f"its values lie in {file.name}, which is not in its own folder")
         with open_regular(file):  # the library would wait for the other end of a pipe
@@ -147,25 +146,6 @@ def itk_header(path: Path) -> Any:
     with library_errors():
         reader.ReadImageInformation()
     return reader
-
-
-def files_read_with(path: Path) -> tuple[Path, ...]:
-    """Return the files that are read beside a volume: those with its values, or ``meta.json`` with its size."""
-    if suffix_of(path) == ".img":
-        return (path.with_name("meta.json"),)
-    if path.suffix.lower() not in (".mha", ".mhd", ".nrrd", ".nhdr"):
-        return ()
-    try:
-        with open_regular(path) as file:
-            found = _DATA_FILE.search(file.read(_HEADER_BYTES))
-    except InputError:  # reading the volume says what is wrong
-        return ()
-    name = os.fsdecode(found[1]).strip() if found else "LOCAL"
-    if found and name.split()[0] == "LIST":
-        return tuple(path.parent / each.strip() for each in os.fsdecode(found[2]).splitlines() if each.strip())
-    if "%" in name:  # a pattern of numbered files
-        return tuple(sorted(path.parent.glob(re.sub(r"%\d*d", "*", name.split()[0]))))
-    return () if name in ("LOCAL", "Local", "local") else (path.parent / name,)
 
 
 def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.bool_] | None:

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from depthcli.core.cameras.color_and_depth import check_place
+from depthcli.core.cameras.camera import Place, check_place
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import numbers
 from depthcli.io.formats.poses import Poses, read_poses
 from depthcli.io.layouts.base import Folder, Layout, Meta
 from depthcli.io.layouts.rows import Found, Row
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgbd import RgbdScene, RgbIrScene
-
-if TYPE_CHECKING:
-    from depthcli.core.cameras.color_and_depth import Place
+from depthcli.io.scenes import RgbdScene, RgbIrScene, Scene
 
 _TUM_SCALE = 5000.0  # codes a meter, of the benchmark's files
 _TUM_DELAY = 0.02  # seconds, as the benchmark's associate.py

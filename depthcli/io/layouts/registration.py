@@ -8,8 +8,7 @@ from pathlib import Path
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import warn
 from depthcli.io.layouts.base import Folder, Layout
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.volume_pair import LEFT_OUT, VolumePairScene
+from depthcli.io.scenes import LEFT_OUT, Scene, VolumePairScene
 
 _VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img", ".png", ".jpg", ".jpeg")
 _FIELDS = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")

@@ -22,9 +22,7 @@ from depthcli.core.yaml_source import read_config
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_suffixes
 from depthcli.io.layouts.base import Folder, Layout
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.rgbd import RgbdScene
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
 

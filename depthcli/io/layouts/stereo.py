@@ -17,8 +17,7 @@ from depthcli.io.formats.images import read_image
 from depthcli.io.formats.plain_text import key_values, numbers
 from depthcli.io.layouts.base import Folder, Layout
 from depthcli.io.layouts.rows import Found, Row
-from depthcli.io.scenes import Scene
-from depthcli.io.scenes.stereo import MAX_DISPARITY, StereoScene
+from depthcli.io.scenes import MAX_DISPARITY, Scene, StereoScene
 
 _KITTI_RANGE = 255  # the largest disparity a file of KITTI can hold: the frames come without a range of their own
 _SCENE_FLOW_RANGE = 192  # of the evaluations in the literature; the files have larger ones, too

@@ -19,7 +19,8 @@ from depthcli.commands._scenes import find_scenes
 from depthcli.commands._shared_options import ConfigArgument, SetOption
 from depthcli.core.method import RootConfig
 from depthcli.io.formats.disparity import write_pfm
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
+from depthcli.io.stereo_pairs import load_pair
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE
 
@@ -44,7 +45,7 @@ class Constant(Batch[StereoScene]):
 
     def compute(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Write ``disp_left.pfm``."""
-        height, width = scene.load().shape
+        height, width = load_pair(scene).shape
         write_pfm(folder / "disp_left.pfm", np.full((height, width), self.config.disparity, np.float32))
         return Outcome({"width": width, "height": height}, {"write": 0.0})
 

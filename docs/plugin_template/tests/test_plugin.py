@@ -13,6 +13,7 @@ from depthcli_example.protocol import EighthPixel
 from depthcli.cli import main
 from depthcli.io.layouts import Folder
 from depthcli.io.scenes import Scene
+from depthcli.io.stereo_pairs import load_pair
 from depthcli.testing import check_cost_measure
 
 
@@ -29,7 +30,7 @@ def test_cost():
 def test_layout(scenes: Path):
     near = scene_in(scenes / "near")
     assert near.layout == "two-files" and near.has_truth and not near.problem
-    assert near.load().shape == (48, 64)
+    assert load_pair(near).shape == (48, 64)
     assert not TwoFiles().scenes(Folder(scenes, "scenes", ""))
 
 

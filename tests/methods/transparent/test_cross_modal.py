@@ -12,7 +12,7 @@ from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of
 from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbIrFrame
 from depthcli.core.result import Clock
-from depthcli.io.scenes.stereo import StereoScene
+from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.transparent.cross_modal import (
@@ -24,7 +24,7 @@ from depthcli.methods.transparent.cross_modal import (
 )
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene
 from tests.methods.stereo._pairs import assert_pure, texture
-from tests.scenes import DATA
+from tests.scenes import DATA, load, true
 
 SIZE, SMALL = (200, 150), (160, 130)
 
@@ -158,7 +158,7 @@ class TestRealScenes:
         found = {}
         for stereo_scene in discover_scenes(folder, (StereoScene,), patterns=("Cones", "Teddy", "Venus")):
             assert isinstance(stereo_scene, StereoScene)
-            pair, truth = stereo_scene.load(), stereo_scene.truth()
+            pair, truth = load(stereo_scene), true(stereo_scene)
             found[stereo_scene.name] = (
                 glass_of_pair(pair.left, pair.right, truth.disparity),
                 truth.masks["nonocc"],

@@ -11,14 +11,14 @@ import pytest
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import SparseFrame
-from depthcli.io.scenes.rgbd import RgbdScene
+from depthcli.io.scenes import RgbdScene
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 from depthcli.run.presets import find_config
 from depthcli.simulate.transparent_scenes import sparse_samples
 from tests.contracts.inputs import NOISE, glass
-from tests.scenes import DATA
+from tests.scenes import DATA, load, true
 
 
 def pipeline(name):
@@ -100,7 +100,7 @@ class TestRealScenes:
         found = {}
         for scene in discover_scenes(folder, (RgbdScene,)):
             assert isinstance(scene, RgbdScene)
-            frame, truth = scene.load(), scene.truth()
+            frame, truth = load(scene), true(scene)
             color = cv2.resize(frame.color, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             mask = truth.masks["transparent"][::2, ::2]
             found[scene.name] = (color, np.ascontiguousarray(frame.depth[::2, ::2]), truth.depth[::2, ::2], mask)

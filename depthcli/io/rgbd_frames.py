@@ -1,0 +1,151 @@
+"""Frames of color and depth and their ground truth, loaded from the files of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.color_and_depth import registered
+from depthcli.core.cameras.kinect import kinect_v1, sensor_fb
+from depthcli.core.errors import InputError
+from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame, color8, infrared_image
+from depthcli.io.formats.calibrations import read_color_infrared_rig, read_kinect_calibration
+from depthcli.io.formats.depth import MILLIMETERS, check_fb, read_depth, read_kinect_raw
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.files import naming, warn
+from depthcli.io.formats.images import image_size, read_grey, read_image
+from depthcli.io.scenes import RgbdScene, RgbIrScene, check_same_size
+
+
+@dataclass(frozen=True)
+class RgbdTruth:
+    """True depth of one frame."""
+
+    depth: NDArray[np.float32]  # (H, W) float32, meters, NaN = unknown
+    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)  # name -> (H, W) bool, True = evaluate
+    fb: float | None = None  # focal length x baseline, pixel meters, or None where errors in pixels mean nothing
+
+
+def frame_size(scene: RgbdScene) -> tuple[int, int]:
+    """Return (height, width) of the frame by an image's header alone; InputError where it cannot be read."""
+    return image_size(scene.image)
+
+
+def load_frame(scene: RgbdScene) -> RgbdFrame:
+    """Return color and depth of one size, depth in meters and registered to the color, or depth alone."""
+    scene.check()
+    color_camera, depth_camera = (
+        None if each is None else Intrinsics(*each) for each in (scene.intrinsics, scene.depth_intrinsics)
+    )
+    if scene.color is None:
+        known = color_camera or depth_camera
+        frame = RgbdFrame.without_color(_visible_depth(scene), scene.fb or sensor_fb(known), known)
+    elif scene.raw:
+        frame = _registered_raw(scene, color8(read_image(scene.color)))
+    else:
+        color, depth = color8(read_image(scene.color)), _visible_depth(scene)
+        with naming(scene.depth):
+            found = registered(depth, color.shape[:2], color_camera, depth_camera, scene.depth_to_color)
+        if found.note:
+            warn(f"{scene.depth}: {found.note}")
+        fb = scene.fb or sensor_fb(color_camera)
+        frame = RgbdFrame(color, found.depth, fb, color_camera, found.interpolated, _pose(scene))
+    if not np.isfinite(frame.depth).any():
+        raise InputError(f"{scene.depth}: no pixel has a depth")
+    if scene.fb:
+        check_fb(scene.folder / "meta.json", scene.fb, frame.depth)
+    return frame
+
+
+def load_sparse_frame(scene: RgbdScene) -> SparseFrame:
+    """Return the frame with its second, sparse depth."""
+    frame = load_frame(scene)
+    if scene.color is None:
+        raise InputError(f"{scene.depth}: no color image beside it, which transparent objects need")
+    if scene.sparse is None:
+        raise InputError(f"{scene.folder}: {scene.name} has no sparse depth (sparse.*)")
+    sparse, confidence = _read_depth(scene, scene.sparse), None
+    check_same_size(scene.sparse, sparse.shape, scene.image, frame.shape)
+    if scene.sparse_confidence is not None:
+        plane = read_plane(scene.sparse_confidence)
+        check_same_size(scene.sparse_confidence, plane.shape, scene.image, frame.shape)
+        confidence = (plane / (np.iinfo(plane.dtype).max if plane.dtype.kind in "iu" else 1)).astype(np.float32)
+    if not np.isfinite(sparse).any():
+        raise InputError(f"{scene.sparse}: no pixel has a depth")
+    return SparseFrame(
+        frame.color, frame.depth, frame.fb, frame.intrinsics, frame.interpolated,
+        sparse=sparse, sparse_confidence=confidence,
+    )  # fmt: skip
+
+
+def load_infrared_frame(scene: RgbIrScene) -> RgbIrFrame:
+    """Return the frame with its infrared image and calibration."""
+    frame = load_frame(scene)
+    if scene.calibration is None:
+        raise InputError(f"{scene.folder}: no calibration of the color and the infrared camera (calib.json)")
+    infrared = infrared_image(read_image(scene.infrared_plain or scene.infrared))
+    height, width = infrared.shape
+    rig = read_color_infrared_rig(scene.calibration, (frame.shape[1], frame.shape[0]), (width, height))
+    if not isinstance(rig, float):
+        return RgbIrFrame(frame.color, infrared, frame.depth, rig)
+    check_same_size(scene.infrared, infrared.shape, scene.image, frame.shape, "; a rectified pair has one size")
+    check_fb(scene.calibration, rig, frame.depth)
+    return RgbIrFrame(frame.color, infrared, frame.depth, None, rig)
+
+
+def true_depth(scene: RgbdScene) -> RgbdTruth:
+    """Return true depth and masks; InputError where there is none or sizes differ."""
+    scene.check()
+    if scene.depth_true is None:
+        raise InputError(f"{scene.folder}: {scene.name} has no true depth")
+    depth = _read_depth(scene, scene.depth_true)
+    masks = {}
+    for name, file in scene.masks.items():
+        mask = read_grey(file)
+        check_same_size(file, mask.shape, scene.depth_true, depth.shape)
+        masks[name] = mask == 255
+    if scene.fb:
+        check_fb(scene.folder / "meta.json", scene.fb, depth)
+    return RgbdTruth(depth, masks, scene.fb)
+
+
+def _read_depth(scene: RgbdScene, path: Path) -> NDArray[np.float32]:
+    # The default scale is not passed on: 8-bit codes, which would hold no usable depth, need one of their own.
+    scale = None if path.suffix in (".pfm", ".npy") or scene.depth_scale == MILLIMETERS else scene.depth_scale
+    return read_depth(path, scale, 3 if scene.rotated else 0)
+
+
+def _visible_depth(scene: RgbdScene) -> NDArray[np.float32]:
+    """Return the depth without the pixels that the sensor is made not to see."""
+    depth = _read_depth(scene, scene.depth)
+    if scene.hidden is None:
+        return depth
+    mask = read_grey(scene.hidden)
+    check_same_size(scene.hidden, mask.shape, scene.depth, depth.shape)
+    return np.where(mask == 255, np.float32(np.nan), depth)
+
+
+def _pose(scene: RgbdScene) -> NDArray[np.float64] | None:
+    return None if scene.pose is None else np.array(scene.pose).reshape(4, 4)
+
+
+def _registered_raw(scene: RgbdScene, color: NDArray[np.uint8]) -> RgbdFrame:
+    """Return color at the depth camera's resolution, and the depth of raw codes registered to it."""
+    raw = read_kinect_raw(scene.depth)
+    calibration = kinect_v1() if scene.calibration is None else read_kinect_calibration(scene.calibration)
+    if calibration.beta is not None and calibration.beta.shape != raw.shape:
+        raise InputError(f"{scene.calibration}: its distortion map is not of the depth image's size")
+    # Where the color image is finer than the depth, most of its pixels would meet no point.
+    ratio = calibration.color.matrix[0, 0] / calibration.depth.matrix[0, 0]
+    factor = 1.0 if ratio < 1.5 else 1.0 / round(ratio)
+    if factor != 1:
+        color = cv2.resize(color, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+    camera = calibration.color.scaled(factor)
+    scaled = replace(calibration, color=camera)
+    depth = scaled.register(scaled.depth_of_raw(raw), (color.shape[0], color.shape[1]))
+    return RgbdFrame(color, depth, scene.fb or sensor_fb(camera.intrinsics), camera.intrinsics, False, _pose(scene))

@@ -1,0 +1,80 @@
+"""Rectified pairs and their ground truth, loaded from the files of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.core.frames import Image, StereoPair
+from depthcli.io.formats.images import pair_of, read_grey, read_image, read_pair
+from depthcli.io.formats.videos import read_frame
+from depthcli.io.scenes import StereoScene, check_same_size
+
+# Full-size widths of the Middlebury 2005 and 2006 sets lie between 1240 and 1396: the width tells the size.
+_SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
+
+
+@dataclass(frozen=True)
+class StereoTruth:
+    """Ground truth of one pair, as stored; the protocol derives regions and occlusions from it."""
+
+    disparity: NDArray[np.float32]  # (H, W) float32, pixels, NaN = unknown
+    right: NDArray[np.float32] | None = None  # the same for the right view
+    noc: NDArray[np.float32] | None = None  # the same for the visible pixels alone (KITTI)
+    objects: NDArray[np.bool_] | None = None  # (H, W) bool, foreground objects (KITTI 2015)
+    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)  # name -> (H, W) bool, True = evaluate
+    scale: float | None = None  # codes per pixel that the files were read with; None = what their kind says
+
+
+def load_views(scene: StereoScene) -> tuple[Image, Image]:
+    """Return both images as they are, which need not agree; InputError where one cannot be read."""
+    left, right = _both(scene)
+    if scene.frame_number is not None:
+        return read_frame(left, scene.frame_number), read_frame(right, scene.frame_number)
+    return read_image(left), read_image(right)
+
+
+def load_pair(scene: StereoScene) -> StereoPair:
+    """Return left and right image of one size and dtype, both grey where one is; InputError otherwise."""
+    files = _both(scene)
+    return read_pair(*files) if scene.frame_number is None else pair_of(*load_views(scene), files)
+
+
+def _both(scene: StereoScene) -> tuple[Path, Path]:
+    scene.check()
+    if scene.right is None:
+        raise InputError(f"{scene.left.parent}: scene {scene.name} has no right image")
+    return scene.left, scene.right
+
+
+def true_disparity(scene: StereoScene) -> StereoTruth:
+    """Return ground truth and masks of the left view, as stored; InputError where there is none."""
+    scene.check()
+    if (file := scene.disparity_left) is None:
+        raise InputError(f"{scene.left.parent}: scene {scene.name} has no ground truth")
+    scale = scene.disparity_scale
+    if scene.scale_by_width and scale is None:
+        width = read_grey(file).shape[1]
+        scale = next(scale for above, scale in _SCALE_BY_WIDTH if width > above)
+    disparity = scene.decode(file, scale)
+    right, noc = (
+        None if each is None else scene.decode(each, scale) for each in (scene.disparity_right, scene.disparity_noc)
+    )
+    objects = None if scene.objects is None else read_grey(scene.objects) > 0
+    read = {name: (path, read_grey(path) == 255) for name, path in scene.masks.items()}
+    for name, path in (("all", scene.ignored), ("nonocc", scene.occluded)):
+        if path is not None:
+            read[name] = path, read_grey(path) == 0
+    if scene.materials is not None:
+        classes = read_grey(scene.materials)
+        read |= {f"class_{k}": (scene.materials, classes == k) for k in range(4)}
+    for path, array in ((scene.disparity_noc, noc), (scene.objects, objects), *read.values()):
+        if path is not None and array is not None:
+            check_same_size(path, array.shape, file, disparity.shape)
+    counted = np.True_ if scene.ignored is None else read["all"][1]
+    masks = {name: mask & counted for name, (_, mask) in read.items()}
+    return StereoTruth(disparity, right, noc, objects, masks, scale)

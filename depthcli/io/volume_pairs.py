@@ -1,0 +1,227 @@
+"""Registered pairs of volumes and their true errors, loaded from the files of a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.resampling import block_means
+from depthcli.core.errors import InputError
+from depthcli.core.volumes import Grid, RegisteredPair, Volume
+from depthcli.io.formats.fields import read_landmarks, read_moving_transform
+from depthcli.io.formats.files import naming
+from depthcli.io.formats.volumes import place, read_grid, read_volume, simple_itk
+from depthcli.io.scenes import VolumePairScene
+
+_LABEL_TOLERANCE = 1e-3  # of a whole number: what rounding leaves of a label
+_MAX_LABELS = 2000  # more are the gray values of a scan; atlases have some hundreds
+_MAX_LABEL = 1 << 24  # whole numbers up to here are exact in float32
+
+
+@dataclass(frozen=True)
+class LoadedPair:
+    """A registered pair in memory."""
+
+    pair: RegisteredPair
+    grid: Grid  # the fixed volume's
+    blocks: tuple[int, int, int] = (1, 1, 1)  # how many of its voxels (z, y, x) a voxel of ``pair`` is the mean of
+
+    def on_grid(self, start: Sequence[float], step: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Return ``start`` and ``step`` of maps in voxels of ``pair`` as those in voxels of the fixed volume."""
+        begin = [(n - 1) / 2 + n * a for n, a in zip(self.blocks, start, strict=True)]
+        return begin, [n * a for n, a in zip(self.blocks, step, strict=True)]
+
+
+@dataclass(frozen=True)
+class RegistrationTruth:
+    """True errors of a registration."""
+
+    grid: Grid  # the fixed volume's
+    points: NDArray[np.float64]  # (N, 3) landmarks of the fixed volume, x, y, z in mm; empty where the truth is dense
+    error: NDArray[np.float32]  # (N,) mm at the landmarks, or (Z, Y, X) mm, NaN = unknown
+
+
+def load_volumes(scene: VolumePairScene, convention: str = "auto", max_voxels: int | None = None) -> LoadedPair:
+    """Return both volumes on the fixed grid, and the mask; ``convention`` is that of the displacement file.
+
+    Of more than ``max_voxels`` voxels, means of blocks, so that two whole volumes are never in memory; blocks are
+    no larger than the cubes that so many voxels of the volume would be.
+    """
+    scene.check()
+    fixed = read_volume(scene.fixed)
+    grid = fixed.grid
+    blocks = blocks_of(grid, max_voxels)
+    inside = None if scene.mask is None else _read_like(scene.mask, grid) > 0
+    if inside is not None and not inside.any():
+        raise InputError(f"{scene.mask}: no voxel is set")
+    first = block_means(usable(fixed.values, inside, scene.fixed), blocks)
+    if scene.moving_warped is not None:
+        del fixed
+        moved, source = _read_like(scene.moving_warped, grid), scene.moving_warped
+    elif scene.moving is not None:
+        moved, source = _warped(scene, scene.moving, fixed, convention)
+        del fixed
+    else:
+        raise InputError(f"{scene.folder}: neither moving_warped.* nor moving.* with its transform")
+    second = block_means(usable(moved, inside, source), blocks)
+    return joined(first, second, inside, grid, blocks)
+
+
+def loaded_size(
+    scene: VolumePairScene, max_voxels: int | None = None
+) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
+    """Return the fixed volume's grid, and shape and spacing (z, y, x) of what is loaded, by its header."""
+    scene.check()
+    grid = read_grid(scene.fixed)
+    blocks = blocks_of(grid, max_voxels)
+    z, y, x = (-(-n // b) for n, b in zip(grid.shape, blocks, strict=True))
+    return grid, (z, y, x), spacing_of(grid, blocks)
+
+
+def region_masks(scene: VolumePairScene, name: str, grid: Grid) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Yield name and mask (Z, Y, X) bool of the regions of one of ``scene.regions``, as :func:`label_masks` does."""
+    file = dict(scene.regions)[name]
+    values = _read_like(file, grid)
+    with naming(file):
+        yield from label_masks(values, name, dict(scene.labels).get(name, ()))
+
+
+def true_errors(scene: VolumePairScene, convention: str = "auto") -> RegistrationTruth:
+    """Return the true errors: dense where there is such a file, or at the landmarks |T(p) - q|."""
+    scene.check()
+    if not scene.has_truth:
+        raise InputError(
+            f"{scene.folder}: {scene.name} has no true errors (error_true.*, or landmarks of both with the transform)"
+        )
+    fixed = read_volume(scene.fixed)
+    if scene.error_true is not None:
+        error = _read_like(scene.error_true, fixed.grid)
+        if scene.mask is not None:
+            error = np.where(_read_like(scene.mask, fixed.grid) > 0, error, np.float32(np.nan))
+        return RegistrationTruth(fixed.grid, np.zeros((0, 3)), error)
+    points = landmarks(scene, fixed.grid)
+    assert points is not None and scene.landmarks_moving is not None
+    moving = None if scene.moving is None else read_volume(scene.moving)
+    raw = scene.moving is not None and scene.moving.suffix.lower() == ".img"
+    matches = read_landmarks(scene.landmarks_moving, fixed.grid if moving is None else moving.grid, raw)
+    if len(points) != len(matches):
+        raise InputError(f"{scene.landmarks_moving}: {len(matches)} landmarks, but {len(points)} of the fixed one")
+    transform = read_moving_transform(scene.transform, scene.displacement, convention, fixed, moving)
+    moved = np.array([transform.TransformPoint(point) for point in points.tolist()])
+    return RegistrationTruth(fixed.grid, points, np.linalg.norm(moved - matches, axis=1).astype(np.float32))
+
+
+def landmarks(scene: VolumePairScene, grid: Grid) -> NDArray[np.float64] | None:
+    """Return (N, 3) landmarks of the fixed volume, mm; None where there are none."""
+    if scene.landmarks_fixed is None:
+        return None
+    points = read_landmarks(scene.landmarks_fixed, grid, scene.fixed.suffix.lower() == ".img")
+    places = grid.to_index(points)
+    outside = ~np.all((places >= -0.5) & (places <= np.array(grid.shape) - 0.5), axis=1)
+    if outside.any():
+        raise InputError(
+            f"{scene.landmarks_fixed}: {int(outside.sum())} of {len(points)} landmarks lie outside the fixed "
+            f"volume, the first is point {int(np.flatnonzero(outside)[0]) + 1}"
+        )
+    return points
+
+
+def _read_like(file: Path, fixed: Grid) -> NDArray[np.float32]:
+    """Return the values of a volume on the fixed grid."""
+    volume = read_volume(file)
+    if not volume.grid.same_as(fixed):
+        raise InputError(f"{file}: another grid than the fixed volume's ({volume.grid.describe_difference(fixed)})")
+    return volume.values
+
+
+def _warped(scene: VolumePairScene, file: Path, fixed: Volume, convention: str) -> tuple[NDArray[np.float32], Path]:
+    """Return the moving volume on the fixed grid, and the file that is to blame where it holds what is no number."""
+    sitk, moving, grid = simple_itk(), read_volume(file), fixed.grid
+    transform = read_moving_transform(scene.transform, scene.displacement, convention, fixed, moving)
+    image = sitk.GetImageFromArray(moving.values)
+    place(image, moving.grid)
+    placed = grid.size, transform, sitk.sitkLinear, grid.origin, grid.spacing, grid.direction
+    values: NDArray[np.float32] = sitk.GetArrayFromImage(sitk.Resample(image, *placed, float(moving.values.min())))
+    through = scene.displacement or scene.transform or file
+    return values, through if np.isfinite(moving.values).all() else file
+
+
+def joined(
+    fixed: NDArray[np.float32],
+    warped: NDArray[np.float32],
+    inside: NDArray[np.bool_] | None,
+    grid: Grid,
+    blocks: tuple[int, int, int],
+) -> LoadedPair:
+    """Return block means of two volumes as a pair, with the mask of the whole volume reduced likewise."""
+    if inside is not None and max(blocks) > 1:
+        inside = block_means(inside, blocks) >= 0.5
+    placed = grid if max(blocks) == 1 else None
+    return LoadedPair(RegisteredPair(fixed, warped, spacing_of(grid, blocks), inside, placed), grid, blocks)
+
+
+def usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, name: Path | str) -> NDArray[np.float32]:
+    """Return a volume finite outside the mask, too; InputError where it is not finite inside, or all equal."""
+    if not all(np.isfinite(one_slice).all() for one_slice in values):  # a mask of the whole would take memory
+        bad = ~np.isfinite(values)
+        count = int(np.count_nonzero(bad if inside is None else bad & inside))
+        if count:
+            raise InputError(f"{name}: {count} voxels are no numbers; leave them out with a mask")
+        values = np.where(bad, values[~bad].min(), values)
+    if values.min() == values.max():
+        raise InputError(f"{name}: all voxels are {values.flat[0]:g}; nothing to compare")
+    return values
+
+
+def label_masks(
+    values: NDArray[np.float32], name: str, regions: Sequence[tuple[str, int]] = ()
+) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Yield name and mask, bool, of the regions of a mask or label map, one at a time.
+
+    Of ``values``, 0 is outside. Whole numbers of which several occur are labels, as is one other than 1 and 255, or
+    whatever occurs where ``regions`` names labels, (name, label); others are ``NAME_LABEL``. Fractions up to 1 are
+    probabilities, of which the region has at least 0.5. InputError: fractions above 1, or of labels that have names:
+    what a label map is after linear interpolation; or more labels than label maps have.
+    """
+    values = np.where(np.isfinite(values), values, np.float32(0))
+    near = np.rint(values)
+    whole = all(np.allclose(plane, near[z], rtol=0, atol=_LABEL_TOLERANCE) for z, plane in enumerate(values))
+    if not whole:
+        top = float(values.max())
+        if regions or top > 1:
+            raise InputError(f"values between whole numbers, up to {top:g}: resample labels by the nearest neighbor")
+        yield name, values >= 0.5
+        return
+    present = sorted({float(label) for plane in near for label in np.unique(plane[plane > 0])})
+    if present and (len(present) > _MAX_LABELS or present[-1] > _MAX_LABEL):
+        raise InputError(f"{len(present)} values up to {present[-1]:g}: no label map, of at most {_MAX_LABELS} labels")
+    names = {float(label): region for region, label in regions}
+    if not names and present in ([], [1.0], [255.0]):
+        yield name, near > 0
+        return
+    for label in sorted({*present, *names}):
+        yield names.get(label, f"{name}_{label:.0f}"), near == label
+
+
+def spacing_of(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:
+    """Return the distances (z, y, x) of the centers of blocks of voxels, mm."""
+    z, y, x = (s * n for s, n in zip(grid.spacing[::-1], blocks, strict=True))
+    return z, y, x
+
+
+def blocks_of(grid: Grid, max_voxels: int | None) -> tuple[int, int, int]:
+    """Voxels (z, y, x) that are taken together so that about ``max_voxels`` cubes are left."""
+    count = grid.size[0] * grid.size[1] * grid.size[2]
+    if max_voxels is None or count <= max_voxels:
+        return (1, 1, 1)
+    axes = [a for a in range(3) if grid.shape[a] > 1]
+    spacing = grid.spacing[::-1]
+    extent = math.prod(grid.shape[a] * spacing[a] for a in axes)
+    side = float((extent / max_voxels) ** (1 / len(axes)))
+    z, y, x = (max(1, int(side / spacing[a] + 1e-6)) if a in axes else 1 for a in range(3))
+    return z, y, x
