@@ -19,11 +19,11 @@ import tarfile
 import tempfile
 import time
 import zipfile
-import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from glob import glob
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import unquote
 
@@ -47,8 +47,6 @@ _CONNECT_SECONDS, _READ_SECONDS = 15, 60  # of a server that does not answer
 _LEFTOVER_SECONDS = 86400  # age of what killed processes left
 _ORIGIN = ".origin"  # file beside a folder of the cache that tells where it comes from
 _PACKED: dict[bytes, Callable[[Path], Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7z": lzma.open}
-_DAMAGE = (zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, NotImplementedError,
-           RuntimeError, ValueError, OverflowError, MemoryError, OSError)  # fmt: skip
 
 
 def local(place: Path | str) -> Path:
@@ -56,19 +54,24 @@ def local(place: Path | str) -> Path:
 
     An archive stands for its content, or for the single folder that holds all of it.
     """
-    path, url = Path(place), _url_of(str(place))
+    path, text, url = Path(place), str(place), ""
     if os.path.isdir(path) or (os.path.exists(path) and not is_archive(path)):
         return path
-    for ending in _ARCHIVE.finditer(url or str(place)):
-        container, inside = (url or str(place))[: ending.end()], (url or str(place))[ending.end() + 1 :]
+    if ":/" in text and not os.path.lexists(text) and (found := _URL.search(text)):
+        kind = found[1].lower()
+        text = url = f"{kind}://{'/' if kind in ('file', 'local') else ''}{found[2]}"
+    for ending in _ARCHIVE.finditer(text):
+        container, inside = text[: ending.end()], text[ending.end() + 1 :]
         if url or os.path.isfile(container):
-            found = _fetched(container) if url else _unpacked(Path(container))
-            return found / inside if inside else _entered(found)
+            content = _fetched(container) if url else _unpacked(Path(container))
+            return content / inside if inside else _entered(content)
     if url:
         return _entered(_fetched(url))
-    if archives := _matching(str(place)):
-        return gathered(archives)
-    return path
+    texts = _without_braces(text)
+    files = [Path(each) for one in texts for each in (glob(one) if re.search(r"[*?\[]", one) else [one])]
+    archives = sorted(file for file in files if _ARCHIVE.search(file.name))
+    # Those of numbers in braces are wanted whether they are there or not.
+    return gathered(archives) if archives and (texts != [text] or len(files) > 1) else path
 
 
 def is_archive(path: Path) -> bool:
@@ -84,18 +87,18 @@ def archives_in(folder: Path) -> list[Path]:
 
 def gathered(archives: Sequence[Path]) -> Path:
     """Return a folder with the content of several archives, each in a folder of the archive's name."""
-
-    def link(target: Path) -> None:
-        target.mkdir()
-        for name, content in contents.items():
-            (target / name).symlink_to(content)
-
     contents = {}
     for archive in archives:
         content = _unpacked(archive)
         top = _entered(content)
         is_scene = any(path.is_file() for path in top.iterdir())
         contents[_stem(archive.name)] = content if is_scene else top
+
+    def link(target: Path) -> None:
+        target.mkdir()
+        for name, content in contents.items():
+            (target / name).symlink_to(content)
+
     return _cached([*map(str, contents.values())], "archives", str(archives[0].parent), link)
 
 
@@ -112,31 +115,17 @@ def origin(path: Path) -> str:
     return "/".join([source, *rest[1:]])
 
 
-def _url_of(text: str) -> str:
-    found = _URL.search(text) if ":/" in text and not os.path.lexists(text) else None
-    if found is None:
-        return ""
-    return f"{found[1].lower()}://{'/' if found[1].lower() in ('file', 'local') else ''}{found[2]}"
-
-
 def _stem(name: str) -> str:
     return _ARCHIVE.sub("", name.partition("?")[0]) or "archive"
 
 
 def _entered(folder: Path) -> Path:
-    """The single folder that holds all of an unpacked archive, else the folder (or file) itself."""
+    """Return the single folder that holds all of an unpacked archive, else the folder (or file) itself."""
     inside = [path for path in folder.iterdir() if path.name[0] != "."] if folder.is_dir() else []
     return inside[0] if len(inside) == 1 and inside[0].is_dir() else folder
 
 
-def _matching(pattern: str) -> list[Path]:
-    """The archives that a pattern stands for, sorted; those of numbers in braces whether they are there or not."""
-    texts = list(_without_braces(pattern))
-    found = [Path(each) for text in texts for each in (glob(text) if re.search(r"[*?\[]", text) else [text])]
-    return sorted(path for path in found if _ARCHIVE.search(path.name)) if texts != [pattern] or len(found) > 1 else []
-
-
-def _without_braces(text: str) -> Iterable[str]:
+def _without_braces(text: str) -> list[str]:
     found = _BRACES.search(text)
     if found is None:
         return [text]
@@ -145,7 +134,7 @@ def _without_braces(text: str) -> Iterable[str]:
         words = [f"{number:0{digits}}" for number in range(low, min(top, low + _MAX_MATCHES) + 1)]
     else:
         words = found[3].split(",")
-    ends = list(_without_braces(text[found.end() :]))
+    ends = _without_braces(text[found.end() :])
     return [text[: found.start()] + word + end for word in words for end in ends][:_MAX_MATCHES]
 
 
@@ -154,7 +143,7 @@ def _root() -> Path:
 
 
 def _cached(key: object, name: str, source: str, make: Callable[[Path], None]) -> Path:
-    """The folder or file ``name`` that ``make`` makes where no earlier call with this key did."""
+    """Return the folder or file ``name`` that ``make`` makes where no earlier call with this key did."""
     folder = _root() / hashlib.sha256(repr(key).encode("utf-8", "surrogateescape")).hexdigest()[:20]
     if folder.is_dir():
         return folder / name
@@ -173,6 +162,24 @@ def _cached(key: object, name: str, source: str, make: Callable[[Path], None]) -
     return folder / name
 
 
+@contextlib.contextmanager
+def _one_line(place: str) -> Iterator[None]:
+    """Make an InputError of one line of what libraries raise, which are many kinds of errors."""
+    try:
+        with naming(place):
+            yield
+    except InputError:
+        raise
+    except FileNotFoundError as error:  # which libraries say of any failure to ask a server for a file
+        cause = error.__cause__
+        is_missing = cause is None or isinstance(cause, FileNotFoundError) or getattr(cause, "status", 0) in (404, 410)
+        words = "no such file" if is_missing else f"the server failed ({' '.join(str(cause).split())[:160]})"
+        raise InputError(f"{place}: {words}") from error
+    except Exception as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:160] or type(error).__name__
+        raise InputError(f"{place}: cannot be read or unpacked ({reason})") from error
+
+
 def _unpacked(archive: Path) -> Path:
     with _one_line(str(archive)):
         status, place = os.stat(archive), os.path.abspath(archive)
@@ -180,58 +187,46 @@ def _unpacked(archive: Path) -> Path:
         return _cached(key, _stem(archive.name), place, lambda target: _unpack(archive, target))
 
 
-@contextlib.contextmanager
-def _one_line(place: str) -> Iterator[None]:
-    """Make an InputError of one line of what libraries raise."""
-    try:
-        with naming(place):
-            yield
-    except FileNotFoundError as error:  # which libraries say of any failure to ask a server for a file
-        cause = error.__cause__
-        is_missing = cause is None or isinstance(cause, FileNotFoundError) or getattr(cause, "status", 0) in (404, 410)
-        words = "no such file" if is_missing else f"the server failed ({' '.join(str(cause).split())[:160]})"
-        raise InputError(f"{place}: {words}") from error
-    except _DAMAGE as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:160] or type(error).__name__
-        raise InputError(f"{place}: cannot be read or unpacked ({reason})") from error
-
-
 def _unpack(archive: Path, target: Path) -> None:
     """Write the regular files of an archive below ``target``; others, and names that lead out of it, are left out."""
     target.mkdir()
-    packed, room = archive.stat().st_size, shutil.disk_usage(target).free
-    limit, written, left_out = max(_ALWAYS_BYTES, _MAX_RATE * packed), 0, []
+    packed, total, left_out = archive.stat().st_size, 0, []
+    limit = min(max(_ALWAYS_BYTES, _MAX_RATE * packed), shutil.disk_usage(target).free)
     is_zip = zipfile.is_zipfile(archive)
-    for number, (name, member) in enumerate(_zip_members(archive) if is_zip else _tar_members(archive)):
-        path = _inside(name)
-        if path is None or member is None:
+    for number, (name, size, opened) in enumerate((_zip_members if is_zip else _tar_members)(archive)):
+        if number >= _MAX_MEMBERS:
+            raise InputError(f"more than {_MAX_MEMBERS} members; make several archives of it")
+        path, total = _inside(name), total + size
+        if total > limit:
+            raise InputError(f"unpacks {packed} bytes to more than {limit}; not unpacked")
+        if path is None or opened is None:
             left_out.append(name)
         elif not path.startswith("__MACOSX/"):
             file = target / path
             file.parent.mkdir(parents=True, exist_ok=True)
-            with member() as source, open(file, "xb") as sink:
-                while block := source.read(1 << 20):
-                    written += len(block)
-                    if written > min(limit, room):
-                        raise InputError(f"unpacks {packed} bytes to more than {min(limit, room)}; not unpacked")
-                    sink.write(block)
-        if number >= _MAX_MEMBERS:
-            raise InputError(f"more than {_MAX_MEMBERS} members; make several archives of it")
+            with opened() as source, open(file, "xb") as sink:
+                shutil.copyfileobj(source, sink)
     if left_out:
-        named = ", ".join(ascii(name[:80]) for name in left_out[:3])
-        warn(f"{archive}: {len(left_out)} members not used, links or names that lead out of the archive: {named}")
-    if not is_zip:
-        _split_samples(target)
+        some = ", ".join(ascii(name[:80]) for name in left_out[:3])
+        warn(f"{archive}: {len(left_out)} members not used, links or names that lead out of the archive: {some}")
+    files = [] if is_zip else [file for file in target.rglob("*") if file.is_file()]
+    named = [(found, file) for file in files if (found := _SAMPLE.fullmatch(file.name))]
+    if any(_SHARD_FIELD.fullmatch(found[2]) for found, _ in named):  # a folder of each sample of WebDataset
+        for found, file in named:
+            sample = file.with_name(found[1])
+            sample.mkdir(exist_ok=True)
+            file.rename(sample / ("meta.json" if found[2] == "json" else found[2]))
 
 
 def _inside(name: str) -> str | None:
-    """Path within an archive; None where it could lead out of it."""
+    """Return a path within an archive; None where it could lead out of it."""
     parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
     unsafe = not parts or ".." in parts or name[:1] in "/\\" or parts[0][1:2] == ":" or "\0" in name
     return None if unsafe else "/".join(parts)
 
 
-_Members = Iterator[tuple[str, Callable[[], Any] | None]]
+_Members = Iterator[tuple[str, int, Callable[[], Any] | None]]
+"""Name, size, and what opens it, of all members but folders; the latter None where it is no regular file."""
 
 
 def _zip_members(archive: Path) -> _Members:
@@ -239,7 +234,7 @@ def _zip_members(archive: Path) -> _Members:
         for info in file.infolist():
             is_special = info.create_system == 3 and stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG)
             if not info.is_dir():
-                yield info.filename, None if is_special else partial(file.open, info)
+                yield info.filename, info.file_size, None if is_special else partial(file.open, info)
 
 
 def _tar_members(archive: Path) -> _Members:
@@ -247,11 +242,18 @@ def _tar_members(archive: Path) -> _Members:
         start = file.read(3)
     opener: Any = next((opener for magic, opener in _PACKED.items() if start.startswith(magic)), open)
     with opener(archive, "rb") as raw:
-        headers: Any = _Headers(raw)
-        tar = tarfile.TarFile(fileobj=headers, errorlevel=1)
+
+        def read(size: int) -> bytes:
+            if not 0 <= size <= _MAX_HEADER:  # tarfile would read a header of any size into memory
+                raise tarfile.ReadError("a header of unreasonable size")
+            data: bytes = raw.read(size)
+            return data
+
+        limited: Any = SimpleNamespace(read=read, seek=raw.seek, tell=raw.tell)
+        tar = tarfile.TarFile(fileobj=limited, errorlevel=1)
         while (info := tar.next()) is not None:
             if not info.isdir():
-                yield info.name, partial(tar.extractfile, info) if info.isreg() else None
+                yield info.name, info.size, partial(tar.extractfile, info) if info.isreg() else None
         raw.seek(tar.offset)
         if (block := raw.read(tarfile.BLOCKSIZE)).strip(b"\0") or len(block) < tarfile.BLOCKSIZE:
             raise tarfile.ReadError("cut short or damaged")  # which the module takes for the end
@@ -259,73 +261,44 @@ def _tar_members(archive: Path) -> _Members:
             pass
 
 
-class _Headers:
-    """A file for the module tarfile, which would read a header of any size into memory."""
-
-    def __init__(self, file: Any) -> None:
-        self._file, self.seek, self.tell = file, file.seek, file.tell
-
-    def read(self, size: int) -> bytes:
-        """Return the next bytes."""
-        if not 0 <= size <= _MAX_HEADER:
-            raise tarfile.ReadError("a header of unreasonable size")
-        data: bytes = self._file.read(size)
-        return data
-
-
-def _split_samples(folder: Path) -> None:
-    """Make a folder of each sample of WebDataset that lies in a folder."""
-    named = [(found, path) for path in folder.rglob("*") if path.is_file() and (found := _SAMPLE.fullmatch(path.name))]
-    for found, path in named if any(_SHARD_FIELD.fullmatch(found[2]) for found, _ in named) else ():
-        sample = path.with_name(found[1])
-        sample.mkdir(exist_ok=True)
-        path.rename(sample / ("meta.json" if found[2] == "json" else found[2]))
-
-
 def _fetched(url: str) -> Path:
     """Return the file or folder of a URL, unpacked where it is an archive."""
     shown = without_secrets(url)
     with _one_line(shown):
         system, place = _system(url)
-        try:
-            is_folder = not _ARCHIVE.search(url) and system.isdir(f"{place.rstrip('/')}/")
-            facts = {} if is_folder else system.info(place)
-            known = [str(facts.get(key)) for key in ("size", "ETag", "LastModified", "mtime", "updated", "created")]
-            files = {}
-            if is_folder:  # names that lead out of it are left out
-                own = system._strip_protocol(place).rstrip("/")
-                for each in system.find(f"{place.rstrip('/')}/"):
-                    path = _inside(unquote(each.partition("?")[0].removeprefix(own).lstrip("/")))
-                    if path is not None and each.startswith(own):
-                        files[each] = path
-            if len(files) > _MAX_MEMBERS:
-                raise InputError(f"more than {_MAX_MEMBERS} files")
-            name = _stem(unquote(url.partition("?")[0].rstrip("/").rpartition("/")[2]))
+        is_folder = not _ARCHIVE.search(url) and system.isdir(f"{place.rstrip('/')}/")
+        facts = {} if is_folder else system.info(place)
+        known = [str(facts.get(key)) for key in ("size", "ETag", "LastModified", "mtime", "updated", "created")]
+        files = {}
+        if is_folder:  # names that lead out of it are left out
+            own = system._strip_protocol(place).rstrip("/")
+            for each in system.find(f"{place.rstrip('/')}/"):
+                path = _inside(unquote(each.partition("?")[0].removeprefix(own).lstrip("/")))
+                if path is not None and each.startswith(own):
+                    files[each] = path
+        if len(files) > _MAX_MEMBERS:
+            raise InputError(f"more than {_MAX_MEMBERS} files")
+        name = _stem(unquote(url.partition("?")[0].rstrip("/").rpartition("/")[2]))
 
-            def fetch(target: Path) -> None:
-                if is_folder:
-                    for inside in files.values():
-                        (target / inside).parent.mkdir(parents=True, exist_ok=True)
-                    system.get(list(files), [str(target / inside) for inside in files.values()])
-                    return
-                file = target.with_name(f"{name}.fetched")
-                system.get_file(place, str(file))
-                if zipfile.is_zipfile(file) or _ARCHIVE.search(url):
-                    _unpack(file, target)
-                    file.unlink()
-                else:
-                    file.rename(target)
+        def fetch(target: Path) -> None:
+            if is_folder:
+                for inside in files.values():
+                    (target / inside).parent.mkdir(parents=True, exist_ok=True)
+                system.get(list(files), [str(target / inside) for inside in files.values()])
+                return
+            file = target.with_name(f"{name}.fetched")
+            system.get_file(place, str(file))
+            if zipfile.is_zipfile(file) or _ARCHIVE.search(url):
+                _unpack(file, target)
+                file.unlink()
+            else:
+                file.rename(target)
 
-            return _cached([url, known, sorted(files.items())], name, shown, fetch)
-        except (InputError, *_DAMAGE):
-            raise
-        except Exception as error:  # of a library that the kind of URL chooses
-            words = " ".join(str(error).split())[:160] or type(error).__name__
-            raise InputError(f"the server failed ({words})") from error
+        return _cached([url, known, sorted(files.items())], name, shown, fetch)
 
 
 def _system(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the place in it."""
+    """Return the file system of a URL, and the place in it."""
     try:
         import fsspec
     except ImportError:

@@ -82,11 +82,13 @@ class Folder:
 
 @lru_cache(maxsize=8)  # folders of thousands of scenes have the same names in them
 def _by_stem(names: frozenset[str]) -> dict[str, list[tuple[str, str]]]:
-    """Return stem -> (ending in lower case, name), sorted; stems and endings are as pathlib divides names."""
+    """Return stem -> (ending in lower case, name), sorted; names end as for pathlib, ``.nii.gz`` with both parts."""
     by_stem: dict[str, list[tuple[str, str]]] = {}
     for name in sorted(names):
         dot = name.rfind(".")
         dot = dot if 0 < dot < len(name) - 1 else len(name)
+        if name.lower().endswith(".nii.gz") and dot > 4:
+            dot -= 4
         by_stem.setdefault(name[:dot], []).append((name[dot:].lower(), name))
     return by_stem
 

@@ -72,17 +72,9 @@ def _frame(found: Found) -> dict[str, Any] | None:
     return _meta(found.folder)
 
 
-def _rgb_ir(found: Found) -> dict[str, Any]:
-    return _meta(found.folder) | {"max_disparity": found.folder.meta.whole("max_disparity", 1)}
-
-
 def _numbered(found: Found) -> dict[str, Any]:
     number = int(found.keys["number"])
     return _meta(found.folder) | {"sequence": found.folder.name, "number": number, "pose": None}
-
-
-def _kinect(found: Found) -> dict[str, Any]:
-    return {**(_numbered(found) if "number" in found.keys else _meta(found.folder)), "raw": True}
 
 
 def _sun(found: Found) -> dict[str, Any] | None:
@@ -101,10 +93,6 @@ def _matrix(path: Path) -> tuple[float, ...]:
             raise InputError("expected the numbers of a camera matrix, 3 x 3 or 4 x 4")
     rows = values.reshape(-1, 4 if values.size == 16 else 3)
     return float(rows[0, 0]), float(rows[1, 1]), float(rows[0, 2]), float(rows[1, 2])
-
-
-def _cleargrasp(found: Found) -> dict[str, Any] | None:
-    return {} if found.files.keys() & {"depth", "depth_true"} else None
 
 
 class _Sequence(Row):
@@ -210,7 +198,9 @@ DEPTH_LAYOUTS: tuple[Layout, ...] = (
         "length x baseline, pixels x meters); where known `ir_noprojector.*`",
         files=({**_RGBD_FILES, "infrared": "ir.*", "infrared_plain": "ir_noprojector.*",
                 "calibration": "calib.json|calib.yml|calib.yaml"},),
-        needs=("ir.*",), facts=_rgb_ir, either=True, single=True,
+        needs=("ir.*",),
+        facts=lambda found: {**_meta(found.folder), "max_disparity": found.folder.meta.whole("max_disparity", 1)},
+        either=True, single=True,
     ),
     _Sequence(
         title="rgbd-sequence", kind=RgbdScene,
@@ -234,7 +224,8 @@ DEPTH_LAYOUTS: tuple[Layout, ...] = (
                 "calibration": "calib.json"},
                {"color": "color_{number}.*", "depth": "disparity_{number}.*", "calibration": "calib.json",
                 **_NUMBERED}),
-        needs=("disparity*",), facts=_kinect,
+        needs=("disparity*",),
+        facts=lambda found: {**(_numbered(found) if "number" in found.keys else _meta(found.folder)), "raw": True},
     ),
     Row(
         title="sun-rgbd", kind=RgbdScene,
@@ -250,7 +241,7 @@ DEPTH_LAYOUTS: tuple[Layout, ...] = (
                 "mask.transparent": "mask_transparent.png"},
                {"color": "rgb.*", "depth": "depth_gt_mm.png", "depth_true": "depth_gt_mm.png",
                 "mask.transparent": "mask_transparent.png", "hidden": "mask_transparent.png"}),
-        facts=_cleargrasp,
+        facts=lambda found: {} if found.files.keys() & {"depth", "depth_true"} else None,
     ),
     Tum(),
 )  # fmt: skip

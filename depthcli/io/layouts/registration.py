@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from pathlib import Path
 
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import warn
@@ -14,6 +14,10 @@ _VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img", ".png",
 _FIELDS = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")
 _TRANSFORMS = (".tfm", ".txt", ".h5", ".hdf5", ".mat", ".xfm")
 _POINTS = (".csv", ".txt", ".pts")
+_SUFFIXES = {
+    "fixed": _VOLUMES, "moving_warped": _VOLUMES, "moving": _VOLUMES, "displacement": _FIELDS, "transform": _TRANSFORMS,
+    "mask": _VOLUMES, "landmarks_fixed": _POINTS, "landmarks_moving": _POINTS, "error_true": _VOLUMES,
+}  # fmt: skip
 
 
 class Registration(Layout):
@@ -29,16 +33,15 @@ class Registration(Layout):
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
-        fixed = _one(folder, "fixed", _VOLUMES)
-        warped = _one(folder, "moving_warped", _VOLUMES)
-        moving = _one(folder, "moving", _VOLUMES)
+        files = {role: folder.one(role, suffixes) for role, suffixes in _SUFFIXES.items()}
+        fixed, warped, displacement, transform = map(files.get, ("fixed", "moving_warped", "displacement", "transform"))
         if fixed is None and warped is None:
             return []
-        displacement, transform = _one(folder, "displacement", _FIELDS), _one(folder, "transform", _TRANSFORMS)
         problem, apply = "", folder.meta.text("apply", "")
         if fixed is None:
             problem = f"{folder.path}: no fixed.*"
-        elif warped is None and moving is None:
+            files["fixed"] = folder.path / "fixed.mha"
+        elif warped is None and files["moving"] is None:
             problem = f"{folder.path}: neither moving_warped.* nor moving.*"
         elif warped is None and displacement is None and transform is None:
             problem = f"{folder.path}: moving.* wants displacement.* or transform.* beside it"
@@ -48,26 +51,13 @@ class Registration(Layout):
                     f"{folder.path}: both {displacement.name} and {transform.name}; take away the one that is not the "
                     'registration, or say in meta.json which counts: "apply": "displacement", "transform" or "both"'
                 )
-            left_out = LEFT_OUT.get(apply)
-            displacement = None if left_out == "displacement" else displacement
-            transform = None if left_out == "transform" else transform
-        return [
-            self.scene(
-                folder, problem=problem, fixed=fixed or folder.path / "fixed.mha", moving_warped=warped, moving=moving,
-                transform=transform, displacement=displacement, mask=_one(folder, "mask", _VOLUMES),
-                regions=(regions := _regions(folder)), labels=_labels(folder, [name for name, _ in regions]),
-                landmarks_fixed=_one(folder, "landmarks_fixed", _POINTS),
-                landmarks_moving=_one(folder, "landmarks_moving", _POINTS),
-                error_true=_one(folder, "error_true", _VOLUMES),
-            )
-        ]  # fmt: skip
-
-
-def _regions(folder: Folder) -> tuple[tuple[str, Path], ...]:
-    """The masks ``mask_<region>.*`` by the names of their regions."""
-    stems = {name.partition(".")[0] for name in folder.names if name.startswith("mask_") and "." in name}
-    found = ((stem.removeprefix("mask_"), _one(folder, stem, _VOLUMES)) for stem in sorted(stems))
-    return tuple((name, file) for name, file in found if name and file is not None)
+            elif LEFT_OUT[apply]:
+                files[LEFT_OUT[apply]] = None
+        stems = sorted({name.partition(".")[0] for name in folder.names if re.match(r"mask_[^.]+\.", name)})
+        found = ((stem.removeprefix("mask_"), folder.one(stem, _VOLUMES)) for stem in stems)
+        regions = tuple((name, file) for name, file in found if file is not None)
+        labels = _labels(folder, [name for name, _ in regions])
+        return [self.scene(folder, problem=problem, regions=regions, labels=labels, **files)]
 
 
 def _labels(folder: Folder, maps: Sequence[str]) -> tuple[tuple[str, tuple[tuple[str, int], ...]], ...]:
@@ -88,13 +78,3 @@ def _labels(folder: Folder, maps: Sequence[str]) -> tuple[tuple[str, tuple[tuple
             raise InputError(f"{folder.meta.path}: labels: two regions have one label")
     used = {name: tuple((region, k) for region, k in given[name].items() if k) for name in given if name in maps}
     return tuple(used.items())
-
-
-def _one(folder: Folder, stem: str, suffixes: tuple[str, ...]) -> Path | None:
-    """The file of that stem and one of the endings, of which ``.nii.gz`` has two parts."""
-    fitting = sorted(
-        name for name in folder.names if name.startswith(f"{stem}.") and name[len(stem) :].lower() in suffixes
-    )
-    if len(fitting) > 1:
-        raise InputError(f"{folder.path}: both {fitting[0]} and {fitting[1]}; keep one")
-    return folder.path / fitting[0] if fitting else None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -123,29 +125,14 @@ def _booster(found: Found) -> dict[str, Any]:
     return {"problem": f"{place}: an unbalanced pair, of two sizes; use camera_02, as in Booster's balanced split"}
 
 
-def _only_png(found: Found) -> dict[str, Any]:
+def _scene_flow(found: Found) -> dict[str, Any]:
     left = found.files["left"]
     return {"problem": f"{left}: WebP is not read; use the set's PNG images"} if left.suffix == ".webp" else {}
 
 
-def _driving_scale(found: Found) -> dict[str, Any]:
+def _driving_stereo(found: Found) -> dict[str, Any]:
     scale = 128.0 if found.files["left"].parent.name == "left-image-full-size" else 256.0
     return {"disparity_scale": scale, "max_disparity": int(65535 / scale)}  # the largest that a file can hold
-
-
-def _with_truth(found: Found) -> dict[str, Any] | None:
-    return {} if "disparity_left" in found.files else None
-
-
-def _view_folders(left: str, right: str) -> dict[str, str]:
-    return {
-        "left": f"{left}/{{name}}.*", "right": f"{right}/{{name}}.*", "disparity_left": "disp_left/{name}.*",
-        "calibration": "calib.txt", "name": "{name}",
-    }  # fmt: skip
-
-
-def _side_by_side(left: str, right: str) -> dict[str, str]:
-    return {"left": f"{left}.*", "right": f"{right}.*", "calibration": "calib.txt", "name": "{name}"}
 
 
 def _pairs(found: Found) -> dict[str, Any] | None:
@@ -153,60 +140,27 @@ def _pairs(found: Found) -> dict[str, Any] | None:
     return None if found.keys["name"].startswith(("disp", "mask", "confidence")) else _meta(found)
 
 
-def _kitti(left: str, right: str, occ: str, noc: str, calibration: str, objects: str = "") -> dict[str, str]:
-    names = {
-        "left": f"{left}/{{frame}}_10.png", "right": f"{right}/{{frame}}_10.png",
-        "disparity_left": f"{occ}/{{frame}}_10.png", "disparity_noc": f"{noc}/{{frame}}_10.png",
-        "calibration": f"{calibration}/{{frame}}.txt", "name": "{frame}_10",
-    }  # fmt: skip
-    return names | ({"objects": f"{objects}/{{frame}}_10.png"} if objects else {})
-
-
-def _scene_flow(images: str) -> dict[str, str]:
-    truth = "disparity/{{path}}/{0}/{{frame}}.pfm|frames_disparity/{{path}}/{0}/{{frame}}.pfm"
-    return {
-        "left": f"{images}/{{path}}/left/{{frame}}.png|{images}/{{path}}/left/{{frame}}.webp",
-        "right": f"{images}/{{path}}/right/{{frame}}.png|{images}/{{path}}/right/{{frame}}.webp",
-        "disparity_left": truth.format("left"), "disparity_right": truth.format("right"),
-        "occluded": "disparity_occlusions/{path}/left/{frame}.png", "name": f"{images}/{{path_}}{{frame}}",
-    }  # fmt: skip
-
-
-def _sintel(kind: str) -> dict[str, str]:
-    return {
-        "left": f"{kind}_left/{{path}}/{{frame}}.png", "right": f"{kind}_right/{{path}}/{{frame}}.png",
-        "disparity_left": "disparities/{path}/{frame}.png", "occluded": "occlusions/{path}/{frame}.png",
-        "ignored": "outofframe/{path}/{frame}.png", "name": f"{kind}/{{path_}}{{frame}}",
-    }  # fmt: skip
-
-
-def _driving(size: str) -> dict[str, str]:
-    calib = f"{size}-image-calib/{{sequence}}.txt"
-    frame = "{sequence}_{frame}.*"
-    return {
-        "left": f"left-image-{size}-size/{frame}", "right": f"right-image-{size}-size/{frame}",
-        "disparity_left": f"disparity-map-{size}-size/{frame}",
-        "name": f"left-image-{size}-size/{{sequence}}_{{frame}}",
-        "calibration": f"../calib_train/{calib}|../calib_test/{calib}|calib/{calib}|{calib}",
-    }  # fmt: skip
+def _variants(files: Mapping[str, str], *words: tuple[str, ...]) -> tuple[dict[str, str], ...]:
+    """Return the variants of a row: ``<0>`` and ``<1>`` in its file names are the words of each."""
+    variants = []
+    for chosen in words:
+        places = [(f"<{number}>", word) for number, word in enumerate(chosen)]
+        named = {role: reduce(lambda text, each: text.replace(*each), places, name) for role, name in files.items()}
+        variants.append(named)
+    return tuple(variants)
 
 
 _V3_FILES = {
     "left": "im0.*", "right": "im1.*", "disparity_left": "disp0GT.pfm|disp0.pfm",
     "disparity_right": "disp1GT.pfm|disp1.pfm", "mask.nonocc": "mask0nocc.*", "calibration": "calib.txt",
 }  # fmt: skip
-_V2_MASKS = {f"mask.{name}": f"{name}.*|mask_{name}.*" for name in ("nonocc", "all", "disc")}
 _KITTI_VALUES = {"disparity_scale": KITTI_SCALE, "max_disparity": _KITTI_RANGE}
-_VIEWS = (
-    ("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"), ("image_left", "image_right"),
-    ("left_images", "right_images"), ("cam0", "cam1"), ("cam0/data", "cam1/data"),
-)  # fmt: skip
-_SIDES = (
-    ("{name}_L", "{name}_R"), ("{name}_l", "{name}_r"), ("{name}_left", "{name}_right"),
-    ("{name}-left", "{name}-right"), ("{name}_Left", "{name}_Right"), ("left_{name}", "right_{name}"),
-    ("left-{name}", "right-{name}"), ("L_{name}", "R_{name}"), ("l_{name}", "r_{name}"),
-    ("Left_{name}", "Right_{name}"),
-)  # fmt: skip
+_KITTI_FILES = {
+    "left": "<0>/{frame}_10.png", "right": "<1>/{frame}_10.png", "disparity_left": "disp_occ/{frame}_10.png",
+    "disparity_noc": "disp_noc/{frame}_10.png", "calibration": "calib/{frame}.txt", "name": "{frame}_10",
+}  # fmt: skip
+_SIDES = (("L", "R", "_"), ("l", "r", "_"), ("left", "right", "_"), ("left", "right", "-"), ("Left", "Right", "_"))
+_DRIVING_CALIB = "<0>-image-calib/{sequence}.txt"
 
 STEREO_LAYOUTS: tuple[Layout, ...] = (
     Row(
@@ -222,24 +176,34 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
         title="views",
         wants="`left/NAME.*`, `right/NAME.*` (also `image_left`, `cam0`, `cam0/data`); where known `disp_left/NAME.*`, "
         "and `calib.txt`, `meta.json` of all pairs",
-        files=tuple(_view_folders(*pair) for pair in _VIEWS), facts=_meta, either=True,
+        files=_variants(
+            {"left": "<0>/{name}.*", "right": "<1>/{name}.*", "disparity_left": "disp_left/{name}.*",
+             "calibration": "calib.txt", "name": "{name}"},
+            ("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"), ("image_left", "image_right"),
+            ("left_images", "right_images"), ("cam0", "cam1"), ("cam0/data", "cam1/data"),
+        ), facts=_meta, either=True,
     ),
     Row(
         title="pairs",
         wants="`NAME_L.*`/`NAME_R.*`, `NAME_left.*`/`NAME_right.*` or `left_NAME.*`/`right_NAME.*`; where known "
         "`calib.txt` and `meta.json` of all pairs",
-        files=tuple(_side_by_side(*pair) for pair in _SIDES), facts=_pairs, either=True,
+        files=_variants(
+            {"left": "<0>{name}<2>.*", "right": "<1>{name}<3>.*", "calibration": "calib.txt", "name": "{name}"},
+            *(("", "", f"{gap}{left}", f"{gap}{right}") for left, right, gap in _SIDES),
+            *((f"{left}{gap}", f"{right}{gap}", "", "") for left, right, gap in _SIDES),
+        ), facts=_pairs, either=True,
         without=("left.*", "right.*", "*_left.disp.*"),
     ),
     Row(
         title="middlebury-v2", protocol="middlebury_v2",
         wants="`im2`/`im6`, `imL`/`imR` or `view1`/`view5` with `disp2`/`disp6`, `groundtruth` or `disp1`/`disp5`, and "
         "`nonocc`, `all`, `disc` where there are masks; the 2001, 2003, 2005 and 2006 sets",
-        files=tuple({"left": f"{left}.*", "right": f"{right}.*", "disparity_left": truth, "disparity_right": other,
-                     **_V2_MASKS}
-                    for left, right, truth, other in (("im2", "im6", "disp2.*|groundtruth.*", "disp6.*"),
-                                                      ("imL", "imR", "disp2.*|groundtruth.*", "disp6.*"),
-                                                      ("view1", "view5", "disp1.*", "disp5.*"))),
+        files=_variants(
+            {"left": "<0>.*", "right": "<1>.*", "disparity_left": "<2>", "disparity_right": "<3>",
+             **{f"mask.{name}": f"{name}.*|mask_{name}.*" for name in ("nonocc", "all", "disc")}},
+            ("im2", "im6", "disp2.*|groundtruth.*", "disp6.*"), ("imL", "imR", "disp2.*|groundtruth.*", "disp6.*"),
+            ("view1", "view5", "disp1.*", "disp5.*"),
+        ),
         facts=_middlebury_v2,
     ),
     Row(
@@ -257,21 +221,21 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
     Row(
         title="kitti-2012", protocol="kitti_2012", values=_KITTI_VALUES, single=True,
         wants="`colored_0`/`colored_1` or `image_0`/`image_1`, `disp_noc`, `disp_occ`, `calib`",
-        files=tuple(_kitti(left, right, "disp_occ", "disp_noc", "calib")
-                    for left, right in (("colored_0", "colored_1"), ("image_0", "image_1"))),
+        files=_variants(_KITTI_FILES, ("colored_0", "colored_1"), ("image_0", "image_1")),
         facts=lambda found: {"cameras": (0, 1)} if found.files["left"].parent.name == "image_0" else {},
     ),
     Row(
         title="kitti-2015", protocol="kitti_2015", values=_KITTI_VALUES, single=True,
         wants="`image_2`, `image_3`, `disp_noc_0`, `disp_occ_0`, `obj_map`, `calib_cam_to_cam`",
-        files=(_kitti("image_2", "image_3", "disp_occ_0", "disp_noc_0", "calib_cam_to_cam", "obj_map"),),
+        files=({"left": "image_2/{frame}_10.png", "right": "image_3/{frame}_10.png", "name": "{frame}_10",
+                "disparity_left": "disp_occ_0/{frame}_10.png", "disparity_noc": "disp_noc_0/{frame}_10.png",
+                "objects": "obj_map/{frame}_10.png", "calibration": "calib_cam_to_cam/{frame}.txt"},),
     ),
     Row(
         title="kitti-odometry", protocol="kitti_2015", either=True,
         wants="`image_2`, `image_3` or `image_0`, `image_1` with `000000.png`; `calib.txt`",
-        files=tuple({"left": f"{left}/{{number}}.png", "right": f"{right}/{{number}}.png", "calibration": "calib.txt",
-                     "name": "{number}"}
-                    for left, right in (("image_2", "image_3"), ("image_0", "image_1"))),
+        files=_variants({"left": "<0>/{number}.png", "right": "<1>/{number}.png", "calibration": "calib.txt",
+                         "name": "{number}"}, ("image_2", "image_3"), ("image_0", "image_1")),
         values={"max_disparity": _KITTI_RANGE},
         facts=lambda found: {"cameras": (0, 1)} if "image_0" in str(found.files.get("left", "")) else {},
     ),
@@ -280,14 +244,25 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
         values={"max_disparity": _SCENE_FLOW_RANGE, "decode": _decode_scene_flow},
         wants="`frames_cleanpass/**/left/0006.png`, `right/0006.png`, `disparity/**/left/0006.pfm` (FlyingThings3D, "
         "Driving, Monkaa; or `frames_finalpass`); of the subset `image_clean`, `disparity_occlusions`",
-        files=tuple(map(_scene_flow, ("frames_cleanpass", "frames_finalpass", "image_clean", "image_final"))),
-        facts=_only_png,
+        files=_variants(
+            {"left": "<0>/{path}/left/{frame}.png|<0>/{path}/left/{frame}.webp",
+             "right": "<0>/{path}/right/{frame}.png|<0>/{path}/right/{frame}.webp",
+             "disparity_left": "disparity/{path}/left/{frame}.pfm|frames_disparity/{path}/left/{frame}.pfm",
+             "disparity_right": "disparity/{path}/right/{frame}.pfm|frames_disparity/{path}/right/{frame}.pfm",
+             "occluded": "disparity_occlusions/{path}/left/{frame}.png", "name": "<0>/{path_}{frame}"},
+            ("frames_cleanpass",), ("frames_finalpass",), ("image_clean",), ("image_final",),
+        ),
+        facts=_scene_flow,
     ),
     Row(
         title="sintel", protocol="middlebury_v2", values={"decode": _decode_sintel},
         wants="`clean_left/SEQUENCE/frame_0001.png`, `clean_right` (or `final_left`, `final_right`), `disparities`, "
         "`occlusions`, `outofframe`: the folder `training` of MPI Sintel's stereo data",
-        files=(_sintel("clean"), _sintel("final")),
+        files=_variants(
+            {"left": "<0>_left/{path}/{frame}.png", "right": "<0>_right/{path}/{frame}.png",
+             "disparity_left": "disparities/{path}/{frame}.png", "occluded": "occlusions/{path}/{frame}.png",
+             "ignored": "outofframe/{path}/{frame}.png", "name": "<0>/{path_}{frame}"}, ("clean",), ("final",),
+        ),
     ),
     Row(
         title="booster", protocol="booster", values={"decode": _decode_booster}, facts=_booster,
@@ -299,7 +274,8 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
                 "calibration": "calib_00-02.xml", "name": "{folder}_{image}"},),
     ),
     Row(
-        title="crestereo", protocol="middlebury_v2", values={"disparity_scale": 32.0}, facts=_with_truth,
+        title="crestereo", protocol="middlebury_v2", values={"disparity_scale": 32.0},
+        facts=lambda found: {} if "disparity_left" in found.files else None,
         wants="`NAME_left.jpg`, `NAME_right.jpg`, `NAME_left.disp.png`, `NAME_right.disp.png` (codes / 32)",
         needs=("*_left.disp.png",),
         files=({"left": "{name}_left.jpg|{name}_left.png", "right": "{name}_right.jpg|{name}_right.png",
@@ -313,12 +289,18 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
                 "disparity_right": "right_disp.png"},),
     ),
     Row(
-        title="driving-stereo", protocol="kitti_2015", values={"cameras": (101, 103)}, facts=_driving_scale,
+        title="driving-stereo", protocol="kitti_2015", values={"cameras": (101, 103)}, facts=_driving_stereo,
         wants="`train-left-image`, `train-right-image`, `train-disparity-map` (or `test-...`, or "
         "`left-image-half-size`, `left-image-full-size` ... of a weather), "
         "`calib_train/half-image-calib/SEQUENCE.txt`",
         files=({"left": "{split}-left-image/{path}/{frame}.*", "right": "{split}-right-image/{path}/{frame}.*",
                 "disparity_left": "{split}-disparity-map/{path}/{frame}.*", "name": "{split}-left-image/{frame}",
-                "calibration": "calib_{split}/half-image-calib/{path}.txt"}, _driving("full"), _driving("half")),
+                "calibration": "calib_{split}/half-image-calib/{path}.txt"},
+               *_variants({"left": "left-image-<0>-size/{sequence}_{frame}.*",
+                           "right": "right-image-<0>-size/{sequence}_{frame}.*",
+                           "disparity_left": "disparity-map-<0>-size/{sequence}_{frame}.*",
+                           "name": "left-image-<0>-size/{sequence}_{frame}",
+                           "calibration": f"../calib_train/{_DRIVING_CALIB}|../calib_test/{_DRIVING_CALIB}|"
+                           f"calib/{_DRIVING_CALIB}|{_DRIVING_CALIB}"}, ("full",), ("half",))),
     ),
 )  # fmt: skip
