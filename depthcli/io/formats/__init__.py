@@ -6,6 +6,7 @@
 ``images``        PNG, JPEG, Netpbm, TIFF, BMP: pixels, or codes of one channel; pairs
 ``pictures``      pictures for people: status bits, confidence, maps in color
 ``disparity``     disparities in pixels, and any map of one channel (``read_plane``): PFM, npy, PNG, TIFF
+``files_behind``  files that are read with another one: values of a volume, chains of transforms
 ``map_format``    formats of maps that plug-ins add
 ``depth``         depths in meters, codes of sensors, point clouds
 ``calibrations``  cameras and pairs of cameras, rectified or not, in the files of other programs
