@@ -66,14 +66,6 @@ def test_cleargrasp(tmp_path, depth, real):
     np.testing.assert_array_equal(true(scene).masks["transparent"], mask)
 
 
-def test_cleargrasp_without_the_sensor_s_depth_is_a_row_with_its_reason(tmp_path, depth):
-    write_png(tmp_path / "mask_transparent.png", np.zeros((4, 6), bool))
-    write_png(tmp_path / "rgb_transparent.png", np.zeros((4, 6, 3), np.uint8))
-    write_depth_png(tmp_path / "depth_opaque_gt_mm.png", depth)
-    with pytest.raises(InputError, match=r"no depth_sensor_mm\.png"):
-        load(only(tmp_path))
-
-
 def test_the_shared_folders_are_recognized_as_they_lie_there():
     if not (DATA / "transparent").is_dir():
         pytest.skip("transparent is not in ../shared/data")

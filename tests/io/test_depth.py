@@ -18,7 +18,7 @@ from depthcli.io.formats.depth import (
     write_points,
 )
 from depthcli.io.formats.disparity import write_pfm
-from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.images import write_png
 from tests.scenes import DATA, needs_data
 
 
@@ -108,22 +108,6 @@ def test_point_cloud(tmp_path: Path):
 
 
 @needs_data
-@pytest.mark.parametrize(
-    ("name", "options", "median"),
-    [
-        ("rgbd_sun/open3d_sample/depth.png", {"rotate": 3}, (1, 6)),
-        ("rgbd_tum/open3d_sample/depth.png", {"scale": 5000}, (0.4, 6)),
-        ("rgbd_nyu/rcnn_depth_demo/depth_raw.png", {}, (1, 6)),
-    ],
-)
-def test_rooms_are_as_large_as_rooms(name, options, median):
-    depth = read_depth(DATA / name, **options)
-    assert read_image(DATA / name).shape == depth.shape
-    low, high = median
-    assert low < float(np.nanmedian(depth)) < high
-    assert 0.5 < np.mean(~np.isnan(depth)) <= 1
-
-
 @needs_data
 def test_raw_kinect_codes():
     codes = read_kinect_raw(DATA / "rgbd_nyu/raw_dump/disparity_raw_byteswapped.pgm")

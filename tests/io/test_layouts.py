@@ -272,10 +272,9 @@ def test_every_stereo_scene_of_the_shared_data_loads():
             assert load(scene).shape == truth.disparity.shape
 
 
-@pytest.mark.parametrize("name", ["middlebury-v3", "middlebury_v3", "Middlebury_V3"])
-def test_a_layout_may_be_named_with_underscores(tmp_path: Path, name: str):
+def test_a_layout_may_be_named_with_underscores(tmp_path: Path):
     v3(tmp_path / "a", "ndisp=3")
-    (scene,) = discover_scenes(tmp_path, layout=name)
+    (scene,) = discover_scenes(tmp_path, layout="Middlebury_V3")
     assert scene.layout == "middlebury-v3"
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from depthcli.core.errors import InputError
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.disparity import map_npy
-from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.images import write_png
 from depthcli.io.named_files import scenes_of_table
 from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import chosen_scenes, discover_scenes
@@ -36,11 +35,10 @@ def test_calib_txt_with_numbers_too_large(tmp_path: Path, number: str):
 
 
 @pytest.mark.parametrize("number", [*HUGE, "-99999999999", "1.5", "nan", "0x10", "1_0"])
-@pytest.mark.parametrize("column", ["min_disparity", "max_disparity"])
-def test_lists_with_numbers_too_large(tmp_path: Path, column: str, number: str):
-    (tmp_path / "pairs.csv").write_text(f"left,right,{column}\na.png,b.png,{number}\n")
+def test_lists_with_numbers_too_large(tmp_path: Path, number: str):
+    (tmp_path / "pairs.csv").write_text(f"left,right,max_disparity\na.png,b.png,{number}\n")
     (scene,) = scenes_of_table(tmp_path / "pairs.csv")
-    assert column in scene.problem and len(scene.problem) < 400
+    assert "max_disparity" in scene.problem and len(scene.problem) < 400
 
 
 def test_arrays_that_announce_terabytes(tmp_path: Path):
@@ -65,12 +63,3 @@ def test_names_of_lists_are_unique(tmp_path: Path):
     scenes = [StereoScene(name="a", folder=tmp_path / folder, left=tmp_path) for folder in ("x", "y")]
     with pytest.raises(InputError, match="two scenes are called 'a'"):
         chosen_scenes(scenes, ["*"], tmp_path)
-
-
-@pytest.mark.parametrize(("shape", "dtype"), [((6, 8, 3), np.float32), ((6, 8), np.float32), ((6, 8, 3), np.float64)])
-def test_tiff_of_another_kind_is_not_damaged(tmp_path: Path, shape: tuple[int, ...], dtype: type):
-    path = tmp_path / "a.tif"
-    assert cv2.imwrite(str(path), np.ones(shape, dtype))
-    with pytest.raises(InputError, match="floating point") as caught:
-        read_image(path)
-    assert "damaged" not in str(caught.value)

@@ -59,10 +59,6 @@ def test_our_layout(tmp_path: Path):
     [
         ({"depth_scale": 2000, "fb": 6}, []),
         ({"depth_scale": 2000, "fb": 60000}, ["meta.json: fb 60000 makes the median disparity 6e+04 px"]),
-        (
-            {"depth_scale": 1},
-            ["depth.png: the median depth is 2e+03 m at 1 codes per meter; a depth scale of 1000 would"],
-        ),
         ({"depth_scale": 5e5}, ["depth.png: the median depth is 0.004 m at 500000 codes per meter"]),
     ],
 )
@@ -167,7 +163,6 @@ def test_numbered_frames_have_poses_by_order_or_by_number(tmp_path: Path, lines:
 @pytest.mark.parametrize(("text", "said"), [
     ("", "poses.txt: holds no pose"),
     ("0 1 2 3 0 0 0 1\n1 x 2 3 0 0 0 1\n", "line 2: want"),
-    ("0 1 2 3 0 0 0 1\n1 2 3 4\n", "line 2: want"),
     ("0 1 2 3 0 0 0 2\n", "quaternion"),
     ("1 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n", "two poses of one time"),
     ("1 0 0 0\n0 1 0 0\n0 0 1 0\n", "not 4 rows"),
@@ -189,13 +184,6 @@ def test_sun_rotates_its_bits(tmp_path: Path):
     (scene,) = find(tmp_path)
     assert scene.layout == "sun-rgbd"
     assert (load(scene).depth[1:] == 2).all()
-
-
-def test_half_a_frame_is_a_row_with_its_reason(tmp_path: Path):
-    write_png(tmp_path / "a" / "color.png", COLOR)
-    (scene,) = find(tmp_path)
-    with pytest.raises(InputError, match="no depth"):
-        load(scene)
 
 
 def test_depth_alone_is_a_frame_without_color(tmp_path: Path):
@@ -255,14 +243,8 @@ def test_depth_of_its_own_camera_is_registered(tmp_path: Path):
         ({}, "30 x 20, but the color image is 120 x 90; the depth must be registered"),
         ({"depth_intrinsics": DEPTH_CAMERA}, "want those of the color camera"),
         ({"depth_intrinsics": {**DEPTH_CAMERA, "fx": 0}}, "meta.json: depth_intrinsics: fx: want a positive number"),
-        (
-            {"depth_intrinsics": {**DEPTH_CAMERA, "fy": float("nan")}},
-            "meta.json: depth_intrinsics: fy: want a positive number",
-        ),
         ({"depth_intrinsics": {"fx": 3}}, "meta.json: depth_intrinsics: want all of fx, fy, cx, cy"),
-        ({"depth_intrinsics": [1, 2, 3, 4]}, "meta.json: depth_intrinsics: want fx, fy, cx, cy"),
         ({"depth_to_color": 3}, "meta.json: depth_to_color: want rotation and translation"),
-        ({"depth_to_color": {"rotation": [1, 2], "translation": [0, 0, 0]}}, "want 3 x 3 finite numbers"),
         ({"depth_to_color": {"rotation": np.eye(3).tolist()}}, "meta.json: depth_to_color: translation: want 3"),
         ({"depth_to_color": {"rotation": [0] * 9, "translation": [0, 0, 0]}}, "meta.json: .* not a rotation matrix"),
         ({"depth_to_color": {"rotation": np.eye(3).tolist(), "translation": [25, 0, 0]}}, "want meters"),
@@ -346,8 +328,4 @@ class TestRealFrames:
             own = abs(frame["kinect_minus_plane_median_mm"]) + 0.6745 * frame["kinect_minus_plane_std_mm"]
             assert distance(calibration) <= own + 1.2
             assert distance(calibration) < distance(plain) < distance(calibration) + 5
-
-    def test_swapped_bytes_are_told_and_put_right(self):
-        raw = read_kinect_raw(DATA / "rgbd_nyu" / "raw_dump" / "disparity_raw_byteswapped.pgm")
-        assert raw.max() == 2047
         assert 0.5 < np.nanmedian(kinect_v1().depth_of_raw(raw)) < 5
