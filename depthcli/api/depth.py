@@ -18,7 +18,7 @@ from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame, color8, infrared_image
 from depthcli.core.maps import DepthStatus
-from depthcli.core.result import Clock, DepthResult, Result
+from depthcli.core.result import Clock, DepthResult
 from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import MILLIMETERS
 from depthcli.io.formats.files import naming, warn
@@ -26,7 +26,6 @@ from depthcli.io.formats.plain_text import numbers
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import frame_by_frame
 from depthcli.methods.transparent.config import TransparentConfig
-from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.run.resources import available_memory, check_memory
 
 Image = NDArray[Any]
@@ -173,7 +172,6 @@ def complete_transparent(
     image = color8(as_image(color, "color"))
     height, width = image.shape[:2]
     measured = as_depth(depth, "depth", scale, (height, width))
-    check_completion_memory(config, config.stereo, (height, width), available_memory())
     if config.stereo is None:
         if sparse is None:
             raise InputError("this config wants sparse depth: give sparse, or a preset with stereo")
@@ -181,7 +179,7 @@ def complete_transparent(
         surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
         frame = SparseFrame(image, measured, fb or sensor_fb(None), sparse=second, sparse_confidence=surer)
         with computing():
-            return completed_frame(config, frame, Result(), clock, scale)
+            return completed_frame(config, frame, clock, scale, available_memory())[1]
     if infrared is None:
         raise InputError("this config wants an infrared image: give infrared, or sparse with another preset")
     if (calibration is None) == (fb is None):
@@ -194,15 +192,7 @@ def complete_transparent(
         raise InputError("infrared: a rectified pair has one size")
     pair = RgbIrFrame(image, grey, measured, rig, fb or 1.0)
     with computing():
-        return completed_frame(config, *sparse_by_stereo(config.stereo, pair, scale, clock), clock, scale)
-
-
-def check_completion_memory(
-    config: TransparentConfig, stereo: CrossModal | None, shape: tuple[int, int], memory: int
-) -> None:
-    """Raise InputError where ``memory`` bytes do not suffice for a frame of (H, W) ``shape``."""
-    need = max(each.peak_bytes(shape) for each in (config.pipeline, stereo) if each is not None)
-    check_memory(need, memory, f"{shape[1]} x {shape[0]} pixels")
+        return completed_frame(config, pair, clock, scale, available_memory())[1]
 
 
 def refined_frame(
@@ -225,25 +215,28 @@ def refined_frame(
     return replace(found, cloud=chosen & (found.values >= config.near) & (found.values <= config.far))
 
 
-def sparse_by_stereo(stereo: CrossModal, pair: RgbIrFrame, scale: float, clock: Clock) -> tuple[SparseFrame, Result]:
-    """Return the frame with sparse depth that is matched between color and infrared, and what is written of it."""
-    frame, figures = stereo(pair, clock)
+def completed_frame(
+    config: TransparentConfig, given: SparseFrame | RgbIrFrame, clock: Clock, scale: float, memory: int, rotate: int = 0
+) -> tuple[SparseFrame, RefinedDepth]:
+    """Return a frame with sparse depth, by stereo of color and infrared where it is not given, and it completed.
+
+    InputError where ``memory`` bytes do not suffice.
+    """
+    shape, stereo = (given.depth.shape[0], given.depth.shape[1]), config.stereo
+    need = max(each.peak_bytes(shape) for each in (config.pipeline, stereo) if each is not None)
+    check_memory(need, memory, f"{shape[1]} x {shape[0]} pixels")
+    if isinstance(given, SparseFrame):
+        return given, _refined(config.pipeline, given, clock, scale, rotate)
+    assert stereo is not None
+    frame, figures = stereo(given, clock)
+    found = _refined(config.pipeline, frame, clock, scale, rotate)
     with np.errstate(invalid="ignore"):
         codes = np.nan_to_num(np.rint(frame.sparse * scale), nan=0.0)
-    pictures = {"stereo": np.where(codes <= 65535, codes, 0).astype(np.uint16)}
-    confidence = {} if frame.sparse_confidence is None else {"stereo": frame.sparse_confidence}
-    return frame, Result(confidence=confidence, pictures=pictures, figures=figures)
-
-
-def completed_frame(
-    config: TransparentConfig, frame: SparseFrame, stereo: Result, clock: Clock, scale: float, rotate: int = 0
-) -> RefinedDepth:
-    """Return a completed frame, with what is written of the stereo that its sparse depth comes from."""
-    found = _refined(config.pipeline, frame, clock, scale, rotate)
-    found.details.figures |= stereo.figures
-    found.details.pictures |= stereo.pictures
-    found.details.confidence |= stereo.confidence
-    return found
+    found.details.figures |= figures
+    found.details.pictures["stereo"] = np.where(codes <= 65535, codes, 0).astype(np.uint16)
+    if frame.sparse_confidence is not None:
+        found.details.confidence["stereo"] = frame.sparse_confidence
+    return frame, found
 
 
 def _refined(

@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.inputs import as_image, as_map, as_pair, computing
-from depthcli.api.results import Disparity, made, write_details
+from depthcli.api.results import Disparity, made, write_details, write_disparity
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Result
-from depthcli.io.formats.disparity import write_disparity_png, write_pfm
+from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.networks import network_path, read_network
-from depthcli.io.formats.pictures import STATUS_PALETTE, preview, write_status
+from depthcli.io.formats.pictures import preview
 from depthcli.methods.given_maps import MEASURES, Networks, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
 from depthcli.methods.stereo.search_range import SearchRange
@@ -72,10 +72,7 @@ class MapConfidence:
         kept, files = self.kept(share, threshold), made(folder)
         write_pfm(files / "confidence.pfm", self.probability)
         write_png(files / "confidence.png", self._picture())
-        write_status(files / "status.png", self.status, STATUS_PALETTE)
-        write_pfm(files / "disp_left.pfm", kept)
-        write_disparity_png(files / "disp_left.png", kept)
-        write_png(files / "preview.png", preview(kept, self.max_disparity))
+        write_disparity(kept, self.status, preview(kept, self.max_disparity), files)
         write_details(Result(confidence=dict(self.measures)), files)
 
     def _picture(self) -> NDArray[np.uint8]:

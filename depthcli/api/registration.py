@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from depthcli.algorithms.body import body_of_volume
-from depthcli.algorithms.resampling import block_means, resample, trilinear
+from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.api.inputs import Overrides, as_volume, computing, load_config
 from depthcli.api.registration_preview import registration_preview
 from depthcli.api.results import made
@@ -23,11 +23,11 @@ from depthcli.core.result import Clock
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png
-from depthcli.io.formats.volumes import Slab, simple_itk, write_volume
+from depthcli.io.formats.volumes import simple_itk, write_volume
 from depthcli.io.scenes import VolumePairScene
 from depthcli.io.volume_pairs import LoadedPair, blocks_of, joined, region_masks, usable
 from depthcli.methods.registration.config import RegisterConfidenceConfig
-from depthcli.methods.registration.pipeline import RegistrationResult
+from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
 from depthcli.run.json_csv import to_csv
 from depthcli.run.resources import available_memory, check_memory
 
@@ -95,8 +95,7 @@ class RegistrationConfidence:
             raise InputError(f"suffix: must be .nii.gz, .nii, .mha or .nrrd (got {suffix!r})")
         files = made(folder)
         for name, values in (("confidence", self.details.certainty), ("expected_error", self.details.expected_error)):
-            slabs: Slab = partial(self._on_fixed_grid, values)
-            write_volume(files / f"{name}{suffix}", self.grid, slabs)
+            write_volume(files / f"{name}{suffix}", self.grid, partial(self._on_fixed_grid, values))
         if self.details.shift is not None:
             write_volume(files / f"shift{suffix}", self.grid, self._shift, vector=True)
         write_png(files / "preview.png", self._preview())
@@ -107,12 +106,10 @@ class RegistrationConfidence:
         self, values: NDArray[np.float32], first: int = 0, last: int | None = None
     ) -> NDArray[np.float32]:
         """Return slices ``first`` .. ``last`` (None: all) of a map of the method, on the fixed volume's grid."""
-        shape = self.grid.shape
-        starts, steps = self.loaded.on_grid(self.details.start, self.details.step)
-        back = [1 / step for step in steps]
-        place = [-start / step for start, step in zip(starts, steps, strict=True)]
-        wanted = ((shape[0] if last is None else last) - first, shape[1], shape[2])
-        return resample(values, wanted, back, (place[0] + first * back[0], place[1], place[2]))
+        depth, height, width = self.grid.shape
+        place = self.loaded.on_grid(self.details.start, self.details.step)
+        shape = ((depth if last is None else last) - first, height, width)
+        return at_voxels(values, *place, shape, (first, 0, 0))
 
     def _shift(self, first: int = 0, last: int | None = None) -> NDArray[np.float32]:
         if self.details.shift is None:
@@ -187,13 +184,19 @@ def registration_confidence(
     blocks = blocks_of(grid, config.pipeline.voxel_limit)
     first, second = (block_means(usable(v, inside, n), blocks) for v, n in ((first, "fixed"), (second, "warped")))
     loaded = joined(first, second, inside, grid, blocks)
-    check_voxels(config, loaded, available_memory())
     with computing():
-        return measured_pair(config, loaded, clock)
+        return measured_pair(config, loaded, clock, available_memory())
 
 
-def measured_pair(config: RegisterConfidenceConfig, loaded: LoadedPair, clock: Clock) -> RegistrationConfidence:
-    """Return the expected errors of a pair; the clock books the stages, and ``other``."""
+def measured_pair(
+    config: RegisterConfidenceConfig, loaded: LoadedPair, clock: Clock, memory: int
+) -> RegistrationConfidence:
+    """Return the expected errors of a pair; the clock books the stages, and ``other``.
+
+    InputError where ``memory`` bytes do not suffice.
+    """
+    need = peak_bytes(config, loaded.grid, loaded.pair.shape, loaded.pair.spacing)
+    check_memory(need, memory, f"{' x '.join(map(str, loaded.grid.size))} voxels", "max_voxels, iso")
     clock.start("other")
     result = config.pipeline(loaded.pair)
     result.figures.update(inside_figures(result, loaded))
@@ -205,13 +208,6 @@ def measured_pair(config: RegisterConfidenceConfig, loaded: LoadedPair, clock: C
             "registration may be off by more than its range; a larger levels, radius or iso searches farther"
         )
     return RegistrationConfidence(loaded, result, dict(clock.seconds), tuple(warnings), config.neurological)
-
-
-def check_voxels(config: RegisterConfidenceConfig, loaded: LoadedPair, memory: int) -> None:
-    """Raise InputError where ``memory`` bytes do not suffice for a pair."""
-    need = peak_bytes(config, loaded.grid, loaded.pair.shape, loaded.pair.spacing)
-    size = f"{' x '.join(map(str, loaded.grid.size))} voxels"
-    check_memory(need, memory, size, "max_voxels, iso")
 
 
 def peak_bytes(
@@ -237,7 +233,7 @@ def inside_figures(result: RegistrationResult, loaded: LoadedPair) -> dict[str, 
         order, flipped = grid.anatomical_axes()
         turned = np.flip(body_of_volume(grid.turned(pair.fixed)), flipped)
         inside = turned.transpose(np.argsort(order))
-    error = _error_of_voxels(result, loaded)
+    error = at_voxels(result.expected_error, result.start, result.step, pair.shape)
     known = error[inside]
     if not known.size:
         return {}
@@ -262,7 +258,9 @@ def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volume
     where a region has no voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
     """
     figures: dict[str, float | str] = {}
-    error = _error_of_voxels(result, loaded) if scene.regions else np.zeros(0, np.float32)
+    if not scene.regions:
+        return figures
+    error = at_voxels(result.expected_error, result.start, result.step, loaded.pair.shape)
     voxel = math.prod(loaded.grid.spacing) / 1000
     for file, _ in scene.regions:
         try:
@@ -283,13 +281,6 @@ def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volume
         except InputError as problem:
             figures[f"region_error_{file}"] = str(problem)
     return figures
-
-
-def _error_of_voxels(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.float32]:
-    """Return the expected error of each voxel of the pair, mm."""
-    steps = [1 / step for step in result.step]
-    starts = [-start / step for start, step in zip(result.start, result.step, strict=True)]
-    return resample(result.expected_error, loaded.pair.shape, steps, starts)
 
 
 def _volume(

@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.body import body
-from depthcli.algorithms.resampling import resample
 from depthcli.core.text import side_and_distance
 from depthcli.core.volumes import ENDS, PLANES
 from depthcli.io.formats.pictures import draw_text, preview
 from depthcli.io.volume_pairs import LoadedPair
-from depthcli.methods.registration.pipeline import RegistrationResult
+from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
 
 _MAX_SHOWN_ERROR = 10.0  # mm; this and more is dark red
 _SIDE, _MARGIN, _LINE = 300, 24, 22  # pixels: longest side of a slice, space around it for letters, line of text
@@ -45,11 +44,10 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
         fixed, warped = (
             ((np.clip(grid.turned(cut).squeeze(axis), low, high) - low) * scaling).astype(np.uint8) for cut in cuts
         )
-        steps = [1 / step for step in result.step]
-        starts = [-start / step for start, step in zip(result.start, result.step, strict=True)]
-        starts[order[axis]] += steps[order[axis]] * stored
-        z, y, x = (1 if k == order[axis] else n for k, n in enumerate(pair.shape))
-        error = grid.turned(resample(result.expected_error, (z, y, x), steps, starts)).squeeze(axis)
+        corner, size = [0, 0, 0], list(pair.shape)
+        corner[order[axis]], size[order[axis]] = stored, 1
+        errors = at_voxels(result.expected_error, result.start, result.step, size, corner)
+        error = grid.turned(errors).squeeze(axis)
         if pair.mask is None:
             seen = body(fixed)
         else:

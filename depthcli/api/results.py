@@ -60,6 +60,17 @@ def write_depth(depth: MatchedMap | DepthMap, folder: Path, scale: float, rotate
     write_png(folder / "preview.png", preview_depth(depth.values))
 
 
+def write_disparity(
+    values: NDArray[np.float32], status: NDArray[np.uint8], picture: NDArray[np.uint8], folder: Path
+) -> None:
+    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png``, and ``picture`` as ``preview.png``."""
+    write_pfm(folder / "disp_left.pfm", values)
+    # The PNG has no code for what is negative: those pixels have no value there.
+    write_disparity_png(folder / "disp_left.png", np.where(values < 0, np.float32(np.nan), values))
+    write_status(folder / "status.png", status, STATUS_PALETTE)
+    write_png(folder / "preview.png", picture)
+
+
 def write_details(result: Result, folder: Path) -> None:
     """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV, and pictures."""
     for name, confidence in result.confidence.items():
@@ -143,16 +154,28 @@ class PointCloud:
         write_points(path, self.points, self.color)
 
 
-def _described(found: MatchedMap | DepthMap, text: str = "") -> str:
-    """Return the ``repr`` of a map: class, size, ``text`` or the range of its depths, and density."""
-    height, width = found.values.shape
-    known = found.values[found.valid]
-    text = text or (f"{known.min():.4g} to {known.max():.4g} m" if known.size else "no value")
-    return f"{type(found).__name__}({width} x {height}, {text}, {100 * found.density:.1f} % with a value)"
+class _Shown:
+    """How a map in meters shows itself, in the console and in notebooks."""
+
+    values: NDArray[np.float32]
+
+    def _preview(self) -> NDArray[np.uint8]:
+        return preview_depth(self.values)
+
+    def _range(self) -> str:
+        known = self.values[~np.isnan(self.values)]
+        return f"{known.min():.4g} to {known.max():.4g} m" if known.size else "no value"
+
+    def __repr__(self) -> str:
+        (height, width), share = self.values.shape, np.mean(~np.isnan(self.values))
+        return f"{type(self).__name__}({width} x {height}, {self._range()}, {100 * share:.1f} % with a value)"
+
+    def _repr_png_(self) -> bytes:
+        return png_bytes(self._preview())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Depth(MatchedMap):
+class Depth(_Shown, MatchedMap):
     """Metric depth of a disparity map: ``values`` (H, W) float32, meters; ``status``, bits of :class:`Status`."""
 
     camera: Intrinsics  # the left one
@@ -172,15 +195,9 @@ class Depth(MatchedMap):
         """
         write_depth(self, made(folder), scale)
 
-    def __repr__(self) -> str:
-        return _described(self)
-
-    def _repr_png_(self) -> bytes:
-        return png_bytes(preview_depth(self.values))
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Disparity(DisparityMap):
+class Disparity(_Shown, DisparityMap):
     """The disparity map of a pair's left view.
 
     ``values`` (H, W) are float32, pixels, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`Status`, which
@@ -258,13 +275,8 @@ class Disparity(DisparityMap):
 
         The folder is created where it is missing.
         """
-        files, low = made(folder), self.search.min_disparity
-        write_pfm(files / "disp_left.pfm", self.values)
-        # The PNG has no code for what is negative: those pixels have no value there.
-        shown = np.where(self.values < 0, np.float32(np.nan), self.values) if low < 0 else self.values
-        write_disparity_png(files / "disp_left.png", shown)
-        write_status(files / "status.png", self.status, STATUS_PALETTE)
-        write_png(files / "preview.png", self._preview())
+        files = made(folder)
+        write_disparity(self.values, self.status, self._preview(), files)
         write_details(self.details, files)
         if self.geometry is not None:
             write_png(files / "left.png", self.left)
@@ -274,15 +286,12 @@ class Disparity(DisparityMap):
         low, high = self.search.min_disparity, self.search.max_disparity
         return preview(self.values - np.float32(low), high - low)
 
-    def __repr__(self) -> str:
-        return _described(self, f"searched {self.search.min_disparity} to {self.search.max_disparity} px")
-
-    def _repr_png_(self) -> bytes:
-        return png_bytes(self._preview())
+    def _range(self) -> str:
+        return f"searched {self.search.min_disparity} to {self.search.max_disparity} px"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RefinedDepth(DepthMap):
+class RefinedDepth(_Shown, DepthMap):
     """The depth map of a sensor, cleaned and completed.
 
     ``values`` (H, W) are float32, meters, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`DepthStatus`,
@@ -334,9 +343,3 @@ class RefinedDepth(DepthMap):
         if self.cloud is not None:
             self.to_points(self.cloud).save(files / "points.ply")
         write_details(self.details, files)
-
-    def __repr__(self) -> str:
-        return _described(self)
-
-    def _repr_png_(self) -> bytes:
-        return png_bytes(preview_depth(self.values))

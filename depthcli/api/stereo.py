@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -105,7 +104,6 @@ class Matcher:
 
     def __init__(self, config: StereoConfig | FuseConfig, volumes: Mapping[str, ArrayLike] | None = None) -> None:
         self.config = config
-        self._memory = 0, 0.0
         self._method: PairMatcher = config.pipeline if isinstance(config, StereoConfig) else config
         if isinstance(config, FuseConfig) and config.volumes:
             given = {name: np.asarray(volume) for name, volume in (volumes or {}).items()}
@@ -131,12 +129,9 @@ class Matcher:
         return replace(found, warnings=(*found.warnings, text))
 
     def _match(self, pair: StereoPair, ends: tuple[int | str, int | str]) -> Disparity:
-        memory, until = self._memory
-        if time.monotonic() > until:  # looking takes a fifth of a millisecond: once a second suffices
-            memory = available_memory()
-            self._memory = memory, time.monotonic() + 1
         with self._turn, computing():
-            return match_pair(self._method, pair, ends, limits_of(self.config, memory, self._device), Clock())
+            limits = limits_of(self.config, available_memory(), self._device)
+            return match_pair(self._method, pair, ends, limits, Clock())
 
     def load_kernels(self) -> None:
         """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from depthcli.api.registration import check_voxels, measured_pair, peak_bytes, region_figures
+from depthcli.api.registration import measured_pair, peak_bytes, region_figures
 from depthcli.commands._batch import config_of, run_batch
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
@@ -80,8 +80,7 @@ class RegisterConfidence(Batch[VolumePairScene]):
         clock.start("load")
         loaded = load_volumes(scene, config.field, config.pipeline.voxel_limit)
         points = landmarks(scene, loaded.grid)
-        check_voxels(config, loaded, memory)
-        found = measured_pair(config, loaded, clock)
+        found = measured_pair(config, loaded, clock, memory)
         clock.start("save")
         found.save(folder, written_suffix(scene.fixed), points)
         width, height, slices = loaded.grid.size

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.api.depth import check_completion_memory, completed_frame, sparse_by_stereo
+from depthcli.api.depth import completed_frame
 from depthcli.api.results import share
 from depthcli.commands._batch import config_of, run_batch
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import InputError
+from depthcli.core.frames import RgbIrFrame, SparseFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.core.result import Clock, Result
+from depthcli.core.result import Clock
 from depthcli.io.formats.depth import beyond_png
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.rgbd_frames import frame_size, load_infrared_frame, load_sparse_frame
@@ -72,22 +73,22 @@ class Transparent(Batch[RgbdScene]):
 
     def compute(self, scene: RgbdScene, folder: Path, memory: int) -> Outcome:
         """Load a frame with its sparse depth, or match color and infrared image for it; complete it; save."""
-        config, clock, matched = self.config, Clock(), Result()
+        config, clock = self.config, Clock()
+        given: SparseFrame | RgbIrFrame
         clock.start("load")
         if config.depth_scale is not None:
             scene = replace(scene, depth_scale=config.depth_scale)
         if (stereo := config.stereo) is None:
-            frame = load_sparse_frame(scene)
-            check_completion_memory(config, None, frame.shape, memory)
+            given = load_sparse_frame(scene)
         elif not isinstance(scene, RgbIrScene):
             raise InputError(f"{scene.folder}: {scene.name} has no infrared image (ir.*), which this config needs")
         else:
-            pair = load_infrared_frame(scene)
+            given = load_infrared_frame(scene)
             if stereo.max_disparity is None and scene.max_disparity is not None:
                 stereo = stereo.model_copy(update={"max_disparity": scene.max_disparity})
-            check_completion_memory(config, stereo, (pair.depth.shape[0], pair.depth.shape[1]), memory)
-            frame, matched = sparse_by_stereo(stereo, pair, scene.depth_scale, clock)
-        found = completed_frame(config, frame, matched, clock, scene.depth_scale, 3 if scene.rotated else 0)
+                config = config.model_copy(update={"stereo": stereo})
+        rotate = 3 if scene.rotated else 0
+        frame, found = completed_frame(config, given, clock, scene.depth_scale, memory, rotate)
         clock.start("save")
         found.save(folder)
         facts = {

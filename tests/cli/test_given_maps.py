@@ -131,10 +131,6 @@ def test_several_maps_are_better_than_each(
     best = read_pfm(tmp_path / "best" / names[0] / "disp_left.pfm")
     assert np.isfinite(best).all()
     assert np.mean(np.abs(best - truth)[visible == 255] > 1) < 0.08
-    joined = ("fuse", "maps", *words[2:])
-    assert run(*joined, "-o", tmp_path / "best", "-q") == 0  # nothing to do: the same command
-    assert run(*joined, "-o", tmp_path / "more", "-q", "--surfaces", "--dry-run") == 0
-    assert not (tmp_path / "more").exists()
 
 
 def test_a_changed_map_is_judged_again_and_others_are_not(scenes: Path, names: list[str], maps: Path, tmp_path: Path):

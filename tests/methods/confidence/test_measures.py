@@ -79,10 +79,6 @@ def test_cells_outside_the_right_image_take_no_part():
         np.testing.assert_array_equal(one[name], two[name], err_msg=name)
 
 
-def test_maps_come_in_the_order_of_their_names():
-    assert list(confidence_maps(random_costs((2, 3, 4), np.uint8), ["pkr", "da", "MSM"])) == ["pkr", "da", "MSM"]
-
-
 def test_leading_shape_is_free_and_inputs_stay_untouched():
     costs = random_costs((2, 3, 4, 11), np.float32)
     before = costs.copy()

@@ -7,15 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.api.stereo import with_network
-from depthcli.core.config_file import load_config
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.frames import StereoPair
 from depthcli.core.networks import TrainedNetwork
-from depthcli.evaluation.curves import sparsification
 from depthcli.io.formats.networks import read_network, write_network
 from depthcli.methods.fusion.choice.network import (
     PIXEL_PLANES,
@@ -29,8 +25,6 @@ from depthcli.methods.fusion.choice.network import (
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.map_costs import matching_costs
 from depthcli.methods.fusion.votes import ColorSupport
-from depthcli.run.presets import find_config
-from depthcli.simulate.stereo_scenes import make_scene
 from tests.contracts.checks import CHECKS
 from tests.contracts.inputs import KINDS, random_proposals
 from tests.methods.stereo._pairs import assert_pure, texture
@@ -154,49 +148,11 @@ def test_a_file_that_holds_no_network_is_refused(change, tmp_path):
         read_network(file)
 
 
-def test_a_network_takes_only_the_inputs_it_was_trained_for():
+def test_a_network_takes_only_the_inputs_and_maps_it_was_trained_for():
     trained = random_network(KINDS)
-    other = replace(trained, inputs=("cost", *trained.inputs[1:]))
-    with pytest.raises(InputError, match="another version"):
-        NetworkChoice().with_network(other, KINDS)
-    with pytest.raises(InputError, match="another version"):
-        NetworkChoice().with_network(random_network(KINDS, units=(6, 4)), KINDS)
-    with pytest.raises(ValueError, match="with_network first"):
-        NetworkChoice()(random_proposals())
-
-
-def test_a_network_takes_only_the_maps_it_was_trained_for():
+    for other in (replace(trained, inputs=("cost", *trained.inputs[1:])), random_network(KINDS, units=(6, 4))):
+        with pytest.raises(InputError, match="another version"):
+            NetworkChoice().with_network(other, KINDS)
     maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
     with pytest.raises(ConfigError, match="trained for the maps median, own, segments, local"):
         with_network(FuseConfig.model_validate({"measures": ["census"], "maps": maps}))
-    with pytest.raises(ValidationError, match="where a network chooses"):
-        FuseConfig.model_validate({"measures": ["census"], "maps": {}, "confidence": ["probability"]})
-
-
-@pytest.mark.slow
-def test_the_preset_beats_its_parts_and_its_probability_sorts_out_errors():
-    fusion = with_network(load_config(FuseConfig, find_config("fuse", "accurate")))
-    fusion = fusion.model_copy(update={"confidence": ("probability", "agreement")})
-    assert fusion.maps is not None
-    wrong = {"mix": 0.0, "own": 0.0, **dict.fromkeys(range(len(fusion.maps.matchers)), 0.0)}
-    areas, random = 0.0, 0.0
-    for kind, seed in (
-        ("planes", 7),
-        ("curved", 7),
-        ("foreground", 7),
-        ("foreground", 8),
-    ):  # none of those that it was trained on
-        scene = make_scene(kind, seed, 240, 180, 30, wall_contrast=0.3)
-        pair, visible = StereoPair(scene.left, scene.right), scene.nonocc
-        result = fusion(pair, 30)
-        bad = ~(np.abs(result.disparity.values - scene.disparity_left) <= 1)[visible]
-        wrong["mix"] += bad.mean()
-        alone = fusion.model_copy(update={"maps": None, "confidence": ()})
-        maps = {"own": alone, **{k: one.matcher for k, one in enumerate(fusion.maps.matchers)}}
-        for name, part in maps.items():
-            values = part(pair, 30).disparity.values
-            wrong[name] += np.mean(~(np.abs(values - scene.disparity_left) <= 1)[visible])
-        areas += sparsification(result.confidence["probability"][visible], bad).auc
-        random += bad.mean()
-    assert wrong["mix"] < 0.9 * min(error for name, error in wrong.items() if name != "mix")
-    assert areas < 0.35 * random

@@ -190,10 +190,13 @@ def test_the_segment_pipeline_works_on_fused_costs():
     [
         ({"segments": {"planes": {"mots": 3}}}, ("segments", "planes", "mots")),
         ({"segments": {}, "refinement": ["subpixel"]}, ("refinement",)),
+        ({"segments": {}, "maps": {}}, ("maps",)),
+        ({"confidence": ["agreement"]}, ("confidence",)),
+        ({"maps": {}, "confidence": ["probability"]}, ("confidence",)),
         ({"segments": {}, "optimization": "scanline"}, ("optimization",)),
     ],
 )
-def test_fields_without_effect_beside_segments_are_refused(fields, place):
+def test_fields_that_do_not_fit_together_are_refused(fields, place):
     with pytest.raises(ValidationError) as caught:
         fusion(**fields)
     assert [error["loc"] for error in caught.value.errors()] == [place]

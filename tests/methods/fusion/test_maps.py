@@ -6,7 +6,6 @@ import itertools
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
@@ -153,10 +152,3 @@ def test_same_bytes_at_any_thread_count_and_on_small_images(color):
     assert_pure(run, pair.left, pair.right)
     for height, width in ((1, 1), (2, 3), (9, 1)):
         assert fusion(blocky_pair(height, width, color), 5).disparity.values.shape == (height, width)
-
-
-def test_agreement_without_maps_and_maps_beside_segments_are_refused():
-    with pytest.raises(ValidationError, match="'agreement' is that of several maps"):
-        Fusion.model_validate({**SMALL, "maps": None})
-    with pytest.raises(ValidationError, match="no effect beside 'segments'"):
-        Fusion.model_validate({"measures": ["census"], "segments": {}, "maps": SMALL["maps"]})

@@ -19,6 +19,8 @@ VolumeArray = NDArray[np.float32]
 """(Z, Y, X), finite, of cubic voxels."""
 Channels = NDArray[np.uint8]
 """(C, Z, Y, X)."""
+Place = tuple[int, ...]
+"""(z, y, x), relative to a voxel."""
 _MIN_RANGE = 1e-35  # smaller ranges count as none: float32 cannot hold 255 levels over them
 _STEPS = ((0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0))
 
@@ -53,14 +55,12 @@ def levels(
     return one.astype(np.uint8), other.astype(np.uint8)
 
 
-def steps(shape: tuple[int, ...], distance: int) -> list[tuple[int, ...]]:
+def steps(shape: tuple[int, ...], distance: int) -> list[Place]:
     """Return the neighbors at ``distance`` along the axes; none along an axis of one voxel."""
     return [tuple(distance * s for s in step) for step in _STEPS if shape[next(a for a in range(3) if step[a])] > 1]
 
 
-def descriptor(
-    volume: NDArray[np.float32], pairs: Sequence[tuple[tuple[int, ...], tuple[int, ...]]], sigma: float
-) -> NDArray[np.uint8]:
+def descriptor(volume: NDArray[np.float32], pairs: Sequence[tuple[Place, Place]], sigma: float) -> NDArray[np.uint8]:
     """Compute exp(-(D_r - min D) / V) of the patch distance D_r of every pair of places; (C, Z, Y, X) uint8.
 
     Without any pair, in a volume of one voxel, one channel without content.

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature, descriptor, steps
+from depthcli.methods.registration.feature import Channels, Place, VolumeArray, VolumeFeature, descriptor, steps
 
 
 class Mind(VolumeFeature):
@@ -18,5 +18,8 @@ class Mind(VolumeFeature):
     distance: int = Field(1, ge=1, le=4, description="distance of the neighbors, voxels")
 
     def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
-        pairs = [(step, (0, 0, 0)) for step in steps(fixed.shape, self.distance)]
+        pairs = self._pairs(steps(fixed.shape, self.distance))
         return descriptor(fixed, pairs, self.sigma), descriptor(warped, pairs, self.sigma)
+
+    def _pairs(self, around: list[Place]) -> list[tuple[Place, Place]]:
+        return [(place, (0, 0, 0)) for place in around]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.resampling import resample
 from depthcli.core.method import Method, method_of
 from depthcli.core.result import Result
 from depthcli.core.volumes import RegisteredPair
@@ -41,6 +43,19 @@ class RegistrationResult(Result):
 
     def __post_init__(self) -> None:
         self.certainty = np.exp(-self.expected_error / np.float32(_CERTAINTY_MM))
+
+
+def at_voxels(
+    values: NDArray[np.float32],
+    start: Sequence[float],
+    step: Sequence[float],
+    shape: Sequence[int],
+    first: Sequence[int] = (0, 0, 0),
+) -> NDArray[np.float32]:
+    """Return a map, whose (i, j, k) is at ``start + step (i, j, k)`` voxels, at ``shape`` voxels from ``first`` on."""
+    back = [1 / each for each in step]
+    places = [-a / each + voxel * b for a, each, voxel, b in zip(start, step, first, back, strict=True)]
+    return resample(values, shape, back, places)
 
 
 class RegistrationPipeline(Method):
