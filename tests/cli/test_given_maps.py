@@ -6,14 +6,13 @@ import hashlib
 import shutil
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 import depthcli
 from depthcli.cli import main
 from depthcli.core.maps import Status
-from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_pfm
+from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import read_status
 
@@ -91,26 +90,6 @@ def test_the_same_bytes_from_the_command_and_from_python(scenes: Path, names: li
         assert digests(tmp_path / "py" / name) == digests(one / name)
         depthcli.fuse_maps(left, right, [values], max_disparity=16).save(tmp_path / "pf" / name)
         assert digests(tmp_path / "pf" / name) == digests(three / name)
-
-
-def test_maps_of_other_programs_in_their_forms(scenes: Path, names: list[str], maps: Path, tmp_path: Path):
-    for name in names:
-        values = read_pfm(maps / f"{name}.pfm")
-        values[values < 0] = np.nan
-        (tmp_path / "png").mkdir(exist_ok=True)
-        write_disparity_png(tmp_path / "png" / f"{name}.png", values)
-        (tmp_path / "npy" / name).mkdir(parents=True)
-        np.save(tmp_path / "npy" / name / "out.npy", values)
-        (tmp_path / "codes").mkdir(exist_ok=True)
-        cv2.imwrite(str(tmp_path / "codes" / f"{name}.png"), np.nan_to_num(values * 8).round().astype(np.uint8))
-    forms = {"png": (), "npy": ("--pattern", "{scene}/out.npy"), "codes": ("--scale", "codes=8")}
-    found = {}
-    for form, words in forms.items():
-        out = tmp_path / f"of_{form}"
-        assert run("confidence", "-i", scenes, "--maps", tmp_path / form, "-o", out, "-q", *words) == 0
-        found[form] = read_pfm(out / names[0] / "confidence.pfm")
-    np.testing.assert_allclose(found["png"], found["npy"], atol=0.1)
-    assert np.corrcoef(found["codes"].ravel(), found["npy"].ravel())[0, 1] > 0.9
 
 
 def test_several_maps_are_better_than_each(

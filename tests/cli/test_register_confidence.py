@@ -205,27 +205,6 @@ def test_incomplete_options_are_refused(tmp_path, capsys, options, said):
 
 
 @pytest.mark.slow
-def test_large_volumes_are_read_as_means_of_blocks(pairs, tmp_path):
-    command = ["register-confidence", "mind", "-i", str(pairs), "--scenes", "pair_0", *SMALL]
-    for name, more in (("whole", []), ("blocks", ["--set", "max_voxels=9000"])):
-        assert main([*command, "-o", str(tmp_path / name), *more]) == 0
-    whole, blocks = (read_volume(tmp_path / n / "pair_0" / "expected_error.nii.gz") for n in ("whole", "blocks"))
-    assert blocks.grid.same_as(whole.grid)
-    inside = read_volume(pairs / "pair_0" / "mask.nii.gz").values > 0
-    assert np.corrcoef(whole.values[inside], blocks.values[inside])[0, 1] > 0.4
-
-
-def test_dry_run_reports_the_memory_below_which_a_run_is_refused(pairs, tmp_path, capsys):
-    command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(tmp_path / "run")]
-    assert main([*command, "--dry-run", "--json"]) == 0
-    scenes = json.loads(capsys.readouterr().out)["scenes"]
-    assert [row["status"] for row in scenes] == ["to do", "to do"] and not (tmp_path / "run").exists()
-    need = scenes[0]["memory"]
-    assert main([*command, "-q", "--scenes", "pair_0", "--max-memory", str(need - 1)]) == 3
-    assert f"needs about {need / 2**20:.0f} MiB" in capsys.readouterr().err
-
-
-@pytest.mark.slow
 def test_a_volume_stored_upside_down_has_the_same_preview(pairs, run, tmp_path):
     (tmp_path / "in" / "pair_0").mkdir(parents=True)
     for name in ("fixed", "moving_warped"):
