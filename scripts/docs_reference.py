@@ -32,12 +32,13 @@ from depthcli.core.method import Family
 from depthcli.evaluation import columns as evaluation
 from depthcli.evaluation import protocols
 from depthcli.evaluation.evaluate import RESULTS
+from depthcli.io.formats.files import RUN_FILE
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 from depthcli.io.formats.volumes import VOLUME_SUFFIXES
 from depthcli.io.layouts import layouts
 from depthcli.methods.registration.search import MEASURES
-from depthcli.run.folder import REPORT_FILES, RUN_FILE
+from depthcli.run.folder import REPORT_FILES
 from depthcli.run.presets import find_config, list_presets
 
 METHOD_PACKAGES = [

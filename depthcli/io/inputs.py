@@ -6,11 +6,8 @@ The folder ``depthcli/inputs`` of the cache (``XDG_CACHE_HOME``, usually ``~/.ca
 
 from __future__ import annotations
 
-import bz2
 import contextlib
-import gzip
 import hashlib
-import lzma
 import os
 import re
 import shutil
@@ -23,8 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from glob import glob
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, Self
 from urllib.parse import unquote
 
 from depthcli.core.errors import InputError
@@ -41,12 +37,13 @@ _SHARD_FIELD = re.compile(r"(left|right|color|depth)\.[A-Za-z0-9]+")
 
 _MAX_MATCHES = 100_000  # of a pattern in braces
 _MAX_MEMBERS = 1 << 20
-_MAX_HEADER = 1 << 20  # bytes of a long name in a tar file
+_MAX_HEADER = 1 << 20  # bytes of one of these
 _MAX_RATE, _ALWAYS_BYTES = 200, 1 << 30  # no archive of images unpacks to so much, but small ones of masks do
 _CONNECT_SECONDS, _READ_SECONDS = 15, 60  # of a server that does not answer
 _LEFTOVER_SECONDS = 86400  # age of what killed processes left
 _ORIGIN = ".origin"  # file beside a folder of the cache that tells where it comes from
-_PACKED: dict[bytes, Callable[[Path], Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7z": lzma.open}
+# Members of a tar file that are read into memory whole: long names and the like of the member behind.
+_HEADERS = (b"L", b"K", b"x", b"g", b"X")
 
 
 def local(place: Path | str) -> Path:
@@ -237,27 +234,27 @@ def _zip_members(archive: Path) -> _Members:
                 yield info.filename, info.file_size, None if is_special else partial(file.open, info)
 
 
+class _TarMember(tarfile.TarInfo):
+    """A member whose header announces no size that the module would take at its word."""
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
+        info = super().frombuf(buf, encoding, errors)
+        if info.size < 0 or (info.size > _MAX_HEADER and info.type in _HEADERS):
+            raise tarfile.ReadError("a header of unreasonable size")
+        return info
+
+
 def _tar_members(archive: Path) -> _Members:
-    with open(archive, "rb") as file:
-        start = file.read(3)
-    opener: Any = next((opener for magic, opener in _PACKED.items() if start.startswith(magic)), open)
-    with opener(archive, "rb") as raw:
-
-        def read(size: int) -> bytes:
-            if not 0 <= size <= _MAX_HEADER:  # tarfile would read a header of any size into memory
-                raise tarfile.ReadError("a header of unreasonable size")
-            data: bytes = raw.read(size)
-            return data
-
-        limited: Any = SimpleNamespace(read=read, seek=raw.seek, tell=raw.tell)
-        tar = tarfile.TarFile(fileobj=limited, errorlevel=1)
+    with tarfile.open(archive, tarinfo=_TarMember) as tar:
         while (info := tar.next()) is not None:
             if not info.isdir():
                 yield info.name, info.size, partial(tar.extractfile, info) if info.isreg() else None
-        raw.seek(tar.offset)
-        if (block := raw.read(tarfile.BLOCKSIZE)).strip(b"\0") or len(block) < tarfile.BLOCKSIZE:
+        packed: Any = tar.fileobj
+        packed.seek(tar.offset)
+        if (block := packed.read(tarfile.BLOCKSIZE)).strip(b"\0") or len(block) < tarfile.BLOCKSIZE:
             raise tarfile.ReadError("cut short or damaged")  # which the module takes for the end
-        while raw.read(1 << 20):  # to the checksum at the end
+        while packed.read(1 << 20):  # to the checksum at the end
             pass
 
 

@@ -13,13 +13,13 @@ from itertools import pairwise
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.io.formats.files import read_bytes
+from depthcli.io.formats.files import RUN_FILE, read_bytes
 from depthcli.io.inputs import archives_in, gathered, local
 from depthcli.io.layouts import Folder, Layout, layouts, own_layouts
 from depthcli.io.layouts.rows import rows_in_file
 from depthcli.io.scenes import Scene, StereoScene
 
-_RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.run.run_folder
+_LEVELS = 2  # below the given folder, that scenes are looked for in: data sets, and scenes in them
 _MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
 _MAX_RUN_BYTES = 1 << 20  # of it; those of all presets have below 10 kB
 
@@ -95,22 +95,29 @@ def _wanted(known: Iterable[Layout], kinds: tuple[type[Scene], ...], layout: str
 
 
 def _find(folder: Path, wanted: tuple[Layout, ...], layout: str | None, warn: Callable[[str], None]) -> list[Scene]:
-    """Scenes in a folder, in the folders in it, or in those of data sets; ``layout`` is what the user named."""
+    """Return the scenes of a folder, else those of the folders in it; ``layout`` is what the user named."""
     requested = wanted[0].name if layout else ""
     found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)
-    for child in () if found else _subfolders(folder, warn):
-        scenes = _scenes_or_problem(child, child.name, wanted, requested)
-        found += scenes
-        for inner in () if scenes else _subfolders(child, warn):
-            scenes = _scenes_or_problem(inner, f"{child.name}/{inner.name}", wanted, requested)
-            found += scenes
-            for deeper in () if scenes else _subfolders(inner):
-                if any(not scene.problem for scene in _scenes_or_problem(deeper, deeper.name, wanted)):
-                    warn(f"{deeper}: lies too deep, not used; to use it, give {inner} or {child} as the folder")
-                    break
+    found = found or _find_below(folder, (), wanted, requested, warn)
     if found and (beside := archives_in(folder)):  # what these were unpacked from, perhaps
         more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
         warn(f"{folder}: {beside[0].name}{more} beside the scenes not read; to use it, name it itself")
+    return found
+
+
+def _find_below(
+    folder: Path, above: tuple[str, ...], wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]
+) -> list[Scene]:
+    """Return the scenes of the folders in a folder, named by the folders ``above`` them, too; tell of deeper ones."""
+    found: list[Scene] = []
+    for child in _subfolders(folder, warn):
+        parts = (*above, child.name)
+        scenes = _scenes_or_problem(child, "/".join(parts), wanted, requested)
+        if len(parts) <= _LEVELS:
+            found += scenes or _find_below(child, parts, wanted, requested, warn)
+        elif any(not scene.problem for scene in scenes):
+            warn(f"{child}: lies too deep, not used; to use it, give {folder} or {folder.parent} as the folder")
+            break
     return found
 
 
@@ -122,16 +129,16 @@ def _scenes_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Scene]:
     return next(iter(matching.values()), [])
 
 
-def _scenes_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], requested: str = "") -> list[Scene]:
-    # A folder that cannot be used is one scene with its problem, and spoils no other.
+def _scenes_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], requested: str) -> list[Scene]:
+    """Return the scenes of a folder; one that cannot be used is one scene with its problem, and spoils no other."""
     try:
         return _scenes_of(Folder(path, name, name + "/", requested), wanted)
     except InputError as error:
         return [Scene(name=name, folder=path, problem=str(error))]
 
 
-def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -> list[Path]:
-    """Folders in a folder, but for those with results of runs, which have their file and did not generate scenes."""
+def _subfolders(folder: Path, warn: Callable[[str], None]) -> list[Path]:
+    """Return the folders in a folder, but for those with results of runs other than of ``sample``."""
     try:
         with os.scandir(folder) as entries:
             found = [folder / name for name in sorted(e.name for e in entries if e.name[0] != "." and e.is_dir())]
@@ -141,7 +148,7 @@ def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -
     for child in found:
         command = None
         with contextlib.suppress(InputError):
-            if os.path.isfile(file := f"{child}/{_RUN_FILE}"):
+            if os.path.isfile(file := f"{child}/{RUN_FILE}"):
                 text = read_bytes(file, _MAX_RUN_BYTES).decode("utf-8", "replace")
                 command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
         if command is None or command[1] == "sample":

@@ -23,7 +23,7 @@ from depthcli import __version__
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, OutputError
 from depthcli.core.registry import Plugin, versions_here
-from depthcli.io.formats.files import write_text
+from depthcli.io.formats.files import RUN_FILE, write_text
 from depthcli.run.records import (
     CLAIM_FILE,
     RECORD_FILE,
@@ -46,7 +46,6 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-RUN_FILE = "run.yaml"
 REPORT_FILES = ("report.json", "report.csv")
 LEGEND_FILE = "legend.png"
 LOCKS_FILE = ".locks"

@@ -23,6 +23,9 @@ MAX_BYTES = 1 << 31
 PARTIAL_SUFFIX = ".partial~"
 """Ending of temporary names; a file left with it belongs to a killed run and may be deleted."""
 
+RUN_FILE = "run.yaml"
+"""File in the folder of a run that says its command and config; the results in the folder are no input."""
+
 _MAX_NAME_BYTES = 255  # of one part of a path, by nearly all file systems
 _END_BYTES = 40  # of a longer name that stay
 _MAX_START = 40  # characters of a name that its temporary one begins with; all may be too long for a file system

@@ -141,7 +141,7 @@ class Meta:
 
 
 class Layout(ABC):
-    """One way to lay out a folder: a :class:`~depthcli.io.layouts.rows.Row`, or a class that reads files of its own."""
+    """One way to lay out a folder: a row of a table (``layouts.rows``), or a class that reads files of its own."""
 
     kind: type[Scene]
     wants: str

@@ -12,7 +12,7 @@ from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import numbers
 from depthcli.io.formats.poses import Poses, read_poses
 from depthcli.io.layouts.base import Folder, Layout, Meta
-from depthcli.io.layouts.rows import Found, Row
+from depthcli.io.layouts.rows import Found, LayoutRow
 from depthcli.io.scenes import RgbdScene, RgbIrScene, Scene
 
 _TUM_SCALE = 5000.0  # codes a meter, of the benchmark's files
@@ -95,7 +95,7 @@ def _matrix(path: Path) -> tuple[float, ...]:
     return float(rows[0, 0]), float(rows[1, 1]), float(rows[0, 2]), float(rows[1, 2])
 
 
-class _Sequence(Row):
+class _Sequence(LayoutRow):
     """Frames with numbers, whose poses may lie in one file."""
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -106,7 +106,7 @@ class _Sequence(Row):
         return [replace(frame, pose=poses[frame.number]) for frame in frames]
 
 
-class _Scannet(Row):
+class _Scannet(LayoutRow):
     """Frames whose depth is registered by the matrices of both cameras."""
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -181,7 +181,7 @@ _NUMBERED = {
 }  # fmt: skip
 
 DEPTH_LAYOUTS: tuple[Layout, ...] = (
-    Row(
+    LayoutRow(
         title="rgbd", kind=RgbdScene,
         wants="`color.*`, `depth.*`, or the latter alone for `refine-kinect`; where known `depth_true.*`, "
         "`mask_<name>.*` (255 = evaluate), `sparse.*` (a second depth map, known at some pixels) with "
@@ -191,7 +191,7 @@ DEPTH_LAYOUTS: tuple[Layout, ...] = (
         "`depth_to_color`: `rotation` 3 x 3, `translation` in meters)",
         files=(_RGBD_FILES,), without=("ir.*",), facts=_frame, either=True, single=True,
     ),
-    Row(
+    LayoutRow(
         title="rgb-ir", kind=RgbIrScene,
         wants="as `rgbd`, with `ir.*` (8 or 16 bit) and `calib.json` or OpenCV's `calib.yml` (M1 D1 M2 D2 R T); "
         "calib.json has `color`, `infrared` (K, distortion, size), R and t, or `rectified`: true and `fb` (focal "
@@ -227,13 +227,13 @@ DEPTH_LAYOUTS: tuple[Layout, ...] = (
         needs=("disparity*",),
         facts=lambda found: {**(_numbered(found) if "number" in found.keys else _meta(found.folder)), "raw": True},
     ),
-    Row(
+    LayoutRow(
         title="sun-rgbd", kind=RgbdScene,
         wants="`image/`, `depth/` and `intrinsics.txt`; with `--layout sun-rgbd` also `color.*`, `depth.*`",
         files=({"color": "image/{_}.*", "depth": "depth/{_}.*"}, {"color": "color.*", "depth": "depth.*"}),
         facts=_sun,
     ),
-    Row(
+    LayoutRow(
         title="cleargrasp", kind=RgbdScene, protocol="depth", needs=("mask_transparent.png",),
         wants="`rgb_transparent.*`, `depth_sensor_mm.png`, `depth_opaque_gt_mm.png`, or `rgb.*`, `depth_gt_mm.png`; "
         "`mask_transparent.png`",

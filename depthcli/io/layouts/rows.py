@@ -29,6 +29,7 @@ DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 _MASK = "mask."  # before the name of a mask in a role
 _MASKS = "masks"  # role of all masks, whose names are ``{mask}``
+_OWN_FIELDS = ("folder", "layout", "problem")  # of scenes, which no file of layouts says
 _VIEWS = {StereoScene: ("left", "right"), RgbdScene: ("color", "depth")}
 _Keys = dict[str, str]
 
@@ -43,7 +44,7 @@ class Found(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Row(Layout):
+class LayoutRow(Layout):
     """A layout as a row.
 
     Attributes
@@ -144,20 +145,20 @@ class _Keep(dict[str, str]):
 
 
 @lru_cache(maxsize=1024)  # folders of thousands of scenes have the same names in them
-def _possible(row: Row, there: frozenset[str]) -> tuple[Mapping[str, str], ...]:
+def _possible(row: LayoutRow, there: frozenset[str]) -> tuple[Mapping[str, str], ...]:
     """Return the variants of which a folder with these names may hold an image."""
-    missing = any(not fnmatch.filter(there, each) for each in row.needs)
-    if missing or any(fnmatch.filter(there, each) for each in row.without):
+
+    def is_there(*patterns: str) -> bool:
+        return any(fnmatch.filter(there, each) for each in patterns)
+
+    if not all(map(is_there, row.needs)) or is_there(*row.without):
         return ()
-    starts = [
-        [
-            _PLACEHOLDER.sub("*", name.partition("/")[0])
-            for role in row._views
-            for name in variant.get(role, "").split("|")
-        ]
-        for variant in row.files
-    ]
-    return tuple(v for v, names in zip(row.files, starts, strict=True) if any(fnmatch.filter(there, n) for n in names))
+    possible = []
+    for variant in row.files:
+        names = [name for role in row._views for name in variant.get(role, "").split("|")]
+        if is_there(*(_PLACEHOLDER.sub("*", name.partition("/")[0]) for name in names)):
+            possible.append(variant)
+    return tuple(possible)
 
 
 def _suffixes(role: str, endings: Sequence[str] = ("",)) -> tuple[str, ...]:
@@ -202,35 +203,35 @@ def _files(folder: Folder, role: str, names: str) -> Iterator[tuple[tuple[tuple[
             return
 
 
-def _matches(folder: Folder, name: str, suffixes: tuple[str, ...]) -> list[tuple[_Keys, Path]]:
-    """Return placeholders and path of every file whose name matches, by folders from the first part on."""
-    parts = name.split("/")
-    found: list[tuple[_Keys, Folder]] = [({}, folder)]
-    for part in parts[:-1]:
-        reached: list[tuple[_Keys, Folder]] = []
-        for keys, place in found:
-            if part == "{path}":
-                places = [place.path, *(p for p in place.path.rglob("[!.]*") if p.is_dir())]
-                inside = [("" if p == place.path else p.relative_to(place.path).as_posix(), p) for p in sorted(places)]
-                reached += [(keys | {"path": text}, Folder(p, place.name, place.prefix)) for text, p in inside]
-            elif "{" in part:
-                hits = [(m, n) for n in sorted(place.names) if (m := _pattern(part).fullmatch(n))]
-                reached += [(keys | m.groupdict(), sub) for m, n in hits if (sub := place.below(n)) is not None]
-            elif part in place.names or part == "..":
-                sub = place.below(part)
-                reached += [] if sub is None else [(keys, sub)]
-        found = reached
-    last = parts[-1]
-    any_ending = last.endswith(".*")
-    pattern = _pattern(last[:-2] if any_ending else last)
-    matches = []
-    for keys, place in found:
-        for each in sorted(place.names):
-            stem, ending = os.path.splitext(each)
-            match = pattern.fullmatch(stem if any_ending else each)
-            if match is not None and (not any_ending or ending.lower() in suffixes):
-                matches.append((keys | match.groupdict(), place.path / each))
-    return matches
+def _matches(folder: Folder, name: str, suffixes: tuple[str, ...]) -> Iterator[tuple[_Keys, Path]]:
+    """Yield placeholders and path of every file whose name matches, by folders from the first part on."""
+    part, _, rest = name.partition("/")
+    if rest:
+        for keys, place in _folders(folder, part):
+            for more, file in _matches(place, rest, suffixes):
+                yield keys | more, file
+        return
+    any_ending = part.endswith(".*")
+    pattern = _pattern(part.removesuffix(".*"))
+    for each in sorted(folder.names):
+        stem, ending = os.path.splitext(each)
+        match = pattern.fullmatch(stem if any_ending else each)
+        if match is not None and (not any_ending or ending.lower() in suffixes):
+            yield match.groupdict(), folder.path / each
+
+
+def _folders(folder: Folder, part: str) -> Iterator[tuple[_Keys, Folder]]:
+    """Yield placeholders and folder of every folder in this one whose name matches; ``{path}`` is this one, too."""
+    if part == "{path}":
+        yield {"path": ""}, folder
+        for path in sorted(path for path in folder.path.rglob("[!.]*") if path.is_dir()):
+            text = path.relative_to(folder.path).as_posix()
+            yield {"path": text}, Folder(path, folder.name, folder.prefix)
+        return
+    for name in sorted(folder.names) if "{" in part else (part,):
+        match = _pattern(part).fullmatch(name)
+        if match is not None and (place := folder.below(name)) is not None:
+            yield match.groupdict(), place
 
 
 @lru_cache
@@ -242,33 +243,34 @@ def _pattern(name: str) -> re.Pattern[str]:
     return re.compile("".join(made))
 
 
-def rows_in_file(path: Path) -> tuple[Row, ...]:
+def rows_in_file(path: Path) -> tuple[LayoutRow, ...]:
     """Return the layouts of a user's YAML file: name -> role -> file name, and other fields of scenes."""
     rows = []
     for title, given in read_config(path).data.items():
         if not isinstance(given, dict) or not {"left", "depth"} & given.keys():
             raise ConfigError(f"{path}: {title}: expected roles and file names, left or depth among them")
         kind: type[Scene] = StereoScene if "left" in given else RgbdScene
-        types = {each.name: str(each.type) for each in fields(kind)}
-        roles = {key for key, text in types.items() if "Path" in text and key not in ("folder", _MASKS)}
-        own = {"name", "protocol"}
+        types = {each.name: str(each.type) for each in fields(kind) if each.name not in _OWN_FIELDS}
+        files: dict[str, str] = {}
+        values: dict[str, Any] = {"protocol": "middlebury_v2" if kind is StereoScene else "depth", "name": ""}
         for key, value in given.items():
-            is_role = key in roles or key == _MASKS or str(key).startswith(_MASK)
-            if not is_role and (key not in types.keys() - {"layout", "problem", "folder"}):
-                known = ", ".join(sorted(roles | own | types.keys() - {"layout", "problem", "folder"}))
-                raise ConfigError(f"{path}: {title}: no field is called {key!r}; one of: {known}")
-            if is_role and not isinstance(value, str):
+            if "Path" not in types.get(key, "") and not str(key).startswith(_MASK):
+                if key not in types:
+                    known = ", ".join(sorted(types))
+                    raise ConfigError(f"{path}: {title}: no field is called {key!r}; one of: {known}")
+                values[key] = value
+            elif isinstance(value, str):
+                files[key] = value
+            else:
                 raise ConfigError(f"{path}: {title}: {key}: expected the name of a file, got {value!r}")
-        names = {key: given[key] for key in given if key in roles or key == _MASKS or str(key).startswith(_MASK)}
-        first = names.get("left") or names.get("color") or names["depth"]
+        first = files.get("left") or files.get("color") or files["depth"]
         placeholders = [each for each in _PLACEHOLDER.findall(first) if each != "_"]
-        name = given.get("name") or "_".join(f"{{{each}}}" for each in placeholders) or "{folder}"
+        files["name"] = values.pop("name") or "_".join(f"{{{each}}}" for each in placeholders) or "{folder}"
+        files["name"] = files["name"].replace("{path}_", "{path_}")
         rows.append(
-            Row(
-                title=str(title), wants=f"the files of {path.name}", kind=kind,
-                files=({**names, "name": name.replace("{path}_", "{path_}")},),
-                protocol=given.get("protocol", "middlebury_v2" if kind is StereoScene else "depth"),
-                values={key: v for key, v in given.items() if key not in names.keys() | own},
+            LayoutRow(
+                title=str(title), wants=f"the files of {path.name}", kind=kind, files=(files,),
+                protocol=values.pop("protocol"), values=values,
             )
         )  # fmt: skip
     return tuple(rows)

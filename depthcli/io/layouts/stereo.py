@@ -18,7 +18,7 @@ from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.plain_text import key_values, numbers
 from depthcli.io.layouts.base import Folder, Layout
-from depthcli.io.layouts.rows import Found, Row
+from depthcli.io.layouts.rows import Found, LayoutRow
 from depthcli.io.scenes import MAX_DISPARITY, Scene, StereoScene
 
 _KITTI_RANGE = 255  # the largest disparity a file of KITTI can hold: the frames come without a range of their own
@@ -73,7 +73,7 @@ def _middlebury_v3(found: Found) -> dict[str, Any]:
     return {"max_disparity": None if top is None else int(top), "round_disparity": calib.get("isint", 0) == 1}
 
 
-class _Eth3d(Row):
+class _Eth3d(LayoutRow):
     """As Middlebury v3; the truth may lie in a folder beside that of the scenes."""
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -163,7 +163,7 @@ _SIDES = (("L", "R", "_"), ("l", "r", "_"), ("left", "right", "_"), ("left", "ri
 _DRIVING_CALIB = "<0>-image-calib/{sequence}.txt"
 
 STEREO_LAYOUTS: tuple[Layout, ...] = (
-    Row(
+    LayoutRow(
         title="scenes",
         wants="`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), "
         "`calib.txt` (as `middlebury-v3`), `meta.json` (`max_disparity`, `min_disparity`, `disp_scale`, `protocol`)",
@@ -172,7 +172,7 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
                 "calibration": "calib.txt"},),
         without=("left_disp.png",), facts=_meta, either=True, single=True,
     ),
-    Row(
+    LayoutRow(
         title="views",
         wants="`left/NAME.*`, `right/NAME.*` (also `image_left`, `cam0`, `cam0/data`); where known `disp_left/NAME.*`, "
         "and `calib.txt`, `meta.json` of all pairs",
@@ -183,7 +183,7 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
             ("left_images", "right_images"), ("cam0", "cam1"), ("cam0/data", "cam1/data"),
         ), facts=_meta, either=True,
     ),
-    Row(
+    LayoutRow(
         title="pairs",
         wants="`NAME_L.*`/`NAME_R.*`, `NAME_left.*`/`NAME_right.*` or `left_NAME.*`/`right_NAME.*`; where known "
         "`calib.txt` and `meta.json` of all pairs",
@@ -194,7 +194,7 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
         ), facts=_pairs, either=True,
         without=("left.*", "right.*", "*_left.disp.*"),
     ),
-    Row(
+    LayoutRow(
         title="middlebury-v2", protocol="middlebury_v2",
         wants="`im2`/`im6`, `imL`/`imR` or `view1`/`view5` with `disp2`/`disp6`, `groundtruth` or `disp1`/`disp5`, and "
         "`nonocc`, `all`, `disc` where there are masks; the 2001, 2003, 2005 and 2006 sets",
@@ -206,7 +206,7 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
         ),
         facts=_middlebury_v2,
     ),
-    Row(
+    LayoutRow(
         title="middlebury-v3", protocol="middlebury_v3",
         wants="`im0`, `im1`, `calib.txt`, `disp0GT.pfm`, `mask0nocc.png`; of the sets of 2014 and 2021 `disp0.pfm`, "
         "`disp1.pfm`, by which pixels hidden in the right view are found",
@@ -218,20 +218,20 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
         "same name in `two_view_training_gt` beside `two_view_training`",
         files=(_V3_FILES,), needs=("cameras.txt", "images.txt"), facts=_middlebury_v3,
     ),
-    Row(
+    LayoutRow(
         title="kitti-2012", protocol="kitti_2012", values=_KITTI_VALUES, single=True,
         wants="`colored_0`/`colored_1` or `image_0`/`image_1`, `disp_noc`, `disp_occ`, `calib`",
         files=_variants(_KITTI_FILES, ("colored_0", "colored_1"), ("image_0", "image_1")),
         facts=lambda found: {"cameras": (0, 1)} if found.files["left"].parent.name == "image_0" else {},
     ),
-    Row(
+    LayoutRow(
         title="kitti-2015", protocol="kitti_2015", values=_KITTI_VALUES, single=True,
         wants="`image_2`, `image_3`, `disp_noc_0`, `disp_occ_0`, `obj_map`, `calib_cam_to_cam`",
         files=({"left": "image_2/{frame}_10.png", "right": "image_3/{frame}_10.png", "name": "{frame}_10",
                 "disparity_left": "disp_occ_0/{frame}_10.png", "disparity_noc": "disp_noc_0/{frame}_10.png",
                 "objects": "obj_map/{frame}_10.png", "calibration": "calib_cam_to_cam/{frame}.txt"},),
     ),
-    Row(
+    LayoutRow(
         title="kitti-odometry", protocol="kitti_2015", either=True,
         wants="`image_2`, `image_3` or `image_0`, `image_1` with `000000.png`; `calib.txt`",
         files=_variants({"left": "<0>/{number}.png", "right": "<1>/{number}.png", "calibration": "calib.txt",
@@ -239,7 +239,7 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
         values={"max_disparity": _KITTI_RANGE},
         facts=lambda found: {"cameras": (0, 1)} if "image_0" in str(found.files.get("left", "")) else {},
     ),
-    Row(
+    LayoutRow(
         title="sceneflow", protocol="scene_flow",
         values={"max_disparity": _SCENE_FLOW_RANGE, "decode": _decode_scene_flow},
         wants="`frames_cleanpass/**/left/0006.png`, `right/0006.png`, `disparity/**/left/0006.pfm` (FlyingThings3D, "
@@ -254,7 +254,7 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
         ),
         facts=_scene_flow,
     ),
-    Row(
+    LayoutRow(
         title="sintel", protocol="middlebury_v2", values={"decode": _decode_sintel},
         wants="`clean_left/SEQUENCE/frame_0001.png`, `clean_right` (or `final_left`, `final_right`), `disparities`, "
         "`occlusions`, `outofframe`: the folder `training` of MPI Sintel's stereo data",
@@ -264,7 +264,7 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
              "ignored": "outofframe/{path}/{frame}.png", "name": "<0>/{path_}{frame}"}, ("clean",), ("final",),
         ),
     ),
-    Row(
+    LayoutRow(
         title="booster", protocol="booster", values={"decode": _decode_booster}, facts=_booster,
         wants="`camera_00/im0.png`, `camera_02/im0.png`, `disp_00.npy`, `disp_02.npy`, `mask_00.png`, `mask_cat.png`, "
         "`calib_00-02.xml`: a folder of the balanced split",
@@ -273,7 +273,7 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
                 "disparity_right": "disp_02.npy", "mask.nonocc": "mask_00.png", "materials": "mask_cat.png",
                 "calibration": "calib_00-02.xml", "name": "{folder}_{image}"},),
     ),
-    Row(
+    LayoutRow(
         title="crestereo", protocol="middlebury_v2", values={"disparity_scale": 32.0},
         facts=lambda found: {} if "disparity_left" in found.files else None,
         wants="`NAME_left.jpg`, `NAME_right.jpg`, `NAME_left.disp.png`, `NAME_right.disp.png` (codes / 32)",
@@ -282,13 +282,13 @@ STEREO_LAYOUTS: tuple[Layout, ...] = (
                 "disparity_left": "{name}_left.disp.png", "disparity_right": "{name}_right.disp.png",
                 "name": "{name}"},),
     ),
-    Row(
+    LayoutRow(
         title="instereo2k", protocol="middlebury_v2", values={"disparity_scale": 100.0}, needs=("left_disp.png",),
         wants="`left.png`, `right.png`, `left_disp.png`, `right_disp.png` (codes / 100)",
         files=({"left": "left.*", "right": "right.*", "disparity_left": "left_disp.png",
                 "disparity_right": "right_disp.png"},),
     ),
-    Row(
+    LayoutRow(
         title="driving-stereo", protocol="kitti_2015", values={"cameras": (101, 103)}, facts=_driving_stereo,
         wants="`train-left-image`, `train-right-image`, `train-disparity-map` (or `test-...`, or "
         "`left-image-half-size`, `left-image-full-size` ... of a weather), "
