@@ -151,7 +151,7 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
         else:
             fields = json_object(text)
             if fields.get("rectified") is True:
-                fb = float(numbers(fields.get("fb"), "fb", (1,))[0])
+                fb = _number(fields, "fb")
                 if not 0 < fb < 1e9:
                     raise InputError(f"fb: want focal length x baseline, pixel meters (got {fb:g})")
                 return fb
@@ -162,9 +162,10 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
                     raise InputError(f"{name}: want K, distortion, size (got {str(camera)[:40]!r})")
                 if (size := camera.get("size")) not in (None, list(image_size)):
                     raise InputError(f"calibrated for a {name} image of {str(size)[:40]}, got one of {image_size}")
-                cameras.append(_camera(camera, "K", "distortion" if camera.get("distortion") is not None else "", name))
-            rotation, translation = numbers(fields.get("R"), "R", (3, 3)), numbers(fields.get("t"), "t", (3,))
-            rig = Rig(cameras[0], cameras[1], rotation, translation)
+                with naming(name):
+                    known = {key: value for key, value in camera.items() if value is not None}
+                    cameras.append(_camera({"distortion": [0.0] * 5, **known}, "K", "distortion"))
+            rig = Rig(cameras[0], cameras[1], _field(fields, "R", (3, 3)), _field(fields, "t", (3,)))
         low, high = _SENSOR_BASELINES
         if not low < rig.baseline < high:
             raise InputError(f"a baseline of {rig.baseline:.3g} m; the translation is in meters")
@@ -175,10 +176,10 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
     """Return the calibration of Herrera et al.'s toolbox as JSON, with its distortion map ``dc_beta.npy`` beside it."""
     with naming(path):
         fields = json_object(read_bytes(path))
-        arrays = {key: numbers(fields.get(key), key, shape) for key, shape in _KINECT.items()}
+        arrays = {key: _field(fields, key, shape) for key, shape in _KINECT.items()}
         if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
             raise InputError("singular: focal lengths and dc[1] must not be zero")
-        depth, color = (Camera(arrays[f"{k}_K"], tuple(arrays[f"{k}_kc"].tolist())) for k in ("depth", "color"))
+        depth, color = (_camera(fields, f"{name}_K", f"{name}_kc") for name in ("depth", "color"))
     beta = kinect_files(path)
     start, slope = arrays["dc"].tolist()
     one, other = arrays["dc_alpha"].tolist()
@@ -188,17 +189,21 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
     )  # fmt: skip
 
 
+def _field(fields: Mapping[str, Any], key: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np.float64]:
+    """Return the numbers of a field, or of the ``data`` of a matrix."""
+    value = fields.get(key)
+    return numbers(value.get("data") if isinstance(value, dict) else value, key, shape)
+
+
+def _number(fields: Mapping[str, Any], key: str) -> float:
+    return float(_field(fields, key, (1,))[0])
+
+
 def _camera(
-    fields: Mapping[str, Any],
-    matrix: str,
-    lens: str,
-    name: str = "",
-    size: tuple[int, int] | None = None,
-    fisheye: bool = False,
+    fields: Mapping[str, Any], matrix: str, lens: str, size: tuple[int, int] | None = None, fisheye: bool = False
 ) -> Camera:
-    """Return a camera of the fields called ``matrix`` and ``lens``, which is empty where there is no distortion."""
-    coefficients = tuple(_numbers(fields, lens, (-1,), name).tolist()) if lens else (0.0,) * 5
-    return Camera(_numbers(fields, matrix, (3, 3), name), coefficients, size, fisheye)
+    """Return a camera of the fields called ``matrix`` and ``lens``."""
+    return Camera(_field(fields, matrix, (3, 3)), tuple(_field(fields, lens).tolist()), size, fisheye)
 
 
 def _storage_fields(text: str) -> dict[str, Any]:
@@ -245,98 +250,89 @@ def _opencv_rig(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -
         size = image_sides([fields["image_width"], fields["image_height"]], "image_width, image_height")
     elif "imageSize" in fields:
         size = image_sides(fields["imageSize"], "imageSize")
-    left, right = (_camera(fields, names[f"K{n}"], names[f"D{n}"], "", size, fisheye) for n in (1, 2))
-    turn = _numbers(fields, names["R"], (-1,))
-    matrix = turn if turn.size == 9 else cv2.Rodrigues(numbers(turn.tolist(), names["R"], (3,)))[0]
-    translation = _numbers(fields, names["T"], (3,)) * meters
-    return Rig(left, right, np.asarray(matrix, np.float64).reshape(3, 3), translation)
+    left, right = (_camera(fields, names[f"K{n}"], names[f"D{n}"], size, fisheye) for n in (1, 2))
+    turn = _field(fields, names["R"])
+    if turn.size != 9:  # a rotation vector
+        turn = np.asarray(cv2.Rodrigues(numbers(turn.tolist(), names["R"], (3,)))[0], np.float64)
+    return Rig(left, right, turn.reshape(3, 3), _field(fields, names["T"], (3,)) * meters)
 
 
 def _kitti_rig(fields: dict[str, str], cameras: tuple[int, int]) -> Rig:
-    calibrated, rotations, translations = [], [], []
-    for number in cameras:
-        size = image_sides(fields.get(f"S_0{number}"), f"S_0{number}")
-        calibrated.append(_camera(fields, f"K_0{number}", f"D_0{number}", "", size))
-        rotations.append(_numbers(fields, f"R_0{number}", (3, 3)))
-        translations.append(_numbers(fields, f"T_0{number}", (3,)))
-    rotation = rotations[1] @ rotations[0].T
-    return Rig(calibrated[0], calibrated[1], rotation, translations[1] - rotation @ translations[0])
+    sizes = [image_sides(fields.get(f"S_0{n}"), f"S_0{n}") for n in cameras]
+    left, right = (_camera(fields, f"K_0{n}", f"D_0{n}", size) for n, size in zip(cameras, sizes, strict=True))
+    turns = [_field(fields, f"R_0{n}", (3, 3)) for n in cameras]
+    shifts = [_field(fields, f"T_0{n}", (3,)) for n in cameras]
+    rotation = turns[1] @ turns[0].T
+    return Rig(left, right, rotation, shifts[1] - rotation @ shifts[0])
 
 
 def _kalibr_rig(file: dict[str, Any]) -> Rig:
-    calibrated = []
+    cameras = []
     for name in ("cam0", "cam1"):
-        camera = file.get(name)
-        if not isinstance(camera, dict):
+        fields = file.get(name)
+        if not isinstance(fields, dict):
             raise InputError(f"no {name}; want a camchain of two cameras")
-        model, lens = str(camera.get("camera_model")), str(camera.get("distortion_model"))
-        if model != "pinhole" or lens not in _KALIBR:
-            raise InputError(f"{name}: {model}, {lens}: want pinhole with {', '.join(_KALIBR)}")
-        fx, fy, cx, cy = _numbers(camera, "intrinsics", (4,), name)
-        distortion = np.zeros(4) if lens == "none" else _numbers(camera, "distortion_coeffs", (4,), name)
-        size = image_sides(camera.get("resolution"), f"{name}: resolution")
-        calibrated.append(Camera(Intrinsics(fx, fy, cx, cy).matrix, tuple(distortion.tolist()), size, _KALIBR[lens]))
-    place = _numbers(file["cam1"], "T_cn_cnm1", (4, 4), "cam1")
-    return Rig(calibrated[0], calibrated[1], place[:3, :3], place[:3, 3])
+        with naming(name):
+            model, lens = str(fields.get("camera_model")), str(fields.get("distortion_model"))
+            if model != "pinhole" or lens not in _KALIBR:
+                raise InputError(f"{model}, {lens}: want pinhole with {', '.join(_KALIBR)}")
+            matrix = Intrinsics(*_field(fields, "intrinsics", (4,))).matrix
+            distortion = np.zeros(4) if lens == "none" else _field(fields, "distortion_coeffs", (4,))
+            size = image_sides(fields.get("resolution"), "resolution")
+            cameras.append(Camera(matrix, tuple(distortion.tolist()), size, _KALIBR[lens]))
+    with naming("cam1"):
+        place = _field(file["cam1"], "T_cn_cnm1", (4, 4))
+    return Rig(cameras[0], cameras[1], place[:3, :3], place[:3, 3])
 
 
 def _ros_rig(files: Sequence[dict[str, Any]]) -> Rig:
     if len(files) != 2:
         raise InputError("one camera_info; give the left and the right one: --calibration L --calibration R")
-    calibrated, rotations = [], []
-    for name, camera in zip(("left", "right"), files, strict=True):
-        model = str(camera.get("distortion_model", "plumb_bob"))
-        if model not in _ROS:
-            raise InputError(f"{name}: distortion_model {model}: want {', '.join(_ROS)}")
-        sides = [camera.get("image_width"), camera.get("image_height")]
-        size = image_sides(sides, f"{name}: image_width, image_height")
-        calibrated.append(_camera(camera, "camera_matrix", "distortion_coefficients", name, size, _ROS[model]))
-        rotations.append(_numbers(camera, "rectification_matrix", (3, 3), name))
-    projection = _numbers(files[1], "projection_matrix", (3, 4), "right")
-    if projection[0, 0] <= 0 or projection[0, 3] == 0:
-        raise InputError("right: projection_matrix holds no baseline; is it the camera_info of a stereo calibration?")
+    cameras, rotations = [], []
+    for name, fields in zip(("left", "right"), files, strict=True):
+        with naming(name):
+            model = str(fields.get("distortion_model", "plumb_bob"))
+            if model not in _ROS:
+                raise InputError(f"distortion_model {model}: want {', '.join(_ROS)}")
+            size = image_sides([fields.get("image_width"), fields.get("image_height")], "image_width, image_height")
+            cameras.append(_camera(fields, "camera_matrix", "distortion_coefficients", size, _ROS[model]))
+            rotations.append(_field(fields, "rectification_matrix", (3, 3)))
+    with naming("right"):
+        projection = _field(files[1], "projection_matrix", (3, 4))
+        if projection[0, 0] <= 0 or projection[0, 3] == 0:
+            raise InputError("projection_matrix holds no baseline; is it the camera_info of a stereo calibration?")
     shift = np.array([projection[0, 3] / projection[0, 0], projection[1, 3] / projection[1, 1], 0.0])
     # Both frames meet in the rectified one: R' x' = R x + shift.
-    return Rig(calibrated[0], calibrated[1], rotations[1].T @ rotations[0], rotations[1].T @ shift)
+    return Rig(cameras[0], cameras[1], rotations[1].T @ rotations[0], rotations[1].T @ shift)
 
 
 def _middlebury_geometry(fields: dict[str, str]) -> PairGeometry:
-    left = numbers(fields.get("cam0", ""), "cam0", (3, 3))
-    if "doffs" in fields:
-        offset = float(numbers(fields["doffs"], "doffs", (1,))[0])
-    else:
-        offset = float(numbers(fields.get("cam1", ""), "cam1", (3, 3))[0, 2] - left[0, 2])
-    baseline = float(numbers(fields.get("baseline", ""), "baseline", (1,))[0]) / _MILLIMETERS
+    left = _field(fields, "cam0", (3, 3))
+    offset = _number(fields, "doffs") if "doffs" in fields else float(_field(fields, "cam1", (3, 3))[0, 2] - left[0, 2])
     size = None
     if "width" in fields and "height" in fields:
         size = image_sides(f"{fields['width']} {fields['height']}", "width, height")
-    return PairGeometry(Intrinsics.of_matrix(left), baseline, offset, size)
+    return PairGeometry(Intrinsics.of_matrix(left), _number(fields, "baseline") / _MILLIMETERS, offset, size)
 
 
 def _booster_geometry(fields: dict[str, Any]) -> PairGeometry:
     projections = []
     for name in ("proj_matL", "proj_matR"):  # (3, 3), (3, 4) or (4, 4)
-        values = _numbers(fields, name, (-1,))
+        values = _field(fields, name)
         if values.size not in (9, 12, 16):
             raise InputError(f"{name}: want a projection of 3 x 4 numbers (got {values.size})")
         projections.append(values.reshape(-1, 3 if values.size == 9 else 4))
     left, right = projections
-    baseline = float(numbers(fields.get("baselineLR"), "baselineLR", (1,))[0]) / _MILLIMETERS
+    baseline = _number(fields, "baselineLR") / _MILLIMETERS
     return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]))
 
 
 def _kitti_geometry(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeometry:
-    names = [f"P_rect_{n:02}" if any(key.startswith("P_rect_") for key in fields) else f"P{n}" for n in cameras]
-    left, right = (numbers(fields.get(name, ""), name, (3, 4)) for name in names)
+    is_raw = any(key.startswith("P_rect_") for key in fields)
+    left, right = (_field(fields, f"P_rect_{n:02}" if is_raw else f"P{n}", (3, 4)) for n in cameras)
     if abs(left[0, 0]) < 1e-9 or abs(right[0, 0]) < 1e-9:
         raise InputError("a camera without focal length")
     baseline = float(left[0, 3] / left[0, 0] - right[0, 3] / right[0, 0])
     rectified = f"S_rect_{cameras[0]:02}"
     size = image_sides(fields[rectified], rectified) if fields.get(rectified) else None
     return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]), size)
-
-
-def _numbers(fields: Mapping[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
-    """Return the numbers of a field, or of the ``data`` of a matrix."""
-    value = fields.get(key)
-    return numbers(value.get("data") if isinstance(value, dict) else value, f"{name}: {key}" if name else key, shape)

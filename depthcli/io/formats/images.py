@@ -89,9 +89,7 @@ def decode_image(data: bytes) -> Image:
         if is_float or bits > 16:
             raise InputError(f"samples of {bits} bit ({'floating point' if is_float else 'integers'}), want 8 or 16")
     with _decoding(kind):
-        if kind == "Png":
-            _with_pillow(BytesIO(data), kind).verify()  # the checksums of all chunks
-        image = _with_pillow(BytesIO(data), kind)
+        image = _opened(data, kind)
         is_wide = ";16" in str(image.tile[0][3]) and (kind == "Png" or not image.mode.startswith("I;16"))
         _check_size(image.height, image.width, len(image.getbands()) * (2 if is_wide else 1), len(data))
         if is_wide:
@@ -113,8 +111,7 @@ def decode_bits(data: bytes) -> NDArray[np.uint8]:
     if image_kind(data) != "Png":
         raise InputError("want a PNG of status bits")
     with _decoding("Png"):
-        _with_pillow(BytesIO(data), "Png").verify()
-        image = _with_pillow(BytesIO(data), "Png")
+        image = _opened(data, "Png")
         _check_size(image.height, image.width, 1, len(data))
         if image.mode not in ("P", "L"):
             raise InputError("want a PNG of status bits, one channel of 8 bit")
@@ -299,6 +296,13 @@ def _tiff_tags(file: IO[bytes]) -> Any:
         file.seek(tags.next)
         tags.load(file)
         return tags
+
+
+def _opened(data: bytes, kind: str) -> ImageFile:
+    """Return the image of a file, of which nothing is decoded yet."""
+    if kind == "Png":
+        _with_pillow(BytesIO(data), kind).verify()  # the checksums of all chunks
+    return _with_pillow(BytesIO(data), kind)
 
 
 def _with_pillow(file: IO[bytes], kind: str) -> ImageFile:
