@@ -206,9 +206,15 @@ def _unpack(archive: Path, target: Path) -> None:
     if left_out:
         some = ", ".join(ascii(name[:80]) for name in left_out[:3])
         warn(f"{archive}: {len(left_out)} members not used, links or names that lead out of the archive: {some}")
-    files = [] if is_zip else [file for file in target.rglob("*") if file.is_file()]
+    if not is_zip:
+        _part_samples(target)
+
+
+def _part_samples(folder: Path) -> None:
+    """Move the files of each sample, of a shard of WebDataset, into a folder of its own."""
+    files = [file for file in folder.rglob("*") if file.is_file()]
     named = [(found, file) for file in files if (found := _SAMPLE.fullmatch(file.name))]
-    if any(_SHARD_FIELD.fullmatch(found[2]) for found, _ in named):  # a folder of each sample of WebDataset
+    if any(_SHARD_FIELD.fullmatch(found[2]) for found, _ in named):
         for found, file in named:
             sample = file.with_name(found[1])
             sample.mkdir(exist_ok=True)
@@ -264,17 +270,9 @@ def _fetched(url: str) -> Path:
     with _one_line(shown):
         system, place = _system(url)
         is_folder = not _ARCHIVE.search(url) and system.isdir(f"{place.rstrip('/')}/")
+        files = _files_below(system, place) if is_folder else {}
         facts = {} if is_folder else system.info(place)
         known = [str(facts.get(key)) for key in ("size", "ETag", "LastModified", "mtime", "updated", "created")]
-        files = {}
-        if is_folder:  # names that lead out of it are left out
-            own = system._strip_protocol(place).rstrip("/")
-            for each in system.find(f"{place.rstrip('/')}/"):
-                path = _inside(unquote(each.partition("?")[0].removeprefix(own).lstrip("/")))
-                if path is not None and each.startswith(own):
-                    files[each] = path
-        if len(files) > _MAX_MEMBERS:
-            raise InputError(f"more than {_MAX_MEMBERS} files")
         name = _stem(unquote(url.partition("?")[0].rstrip("/").rpartition("/")[2]))
 
         def fetch(target: Path) -> None:
@@ -292,6 +290,16 @@ def _fetched(url: str) -> Path:
                 file.rename(target)
 
         return _cached([url, known, sorted(files.items())], name, shown, fetch)
+
+
+def _files_below(system: Any, place: str) -> dict[str, str]:
+    """Return file -> path in the folder at ``place``, but for names that lead out of it."""
+    own = system._strip_protocol(place).rstrip("/")
+    names = [name for name in system.find(f"{place.rstrip('/')}/") if name.startswith(own)]
+    if len(names) > _MAX_MEMBERS:
+        raise InputError(f"more than {_MAX_MEMBERS} files")
+    paths = [_inside(unquote(name.partition("?")[0].removeprefix(own).lstrip("/"))) for name in names]
+    return {name: path for name, path in zip(names, paths, strict=True) if path is not None}
 
 
 def _system(url: str) -> tuple[Any, str]:

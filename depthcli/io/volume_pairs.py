@@ -15,7 +15,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair, Volume
 from depthcli.io.formats.fields import read_landmarks, read_moving_transform
 from depthcli.io.formats.files import naming
-from depthcli.io.formats.volumes import place, read_grid, read_volume, simple_itk
+from depthcli.io.formats.volumes import itk_image, read_grid, read_volume, simple_itk
 from depthcli.io.scenes import VolumePairScene
 
 _LABEL_TOLERANCE = 1e-3  # of a whole number: what rounding leaves of a label
@@ -143,8 +143,7 @@ def _warped(scene: VolumePairScene, file: Path, fixed: Volume, convention: str) 
     """Return the moving volume on the fixed grid, and the file that is to blame where it holds what is no number."""
     sitk, moving, grid = simple_itk(), read_volume(file), fixed.grid
     transform = read_moving_transform(scene.transform, scene.displacement, convention, fixed, moving)
-    image = sitk.GetImageFromArray(moving.values)
-    place(image, moving.grid)
+    image = itk_image(moving.values, moving.grid)
     placed = grid.size, transform, sitk.sitkLinear, grid.origin, grid.spacing, grid.direction
     values: NDArray[np.float32] = sitk.GetArrayFromImage(sitk.Resample(image, *placed, float(moving.values.min())))
     through = scene.displacement or scene.transform or file

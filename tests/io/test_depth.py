@@ -108,7 +108,6 @@ def test_point_cloud(tmp_path: Path):
 
 
 @needs_data
-@needs_data
 def test_raw_kinect_codes():
     codes = read_kinect_raw(DATA / "rgbd_nyu/raw_dump/disparity_raw_byteswapped.pgm")
     assert codes.max() == 2047

@@ -11,7 +11,7 @@ import pytest
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.fields import in_millimeters, read_field, read_moving_transform
-from depthcli.io.formats.volumes import place, write_array
+from depthcli.io.formats.volumes import itk_image, write_array
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -27,16 +27,22 @@ def displacement():
     return np.stack([2 + 2 * np.sin(3 * y), -1.5 + z, 3 * x - 1], axis=-1).astype(np.float32)
 
 
+def known_warp():
+    return SimpleITK.DisplacementFieldTransform(itk_image(displacement().astype(np.float64), GRID))
+
+
+def same(found, expected, atol):
+    """Both map the points alike."""
+    for point in POINTS.tolist():
+        np.testing.assert_allclose(found.TransformPoint(point), expected.TransformPoint(point), atol=atol)
+
+
 def volumes():
     """A moving volume, and the fixed one that the displacement makes of it."""
     rng = np.random.default_rng(0)
     wide = rng.standard_normal(GRID.shape).astype(np.float32)
-    image = SimpleITK.GetImageFromArray(wide)
-    place(image, GRID)
-    image = SimpleITK.SmoothingRecursiveGaussian(image, 2.0)
-    field = SimpleITK.GetImageFromArray(displacement().astype(np.float64), isVector=True)
-    place(field, GRID)
-    warped = SimpleITK.Resample(image, image, SimpleITK.DisplacementFieldTransform(field), SimpleITK.sitkLinear)
+    image = SimpleITK.SmoothingRecursiveGaussian(itk_image(wide, GRID), 2.0)
+    warped = SimpleITK.Resample(image, image, known_warp(), SimpleITK.sitkLinear)
     return (Volume(SimpleITK.GetArrayFromImage(each), GRID) for each in (warped, image))
 
 
@@ -102,11 +108,7 @@ class TestFields:
     def test_maps_points_as_simpleitk_does(self, tmp_path, kind):
         fixed, moving = volumes()
         transform = read_moving_transform(None, written(kind, tmp_path), "auto", fixed, moving)
-        image = SimpleITK.GetImageFromArray(displacement().astype(np.float64), isVector=True)
-        place(image, GRID)
-        expected = SimpleITK.DisplacementFieldTransform(image)
-        for point in POINTS.tolist():
-            np.testing.assert_allclose(transform.TransformPoint(point), expected.TransformPoint(point), atol=1e-2)
+        same(transform, known_warp(), 1e-2)
 
 
 def test_auto_refuses_what_another_reading_explains_better(tmp_path):
@@ -116,11 +118,7 @@ def test_auto_refuses_what_another_reading_explains_better(tmp_path):
     with pytest.raises(InputError, match=r"--field niftyreg") as caught:
         read_moving_transform(None, wrong, "auto", fixed, moving)
     assert "\n" not in str(caught.value)
-    kept = read_moving_transform(None, wrong, "niftyreg", fixed, moving)
-    image = SimpleITK.GetImageFromArray(displacement().astype(np.float64), isVector=True)
-    place(image, GRID)
-    expected = SimpleITK.DisplacementFieldTransform(image).TransformPoint(POINTS[0].tolist())
-    np.testing.assert_allclose(kept.TransformPoint(POINTS[0].tolist()), expected, atol=1e-3)
+    same(read_moving_transform(None, wrong, "niftyreg", fixed, moving), known_warp(), 1e-3)
     nifti(wrong, in_voxels())  # voxels under a header that says mm
     with pytest.raises(InputError, match=r"--field voxels"):
         read_moving_transform(None, wrong, "auto", fixed, moving)
@@ -128,9 +126,7 @@ def test_auto_refuses_what_another_reading_explains_better(tmp_path):
 
 def check(file, expected):
     fixed = Volume(np.zeros(GRID.shape, np.float32), GRID)
-    found = read_moving_transform(file, None, "auto", fixed, None)
-    for point in POINTS.tolist():
-        np.testing.assert_allclose(found.TransformPoint(point), expected.TransformPoint(point), atol=1e-6)
+    same(read_moving_transform(file, None, "auto", fixed, None), expected, 1e-6)
 
 
 def affine():
@@ -159,12 +155,7 @@ def test_ants_affine_after_its_warp(tmp_path):
     nifti(tmp_path / "field.nii", displacement())
     fixed = Volume(np.zeros(GRID.shape, np.float32), GRID)
     found = read_moving_transform(tmp_path / "t.mat", tmp_path / "field.nii", "auto", fixed, None)
-    image = SimpleITK.GetImageFromArray(displacement().astype(np.float64), isVector=True)
-    place(image, GRID)
-    field = SimpleITK.DisplacementFieldTransform(image)
-    for point in POINTS.tolist():
-        expected = affine().TransformPoint(field.TransformPoint(point))
-        np.testing.assert_allclose(found.TransformPoint(point), expected, atol=1e-4)
+    same(found, SimpleITK.CompositeTransform([affine(), known_warp()]), 1e-4)
 
 
 def elastix(path, name, parameters, initial="NoInitialTransform", **fields):

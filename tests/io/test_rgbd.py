@@ -14,13 +14,15 @@ from depthcli.core.cameras.kinect import KinectCalibration, kinect_v1
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.io.formats.calibrations import read_kinect_calibration
-from depthcli.io.formats.depth import read_kinect_raw
+from depthcli.io.formats.depth import read_kinect_raw, write_depth_png
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_grey, write_png
+from depthcli.io.layouts import own_layouts
 from depthcli.io.rgbd_frames import frame_size, load_sparse_frame
 from depthcli.io.scenes import RgbdScene
 from depthcli.io.walk import discover_scenes
+from tests.contracts.layouts import check_layout
 from tests.scenes import DATA, load, needs_data, true
 
 COLOR = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
@@ -28,21 +30,24 @@ DEPTH = np.full((6, 8), 2000, np.uint16)
 DEPTH[0] = 0
 
 
-def find(folder: Path, layout: str | None = None) -> list[RgbdScene]:
-    found = []
-    for scene in discover_scenes(folder, (RgbdScene,), layout):
-        assert isinstance(scene, RgbdScene)
-        found.append(scene)
-    return found
+def find(folder: Path) -> list[RgbdScene]:
+    scenes = discover_scenes(folder, (RgbdScene,))
+    assert all(isinstance(scene, RgbdScene) for scene in scenes)
+    return scenes  # type: ignore[return-value]
+
+
+def write(folder: Path, color: np.ndarray = COLOR, depth: np.ndarray = DEPTH, end: str = "", **meta: object) -> Path:
+    write_png(folder / f"color{end}.png", color)
+    write_png(folder / f"depth{end}.png", depth)
+    if meta:
+        (folder / "meta.json").write_text(json.dumps(meta))
+    return folder
 
 
 def test_our_layout(tmp_path: Path):
-    write_png(tmp_path / "a" / "color.png", COLOR)
-    write_png(tmp_path / "a" / "depth.png", DEPTH)
+    write(tmp_path / "a", depth_scale=2000, intrinsics={"fx": 500, "fy": 510, "cx": 4, "cy": 3}, fb=40)
     write_png(tmp_path / "a" / "depth_true.png", DEPTH * np.uint16(2))
     write_png(tmp_path / "a" / "mask_gap.png", DEPTH == 0)
-    meta = {"depth_scale": 2000, "intrinsics": {"fx": 500, "fy": 510, "cx": 4, "cy": 3}, "fb": 40}
-    (tmp_path / "a" / "meta.json").write_text(json.dumps(meta))
     (scene,) = find(tmp_path)
     assert (scene.name, scene.layout, scene.protocol, scene.has_truth) == ("a", "rgbd", "depth", True)
     frame, truth = load(scene), true(scene)
@@ -63,10 +68,7 @@ def test_our_layout(tmp_path: Path):
     ],
 )
 def test_implausible_inputs_are_warned_of(tmp_path: Path, meta: dict[str, float], warned: list[str]):
-    write_png(tmp_path / "a" / "color.png", COLOR)
-    write_png(tmp_path / "a" / "depth.png", DEPTH)
-    write_png(tmp_path / "a" / "depth_true.png", DEPTH)
-    (tmp_path / "a" / "meta.json").write_text(json.dumps(meta))
+    write_png(write(tmp_path / "a", **meta) / "depth_true.png", DEPTH)
     (scene,) = find(tmp_path)
     for read, end in ((load, "depth.png"), (true, "depth_true.png")):
         with collected_warnings() as lines:
@@ -148,8 +150,7 @@ def test_tum_frames_have_the_pose_of_their_time(tmp_path: Path):
 def test_numbered_frames_have_poses_by_order_or_by_number(tmp_path: Path, lines: int):
     place = tmp_path / "s"
     for k in (3, 4, 7):
-        write_png(place / f"color_{k:05}.png", COLOR)
-        write_png(place / f"depth_{k:05}.png", DEPTH)
+        write(place, end=f"_{k:05}")
     rows = ["1 0 0 5", "0 1 0 6", "0 0 1 7", "0 0 0 1"]
     matrix = (" " if lines == 1 else "\n").join(rows) + "\n"
     (place / "poses.txt").write_text(matrix + "\n" + matrix.replace("5", "8"))  # fewer than frames
@@ -169,9 +170,7 @@ def test_numbered_frames_have_poses_by_order_or_by_number(tmp_path: Path, lines:
     ("2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n", "not the matrix of a pose"),
 ])  # fmt: skip
 def test_wrong_poses_are_one_line(tmp_path: Path, text: str, said: str):
-    write_png(tmp_path / "s" / "color_0.png", COLOR)
-    write_png(tmp_path / "s" / "depth_0.png", DEPTH)
-    (tmp_path / "s" / "poses.txt").write_text(text)
+    (write(tmp_path / "s", end="_0") / "poses.txt").write_text(text)
     (broken,) = discover_scenes(tmp_path, (RgbdScene,))
     assert said in broken.problem and "\n" not in broken.problem
 
@@ -197,33 +196,25 @@ def test_depth_alone_is_a_frame_without_color(tmp_path: Path):
 
 
 def test_frames_that_cannot_be_used(tmp_path: Path):
-    write_png(tmp_path / "a" / "color.png", COLOR)
     for depth, said in (
         (DEPTH[:5], "8 x 5, but the color image is 8 x 6; the depth must be registered"),
         (np.zeros((6, 8), np.uint16), "no pixel has a depth"),
         (np.full((6, 8), 7, np.uint8), "8-bit"),
     ):
-        write_png(tmp_path / "a" / "depth.png", depth)
+        write(tmp_path / "a", depth=depth)
         with pytest.raises(InputError, match=said):
             load(find(tmp_path)[0])
 
 
-def smaller_depth(folder: Path, **meta: object) -> RgbdScene:
-    """A frame whose color is 120 x 90 and whose depth 30 x 20."""
-    write_png(folder / "color.png", np.zeros((90, 120, 3), np.uint8))
-    write_png(folder / "depth.png", np.full((20, 30), 2000, np.uint16))
-    (folder / "meta.json").write_text(json.dumps(meta))
-    (scene,) = find(folder)
-    return scene
-
-
+WIDE, SMALLER = np.zeros((90, 120, 3), np.uint8), np.full((20, 30), 2000, np.uint16)
 CAMERA = {"fx": 100, "fy": 100, "cx": 60, "cy": 45}
 DEPTH_CAMERA = {"fx": 20, "fy": 20, "cx": 15, "cy": 10}
 
 
 def test_depth_of_its_own_camera_is_registered(tmp_path: Path):
     place = {"rotation": np.eye(3).tolist(), "translation": [0.1, 0, 0]}
-    scene = smaller_depth(tmp_path, intrinsics=CAMERA, depth_intrinsics=DEPTH_CAMERA, depth_to_color=place)
+    write(tmp_path, WIDE, SMALLER, intrinsics=CAMERA, depth_intrinsics=DEPTH_CAMERA, depth_to_color=place)
+    (scene,) = find(tmp_path)
     frame = load(scene)
     assert frame.interpolated
     known = np.isfinite(frame.depth)
@@ -251,17 +242,14 @@ def test_depth_of_its_own_camera_is_registered(tmp_path: Path):
     ],
 )
 def test_cameras_of_meta_json_that_cannot_be(tmp_path: Path, meta: dict[str, object], said: str):
-    write_png(tmp_path / "color.png", np.zeros((90, 120, 3), np.uint8))
-    write_png(tmp_path / "depth.png", np.full((20, 30), 2000, np.uint16))
-    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    write(tmp_path, WIDE, SMALLER, **meta)
     with pytest.raises(InputError, match=said) as error:
         load(find(tmp_path)[0])
     assert "\n" not in str(error.value)
 
 
 def test_smaller_depth_of_the_same_aspect_is_scaled_and_said(tmp_path: Path):
-    write_png(tmp_path / "color.png", np.zeros((90, 120, 3), np.uint8))
-    write_png(tmp_path / "depth.png", np.full((15, 20), 2000, np.uint16))
+    write(tmp_path, WIDE, SMALLER[:15, :20])
     (scene,) = find(tmp_path)
     with collected_warnings() as lines:
         frame = load(scene)
@@ -299,6 +287,106 @@ def test_registration_moves_by_the_baseline_and_keeps_the_nearest():
     assert (seen[:, :20] == 1).all()
     assert np.isnan(seen[:, 54:]).all()
     assert np.isnan(seen[:, 30:34]).all()  # what the strip hid from the depth camera
+
+
+_MATRIX = "{0} 0 {1} 0\n0 {0} {2} 0\n0 0 1 0\n0 0 0 1\n"
+
+
+def scannet(folder: Path, names: str) -> Path:
+    color = np.dstack([np.full((24, 32), 100, np.uint8)] * 3)
+    for number in (0, 10):
+        write_png(folder / "color" / f"{number}.jpg", color)
+        write_png(folder / "depth" / f"{number}.png", np.full((12, 16), 1500, np.uint16))
+    for kind, values in (("color", (40, 15.5, 11.5)), ("depth", (20, 7.5, 5.5))):
+        path = folder / names.format(kind)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(_MATRIX.format(*values))
+    return folder
+
+
+@pytest.mark.parametrize("names", ["intrinsic/intrinsic_{}.txt", "intrinsics_{}.txt"])
+def test_scannet(tmp_path: Path, names: str):
+    folder = scannet(tmp_path / "scene0000_00", names)
+    first, second = find(tmp_path)
+    assert [scene.name for scene in (first, second)] == ["scene0000_00/0", "scene0000_00/10"]
+    assert (first.layout, second.number, second.sequence) == ("scannet", 10, "scene0000_00")
+    assert first.intrinsics == (40, 40, 15.5, 11.5)
+    assert first.depth_intrinsics == (20, 20, 7.5, 5.5)
+    frame = load(first)
+    assert frame.depth.shape == (24, 32)
+    np.testing.assert_allclose(frame.depth[8:16, 8:24], 1.5)
+    (layout,) = (each for each in own_layouts() if each.name == "scannet")
+    check_layout(layout, tmp_path)
+    (folder / "depth" / "10.png").unlink()
+    with pytest.raises(InputError, match=r"10\.jpg: a frame without its depth"):
+        load(find(tmp_path)[1])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("1 2 3", "4 x 4"), ("a", "finite numbers"), (_MATRIX.format(-1, 2, 3), "4 x 4")]
+)
+def test_broken_cameras_of_scannet(tmp_path: Path, text: str, said: str):
+    folder = scannet(tmp_path / "a", "intrinsic/intrinsic_{}.txt")
+    (folder / "intrinsic" / "intrinsic_color.txt").write_text(text)
+    with pytest.raises(InputError, match=rf"intrinsic_color\.txt: [^\n]*{said}"):
+        find(folder)
+    (folder / "intrinsic" / "intrinsic_color.txt").unlink()
+    with pytest.raises(InputError, match=r"intrinsic_color\.txt: no such file"):
+        find(folder)
+
+
+FLAT = np.full((4, 6), 0.75, np.float32)
+
+
+def test_sparse_depth_has_the_codes_of_the_depth(tmp_path: Path):
+    sparse = np.where(np.eye(4, 6, dtype=bool), np.float32(0.5), np.float32(np.nan))
+    write_png(tmp_path / "color.png", np.zeros((4, 6, 3), np.uint8))
+    write_depth_png(tmp_path / "depth.png", FLAT)
+    write_depth_png(tmp_path / "sparse.png", sparse)
+    frame = load_sparse_frame(find(tmp_path)[0])
+    np.testing.assert_allclose(frame.depth, FLAT)
+    np.testing.assert_allclose(frame.sparse, sparse)
+    assert frame.sparse_confidence is None
+    write_png(tmp_path / "sparse_confidence.png", np.full((4, 6), 51, np.uint8))
+    np.testing.assert_allclose(load_sparse_frame(find(tmp_path)[0]).sparse_confidence, 0.2)
+
+
+def test_sparse_depth_that_cannot_be_used(tmp_path: Path):
+    write_png(tmp_path / "color.png", np.zeros((4, 6, 3), np.uint8))
+    write_pfm(tmp_path / "depth.pfm", FLAT)
+    for sparse, said in ((None, "no sparse depth"), (np.full((4, 6), np.nan, np.float32), "no pixel has a depth"),
+                         (np.ones((4, 5), np.float32), "5 x 4, but color.png is 6 x 4")):  # fmt: skip
+        if sparse is not None:
+            write_pfm(tmp_path / "sparse.pfm", sparse)
+        with pytest.raises(InputError, match=said):
+            load_sparse_frame(find(tmp_path)[0])
+
+
+@pytest.mark.parametrize("real", [True, False])
+def test_cleargrasp(tmp_path: Path, real: bool):
+    mask = np.zeros((4, 6), bool)
+    mask[1:3, 2:4] = True
+    write_png(tmp_path / "mask_transparent.png", mask)
+    write_png(tmp_path / ("rgb_transparent.png" if real else "rgb.png"), np.zeros((4, 6, 3), np.uint8))
+    write_depth_png(tmp_path / ("depth_opaque_gt_mm.png" if real else "depth_gt_mm.png"), FLAT)
+    if real:
+        write_depth_png(tmp_path / "depth_sensor_mm.png", 2 * FLAT)
+    scene = find(tmp_path)[0]
+    assert (scene.layout, scene.protocol, scene.has_truth) == ("cleargrasp", "depth", True)
+    np.testing.assert_allclose(load(scene).depth, 2 * FLAT if real else np.where(mask, np.nan, FLAT))
+    np.testing.assert_allclose(true(scene).depth, FLAT)
+    np.testing.assert_array_equal(true(scene).masks["transparent"], mask)
+
+
+@needs_data
+def test_the_shared_folders_are_recognized_as_they_lie_there():
+    scenes = find(DATA / "transparent")
+    assert [scene.layout for scene in scenes] == ["cleargrasp"] * 5
+    for scene in scenes:
+        frame, truth = load(scene), true(scene)
+        inside = truth.masks["transparent"]
+        assert np.isfinite(frame.depth[~inside]).mean() > 0.5
+        assert np.isfinite(frame.depth[inside]).mean() < (0.75 if "real" in scene.name else 1e-9)
 
 
 @needs_data

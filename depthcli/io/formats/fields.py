@@ -27,8 +27,8 @@ from depthcli.io.formats.files_behind import MAX_CHAIN, MAX_TRANSFORM_BYTES, ini
 from depthcli.io.formats.plain_text import numbers
 from depthcli.io.formats.volumes import (
     itk_header,
+    itk_image,
     library_errors,
-    place,
     read_itk,
     read_volume,
     simple_itk,
@@ -62,27 +62,30 @@ class Field:
 def read_field(path: Path, fixed: Grid) -> Field:
     """Return the field of a file, whose kind is found by its ending and header; ``fixed`` where it has no grid."""
     with naming(path):
-        kind, named, values = suffix_of(path), "itk", None
-        if kind == ".npz":
-            values = _npz(path)
-        elif kind in (".nii", ".nii.gz"):
+        named = "itk"
+        if suffix_of(path) == ".npz":
+            return _in_voxels(_npz(path), fixed)
+        if suffix_of(path) in (".nii", ".nii.gz"):
             header = itk_header(path)
             if header.GetDimension() == 4 and header.GetSize()[3] == 3:
                 image, unknown = read_itk(path)
                 values = simple_itk().GetArrayFromImage(image)
                 if unknown is not None:
                     values[unknown.reshape(values.shape)] = np.nan
-                values = values.transpose(1, 2, 3, 0)
-            elif header.GetMetaData("intent_name").strip() == "NREG_TRANS":
+                return _in_voxels(values.transpose(1, 2, 3, 0), fixed)
+            if header.GetMetaData("intent_name").strip() == "NREG_TRANS":
                 named = "positions" if abs(float(header.GetMetaData("intent_p1"))) < 0.5 else "niftyreg"
-        if values is None:
-            volume = read_volume(path, vector=True)
-            return Field(volume.values, volume.grid, named)
-        if values.shape[:3] != fixed.shape:
-            have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
-            raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
-        with np.errstate(over="ignore", invalid="ignore"):
-            return Field(np.ascontiguousarray(values, np.float32), fixed, "voxels")
+        volume = read_volume(path, vector=True)
+        return Field(volume.values, volume.grid, named)
+
+
+def _in_voxels(values: NDArray[Any], fixed: Grid) -> Field:
+    """Return (Z, Y, X, 3) displacements in voxels of the fixed volume, whose grid the file does not say."""
+    if values.shape[:3] != fixed.shape:
+        have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
+        raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        return Field(np.ascontiguousarray(values, np.float32), fixed, "voxels")
 
 
 def _npz(path: Path) -> NDArray[Any]:
@@ -139,9 +142,7 @@ def read_moving_transform(
         if convention == "auto" and moving is not None:
             with naming(displacement):
                 _check_reading(field, reading, fixed, moving, after)
-        image = sitk.GetImageFromArray(in_millimeters(field, reading), isVector=True)
-        place(image, field.grid)
-        chain.append(sitk.DisplacementFieldTransform(image))
+        chain.append(sitk.DisplacementFieldTransform(itk_image(in_millimeters(field, reading), field.grid)))
     if not chain:
         raise InputError("neither a transform nor a displacement field")
     return sitk.CompositeTransform(chain)
@@ -166,11 +167,11 @@ def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, afte
         scores[reading] = _information(target, nearest(moving.values, moving.grid.to_index(moved)))
     best = max(scores, key=lambda reading: scores[reading])
     if best != named and scores[best] > max(_MIN_RATIO * scores[named], scores[named] + _MIN_GAIN):
-        option = "niftyreg" if best == "positions" else best
+        option, own = ("niftyreg" if reading == "positions" else reading for reading in (best, named))
         raise InputError(
             f"its header says {READINGS[named]}, but read as {READINGS[best]} it fits the volumes clearly better "
             f"(mutual information {scores[best]:.2f} against {scores[named]:.2f}); see --field {option}, or --field "
-            f"{'itk' if named == 'itk' else 'niftyreg' if named == 'positions' else named} to keep to the header"
+            f"{own} to keep to the header"
         )
 
 
@@ -227,41 +228,32 @@ def _elastix_transform(fields: dict[str, list[str]]) -> Any:
 
     if values("FixedImageDimension", 1, [3.0]) != [3.0]:
         raise InputError("not a transform of three dimensions")
-    parameters = values("TransformParameters", -1)
-    wanted = {"TranslationTransform": 3, "EulerTransform": 6, "AffineTransform": 12}.get(name)
-    if wanted not in (None, len(parameters)):
-        raise InputError(f"{name} with {len(parameters)} parameters, want {wanted}")
     if name == "TranslationTransform":
-        return sitk.TranslationTransform(3, parameters)
+        return sitk.TranslationTransform(3, values("TransformParameters", 3))
     if name == "AffineTransform":
+        parameters = values("TransformParameters", 12)
         return sitk.AffineTransform(parameters[:9], parameters[9:], values("CenterOfRotationPoint", 3))
     if name == "EulerTransform":
         transform = sitk.Euler3DTransform()
         transform.SetComputeZYX(fields.get("ComputeZYX", ["false"])[0] == "true")
         transform.SetCenter(values("CenterOfRotationPoint", 3))
-        transform.SetParameters(parameters)
+        transform.SetParameters(values("TransformParameters", 6))
         return transform
     if name not in ("BSplineTransform", "RecursiveBSplineTransform"):
         raise InputError(f"a {name} is not read; write the field with transformix -def all")
     x, y, z = (int(n) for n in values("GridSize", 3))
     order = values("BSplineTransformSplineOrder", 1, [3.0])[0]
-    if order not in (1, 2, 3):
-        raise InputError(f"B-splines of order {order:.6g}, want 1, 2 or 3")
-    if min(x, y, z) < 1 or len(parameters) != 3 * x * y * z:
-        raise InputError(f"{len(parameters)} B-spline parameters do not fit a grid of {[x, y, z]}")
     # elastix writes the direction column by column.
     axes = np.array(values("GridDirection", 9, [1, 0, 0, 0, 1, 0, 0, 0, 1])).reshape(3, 3).T
     spacing, index = np.array(values("GridSpacing", 3)), np.array(values("GridIndex", 3, [0.0, 0.0, 0.0]))
-    if min(spacing) <= 0:
-        raise InputError("no usable GridSpacing")
+    if order not in (1, 2, 3) or min(x, y, z) < 1 or min(spacing) <= 0:
+        raise InputError(
+            f"B-splines of order {order:g} on {x} x {y} x {z} points {spacing} mm apart; want order 1 to 3"
+        )
     origin = np.array(values("GridOrigin", 3)) + axes @ (spacing * index)
     grid = Grid((x, y, z), tuple(spacing), tuple(origin), tuple(axes.ravel()))
-    images = []
-    for component in np.array(parameters).reshape(3, *grid.shape):
-        image = sitk.GetImageFromArray(component)
-        place(image, grid)
-        images.append(image)
-    return sitk.BSplineTransform(images, int(order))
+    coefficients = np.array(values("TransformParameters", 3 * x * y * z)).reshape(3, *grid.shape)
+    return sitk.BSplineTransform([itk_image(component, grid) for component in coefficients], int(order))
 
 
 def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.float64]:

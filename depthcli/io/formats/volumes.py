@@ -211,11 +211,13 @@ def _dirlab(path: Path) -> Volume:
     return Volume(np.frombuffer(data, "<i2").reshape(grid.shape).astype(np.float32), grid)
 
 
-def place(image: Any, grid: Grid) -> None:
-    """Give a SimpleITK image the grid's geometry."""
+def itk_image(values: NDArray[Any], grid: Grid) -> Any:
+    """Return a (Z, Y, X) volume or a (Z, Y, X, 3) field on its grid, as an image of SimpleITK."""
+    image = simple_itk().GetImageFromArray(values, isVector=values.ndim == 4)
     image.SetSpacing(grid.spacing)
     image.SetOrigin(grid.origin)
     image.SetDirection(grid.direction)
+    return image
 
 
 def written_suffix(path: Path) -> str:
