@@ -49,19 +49,10 @@ def test_only_regular_files_are_opened(tmp_path: Path, read):
 
 
 @pytest.mark.parametrize("read", READERS)
-@pytest.mark.parametrize(
-    "name",
-    [
-        os.fsdecode(b"caf\xe9.png"),
-        "\ud800.png",
-        "a\0b.png",
-        "n" * 300,
-        "d/" * 3000,
-        "two\nlines\x1b[31m.png",
-        "\u202ex.png",
-        "",
-    ],
-)
+@pytest.mark.parametrize("name", [
+    os.fsdecode(b"caf\xe9.png"), "\ud800.png", "a\0b.png", "n" * 300, "d/" * 3000, "two\nlines\x1b[31m.png",
+    "\u202ex.png", "",
+])  # fmt: skip
 def test_names_that_cannot_be_are_told_in_printable_words(tmp_path: Path, read, name):
     refused(read, f"{tmp_path}/{name}/x.png")
 

@@ -75,14 +75,8 @@ def test_netpbm_plain_comments_and_big_endian(tmp_path: Path):
     np.testing.assert_array_equal(read_image(path), np.array([[1, 2], [3, 300]], np.uint16))
     path.write_bytes(b"P5\n2 1\n65535\n\x01\x02\x03\x04")
     np.testing.assert_array_equal(read_image(path), np.array([[258, 772]], np.uint16))
-    for broken in (
-        b"P5\n2 2\n255\nabc",
-        b"P5\n0 2\n255\n",
-        b"P5\n2 2\n99999\nabcd",
-        b"P5 2",
-        b"P2\n1 1\n9\nx",
-        b"P4\n1 1\n\0",
-    ):
+    for broken in (b"P5\n2 2\n255\nabc", b"P5\n0 2\n255\n", b"P5\n2 2\n99999\nabcd", b"P5 2", b"P2\n1 1\n9\nx",
+                   b"P4\n1 1\n\0"):  # fmt: skip
         path.write_bytes(broken)
         with pytest.raises(InputError, match=r"a\.pgm"):
             read_image(path)

@@ -38,12 +38,8 @@ def test_patterns(tmp_path: Path):
     put(tmp_path / "left", "0001.png", "0002.png", "0004.png")
     put(tmp_path / "right", "0001.png", "0002.png", "0003.png")
     (tmp_path / "left" / "notes.txt").touch()
-    both = {
-        "0001": ("0001.png",) * 2,
-        "0002": ("0002.png",) * 2,
-        "0003": (None, "0003.png"),
-        "0004": ("0004.png", None),
-    }
+    both = {name: (f"{name}.png", f"{name}.png") for name in ("0001", "0002")}
+    both |= {"0003": (None, "0003.png"), "0004": ("0004.png", None)}
     assert named(tmp_path / "left/*.png", tmp_path / "right/*.png") == both
     assert named(tmp_path / "left", tmp_path / "right") == both
     # Patterns that differ: the whole names count.
@@ -57,9 +53,8 @@ def test_patterns(tmp_path: Path):
 
 
 def test_names_that_say_the_view(tmp_path: Path):
-    put(
-        tmp_path, "shot_left_01.png", "shot_right_01.png", "shot_left_02.png", "shot_right_02.png", "b_L.png", "b_R.png"
-    )
+    put(tmp_path, *(f"shot_{view}_{number}.png" for view in ("left", "right") for number in ("01", "02")))
+    put(tmp_path, "b_L.png", "b_R.png")
     assert named(tmp_path / "*left*.png", tmp_path / "*right*.png") == {
         "shot_01": ("shot_left_01.png", "shot_right_01.png"), "shot_02": ("shot_left_02.png", "shot_right_02.png"),
     }  # fmt: skip
@@ -168,15 +163,7 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
 
 
 def test_what_a_run_or_a_scene_holds_are_no_pairs(tmp_path: Path):
-    put(
-        tmp_path / "a",
-        "left.png",
-        "right.png",
-        "mask_all_left.png",
-        "mask_all_right.png",
-        "disp_left.png",
-        "disp_right.png",
-    )
+    put(tmp_path / "a", *(f"{start}{view}.png" for start in ("", "mask_all_", "disp_") for view in ("left", "right")))
     assert [scene.layout for scene in find(tmp_path / "a").values()] == ["scenes"]
     put(tmp_path / "b", "disp_left.png", "disp_right.png")
     with pytest.raises(InputError, match="no scenes found"):
@@ -192,15 +179,13 @@ def test_the_command_line(tmp_path: Path, made_scenes: Path, capsys):
     (tmp_path / "pairs.csv").write_text("left/planes_0.png,right/planes_0.png\nleft/planes_1.png,right/planes_1.png\n")
     how = ("--max-disparity", "12", "-q")
     globs = ("--left", tmp_path / "left/*.png", "--right", tmp_path / "right/*.png")
-    assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "globs") == 0
-    assert run("stereo", "opencv-bm", "-i", tmp_path / "pairs.csv", *how, "-o", tmp_path / "table") == 0
-    assert run("stereo", "opencv-bm", "-i", tmp_path, *how, "-o", tmp_path / "views") == 0
-    assert (
-        run("stereo", "opencv-bm", "-i", made_scenes, *how, "-o", tmp_path / "scenes", "--scenes", "planes_[01]") == 0
-    )
-    for name in ("globs", "table", "views", "scenes"):
-        for scene in ("planes_0", "planes_1"):
-            file = f"{scene}/disp_left.pfm"
+    ways = {
+        "scenes": ("-i", made_scenes, "--scenes", "planes_[01]"), "globs": globs, "views": ("-i", tmp_path),
+        "table": ("-i", tmp_path / "pairs.csv"),
+    }  # fmt: skip
+    for name, given in ways.items():
+        assert run("stereo", "opencv-bm", *given, *how, "-o", tmp_path / name) == 0
+        for file in ("planes_0/disp_left.pfm", "planes_1/disp_left.pfm"):
             assert (tmp_path / name / file).read_bytes() == (tmp_path / "scenes" / file).read_bytes()
     assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--name", "a") == 2
     assert "these are 2" in capsys.readouterr().err

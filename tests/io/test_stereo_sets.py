@@ -143,9 +143,12 @@ def test_what_is_said_of_other_disparities_in_sintel(tmp_path: Path):
 # DrivingStereo
 
 
-_CALIB = "".join(
-    f"P_rect_{n}: 1003.5 0.0 479.5 {tx} 0.0 1003.5 200.1 0.0 0.0 0.0 1.0 0.0\n" for n, tx in ((101, 0.0), (103, -546.9))
-)
+def driving_calib(root: Path, size: str, sequence: str) -> Path:
+    path = root / "calib_train" / f"{size}-image-calib" / f"{sequence}.txt"
+    path.parent.mkdir(parents=True)
+    rows = "1003.5 0.0 479.5 {} 0.0 1003.5 200.1 0.0 0.0 0.0 1.0 0.0"
+    path.write_text(f"P_rect_101: {rows.format(0.0)}\nP_rect_103: {rows.format(-546.9)}\n")
+    return path
 
 
 def test_driving_stereo(tmp_path: Path):
@@ -155,9 +158,7 @@ def test_driving_stereo(tmp_path: Path):
     unknown = DISPARITY.copy()
     unknown[0] = np.nan
     codes(tmp_path / "train-disparity-map" / f"{name}.png", unknown, 256)
-    calib = tmp_path / "calib_train" / "half-image-calib" / "2018-07-09-16-11-56.txt"
-    calib.parent.mkdir(parents=True)
-    calib.write_text(_CALIB)
+    calib = driving_calib(tmp_path, "half", "2018-07-09-16-11-56")
     (scene,) = find(tmp_path)
     assert (scene.name, scene.layout, scene.max_disparity) == (f"train-left-image/{frame}", "driving-stereo", 255)
     np.testing.assert_array_equal(true(scene).disparity, unknown)
@@ -172,9 +173,7 @@ def test_full_size_frames_of_driving_stereo_have_another_scale(tmp_path: Path):
     for size, scale in (("half", 256), ("full", 128)):
         images(*(tmp_path / "cloudy" / f"{side}-image-{size}-size" / f"{name}.png" for side in ("left", "right")))
         codes(tmp_path / "cloudy" / f"disparity-map-{size}-size" / f"{name}.png", DISPARITY, scale)
-    calib = tmp_path / "calib_train" / "full-image-calib" / "2018-10-31-06-55-01.txt"
-    calib.parent.mkdir(parents=True)
-    calib.write_text(_CALIB)
+    calib = driving_calib(tmp_path, "full", "2018-10-31-06-55-01")
     full, half = find(tmp_path / "cloudy")
     assert (full.disparity_scale, half.disparity_scale) == (128, 256)
     assert (full.calibration, half.calibration) == (calib, None)

@@ -96,11 +96,10 @@ def decode_image(data: bytes) -> Image:
             pixels = _with_opencv(data)
             if pixels.ndim == 3:  # grey with transparency comes as color
                 pixels = pixels[..., 0] if image.mode in ("LA", "La", "I;16") else pixels[..., 2::-1]
-        elif image.mode in ("1", "LA", "La"):
-            pixels = np.array(image.convert("L"))  # a copy: kernels are compiled apart for read-only arrays
-        else:
+        else:  # a copy: kernels are compiled apart for read-only arrays
             is_plain = image.mode in ("L", "RGB") or image.mode.startswith("I;16")
-            pixels = np.array(image if is_plain else image.convert("RGB"))
+            plain = "L" if image.mode in ("1", "LA", "La") else "RGB"
+            pixels = np.array(image if is_plain else image.convert(plain))
     if pixels.dtype.kind != "u" or pixels.dtype.itemsize > 2 or image.mode == "F":
         raise InputError("samples of 32 bit, or signed ones; want 8 or 16 bit")
     return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype.itemsize == 1 else np.uint16))

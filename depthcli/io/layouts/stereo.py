@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -142,12 +141,13 @@ def _pairs(found: Found) -> dict[str, Any] | None:
 
 def _variants(files: Mapping[str, str], *words: tuple[str, ...]) -> tuple[dict[str, str], ...]:
     """Return the variants of a row: ``<0>`` and ``<1>`` in its file names are the words of each."""
-    variants = []
-    for chosen in words:
-        places = [(f"<{number}>", word) for number, word in enumerate(chosen)]
-        named = {role: reduce(lambda text, each: text.replace(*each), places, name) for role, name in files.items()}
-        variants.append(named)
-    return tuple(variants)
+
+    def filled(name: str, chosen: tuple[str, ...]) -> str:
+        for number, word in enumerate(chosen):
+            name = name.replace(f"<{number}>", word)
+        return name
+
+    return tuple({role: filled(name, chosen) for role, name in files.items()} for chosen in words)
 
 
 _V3_FILES = {
