@@ -14,7 +14,8 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.commands import config_model
-from depthcli.core.config_file import dump_config, load_config, parse_config
+from depthcli.core.config_file import dump_config, load_config
+from depthcli.core.yaml_source import parse_config
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.kernels.jit import set_threads
 from depthcli.run.presets import find_config, find_preset, list_presets, preset_folder

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel
 
 from depthcli.core import config_file
-from depthcli.core.config_file import ConfigData
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.result import Clock
+from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.images import pair_of
 from depthcli.kernels.jit import compile_seconds, one_at_a_time
 from depthcli.run.presets import find_config, find_preset

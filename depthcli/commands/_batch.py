@@ -9,10 +9,11 @@ from typing import TypeVar
 from pydantic import BaseModel
 
 from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.core.config_file import dump_config, load_config, to_yaml
+from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import InputError
 from depthcli.core.method import used_files
 from depthcli.core.text import one_line, show_bytes
+from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.pictures import write_legend
 from depthcli.run.batch import Batch, Execution, SceneT
 from depthcli.run.console import aligned, run_table

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from depthcli.api.results import PointCloud, chosen_pixels, parse_mask, write_depth
-from depthcli.commands._batch import run_batch
 from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
 from depthcli.commands._scenes import scenes_at
@@ -37,12 +36,10 @@ from depthcli.run.json_csv import Row
 from depthcli.run.records import is_inside
 from depthcli.run.report import read_report
 
-__all__ = ["prepare", "run_batch"]
-
 _MAP = "disp_left.pfm"
 
 
-def prepare(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> tuple[Depth, list[DisparityScene]]:
+def prepare(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> tuple[ToDepth, list[DisparityScene]]:
     """Return the batch of ``depth``, and the maps that the options name; ConfigError where options do not fit."""
     by_hand = {name: getattr(maps, name) for name in ("focal", "baseline", "doffs")}
     given = [name for name, value in by_hand.items() if value is not None]
@@ -52,11 +49,11 @@ def prepare(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> tuple[De
         raise ConfigError(f"--calibration and --{given[0]} exclude each other")
     check_limits(clouds.near, clouds.far)
     parse_mask(clouds.mask or "all")
-    return Depth(by_hand | vars(clouds)), find_maps(maps, run.reporter)
+    return ToDepth(by_hand | vars(clouds)), find_maps(maps, run.reporter)
 
 
 @dataclass(frozen=True)
-class Depth(Batch[DisparityScene]):
+class ToDepth(Batch[DisparityScene]):
     """Turns disparity maps into depth and point clouds; ``config`` holds the options, None where one is not given."""
 
     command = "depth"

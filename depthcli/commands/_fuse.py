@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.api.stereo import with_network
-from depthcli.commands._batch import run_batch
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._pairs import MatchPairs, pair_config
 from depthcli.commands._scenes import find_scenes
@@ -18,8 +17,6 @@ from depthcli.io.formats.networks import network_path
 from depthcli.io.scenes import StereoScene
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.stages import PairMatcher
-
-__all__ = ["prepare", "run_batch"]
 
 
 def prepare(

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.api.maps import fused, judged, measures_named
-from depthcli.commands._batch import run_batch
 from depthcli.commands._options import CodingOptions, PairOptions, RangeOptions, RunOptions, ScoredRunOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
@@ -42,8 +41,6 @@ from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, number, percent
 from depthcli.run.report import read_report
-
-__all__ = ["prepare_fusion", "prepare_judgment", "run_batch"]
 
 
 def prepare_fusion(

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.api.matching import file_states, read_rig, rectified_rig
-from depthcli.commands._batch import run_batch
 from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.cameras.rig import RectifiedRig
@@ -38,8 +37,6 @@ from depthcli.methods.stereo.search_range import KeyPointRange, range_of_key_poi
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, number, percent
 from depthcli.run.json_csv import Row
-
-__all__ = ["check_unit", "prepare", "rectified_pair", "run_batch", "sequence_range"]
 
 _MAX_ROW_ERROR = 1.0  # median row error of a calibrated pair, pixels; with more a scene has a warning
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning

@@ -14,7 +14,7 @@ import numpy as np
 
 from depthcli.api.depth import refined_frame
 from depthcli.api.results import parse_mask, share
-from depthcli.commands._batch import config_of, run_batch
+from depthcli.commands._batch import config_of
 from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
@@ -36,8 +36,6 @@ from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, percent
 from depthcli.run.json_csv import Row
 from depthcli.run.resources import check_memory
-
-__all__ = ["prepare", "run_batch"]
 
 FrameOrSequence: TypeAlias = RgbdScene | SequenceScene
 

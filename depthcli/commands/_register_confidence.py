@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.api.registration import measured_pair, peak_bytes, region_figures
-from depthcli.commands._batch import config_of, run_batch
+from depthcli.commands._batch import config_of
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.result import Clock
@@ -20,8 +20,6 @@ from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import Column, number, percent
 from depthcli.run.json_csv import Row
-
-__all__ = ["prepare", "run_batch"]
 
 _NUMBERED = re.compile(r"(.+)_\d+")  # a label without a name
 

@@ -7,15 +7,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from depthcli.commands._batch import run_batch
 from depthcli.commands._options import SampleOptions
 from depthcli.core.errors import ConfigError
 from depthcli.core.result import Clock
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, percent
 from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene, sample_scenes
-
-__all__ = ["prepare", "run_batch"]
 
 _BY_SCENE = frozenset({"count", "kind", "seed", "from_"})
 """Options that choose scenes and say nothing about one of them beyond its settings."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from depthcli.api.matching import device_of, with_address
-from depthcli.commands._batch import run_batch
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._pairs import MatchPairs, pair_config
 from depthcli.commands._scenes import find_scenes
@@ -17,8 +16,6 @@ from depthcli.io.scenes import StereoScene
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.json_csv import Row
-
-__all__ = ["prepare", "run_batch"]
 
 
 def prepare(

@@ -11,7 +11,7 @@ import numpy as np
 
 from depthcli.api.depth import completed_frame
 from depthcli.api.results import share
-from depthcli.commands._batch import config_of, run_batch
+from depthcli.commands._batch import config_of
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import InputError
@@ -25,8 +25,6 @@ from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, percent
-
-__all__ = ["prepare", "run_batch"]
 
 
 def prepare(

@@ -36,7 +36,8 @@ def confidence(
     ] = None,
 ) -> int:
     """Judge the map of every scene; ``--keep SHARE`` and ``--threshold`` leave doubtful pixels out of disp_left."""
-    from depthcli.commands._given_maps import prepare_judgment, run_batch
+    from depthcli.commands._batch import run_batch
+    from depthcli.commands._given_maps import prepare_judgment
 
     batch, scenes, run = prepare_judgment(
         maps, witness or [], right_maps, pairs, coding, run, max_disparity, within, measure or [], threshold

@@ -25,6 +25,7 @@ class DepthRunOptions(RunOptions):
 
 def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     """Turn every map of the run into depth; return the exit code."""
-    from depthcli.commands._depth import prepare, run_batch
+    from depthcli.commands._batch import run_batch
+    from depthcli.commands._depth import prepare
 
     return run_batch(*prepare(maps, clouds, run), run)

@@ -41,6 +41,7 @@ def fuse(
         return _given_maps.run_batch(*prepared, run, pairs)
     if maps:
         raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
-    from depthcli.commands._fuse import prepare, run_batch
+    from depthcli.commands._batch import run_batch
+    from depthcli.commands._fuse import prepare
 
     return run_batch(*prepare(config, pairs, run, set), run, pairs)

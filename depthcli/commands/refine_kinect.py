@@ -33,7 +33,8 @@ def refine_kinect(
     far: Annotated[float | None, Option(metavar="METERS", help="Farthest depth of point clouds.")] = None,
 ) -> int:
     """Refine single frames, or sequences where the method carries state from frame to frame."""
-    from depthcli.commands._refine_kinect import prepare, run_batch
+    from depthcli.commands._batch import run_batch
+    from depthcli.commands._refine_kinect import prepare
 
     prepared = prepare(
         config, frames, run, set, depth_scale=depth_scale, ply=ply or None, intrinsics=intrinsics, mask=mask,

@@ -45,7 +45,8 @@ def register_confidence(
     ] = False,
 ) -> int:
     """Estimate the error of every registration, by a search around every voxel."""
-    from depthcli.commands._register_confidence import prepare, run_batch
+    from depthcli.commands._batch import run_batch
+    from depthcli.commands._register_confidence import prepare
 
     prepared = prepare(config, volumes, run, set, field=field, neurological=neurological or None)
     return run_batch(*prepared, run, volumes)

@@ -14,6 +14,7 @@ from depthcli.commands._options import RunOptions, SampleOptions
 
 def sample(run: RunOptions, scenes: SampleOptions) -> int:
     """Generate the scenes of one kind into a run folder."""
-    from depthcli.commands._sample import prepare, run_batch
+    from depthcli.commands._batch import run_batch
+    from depthcli.commands._sample import prepare
 
     return run_batch(*prepare(scenes), run)

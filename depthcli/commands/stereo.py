@@ -57,6 +57,7 @@ def stereo(
     ] = None,
 ) -> int:
     """Match every pair by a pipeline of ``methods/stereo/pipeline``, here or on a device."""
-    from depthcli.commands._stereo import prepare, run_batch
+    from depthcli.commands._batch import run_batch
+    from depthcli.commands._stereo import prepare
 
     return run_batch(*prepare(config, pairs, run, set, device=device), run, pairs)

@@ -19,6 +19,7 @@ def transparent(
     set: SetOption = None,
 ) -> int:
     """Complete every frame from its sparse depth, given or matched between color and infrared."""
-    from depthcli.commands._transparent import prepare, run_batch
+    from depthcli.commands._batch import run_batch
+    from depthcli.commands._transparent import prepare
 
     return run_batch(*prepare(config, frames, run, set, depth_scale=depth_scale), run, frames)

@@ -19,17 +19,7 @@ from pydantic import BaseModel, ValidationError
 from depthcli.core.errors import ConfigError
 from depthcli.core.registry import is_file_loaded, load_file
 from depthcli.core.text import short
-from depthcli.core.yaml_source import (
-    OVERRIDES,
-    ConfigData,
-    Location,
-    parse_config,
-    parse_value,
-    read_config,
-    to_yaml,
-)
-
-__all__ = ["ConfigData", "dump_config", "load_config", "parse_config", "read_config", "to_yaml"]
+from depthcli.core.yaml_source import OVERRIDES, ConfigData, Location, parse_value, read_config, to_yaml
 
 _Model = TypeVar("_Model", bound=BaseModel)
 

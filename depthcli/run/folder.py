@@ -20,9 +20,10 @@ from types import TracebackType
 from pydantic import BaseModel
 
 from depthcli import __version__
-from depthcli.core.config_file import dump_config, to_yaml
+from depthcli.core.config_file import dump_config
 from depthcli.core.errors import ConfigError, OutputError
 from depthcli.core.registry import Plugin, versions_here
+from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.files import RUN_FILE, write_text
 from depthcli.run.records import (
     CLAIM_FILE,

@@ -13,11 +13,11 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from depthcli.core.config_file import to_yaml
 from depthcli.core.errors import ConfigError
 from depthcli.core.method import Method
 from depthcli.core.registry import Plugin, PluginWarning, plugins_in
 from depthcli.core.text import did_you_mean
+from depthcli.core.yaml_source import to_yaml
 
 THESIS = "thesis/"
 """Prefix of presets that reproduce a table or figure of the thesis."""

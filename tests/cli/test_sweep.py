@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from depthcli.cli import main
-from depthcli.core.config_file import read_config
+from depthcli.core.yaml_source import read_config
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.run.presets import find_config
 

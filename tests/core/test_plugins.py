@@ -15,9 +15,10 @@ import pytest
 from depthcli.cli import main
 from depthcli.commands import config_model
 from depthcli.core import registry
-from depthcli.core.config_file import dump_config, load_config, parse_config
+from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.method import Family, used_plugins
+from depthcli.core.yaml_source import parse_config
 from depthcli.io import layouts
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
