@@ -23,9 +23,9 @@ import typer
 
 import depthcli
 from depthcli import testing
-from depthcli.api.inputs import COMMANDS
 from depthcli.cli import command_of
-from depthcli.commands import grouped_names, help_of, own_names
+from depthcli.commands import CONFIGS as CONFIG_NAMES
+from depthcli.commands import config_model, grouped_names, help_of, own_names
 from depthcli.core.errors import EXIT_CODES
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
@@ -50,7 +50,7 @@ METHOD_PACKAGES = [
     "depthcli.algorithms.segmentation", "depthcli.algorithms.keypoints",
 ]  # fmt: skip
 """Packages of all families of methods, in the order in which they are explained."""
-CONFIGS: dict[str, Any] = {command: getattr(depthcli, name) for name, command in COMMANDS.items()}
+CONFIGS: dict[str, Any] = {command: config_model(command) for command in CONFIG_NAMES}
 """Command -> class of its config."""
 MAPS, DEPTH = "disp_left.*, status.png, preview.png, confidence_*", "depth.*, sigma.pfm, status.png, preview.png"
 OUTPUTS = {

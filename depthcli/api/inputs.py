@@ -15,25 +15,17 @@ from pydantic import BaseModel
 from depthcli.core import config_file
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
+from depthcli.core.method import RootConfig
 from depthcli.core.result import Clock
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.images import pair_of
 from depthcli.kernels.jit import compile_seconds, one_at_a_time
 from depthcli.run.presets import find_config, find_preset
 
-ModelT = TypeVar("ModelT", bound=BaseModel)
+ModelT = TypeVar("ModelT", bound=RootConfig)
 
 Overrides = Mapping[str, object]
 """``a.b`` or plain name of a key -> value."""
-
-COMMANDS = {
-    "StereoConfig": "stereo",
-    "FuseConfig": "fuse",
-    "RefineKinectConfig": "refine-kinect",
-    "TransparentConfig": "transparent",
-    "RegisterConfidenceConfig": "register-confidence",
-}
-"""Name of the class of a config -> its command."""
 
 
 def load_config(
@@ -63,9 +55,8 @@ def load_config(
             return preset
         data = ConfigData("config", preset.model_dump(mode="json", by_alias=True))
         return config_file.load_config(model, data, values=values)
-    command = COMMANDS[model.__name__]
-    file = find_config(command, str(preset))
-    return config_file.load_config(model, file, find=lambda name: find_preset(command, name), values=values)
+    file = find_config(model.command, str(preset))
+    return config_file.load_config(model, file, find=lambda name: find_preset(model.command, name), values=values)
 
 
 def _plain(value: Any) -> Any:

@@ -36,8 +36,7 @@ _GROUPS = {
 }
 """Headings of ``depthcli --help``; commands that are listed nowhere come last, under a heading of their own."""
 
-
-_CONFIGS = {
+CONFIGS = {
     "stereo": "stereo:StereoConfig",
     "fuse": "fusion:FuseConfig",
     "refine-kinect": "kinect:RefineKinectConfig",
@@ -86,8 +85,8 @@ def command(config: type[BaseModel] | None = None) -> Callable[[CommandT], Comma
 
 def config_model(name: str) -> type[BaseModel] | None:
     """Return the class of a command's configs; None where it has no configs, or there is no such command."""
-    if name in _CONFIGS:
-        module, _, kind = _CONFIGS[name].partition(":")
+    if name in CONFIGS:
+        module, _, kind = CONFIGS[name].partition(":")
         model: type[BaseModel] = getattr(importlib.import_module(f"depthcli.methods.{module}.config"), kind)
         return model
     return getattr(find(name), "config", None)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel
 
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import InputError
-from depthcli.core.method import used_files
+from depthcli.core.method import RootConfig, used_files
 from depthcli.core.text import one_line, show_bytes
 from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.pictures import write_legend
@@ -25,19 +25,22 @@ from depthcli.run.report import report_document
 from depthcli.run.runner import Plan, run_scenes
 from depthcli.run.workers import BUG
 
-ModelT = TypeVar("ModelT", bound=BaseModel)
+if TYPE_CHECKING:
+    from depthcli.evaluation.comparison import EvaluationReport
+
+ModelT = TypeVar("ModelT", bound=RootConfig)
 
 DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
 
 def config_of(
-    command: str, model: type[ModelT], config: str, settings: Sequence[str | tuple[str, str]] | None, **options: object
+    model: type[ModelT], config: str, settings: Sequence[str | tuple[str, str]] | None, **options: object
 ) -> ModelT:
     """Return the config of a command with all overrides.
 
     Parameters
     ----------
-    command, model : whose presets ``config`` may name, and the class of its configs
+    model : class of the command's configs
     config, settings : the CONFIG argument, and the values of ``--set``
     options : config key -> value of the option of that name; None: not given
 
@@ -50,7 +53,7 @@ def config_of(
     for key, value in options.items():
         if value is not None:
             given.append((f"--{key.replace('_', '-')}", f"{key}={value}"))
-    found = load_config(model, find_config(command, config), given, lambda name: find_preset(command, name))
+    found = load_config(model, find_config(model.command, config), given, lambda name: find_preset(model.command, name))
     used_files(found)  # missing ones are an error before any scene is opened
     return found
 
@@ -67,16 +70,15 @@ def run_batch(
     ----------
     source : the options that the scenes were found by, whose folder may hold ground truth
     """
-    reporter = options.reporter
-    how, conditions = options.execution, options.conditions
-    if options.dry_run or options.list_scenes:
-        if options.dry_run:
-            plan = plan_of(batch, scenes, options.output, how)
-            reporter.data(to_json(plan) if options.json else _plan_text(plan, batch.config))
-        else:
-            names = [scene.name for scene in how.own(scenes)]
-            lines = "".join(f"{one_line(name)}\n" for name in names)
-            reporter.data(to_json({"command": batch.command, "scenes": names}) if options.json else lines)
+    reporter, how = options.reporter, options.execution
+    if options.dry_run:
+        plan = plan_of(batch, scenes, options.output, how)
+        reporter.data(to_json(plan) if options.json else _plan_text(plan, batch.config))
+        return 0
+    if options.list_scenes:
+        names = [scene.name for scene in how.own(scenes)]
+        lines = "".join(f"{one_line(name)}\n" for name in names)
+        reporter.data(to_json({"command": batch.command, "scenes": names}) if options.json else lines)
         return 0
     rows = run_scenes(batch, scenes, options.output, how, reporter)
     for line in batch.notes(scenes, rows):
@@ -88,32 +90,42 @@ def run_batch(
     if batch.palette is not None and len(failed) < len(rows):
         write_legend(options.output / LEGEND_FILE, batch.palette, batch.legend)
     evaluation = page_file = None
-    flags: Flags
     if options.evaluate or options.html:
-        from depthcli.commands import _scores  # only a run that is evaluated needs the evaluation
+        from depthcli.commands import _evaluation, _scores  # only a run that is evaluated needs the evaluation
 
-        evaluation, page_file, flags = _scores.evaluated(batch, scenes, rows, options, source, conditions)
+        evaluation, page_file, flags = _scores.evaluated(batch, scenes, rows, options, source)
     else:
-        flags = flag_rows(conditions, rows, reporter)
-    if options.json:
-        document = report_document(batch.command, rows) | flags.to_dict()
-        reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
-    elif evaluation is not None:
-        _scores.print_tables(evaluation, reporter, None, options.quiet)
-    elif not options.quiet:
-        reporter.data(run_table(rows, batch.columns))
-    if conditions and not (options.json or options.quiet):
-        reporter.data(flags.text())
+        flags = flag_rows(options.conditions, rows, reporter)
+    _print_results(batch, rows, options, evaluation, flags)
     total = len(scenes) if how.shard is None else len(rows)
     reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {options.output}")
     if evaluation is not None:
-        _scores.print_place(options.output / "evaluation", reporter)
+        _evaluation.print_place(options.output / "evaluation", reporter)
     elif page_file is not None:
         reporter.info(f"page to open in a browser: {page_file}")
     if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
         return 1
     incomplete = failed or problems or (evaluation is not None and evaluation.failed)
     return flags.exit_code(bool(incomplete), options.fail_flagged, options.shard)
+
+
+def _print_results(
+    batch: Batch[Any], rows: Sequence[Row], options: RunOptions, evaluation: EvaluationReport | None, flags: Flags
+) -> None:
+    """Print the report as JSON, or else the tables of the evaluation or of the run, and what was flagged."""
+    reporter = options.reporter
+    if options.json:
+        document = report_document(batch.command, rows) | flags.to_dict()
+        reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
+        return
+    if evaluation is not None:
+        from depthcli.commands._evaluation import print_tables
+
+        print_tables(evaluation, reporter, None, options.quiet)
+    elif not options.quiet:
+        reporter.data(run_table(rows, batch.columns))
+    if options.conditions and not options.quiet:
+        reporter.data(flags.text())
 
 
 def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> Row:

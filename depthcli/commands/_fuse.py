@@ -23,7 +23,7 @@ def prepare(
     config: str, pairs: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None, **options: Any
 ) -> tuple[Fuse, list[StereoScene]]:
     """Return the batch of ``fuse`` with this config, and the pairs that the command line names."""
-    found = with_network(pair_config("fuse", FuseConfig, config, pairs, settings, **options))
+    found = with_network(pair_config(FuseConfig, config, pairs, settings, **options))
     return Fuse(found), find_scenes((StereoScene,), pairs, run)
 
 

@@ -22,11 +22,9 @@ from depthcli.evaluation.map_files import (
     DisparityFiles,
     MapFiles,
     MapNaming,
-    by_run,
     find_runs,
+    given_naming,
     names_in_run,
-    pattern_of,
-    positive,
     recognized,
 )
 from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
@@ -252,26 +250,12 @@ def _find_scenes(
     ConfigError, InputError
         As :func:`depthcli.commands._scenes.find_scenes`; no such run, or several files may be its maps.
     """
-    places = find_runs([*first, *others])
-    own = list(places)[: len(first)]
-    rights = find_runs([right]) if right else {}
-    coded = {**rights, **places}
-    pattern, patterns = by_run("--pattern", coding.pattern or [], coded, pattern_of)
-    scale, scales = by_run("--scale", coding.scale or [], coded, positive)
-    invalid, invalids = by_run("--invalid", coding.invalid or [], coded, float)
+    places, rights = find_runs([*first, *others]), find_runs([right]) if right else {}
+    of_all, own = given_naming({**rights, **places}, "--pattern", coding.pattern, coding.scale, coding.invalid)
+    naming = {name: own[name].over(of_all) for name in places}
+    right_naming = {name: own[name].over(replace(of_all, pattern="")) for name in rights}
     scenes = find_scenes((StereoScene,), pairs, run)
-    short = [scene.name.rpartition("/")[2] for scene in scenes]
-    names = {
-        scene.name: names_in_run(scene.name, pairs.input and local(pairs.input), short.count(name) == 1)
-        for scene, name in zip(scenes, short, strict=True)
-    }
-    known: MapFiles = DisparityFiles()
-    right_files = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right", "{scene}"), known.suffixes)
-
-    def naming_of(name: str, usual: str) -> MapNaming:
-        return MapNaming(patterns.get(name, usual), scales.get(name, scale), invalids.get(name, invalid))
-
-    naming = {name: naming_of(name, pattern or "") for name in places}
+    names = names_in_run([scene.name for scene in scenes], pairs.input and local(pairs.input))
     for name, place in places.items():
         if os.path.isfile(place):
             if len(scenes) > 1:
@@ -281,26 +265,30 @@ def _find_scenes(
             if found != naming[name]:
                 run.reporter.info(f"{name}: taken as its maps: {found.pattern} (--pattern says otherwise)")
             naming[name] = found
-
-    def map_of(scene: StereoScene, name: str, place: Path, how: MapNaming, usual: MapFiles) -> GivenMap | None:
-        path = place if os.path.isfile(place) else how.files(usual).find(place, names[scene.name])
-        return None if path is None else GivenMap(name, path, how.scale, how.invalid)
-
+    files: MapFiles = DisparityFiles()
+    right_files = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right", "{scene}"), files.suffixes)
     made = []
     for scene in scenes:
-        maps = {name: map_of(scene, name, place, naming[name], known) for name, place in places.items()}
-        other = {name: map_of(scene, name, at, naming_of(name, ""), right_files) for name, at in rights.items()}
+        of_scene = names[scene.name]
+        maps = {name: _map_of(name, place, naming[name], files, of_scene) for name, place in places.items()}
+        other = {name: _map_of(name, at, right_naming[name], right_files, of_scene) for name, at in rights.items()}
         absent = [name for name, one in maps.items() if one is None]
         absent += [f"{name} (right view)" for name, one in other.items() if one is None]
         problem = ""
-        if all(maps[name] is None for name in own):
-            where = ", ".join(str(places[name]) for name in own)
-            problem = f"{where}: no map of scene {scene.name}{known.searched(names[scene.name])}"
+        if not any(list(maps.values())[: len(first)]):
+            where = ", ".join(map(str, list(places.values())[: len(first)]))
+            problem = f"{where}: no map of scene {scene.name}{files.searched(of_scene)}"
         there = tuple(one for one in maps.values() if one is not None)
         own_fields = {**vars(scene), "problem": scene.problem or problem}
         right_map = next(iter(other.values()), None)
         made.append(MapsScene(**own_fields, maps=there, right_map=right_map, absent=tuple(absent)))
     return made
+
+
+def _map_of(run: str, place: Path, naming: MapNaming, files: MapFiles, names: Sequence[str]) -> GivenMap | None:
+    """Return the map of a scene with such names in a run, or the one that ``place`` is; None where there is none."""
+    path = place if os.path.isfile(place) else naming.files(files).find(place, names)
+    return None if path is None else GivenMap(run, path, naming.scale, naming.invalid)
 
 
 def _recognized(

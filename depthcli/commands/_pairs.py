@@ -38,7 +38,6 @@ _REASONS = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF
 
 
 def pair_config(
-    command: str,
     model: type[PairConfigT],
     config: str,
     pairs: SceneOptions,
@@ -48,7 +47,7 @@ def pair_config(
     """Return the config with all overrides; ConfigError where it is wrong, or its calibration cannot be read."""
     for key in ("calibration", "max_disparity", "min_disparity"):
         options[key] = getattr(pairs, key, None)
-    found, unit = config_of(command, model, config, settings, **options), getattr(pairs, "unit", None)
+    found, unit = config_of(model, config, settings, **options), getattr(pairs, "unit", None)
     if unit is not None:
         check_unit(unit)
         if found.calibration is None:

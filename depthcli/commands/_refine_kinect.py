@@ -53,7 +53,7 @@ def prepare(
     if intrinsics is not None:
         _camera("--intrinsics", intrinsics)
         options["intrinsics"] = f"[{intrinsics}]"
-    found = config_of("refine-kinect", RefineKinectConfig, config, settings, **options)
+    found = config_of(RefineKinectConfig, config, settings, **options)
     check_limits(found.near, found.far)
     parse_mask(found.mask)  # a wrong share is an error before any frame is opened
     scenes = find_scenes((RgbdScene,), frames, run)

@@ -32,7 +32,7 @@ def prepare(
     **options: Any,
 ) -> tuple[RegisterConfidence, list[VolumePairScene]]:
     """Return the batch of the command with this config, and the pairs that the command line names."""
-    found = config_of("register-confidence", RegisterConfidenceConfig, config, settings, **options)
+    found = config_of(RegisterConfidenceConfig, config, settings, **options)
     return RegisterConfidence(found), find_scenes((VolumePairScene,), volumes, run)
 
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from depthcli.commands._evaluation import print_place, print_tables, viewers
+from depthcli.commands._evaluation import viewers
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import DepthcliError
 from depthcli.evaluation.comparison import EvaluationReport
@@ -17,11 +17,9 @@ from depthcli.io.inputs import local
 from depthcli.io.scenes import Scene, SequenceScene
 from depthcli.report.page import Page, RunWithoutTruth
 from depthcli.run.batch import Batch, SceneT
-from depthcli.run.flags import Condition, Flags, flag_rows
+from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import saved_config, staging_folder
 from depthcli.run.json_csv import Row
-
-__all__ = ["evaluated", "print_place", "print_tables"]
 
 
 def evaluated(
@@ -30,13 +28,12 @@ def evaluated(
     rows: Sequence[Row],
     options: RunOptions,
     source: SceneOptions | None,
-    conditions: Sequence[Condition],
 ) -> tuple[EvaluationReport | None, Path | None, Flags]:
     """Compare scenes with their truth, and write the page of these and of the others.
 
     Returns the evaluation, the page's file, and what the conditions flag.
     """
-    reporter = options.reporter
+    reporter, conditions = options.reporter, options.conditions
     output, truth = options.output / "evaluation", source.input if source is not None else None
     in_folder = truth is not None and not os.path.isfile(local(truth))  # pairs of a table have no truth
     scored = [scene for scene in scenes if in_folder and scene.has_truth]

@@ -22,7 +22,7 @@ def prepare(
     config: str, pairs: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None, **options: Any
 ) -> tuple[Stereo, list[StereoScene]]:
     """Return the batch of ``stereo`` with this config, and the pairs that the command line names."""
-    found = with_address(pair_config("stereo", StereoConfig, config, pairs, settings, **options))
+    found = with_address(pair_config(StereoConfig, config, pairs, settings, **options))
     return Stereo(found), find_scenes((StereoScene,), pairs, run)
 
 

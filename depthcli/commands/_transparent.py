@@ -31,7 +31,7 @@ def prepare(
     config: str, frames: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None, **options: Any
 ) -> tuple[Transparent, list[RgbdScene]]:
     """Return the batch of ``transparent`` with this config, and the frames that the command line names."""
-    found = config_of("transparent", TransparentConfig, config, settings, **options)
+    found = config_of(TransparentConfig, config, settings, **options)
     return Transparent(found), find_scenes((RgbdScene,), frames, run)
 
 

@@ -69,21 +69,18 @@ def evaluate(
     """Evaluate, print the tables, and return the exit code."""
     from depthcli.commands._evaluation import check_tables, print_place, print_tables, viewers
     from depthcli.evaluation.evaluate import evaluate_runs
-    from depthcli.evaluation.map_files import MapNaming, by_run, find_runs, pattern_of, positive
+    from depthcli.evaluation.map_files import MapNaming, find_runs, given_naming
     from depthcli.evaluation.protocols import Settings
 
     reporter, places = printing.reporter, find_runs(runs)
-    pattern, patterns = by_run("--maps", maps or [], places, pattern_of)
-    codes, own_codes = by_run("--scale", scale or [], places, positive)
-    none, own_none = by_run("--invalid", invalid or [], places, float)
+    of_all, own = given_naming(places, "--maps", maps, scale, invalid)
     check_tables(tables)
     report = evaluate_runs(
         runs, truth, output, scenes or ["*"], layout, protocol,
-        Settings(codes, (resolution or "").upper() or None, threshold, _size(resize), none),
+        Settings(of_all.scale, (resolution or "").upper() or None, threshold, _size(resize), of_all.invalid),
         reporter,
         viewers=viewers(reporter, output, html, html_budget),
-        map_options={run: MapNaming(patterns.get(run) or pattern or "", own_codes.get(run), own_none.get(run))
-                     for run in places},
+        map_options={run: naming.over(MapNaming(of_all.pattern)) for run, naming in own.items()},
         conditions=(conditions := conditions_of(flag, fail_flagged)),
     )  # fmt: skip
     if printing.json:

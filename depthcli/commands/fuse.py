@@ -34,14 +34,14 @@ def fuse(
     surfaces: Annotated[bool, Option("--surfaces", help="With maps: also propose planes of segments; slower.")] = False,
 ) -> int:
     """Match every pair by fusion of measures, or fuse maps."""
-    if config == "maps":
-        from depthcli.commands import _given_maps
+    from depthcli.commands._batch import run_batch
 
-        prepared = _given_maps.prepare_fusion(maps or [], pairs, coding, run, within, surfaces, set)
-        return _given_maps.run_batch(*prepared, run, pairs)
+    if config == "maps":
+        from depthcli.commands._given_maps import prepare_fusion
+
+        return run_batch(*prepare_fusion(maps or [], pairs, coding, run, within, surfaces, set), run, pairs)
     if maps:
         raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
-    from depthcli.commands._batch import run_batch
     from depthcli.commands._fuse import prepare
 
     return run_batch(*prepare(config, pairs, run, set), run, pairs)

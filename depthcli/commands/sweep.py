@@ -35,8 +35,9 @@ def sweep(
     ] = "50MB",
 ) -> int:
     """Run every combination, evaluate all runs, and print the runs by their figure and the effect of every key."""
-    from depthcli.commands._sweep import combinations, parse_axes, run_sweep
+    from depthcli.commands._sweep import Sweep
+    from depthcli.commands._sweep_axes import combinations, parse_axes
 
     source, axes = SceneOptions(input=input, layout=layout, scenes=scenes), parse_axes(over)
     chosen = combinations(axes, random, seed)
-    return run_sweep(command, config, source, run, set or [], axes, chosen, html, html_budget)
+    return Sweep(command, config, set or [], axes, chosen, source, run).run(html, html_budget)

@@ -193,6 +193,8 @@ class RootConfig(ConfigModel):
     was made, is accepted and ignored, so that this file is a config again.
     """
 
+    command: ClassVar[str] = ""
+    """The command, whose presets a config of this class may name."""
     flattened: ClassVar[str] = "pipeline"
 
     plugins: tuple[str, ...] = Field(

@@ -219,11 +219,7 @@ class _Scoring:
 
     def all_results(self, scenes: Sequence[Scene], reporter: Reporter) -> list[MapResult]:
         """Return the results of every scene and run; a line of progress for each scene."""
-        short = [scene.name.rpartition("/")[2] for scene in scenes]
-        names = {
-            scene.name: names_in_run(scene.name, self.truth, short.count(name) == 1)
-            for scene, name in zip(scenes, short, strict=True)
-        }
+        names = names_in_run([scene.name for scene in scenes], self.truth)
         self._recognize_maps(scenes, names)
         for viewer in self.viewers:
             assert self.output is not None

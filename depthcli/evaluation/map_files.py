@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -108,6 +109,11 @@ class MapNaming:
     scale: float | None = None  # codes per unit, of maps of any kind
     invalid: float | None = None  # value that stands for no value
 
+    def over(self, other: MapNaming) -> MapNaming:
+        """Return what this one says, and where it says nothing, what the other does."""
+        invalid = other.invalid if self.invalid is None else self.invalid
+        return MapNaming(self.pattern or other.pattern, self.scale or other.scale, invalid)
+
     def files(self, default: MapFiles) -> MapFiles:
         """Return where the maps of the run lie, ``default`` where no pattern was given."""
         return MapFiles((self.pattern,), ("",)) if self.pattern else default
@@ -153,13 +159,15 @@ def run_names(places: Sequence[Path]) -> list[str]:
     return []
 
 
-def names_in_run(scene: str, folder: Path | None, unique: bool) -> list[str]:
-    """Return the names that a scene of ``folder`` may have in a run folder, the longest form first.
-
-    ``unique``: no other scene has its short name.
-    """
-    of_folder = [] if folder is None else [f"{folder.resolve().name}/{scene}"]
-    return [scene, *of_folder, *([scene.rpartition("/")[2]] if unique else [])]
+def names_in_run(scenes: Sequence[str], folder: Path | None) -> dict[str, list[str]]:
+    """Return the names that each scene of ``folder`` may have in a run folder, the longest form first."""
+    short = {scene: scene.rpartition("/")[2] for scene in scenes}
+    count = Counter(short.values())
+    of_folder = "" if folder is None else f"{folder.resolve().name}/"
+    return {
+        scene: [scene, *([of_folder + scene] if of_folder else []), *([name] if count[name] == 1 else [])]
+        for scene, name in short.items()
+    }
 
 
 def recognized(
@@ -233,7 +241,22 @@ def _map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:
                 yield Path(place, file).relative_to(folder).as_posix()
 
 
-def by_run(
+def given_naming(
+    runs: Mapping[str, Path],
+    pattern_option: str,
+    patterns: Sequence[str] | None,
+    scales: Sequence[str] | None,
+    invalids: Sequence[str] | None,
+) -> tuple[MapNaming, dict[str, MapNaming]]:
+    """Return what the options for names and codes of maps say of all runs, and run -> what they say of it alone."""
+    pattern, own_pattern = _by_run(pattern_option, patterns or (), runs, _pattern_of)
+    scale, own_scale = _by_run("--scale", scales or (), runs, _positive)
+    invalid, own_invalid = _by_run("--invalid", invalids or (), runs, float)
+    own = {run: MapNaming(own_pattern.get(run, ""), own_scale.get(run), own_invalid.get(run)) for run in runs}
+    return MapNaming(pattern or "", scale, invalid), own
+
+
+def _by_run(
     option: str, texts: Sequence[str], runs: Mapping[str, Path], parse: Callable[[str], ValueT]
 ) -> tuple[ValueT | None, dict[str, ValueT]]:
     """Return the value of an option for all runs, or None, and run -> value of those that have their own.
@@ -263,7 +286,7 @@ def by_run(
     return made.pop("", None), made
 
 
-def pattern_of(text: str) -> str:
+def _pattern_of(text: str) -> str:
     """Return the pattern of a run's maps, such as ``{scene}/disparity.tiff``; ValueError where it is none."""
     rest, path = text.replace("{scene}", ""), PurePosixPath(text)
     if not text or "{" in rest or "}" in rest or path.is_absolute() or ".." in path.parts or not path.suffix:
@@ -271,7 +294,7 @@ def pattern_of(text: str) -> str:
     return str(path)
 
 
-def positive(text: str) -> float:
+def _positive(text: str) -> float:
     """Return a number from 1e-6 on; ValueError where it is none."""
     if not 1e-6 <= (value := float(text)) < float("inf"):
         raise ValueError("expected a number from 1e-6 on")

@@ -11,7 +11,7 @@ import pytest
 
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
-from depthcli.commands._sweep import parse_axes
+from depthcli.commands._sweep_axes import parse_axes
 from depthcli.core.config_file import load_config
 from depthcli.run.presets import find_config
 

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from depthcli.commands._sweep import combinations, effects, folder_names, parse_axes, value_text
+from depthcli.commands._sweep_axes import combinations, effects, folder_names, parse_axes, value_text
 from depthcli.core.errors import ConfigError
 
 

@@ -13,7 +13,7 @@ from depthcli.methods.kinect.pipeline import Pipeline
 class RefineKinectConfig(RootConfig):
     """A pipeline and its parameters, side by side."""
 
-    flattened: ClassVar[str] = "pipeline"
+    command: ClassVar[str] = "refine-kinect"
 
     pipeline: Pipeline = Field(description="the data flow from frame to refined depth")
     depth_scale: float | None = Field(

@@ -14,7 +14,7 @@ from depthcli.methods.registration.pipeline.search import RegistrationSearch
 class RegisterConfidenceConfig(RootConfig):
     """A pipeline and its parameters, side by side."""
 
-    flattened: ClassVar[str] = "pipeline"
+    command: ClassVar[str] = "register-confidence"
 
     pipeline: Pipeline = Field(RegistrationSearch(), description="the data flow from registered pair to expected error")
     field: str = Field(

@@ -46,7 +46,7 @@ class Calibration(ConfigModel):
         return {"files": data} if isinstance(data, list) else data
 
 
-class PairConfig(ConfigModel):
+class PairConfig(RootConfig):
     """What the configs of all commands that match pairs have in common."""
 
     max_disparity: _End = Field(
@@ -85,10 +85,10 @@ class PairConfig(ConfigModel):
         return self
 
 
-class StereoConfig(PairConfig, RootConfig):
+class StereoConfig(PairConfig):
     """The config of ``stereo``: a pipeline, whose parameters stand beside its name, and where it runs."""
 
-    flattened: ClassVar[str] = "pipeline"
+    command: ClassVar[str] = "stereo"
 
     pipeline: Pipeline = Field(description="the data flow from image pair to map")
     device: str = Field(

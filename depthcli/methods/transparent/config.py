@@ -14,7 +14,7 @@ from depthcli.methods.transparent.pipeline import Pipeline
 class TransparentConfig(RootConfig):
     """A pipeline and its parameters, side by side."""
 
-    flattened: ClassVar[str] = "pipeline"
+    command: ClassVar[str] = "transparent"
 
     pipeline: Pipeline = Field(description="the data flow from sensor and sparse depth to a dense map")
     stereo: CrossModal | None = Field(

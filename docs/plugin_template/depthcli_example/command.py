@@ -28,6 +28,7 @@ from depthcli.run.console import SIZE
 class ConstantConfig(RootConfig):
     """The config file of the command."""
 
+    command = "constant"
     flattened = ""
 
     disparity: float = Field(5.0, ge=0, le=100, description="disparity of every pixel, pixels")
@@ -56,5 +57,5 @@ def constant(config: ConfigArgument, pairs: PairOptions, run: ScoredRunOptions, 
 
     ``run_batch`` goes through the scenes, with progress, resuming, reports and workers.
     """
-    batch = Constant(config_of("constant", ConstantConfig, config, set))
+    batch = Constant(config_of(ConstantConfig, config, set))
     return run_batch(batch, find_scenes((StereoScene,), pairs, run), run, pairs)

@@ -1,0 +1,141 @@
+"""The combinations of a sweep, the names of their runs, and what their figures say of every key."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import random
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from decimal import Decimal
+from typing import Any, TypeAlias
+
+from depthcli.core.errors import ConfigError
+from depthcli.run.json_csv import Row
+
+Axes: TypeAlias = Mapping[str, Sequence[str]]
+"""Config key -> its values, as texts for ``--set``."""
+
+Combination: TypeAlias = tuple[str, ...]
+"""A value for every key."""
+
+_MAX_VALUES = 10_000  # of one key
+_MAX_RUNS = 100_000
+_MAX_NAME_LENGTH = 120  # characters of a folder's name; file systems take 255
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?"
+
+
+def parse_axes(texts: Sequence[str]) -> dict[str, list[str]]:
+    """Return keys and values of ``key=2,4,8``, ``key=20:40:5`` (20, 25 ... 40) and ``key=[9,7],[11,9]``.
+
+    Raises
+    ------
+    ConfigError
+        Not of that form, or the same key or value twice.
+    """
+    axes: dict[str, list[str]] = {}
+    for text in texts:
+        key, _, rest = (part.strip() for part in text.partition("="))
+        if not key or not rest:
+            raise ConfigError(f"--over {text}: must be KEY=VALUE,VALUE... or KEY=FIRST:LAST:STEP")
+        if re.fullmatch(rf"{_NUMBER}(?::{_NUMBER}){{2}}", rest):
+            first, last, step = map(Decimal, rest.split(":"))
+            count = int((last - first) / step) + 1 if step else 0
+            if not 1 <= count <= _MAX_VALUES:
+                raise ConfigError(f"--over {text}: no numbers from FIRST:LAST:STEP, or more than {_MAX_VALUES}")
+            values = [f"{(first + k * step).normalize():f}" for k in range(count)]
+        else:
+            parts, depth = [""], 0
+            for char in rest:
+                depth += (char in "[{") - (char in "]}")
+                if char == "," and depth <= 0:
+                    parts.append("")
+                else:
+                    parts[-1] += char
+            values = [part.strip() for part in parts]
+        if key in axes or not all(values) or len(set(values)) < len(values):
+            raise ConfigError(f"--over {text}: an empty value, or the same key or value twice")
+        axes[key] = values
+    return axes
+
+
+def combinations(axes: Axes, drawn: int | None = None, seed: int = 0) -> list[Combination]:
+    """Return all combinations, the last key changing fastest, or ``drawn`` random ones in the same order.
+
+    A larger ``drawn`` with the same seed gives the same combinations and more, so that a sweep can be extended.
+    ConfigError where there are too many.
+    """
+    total = math.prod(map(len, axes.values()))
+    if min(total, drawn or total) > _MAX_RUNS:
+        raise ConfigError(f"--over: {min(total, drawn or total)} combinations; draw fewer with --random N")
+    if drawn is None or drawn >= total:
+        return list(itertools.product(*axes.values()))
+    generator, chosen = random.Random(seed), dict[int, None]()
+    while len(chosen) < drawn:
+        chosen[generator.randrange(total)] = None
+    found = []
+    for number in sorted(chosen):
+        values: Combination = ()
+        for each in reversed(list(axes.values())):
+            number, place = divmod(number, len(each))
+            values = (each[place], *values)
+        found.append(values)
+    return found
+
+
+def folder_names(axes: Axes, chosen: Sequence[Combination]) -> list[str]:
+    """Return a folder name per combination, such as ``p2=4,window=9-7``; keys are as short as they can be."""
+    short = []
+    for key in axes:
+        parts = key.split(".")
+        tails = [".".join(parts[-n:]) for n in range(1, len(parts) + 1)]
+        short.append(next(t for t in tails if sum(f".{other}".endswith(f".{t}") for other in axes) == 1))
+    plain = [[re.sub(r"[^\w.+-]+", "-", value).strip("-") or "empty" for value in values] for values in chosen]
+    names = [",".join(f"{key}={value}" for key, value in zip(short, values, strict=True)) for values in plain]
+    counts = Counter(names)
+    for place, (name, values) in enumerate(zip(names, chosen, strict=True)):
+        if counts[name] > 1 or len(name) > _MAX_NAME_LENGTH:
+            # The suffix depends on the values alone, so that an extended sweep finds its earlier runs.
+            suffix = hashlib.sha256("\0".join(values).encode()).hexdigest()[:8]
+            names[place] = f"{name[: _MAX_NAME_LENGTH - 12]}-{suffix}"
+    return names
+
+
+def value_text(config: Mapping[str, Any], key: str) -> str:
+    """Return a resolved config's value of a key as the text that sets it; empty where the config has no such key."""
+    value: Any = config
+    for part in key.split("."):
+        try:
+            value = value[int(part) if isinstance(value, list) else part]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return ""
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+
+
+def effects(axes: Axes, figures: Mapping[Combination, float], larger_is_better: bool = False) -> list[Row]:
+    """Return the effect of every key on the figure, the strongest first; runs whose figure is NaN are left out.
+
+    Returns
+    -------
+    Rows with ``key``; ``spread``, the largest difference between the means of its values; ``share_of_variance`` of the
+    figures that these means explain (first-order effect), 0 to 1; ``values``: ``value``, ``runs``, ``mean``, ``best``.
+    """
+    known = {values: figure for values, figure in figures.items() if not math.isnan(figure)}
+    whole = math.fsum(known.values()) / len(known) if known else math.nan
+    variance = math.fsum((figure - whole) ** 2 for figure in known.values())
+    found: list[Row] = []
+    for number, key in enumerate(axes):
+        rows: list[Row] = []
+        for value in axes[key]:
+            if group := [figure for values, figure in known.items() if values[number] == value]:
+                best = max(group) if larger_is_better else min(group)
+                rows.append({"value": value, "runs": len(group), "mean": math.fsum(group) / len(group), "best": best})
+        means = [row["mean"] for row in rows]
+        between = math.fsum(row["runs"] * (row["mean"] - whole) ** 2 for row in rows)
+        share = between / variance if variance > 0 else math.nan
+        spread = max(means) - min(means) if means else math.nan
+        found.append({"key": key, "spread": spread, "share_of_variance": share, "values": rows})
+    return sorted(found, key=lambda row: math.inf if math.isnan(row["spread"]) else -row["spread"])
