@@ -18,7 +18,8 @@ from depthcli.io.scenes import Scene, SequenceScene
 from depthcli.report.page import Page, RunWithoutTruth
 from depthcli.run.batch import Batch, SceneT
 from depthcli.run.flags import Flags, flag_rows
-from depthcli.run.folder import saved_config, staging_folder
+from depthcli.run.folder import staging_folder
+from depthcli.run.identity import saved_config
 from depthcli.run.json_csv import Row
 
 

@@ -2,10 +2,10 @@
 
 The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a ``batch`` and its scenes from a command:
 
-1. ``folder`` locks the run folder, writes ``run.yaml``, or refuses the folder of another config.
+1. ``folder`` locks the run folder, writes ``run.yaml``, or refuses the folder of another config (``identity``).
 2. ``runner`` digests every file that the scene depends on. Where ``record.json`` of the scene (``records``) has the
    same run and digests, and its files match, it is done, and its row is that of the record.
-3. ``workers`` compute the others: here, in processes (``--jobs``), or on a dask cluster (``--scheduler``). Each calls
+3. ``workers`` compute the others here or in processes (``--jobs``), ``cluster`` on dask (``--scheduler``). Each calls
    ``compute_scene``, which gives the command an empty hidden folder in the run folder, and moves the files to
    ``<run folder>/<scene>``, the record last. Any failure becomes a row with its reason.
 4. ``report`` writes ``report.json`` and ``report.csv`` from the records, whenever a process of the run ends.

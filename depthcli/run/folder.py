@@ -1,4 +1,4 @@
-"""The folder of a run: ``run.yaml``, which says what the run is, and the processes that write into it.
+"""The processes that write into the folder of a run, and their locks.
 
 Processes with the same config may share a folder. Each holds a shared lock of it; the first one is alone and sets the
 folder up while the others wait. A scene is computed by the process that holds its byte of the file of locks. The
@@ -10,21 +10,14 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from importlib import metadata
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 
-from pydantic import BaseModel
-
-from depthcli import __version__
-from depthcli.core.config_file import dump_config
 from depthcli.core.errors import ConfigError, OutputError
-from depthcli.core.registry import Plugin, versions_here
-from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.files import RUN_FILE, write_text
+from depthcli.run.identity import TITLE, holds_results, refusal, saved_config
 from depthcli.run.records import (
     CLAIM_FILE,
     RECORD_FILE,
@@ -36,7 +29,6 @@ from depthcli.run.records import (
     install,
     not_ours,
     read_record,
-    read_text,
     records_below,
     remove_leftovers,
     remove_results,
@@ -51,51 +43,9 @@ REPORT_FILES = ("report.json", "report.csv")
 LEGEND_FILE = "legend.png"
 LOCKS_FILE = ".locks"
 
-# Packages whose versions decide what a run computes; part of the run's identity.
-_LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
-# The first line of a run.yaml begins with this; a file of that name without it is not ours.
-_TITLE = "# Written by depthcli: the resolved config of this run."
 _SETUP_TIMEOUT = 60.0  # seconds that a process waits for another one to set up the folder
 _POLL_SECONDS = 0.05
 _REPORT_BYTE = 0  # of the file of locks; locked while the report is written
-
-
-def run_text(command: str, config: BaseModel | Mapping[str, object], plugins: Iterable[Plugin] = ()) -> str:
-    """Return the text of ``run.yaml``: the resolved config, which can be used as CONFIG again, and all versions."""
-    versions = {"depthcli": __version__, "python": platform.python_version()}
-    for name in _LIBRARIES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            versions[name] = metadata.version(name)
-    run = to_yaml({"run": {"command": command, "versions": versions | versions_here(plugins)}})
-    if isinstance(config, BaseModel):
-        return f"{_TITLE} Repeat it with: depthcli {command} run.yaml ...\n{dump_config(config)}{run}"
-    return f"{_TITLE}\n{to_yaml(dict(config))}{run}"
-
-
-def saved_config(folder: Path) -> str:
-    """Return the text of a run folder's ``run.yaml``; empty where it is missing or cannot be read."""
-    return read_text(folder / RUN_FILE)
-
-
-def refusal(folder: Path, text: str) -> str:
-    """Return why a folder holds another run than ``text``, which only ``--overwrite`` replaces; or empty."""
-    known = saved_config(folder)
-    if not os.path.lexists(folder / RUN_FILE) or known == text or not _holds_results(folder):
-        return ""
-    if not known:
-        return f"holds a run made with another config (its {RUN_FILE} cannot be read)"
-    old, new = known.splitlines(), text.splitlines()
-    removed = [line.strip() for line in old if line not in new and not line.startswith("#")]
-    added = [line.strip() for line in new if line not in old and not line.startswith("#")]
-    changes = f"it says {'; '.join(removed[:3])!r}, this run {'; '.join(added[:3])!r}"
-    return f"holds a run made with another config ({changes})"
-
-
-def _holds_results(folder: Path) -> bool:
-    """Return whether a scene of the run is done, or its record is damaged; evaluations and runs below do not count."""
-    deeper = (path for path in folder.glob(f"*/*/{RECORD_FILE}") if not (path.parents[1] / RUN_FILE).exists())
-    records = (read_record(path.parent) for paths in (folder.glob(f"*/{RECORD_FILE}"), deeper) for path in paths)
-    return any(record is None or (record.scene and record.row.get("status") == "done") for record in records)
 
 
 class FolderLock:
@@ -168,7 +118,7 @@ class FolderLock:
         if (self.alone or not self.locks) and known != text:
             if (reason := refusal(output, text)) and not overwrite:
                 raise ConfigError(f"{output}: {reason}; choose another --output, or --overwrite it")
-            if not known.startswith(_TITLE) and not _holds_results(output):
+            if not known.startswith(TITLE) and not holds_results(output):
                 foreign = [name for name in (RUN_FILE, *REPORT_FILES, LEGEND_FILE) if os.path.lexists(output / name)]
                 if foreign:
                     raise ConfigError(f"{output}: {not_ours(foreign)}")

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from depthcli.io.formats.map_format import format_plugins
 from depthcli.io.inputs import origin
 from depthcli.io.layouts import layout_plugins
 from depthcli.run.batch import Batch, Execution, SceneT
+from depthcli.run.cluster import compute_on_cluster
 from depthcli.run.console import Reporter, WarningCounts
 from depthcli.run.folder import FolderLock
 from depthcli.run.json_csv import Row
@@ -35,7 +36,7 @@ from depthcli.run.records import (
     write_record,
 )
 from depthcli.run.report import write_report
-from depthcli.run.workers import GOES_ON, Task, Work, compute_here, compute_in_processes, compute_on_cluster
+from depthcli.run.workers import GOES_ON, Task, Work, compute_here, compute_in_processes
 
 # Digests that are remembered: calibrations and videos belong to several scenes that follow each other.
 _MAX_REMEMBERED = 16
@@ -120,6 +121,15 @@ class Plan:
         return {} if scene.problem else self.batch.files(scene) | used_files(self.batch.config)
 
 
+@dataclass
+class _Ending:
+    """Why a run ended before all scenes were computed, or without its report."""
+
+    first_failure: bool = False  # with ``fail_fast``
+    disk_full: str = ""  # the disk, and how much is free there
+    no_report: str = ""  # why it cannot be written
+
+
 class _Run:
     """The scenes of one call: rows of the finished scenes, tasks for the others, their results."""
 
@@ -131,54 +141,66 @@ class _Run:
 
     def rows_of_all(self) -> list[Row]:
         """Compute what is not done, write the report, and return the rows in the order of the scenes."""
-        how, reporter, output = self.plan.how, self.reporter, self.plan.output
-        tasks, stopped, disk_full, problem = self._tasks(), False, "", ""
-        todo, work, jobs = self._claimed(tasks), self.plan.work, min(how.jobs, len(tasks))
-        if how.scheduler is not None and tasks:
-            computed = compute_on_cluster(todo, work, reporter, self.plan.workspace)
-        elif jobs > 1:
-            computed = compute_in_processes(todo, work, reporter, jobs)
-        else:
-            computed = compute_here(todo, work, reporter)
+        ending = _Ending()
+        computed = self._computed(self._tasks())
         try:
-            with reporter, contextlib.closing(computed):
-                reporter.start(len(self.scenes), len(self.rows), self.plan.batch.command)
-                for row in computed:
-                    if disk_full := row.get("disk_full", ""):
-                        break
-                    name, failed = row["scene"], row["status"] == "failed"
-                    self.lock.release(name)
-                    if failed:
-                        reporter.error(f"{name}: {row['error']}")
-                    else:
-                        reporter.detail(f"{name}: {sum(row['seconds'].values()):.2f} s")
-                    self._take(row)
-                    reporter.step(failed)
-                    if stopped := how.fail_fast and failed:
-                        break
+            with self.reporter, contextlib.closing(computed):
+                self.reporter.start(len(self.scenes), len(self.rows), self.plan.batch.command)
+                self._collect(computed, ending)
         finally:
             self.warnings.close()
             discard(self.plan.workspace)
             with self.lock.reporting():
                 try:
-                    write_report(output, self.plan.batch.command, self.plan.identity)
+                    write_report(self.plan.output, self.plan.batch.command, self.plan.identity)
                 except OutputError as error:  # a scene that cannot be written reports that itself
-                    problem = str(error)
+                    ending.no_report = str(error)
             if self.lock.last():
-                remove_leftovers(output)
+                remove_leftovers(self.plan.output)
+        self._sum_up(ending)
+        return [self.rows[scene.name] for scene in self.scenes if scene.name in self.rows]
+
+    def _computed(self, tasks: Sequence[Task]) -> Generator[Row, None, None]:
+        """Return what yields the rows of the tasks, computed as the options say."""
+        todo, plan, jobs = self._claimed(tasks), self.plan, min(self.plan.how.jobs, len(tasks))
+        if plan.how.scheduler is not None and tasks:
+            return compute_on_cluster(todo, plan.work, self.reporter, plan.workspace)
+        if jobs > 1:
+            return compute_in_processes(todo, plan.work, self.reporter, jobs)
+        return compute_here(todo, plan.work, self.reporter)
+
+    def _collect(self, computed: Iterable[Row], ending: _Ending) -> None:
+        """Take the rows as they come, until the last one, a full disk, or the first failure with ``fail_fast``."""
+        for row in computed:
+            if "disk_full" in row:
+                ending.disk_full = row["disk_full"]
+                return
+            name, failed = row["scene"], row["status"] == "failed"
+            self.lock.release(name)
+            if failed:
+                self.reporter.error(f"{name}: {row['error']}")
+            else:
+                self.reporter.detail(f"{name}: {sum(row['seconds'].values()):.2f} s")
+            self._take(row)
+            self.reporter.step(failed)
+            if failed and self.plan.how.fail_fast:
+                ending.first_failure = True
+                return
+
+    def _sum_up(self, ending: _Ending) -> None:
+        """Say what was left out, or raise for it."""
         n_failed = sum(row["status"] == "failed" for row in self.rows.values())
         n_all = len({scene.name for scene in self.scenes})
         left = n_all - len(self.rows) - self.n_elsewhere
         counts = f"{len(self.rows) - n_failed} of {n_all} scenes done, {n_failed} failed, {left} not computed"
-        if disk_full:
-            raise OutputError(f"{disk_full}; stopped, {counts}; make room there, {GOES_ON}")
-        if stopped:
-            reporter.info(f"stopped at the first failure, {counts}; {GOES_ON}")
+        if ending.disk_full:
+            raise OutputError(f"{ending.disk_full}; stopped, {counts}; make room there, {GOES_ON}")
+        if ending.first_failure:
+            self.reporter.info(f"stopped at the first failure, {counts}; {GOES_ON}")
         if self.n_elsewhere:
-            reporter.info(f"{self.n_elsewhere} scenes are being computed by other processes")
-        if problem:
-            raise IncompleteError(problem)
-        return [self.rows[scene.name] for scene in self.scenes if scene.name in self.rows]
+            self.reporter.info(f"{self.n_elsewhere} scenes are being computed by other processes")
+        if ending.no_report:
+            raise IncompleteError(ending.no_report)
 
     def _tasks(self) -> list[Task]:
         """Return the tasks of the scenes that are not done; take the rows of the others.

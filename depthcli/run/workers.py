@@ -1,7 +1,7 @@
-"""Scenes computed: in this process, in worker processes of this machine, or by the workers of a dask cluster.
+"""Scenes computed in this process, or in worker processes of this machine (on a cluster: ``cluster``).
 
-All three call :func:`compute_scene`, which computes a scene in a hidden folder and moves the files into its own folder,
-the record last. Whatever fails becomes a row with its reason; a worker process that is killed costs one scene at most.
+:func:`compute_scene` computes a scene in a hidden folder and moves the files into its own folder, the record last.
+Whatever fails becomes a row with its reason; a worker process that is killed costs one scene at most.
 """
 
 from __future__ import annotations
@@ -9,18 +9,15 @@ from __future__ import annotations
 import contextlib
 import errno
 import fnmatch
-import logging
 import multiprocessing
 import os
-import pickle
 import shutil
 import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass, replace
-from functools import cache
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from multiprocessing import connection, resource_tracker
 from pathlib import Path
 from typing import Any
@@ -28,7 +25,7 @@ from typing import Any
 import cv2
 
 from depthcli.core import memory
-from depthcli.core.errors import ConfigError, DepthcliError, IncompleteError, OutputError
+from depthcli.core.errors import DepthcliError, OutputError
 from depthcli.core.registry import Plugin
 from depthcli.core.result import Clock
 from depthcli.core.scene import computing
@@ -39,9 +36,9 @@ from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, se
 from depthcli.run import resources
 from depthcli.run.batch import Execution, Outcome
 from depthcli.run.console import Reporter, silence_warnings
-from depthcli.run.folder import run_text
+from depthcli.run.identity import run_text
 from depthcli.run.json_csv import Row
-from depthcli.run.records import Record, digest, digests_below, file_digest, install, record_failure
+from depthcli.run.records import Record, digest, digests_below, install, record_failure
 
 BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
@@ -50,9 +47,6 @@ GOES_ON = "the same command goes on where it stopped"
 _MAX_TRACE_NAME = 200  # bytes of a scene's name in that of its traceback; a file's name has 255
 _HEAD_START = 1.0  # seconds in which the first worker can show that kernels have to be compiled
 _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up the memory
-_CONNECT_TIMEOUT = "20s"
-_RUNNING_FILE = "goes-on"  # in the hidden folder of a run; workers of a cluster stop when it is gone
-_cluster_lock = threading.Lock()  # threads of one worker of a cluster share kernels and buffers
 
 
 @dataclass(frozen=True)
@@ -100,6 +94,13 @@ class Task:
             name = f"{name[:40]}-{digest(os.fsencode(name))[:16]}"
         return self.output / f"traceback-{name}.txt"
 
+    def done(self, outcome: Outcome, used: Mapping[str, float], warnings: Sequence[str]) -> Row:
+        """Return the row of the report for a scene that was computed, by programs that ``used`` time and memory."""
+        row: Row = {"scene": self.scene.name, "status": "done", "error": "", **outcome.facts}
+        row["seconds"] = {name: round(value, 6) for name, value in outcome.seconds.items()}
+        row |= {"peak_memory": resources.peak_memory(), **used, "source": self.source}
+        return row | {"warnings": list(dict.fromkeys([*outcome.warnings, *warnings]))}
+
     def failed(self, error: str) -> Row:
         """Return the row of the report for a scene that failed."""
         row: Row = {"scene": self.scene.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None}
@@ -131,15 +132,9 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
             opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
             with computing(task.scene.name, limit) as programs:
                 outcome = work.compute(task.scene, task.hidden, limit)
-            for path in [path for path in task.hidden.rglob("*") if path.is_file()] if work.how.keep else []:
-                names = path.relative_to(task.hidden).as_posix(), path.name
-                if not any(fnmatch.fnmatchcase(name, pattern) for pattern in work.how.keep for name in names):
-                    path.unlink()
-            row: Row = {"scene": task.scene.name, "status": "done", "error": "", **outcome.facts}
-            row["seconds"] = {name: round(value, 6) for name, value in outcome.seconds.items()}
-            row |= {"peak_memory": resources.peak_memory(), **programs.used, "source": task.source}
-            row["warnings"] = list(dict.fromkeys([*outcome.warnings, *lines]))
+            row = task.done(outcome, programs.used, lines)
             try:
+                _keep_only(work.how.keep, task.hidden)
                 files = digests_below(task.hidden)
                 if not _is_open(task.hidden, opened):
                     raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
@@ -162,6 +157,14 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
         with contextlib.suppress(OSError):  # the files of this scene have been deleted by now
             row["disk_full"] += f" ({show_bytes(shutil.disk_usage(place).free)} free on that disk)"
     return row
+
+
+def _keep_only(patterns: Sequence[str], folder: Path) -> None:
+    """Delete the files whose name or path matches none of the patterns; without patterns all stay."""
+    for path in [path for path in folder.rglob("*") if path.is_file()] if patterns else []:
+        names = path.relative_to(folder).as_posix(), path.name
+        if not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns for name in names):
+            path.unlink()
 
 
 def _failed_row(task: Task, error: Exception) -> Row:
@@ -199,7 +202,7 @@ def use_threads(count: int) -> None:
     cv2.setNumThreads(count)
 
 
-def _counted(task: Task, work: Work, limit: int, watch: CompileWatch) -> tuple[Row, int, float]:
+def counted(task: Task, work: Work, limit: int, watch: CompileWatch) -> tuple[Row, int, float]:
     """Compute a scene; return its row, the number of kernels that were compiled for it, and their seconds."""
     Clock.untimed = staticmethod(compile_seconds)  # no measured time contains a compilation
     kernels, seconds = watch.calls, watch.seconds
@@ -211,7 +214,8 @@ def _announce_compilation(reporter: Reporter) -> None:
     reporter.once("first use of these settings here: compiling kernels for this machine (once; they are kept) ...")
 
 
-def _report_compilation(reporter: Reporter, kernels: int, seconds: float) -> None:
+def report_compilation(reporter: Reporter, kernels: int, seconds: float) -> None:
+    """Say how many kernels were compiled, if any."""
     if kernels:
         kept = f", kept in {cache_folder()}" if cache_folder() else ""
         reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s{kept}")
@@ -222,8 +226,8 @@ def compute_here(tasks: Iterable[Task], work: Work, reporter: Reporter) -> Gener
     use_threads(work.how.threads_each())
     with CompileWatch(lambda _: _announce_compilation(reporter)) as watch:
         for task in tasks:
-            row, kernels, seconds = _counted(task, work, work.how.memory_each(), watch)
-            _report_compilation(reporter, kernels, seconds)
+            row, kernels, seconds = counted(task, work, work.how.memory_each(), watch)
+            report_compilation(reporter, kernels, seconds)
             yield row
 
 
@@ -291,7 +295,7 @@ def compute_in_processes(
                 else:
                     row, kernels, seconds = message
                     worker.task, alone_until = None, 0.0
-                    _report_compilation(reporter, kernels, seconds)
+                    report_compilation(reporter, kernels, seconds)
                     yield row
     finally:
         del os.environ["NUMBA_NUM_THREADS"]
@@ -352,125 +356,4 @@ def _serve(pipe: connection.Connection, work: Work) -> None:
             task = pipe.recv()
             pipe.send("begun")
             shutil.rmtree(task.hidden, ignore_errors=True)  # left by a worker that died
-            pipe.send(_counted(task, work, limit, watch))
-
-
-def compute_on_cluster(
-    tasks: Iterable[Task], work: Work, reporter: Reporter, workspace: Path
-) -> Generator[Row, None, None]:
-    """Yield the rows of the tasks, computed by the workers of a dask.distributed cluster, as they are finished.
-
-    The workers must have the same file system at the same paths. A scene whose worker dies is computed by another one.
-
-    Raises
-    ------
-    ConfigError
-        No dask.distributed, no scheduler at that address, or workers with another depthcli or another file system.
-    IncompleteError
-        The connection to the scheduler was lost.
-    """
-    address = work.how.scheduler or ""
-    lost = f"{address}: the scheduler was lost; {GOES_ON}"
-    if files := sorted({plugin.package for plugin in work.plugins if plugin.is_file}):
-        raise ConfigError(f"--scheduler: {', '.join(files)}: workers have no plug-in files; install it as a package")
-    workspace.mkdir(parents=True, exist_ok=True)
-    (workspace / _RUNNING_FILE).touch()
-    client, wait = _connected(address)
-    waiting, running, n_workers = iter(tasks), dict[Any, Task](), -1
-    try:
-        while True:
-            with contextlib.suppress(OSError, TimeoutError):  # the scheduler was just lost
-                found = len(client.scheduler_info(n_workers=-1)["workers"])
-                if n_workers < 0:
-                    reporter.info(f"{found} workers at {address}" + ("" if found else "; waiting for some"))
-                n_workers = found
-            while client.status == "running" and len(running) < 2 * max(n_workers, 1):
-                if (task := next(waiting, None)) is None:
-                    break
-                data = pickle.dumps((task, work, _identity_here(work), os.getcwd()))
-                running[client.submit(_compute_there, data, pure=False)] = task
-            if not running:
-                return
-            with contextlib.suppress(Exception):  # nothing has ended yet, or the scheduler is lost
-                wait(list(running), timeout=1, return_when="FIRST_COMPLETED")
-            for future in [future for future in running if future.status in ("finished", "error")]:
-                task = running.pop(future)
-                error = future.exception() if future.status == "error" else None
-                if error is None:
-                    row, kernels, seconds = future.result()
-                    _report_compilation(reporter, kernels, seconds)
-                elif type(error).__name__ == "KilledWorker":
-                    row = task.died("its worker died several times, probably out of memory; see --max-memory", work)
-                else:
-                    reason = (str(error).splitlines() or [type(error).__name__])[0][:300]
-                    if not isinstance(error, ConfigError):
-                        reason = f"its workers have no such depthcli, or not its plug-ins ({reason})"
-                    raise ConfigError(f"{address}: {reason}") from error
-                yield row
-            if client.status != "running":
-                raise IncompleteError(lost)
-    except OSError as error:  # of any call of the client
-        raise IncompleteError(lost) from error
-    finally:
-        (workspace / _RUNNING_FILE).unlink(missing_ok=True)
-        with contextlib.suppress(Exception):  # the scheduler may be gone
-            if client.status == "running":
-                client.cancel(list(running))
-            client.close(timeout=2)
-
-
-def _connected(address: str) -> tuple[Any, Any]:
-    """Return a client of the scheduler, and the function that waits for its futures."""
-    try:
-        import dask
-        import distributed
-        from distributed.comm.addressing import resolve_address
-    except ImportError as error:
-        raise ConfigError(f"--scheduler needs dask.distributed: pip install 'depthcli[cluster]' ({error})") from error
-    for name in [*logging.root.manager.loggerDict, "asyncio"]:  # problems are reported in one line
-        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    dask.config.set({"distributed.comm.timeouts.connect": "10s"})
-    client = distributed.Client.__new__(distributed.Client)
-    try:
-        resolve_address(address)  # an address without port or host would be tried for long
-        distributed.Client.__init__(client, address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        client.status = "closed"  # its destructor would wait for what never began
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ConfigError(f"--scheduler {address}: no scheduler answers there ({reason})") from error
-    return client, distributed.wait
-
-
-def _compute_there(data: bytes) -> tuple[Row, int, float]:
-    """Compute a scene on a worker of a cluster; return its row, the number of compiled kernels and their seconds."""
-    from distributed import get_worker
-
-    worker = get_worker()
-    task, work, identity, folder = pickle.loads(data)
-    if identity != _identity_here(work):
-        raise ConfigError(
-            f"worker {worker.address} has another depthcli, or other versions of Python, its libraries or plug-ins, "
-            f"than this machine; end it or install the same there; {GOES_ON}"
-        )
-    with _cluster_lock, CompileWatch(lambda _: None) as watch:
-        os.chdir(folder)  # paths may be relative to where the run was started
-        running = task.hidden.parent / _RUNNING_FILE
-        if not running.exists():  # or the run has ended meanwhile
-            raise ConfigError(f"worker {worker.address} does not see {running}; all need a common file system")
-        use_threads(work.how.threads or worker.state.nthreads)
-        # A worker that was believed to be dead may still compute the scene in its own folder.
-        own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
-        return _counted(own, work, work.how.max_memory or resources.available_memory(), watch)
-
-
-def _identity_here(work: Work) -> str:
-    """Return a digest of the run with the versions, and of the sources of depthcli, of this process."""
-    return work.identity + _sources()
-
-
-@cache
-def _sources() -> str:  # once a process: code that was loaded stays when its file changes
-    folder = Path(__file__).parent.parent
-    files = sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".cl", ".json"))
-    return digest("".join(f"{path.relative_to(folder)} {file_digest(path)}" for path in files).encode())
+            pipe.send(counted(task, work, limit, watch))

@@ -1,0 +1,148 @@
+"""Scenes computed by the workers of a dask.distributed cluster."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import pickle
+import threading
+import time
+from collections.abc import Generator, Iterable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from depthcli.core.errors import ConfigError, IncompleteError
+from depthcli.kernels.jit import CompileWatch
+from depthcli.run import resources
+from depthcli.run.console import Reporter
+from depthcli.run.json_csv import Row
+from depthcli.run.records import digest, file_digest
+from depthcli.run.workers import GOES_ON, Task, Work, counted, report_compilation, use_threads
+
+_CONNECT_TIMEOUT = "20s"
+_RUNNING_FILE = "goes-on"  # in the hidden folder of a run; workers stop when it is gone
+_lock = threading.Lock()  # threads of one worker share kernels and buffers
+
+
+def compute_on_cluster(
+    tasks: Iterable[Task], work: Work, reporter: Reporter, workspace: Path
+) -> Generator[Row, None, None]:
+    """Yield the rows of the tasks, computed by the workers of a dask.distributed cluster, as they are finished.
+
+    The workers must have the same file system at the same paths. A scene whose worker dies is computed by another one.
+
+    Raises
+    ------
+    ConfigError
+        No dask.distributed, no scheduler at that address, or workers with another depthcli or another file system.
+    IncompleteError
+        The connection to the scheduler was lost.
+    """
+    address = work.how.scheduler or ""
+    lost = f"{address}: the scheduler was lost; {GOES_ON}"
+    if files := sorted({plugin.package for plugin in work.plugins if plugin.is_file}):
+        raise ConfigError(f"--scheduler: {', '.join(files)}: workers have no plug-in files; install it as a package")
+    workspace.mkdir(parents=True, exist_ok=True)
+    (workspace / _RUNNING_FILE).touch()
+    client, wait = _connected(address)
+    waiting, running, n_workers = iter(tasks), dict[Any, Task](), -1
+    try:
+        while True:
+            with contextlib.suppress(OSError, TimeoutError):  # the scheduler was just lost
+                found = len(client.scheduler_info(n_workers=-1)["workers"])
+                if n_workers < 0:
+                    reporter.info(f"{found} workers at {address}" + ("" if found else "; waiting for some"))
+                n_workers = found
+            while client.status == "running" and len(running) < 2 * max(n_workers, 1):
+                if (task := next(waiting, None)) is None:
+                    break
+                data = pickle.dumps((task, work, _identity_here(work), os.getcwd()))
+                running[client.submit(_compute_there, data, pure=False)] = task
+            if not running:
+                return
+            with contextlib.suppress(Exception):  # nothing has ended yet, or the scheduler is lost
+                wait(list(running), timeout=1, return_when="FIRST_COMPLETED")
+            for future in [future for future in running if future.status in ("finished", "error")]:
+                task = running.pop(future)
+                error = future.exception() if future.status == "error" else None
+                if error is None:
+                    row, kernels, seconds = future.result()
+                    report_compilation(reporter, kernels, seconds)
+                elif type(error).__name__ == "KilledWorker":
+                    row = task.died("its worker died several times, probably out of memory; see --max-memory", work)
+                else:
+                    reason = (str(error).splitlines() or [type(error).__name__])[0][:300]
+                    if not isinstance(error, ConfigError):
+                        reason = f"its workers have no such depthcli, or not its plug-ins ({reason})"
+                    raise ConfigError(f"{address}: {reason}") from error
+                yield row
+            if client.status != "running":
+                raise IncompleteError(lost)
+    except OSError as error:  # of any call of the client
+        raise IncompleteError(lost) from error
+    finally:
+        (workspace / _RUNNING_FILE).unlink(missing_ok=True)
+        with contextlib.suppress(Exception):  # the scheduler may be gone
+            if client.status == "running":
+                client.cancel(list(running))
+            client.close(timeout=2)
+
+
+def _connected(address: str) -> tuple[Any, Any]:
+    """Return a client of the scheduler, and the function that waits for its futures."""
+    try:
+        import dask
+        import distributed
+        from distributed.comm.addressing import resolve_address
+    except ImportError as error:
+        raise ConfigError(f"--scheduler needs dask.distributed: pip install 'depthcli[cluster]' ({error})") from error
+    for name in [*logging.root.manager.loggerDict, "asyncio"]:  # problems are reported in one line
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    dask.config.set({"distributed.comm.timeouts.connect": "10s"})
+    client = distributed.Client.__new__(distributed.Client)
+    try:
+        resolve_address(address)  # an address without port or host would be tried for long
+        distributed.Client.__init__(client, address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        client.status = "closed"  # its destructor would wait for what never began
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ConfigError(f"--scheduler {address}: no scheduler answers there ({reason})") from error
+    return client, distributed.wait
+
+
+def _compute_there(data: bytes) -> tuple[Row, int, float]:
+    """Compute a scene on a worker of a cluster; return its row, the number of compiled kernels and their seconds."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    task, work, identity, folder = pickle.loads(data)
+    if identity != _identity_here(work):
+        raise ConfigError(
+            f"worker {worker.address} has another depthcli, or other versions of Python, its libraries or plug-ins, "
+            f"than this machine; end it or install the same there; {GOES_ON}"
+        )
+    with _lock, CompileWatch(lambda _: None) as watch:
+        os.chdir(folder)  # paths may be relative to where the run was started
+        running = task.hidden.parent / _RUNNING_FILE
+        if not running.exists():  # or the run has ended meanwhile
+            raise ConfigError(f"worker {worker.address} does not see {running}; all need a common file system")
+        use_threads(work.how.threads or worker.state.nthreads)
+        # A worker that was believed to be dead may still compute the scene in its own folder.
+        own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
+        return counted(own, work, work.how.max_memory or resources.available_memory(), watch)
+
+
+def _identity_here(work: Work) -> str:
+    """Return a digest of the run with the versions, and of the sources of depthcli, of this process."""
+    return work.identity + _sources()
+
+
+@cache
+def _sources() -> str:  # once a process: code that was loaded stays when its file changes
+    folder = Path(__file__).parent.parent
+    files = sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".cl", ".json"))
+    return digest("".join(f"{path.relative_to(folder)} {file_digest(path)}" for path in files).encode())
