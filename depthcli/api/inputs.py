@@ -15,8 +15,8 @@ from pydantic import BaseModel
 from depthcli.core import config_file
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
-from depthcli.core.method import RootConfig
 from depthcli.core.result import Clock
+from depthcli.core.root_config import RootConfig
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.images import pair_of
 from depthcli.kernels.jit import compile_seconds, one_at_a_time

@@ -11,7 +11,8 @@ from pydantic import BaseModel
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import InputError
-from depthcli.core.method import RootConfig, used_files
+from depthcli.core.method import used_files
+from depthcli.core.root_config import RootConfig
 from depthcli.core.text import one_line, show_bytes
 from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.pictures import write_legend

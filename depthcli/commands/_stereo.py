@@ -10,10 +10,10 @@ from depthcli.api.matching import device_of, with_address
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._pairs import MatchPairs, pair_config
 from depthcli.commands._scenes import find_scenes
-from depthcli.core.method import device_implementation_of
 from depthcli.device import Device
 from depthcli.io.scenes import StereoScene
 from depthcli.methods.stereo.config import StereoConfig
+from depthcli.methods.stereo.on_device import device_implementation_of
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.json_csv import Row
 

@@ -159,23 +159,27 @@ def _put(config: ConfigData, key: str, value: Any, place: str, defaults: Any) ->
         raise ConfigError(f"{place}: expected the name of a key, such as cost.window (got {short(key)})")
     inside: Any = config.data
     for depth, part in enumerate(location):
-        at = _dotted(location[:depth])
-        if isinstance(inside, list):
-            if not isinstance(part, int) or part >= len(inside):
-                raise ConfigError(f"{place}: {at} is a list of {len(inside)}; expected an index (got {part!r})")
-        elif not isinstance(inside, dict):
-            raise ConfigError(f"{place}: {at} is a single value, nothing can be set below it")
-        if depth == len(location) - 1:
-            inside[part] = value
-            break
-        below = inside.get(part) if isinstance(inside, dict) else inside[part]
-        defaults = defaults.get(part) if isinstance(defaults, dict) else None
-        if below is None:
-            below = copy.deepcopy(defaults) if isinstance(defaults, dict | list) else {}
-        elif isinstance(below, str):  # a method written by its name alone: the key goes into its parameters
-            below = {"method": below}
-        inside[part] = inside = below
+        if depth > 0:
+            defaults = defaults.get(location[depth - 1]) if isinstance(defaults, dict) else None
+            inside = _step_into(inside, location[depth - 1], defaults)
+        if isinstance(inside, list) and not (isinstance(part, int) and part < len(inside)):
+            at = _dotted(location[:depth])
+            raise ConfigError(f"{place}: {at} is a list of {len(inside)}; expected an index (got {part!r})")
+        if not isinstance(inside, dict | list):
+            raise ConfigError(f"{place}: {_dotted(location[:depth])} is a single value, nothing can be set below it")
+    inside[location[-1]] = value
     config.places = {at: of for at, of in config.places.items() if at[: len(location)] != location} | {location: place}
+
+
+def _step_into(inside: Any, part: str | int, default: Any) -> Any:
+    """Return what a key of a mapping, or an index of a list, holds, as something that keys can be set in."""
+    below = inside.get(part) if isinstance(inside, dict) else inside[part]
+    if below is None:
+        below = copy.deepcopy(default) if isinstance(default, dict | list) else {}
+    elif isinstance(below, str):  # a method written by its name alone: the key goes into its parameters
+        below = {"method": below}
+    inside[part] = below
+    return below
 
 
 # What pydantic says, with the place in the file.

@@ -9,9 +9,7 @@ else is edited. Installed packages and files of users add methods, too (see ``re
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from collections.abc import Iterable, Iterator, Mapping
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, cast
 
@@ -20,7 +18,6 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
-    Field,
     ModelWrapValidatorHandler,
     SerializeAsAny,
     SerializerFunctionWrapHandler,
@@ -167,68 +164,6 @@ def method_of(package: str, key: str = "method") -> Any:
         return family.parse(value, info.context)
 
     return (BeforeValidator(parse), cast(Any, SerializeAsAny)())
-
-
-def device_implementation_of(method: object) -> Any | None:
-    """Return the function that does on a device what ``method`` does; None where the method has none.
-
-    It lies in the package ``_device`` of the method's family and has the method's name.
-    """
-    family, _, name = type(method).__module__.rpartition(".")
-    return getattr(_device_package(family), name, None)
-
-
-@cache
-def _device_package(family: str) -> Any | None:
-    found = family and importlib.util.find_spec(f"{family}._device")
-    return importlib.import_module(f"{family}._device") if found else None
-
-
-class RootConfig(ConfigModel):
-    """Base of a command's config, whose field named ``flattened`` holds a method written at the root of the file.
-
-    ``{pipeline: local, cost: census, max_disparity: 60}`` reads as the field ``max_disparity`` of the command and a
-    pipeline with its field ``cost``. Where the field has a default, a file that names no method has that one. A config
-    whose ``flattened`` is empty has no such field. The key ``run``, which a run folder's ``run.yaml`` adds about how it
-    was made, is accepted and ignored, so that this file is a config again.
-    """
-
-    command: ClassVar[str] = ""
-    """The command, whose presets a config of this class may name."""
-    flattened: ClassVar[str] = "pipeline"
-
-    plugins: tuple[str, ...] = Field(
-        default=(), description="Python files with methods of your own, beside this file; --plugin names one elsewhere."
-    )
-    run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _gather(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or not cls.flattened:
-            return data
-        default = cls.model_fields[cls.flattened].default
-        name = data.get(cls.flattened, default.method_name() if isinstance(default, Method) else None)
-        if isinstance(name, BaseModel):
-            return data
-        fields = cls.model_fields.keys() - {cls.flattened}
-        if isinstance(data.get("run"), str | list):  # not what a run.yaml says, but the method's
-            fields -= {"run"}
-        own = {key: value for key, value in data.items() if key in fields}
-        if name is None and cls.flattened not in data:
-            return own
-        rest = {key: value for key, value in data.items() if key not in fields and key != cls.flattened}
-        return {**own, cls.flattened: {**rest, cls.flattened: name} if isinstance(name, str) else name}
-
-    @model_serializer(mode="wrap")
-    def _flatten(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        fields: dict[str, Any] = handler(self)
-        if not fields["plugins"]:
-            del fields["plugins"]
-        if not self.flattened:
-            return fields
-        method = fields.pop(self.flattened)
-        return {self.flattened: method.pop(self.flattened), **fields, **method}
 
 
 def used_files(value: Any) -> dict[str, Path]:

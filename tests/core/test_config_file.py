@@ -12,7 +12,7 @@ from pydantic import Field
 
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError
-from depthcli.core.method import RootConfig
+from depthcli.core.root_config import RootConfig
 from depthcli.core.yaml_source import parse_config, read_config
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.config import StereoConfig

@@ -9,7 +9,7 @@ import pytest
 
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.core.method import Family, device_implementation_of
+from depthcli.core.method import Family
 from depthcli.device import Kernels, open_device
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
@@ -22,7 +22,14 @@ from depthcli.methods.stereo.cost.gradient import Gradient
 from depthcli.methods.stereo.cost.rank import Rank
 from depthcli.methods.stereo.cost.zncc import Zncc
 from depthcli.methods.stereo.matching import Limits, match
-from depthcli.methods.stereo.on_device import DeviceContext, DeviceMap, DevicePair, DeviceVolume, run_stage
+from depthcli.methods.stereo.on_device import (
+    DeviceContext,
+    DeviceMap,
+    DevicePair,
+    DeviceVolume,
+    device_implementation_of,
+    run_stage,
+)
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill

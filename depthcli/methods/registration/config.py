@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from depthcli.core.method import RootConfig
+from depthcli.core.root_config import RootConfig
 from depthcli.methods.registration.pipeline import Pipeline
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 

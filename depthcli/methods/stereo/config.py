@@ -7,7 +7,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from depthcli.core.method import ConfigModel, RootConfig
+from depthcli.core.method import ConfigModel
+from depthcli.core.root_config import RootConfig
 from depthcli.methods.stereo.matching import TileMode
 from depthcli.methods.stereo.pipeline import Pipeline
 

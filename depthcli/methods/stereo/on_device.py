@@ -8,16 +8,17 @@ context)``.
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
-from depthcli.core.method import device_implementation_of
 from depthcli.device import Device, DeviceArray, Kernels
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, RefinementContext, as_fixed_point
 
@@ -170,6 +171,21 @@ def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, in
     while lanes < min(n_disparities, 64):
         lanes *= 2
     return (n_disparities, width, height), (lanes, 256 // lanes, 1)
+
+
+def device_implementation_of(method: object) -> Any | None:
+    """Return the function that does on a device what ``method`` does; None where the method has none.
+
+    It lies in the package ``_device`` of the method's family and has the method's name.
+    """
+    family, _, name = type(method).__module__.rpartition(".")
+    return getattr(_device_package(family), name, None)
+
+
+@cache
+def _device_package(family: str) -> Any | None:
+    found = family and importlib.util.find_spec(f"{family}._device")
+    return importlib.import_module(f"{family}._device") if found else None
 
 
 def run_stage(stage: object, *arguments: Any) -> Any:

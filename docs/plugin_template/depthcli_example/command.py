@@ -17,7 +17,7 @@ from depthcli.commands._batch import config_of, run_batch
 from depthcli.commands._options import PairOptions, ScoredRunOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.commands._shared_options import ConfigArgument, SetOption
-from depthcli.core.method import RootConfig
+from depthcli.core.root_config import RootConfig
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from depthcli.core.method import device_implementation_of
 from depthcli.core.result import Clock
 from depthcli.device import DeviceArray, Kernels
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps
-from depthcli.methods.stereo.on_device import DeviceContext, DeviceMap, DevicePair, DeviceVolume, run_stage
+from depthcli.methods.stereo.on_device import (
+    DeviceContext,
+    DeviceMap,
+    DevicePair,
+    DeviceVolume,
+    device_implementation_of,
+    run_stage,
+)
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.volume import StereoResult
 
