@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from depthcli.api.results import PointCloud, chosen_pixels, parse_mask, write_depth
 from depthcli.commands._clouds import check_limits, empty_cloud
@@ -86,19 +87,18 @@ class ToDepth(Batch[DisparityScene]):
         disparity = read_disparity(scene.disparity)
         height, width = disparity.shape
         geometry = self._geometry(scene, disparity.shape).for_size(width, height)
-        status, image = np.zeros(disparity.shape, np.uint8), None
-        if scene.status is not None:
-            status = read_status(scene.status)
-            check_same_size(scene.status, status.shape, scene.disparity, disparity.shape)
-        confidence = {}
-        for name, file in scene.confidence.items() if (config["mask"] or "").startswith("confident") else ():
-            confidence[name] = read_pfm(file)
-            check_same_size(file, confidence[name].shape, scene.disparity, disparity.shape)
-        if config["ply"]:
-            if scene.left is None:
-                raise InputError(f"{scene.folder}: the left image is missing, which colors a point cloud; give --input")
-            image = color8(read_image(scene.left))
-            check_same_size(scene.left, image.shape, scene.disparity, disparity.shape)
+
+        def read(reader: Callable[[Path], NDArray[Any]], file: Path) -> NDArray[Any]:
+            values = reader(file)
+            check_same_size(file, values.shape, scene.disparity, disparity.shape)
+            return values
+
+        status = np.zeros(disparity.shape, np.uint8) if scene.status is None else read(read_status, scene.status)
+        ranked = (config["mask"] or "").startswith("confident")
+        confidence = {name: read(read_pfm, file) for name, file in scene.confidence.items() if ranked}
+        if config["ply"] and scene.left is None:
+            raise InputError(f"{scene.folder}: the left image is missing, which colors a point cloud; give --input")
+        image = color8(read(read_image, scene.left)) if config["ply"] and scene.left is not None else None
         clock.start("depth")
         matched = DisparityMap(disparity, status)
         with naming(scene.folder):
@@ -159,16 +159,15 @@ def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such run folder or map")
     rows = {name: row for name, row in read_report(run).items() if is_inside(name)}
-    there = {name for name in rows if os.path.isfile(run / name / _MAP)}
-    files = [*run.glob(f"*/{_MAP}"), *run.glob(f"*/*/{_MAP}")]
-    there |= {file.parent.relative_to(run).as_posix() for file in files}
+    files = [*(run / name / _MAP for name in rows), *run.glob(f"*/{_MAP}"), *run.glob(f"*/*/{_MAP}")]
+    there = {file.parent.relative_to(run).as_posix() for file in files if os.path.isfile(file)}
     names = [name for name in sorted(there) if not name.startswith(".") and matches_any(name, patterns)]
     if not names:
         raise InputError(f"{run}: no {'scene matches' if there else 'disparity maps there'} (SCENE/{_MAP})")
     sources = {name: local(source) for name in names if (source := rows.get(name, {}).get("source"))}
-    inputs: dict[str, Scene]
     if maps.input is not None:
-        inputs = {scene.name: scene for scene in scenes_at(maps.input, (StereoScene,), maps.layout, ["*"], reporter)}
+        pairs = scenes_at(maps.input, (StereoScene,), maps.layout, ["*"], reporter)
+        inputs = {scene.name: cast(Scene, scene) for scene in pairs}
     else:
         known = scenes_with_files(sources.values())
         inputs = {name: known[source] for name, source in sources.items() if source in known}

@@ -146,8 +146,10 @@ class MatchPairs(Batch[StereoScene]):
                     current_scene().originals = pair, (scene.left, scene.right)
             else:
                 clock.start("rectify")
-                pair, save, facts, warnings = rectified_pair(config.calibration, scene, folder)
-                saved = side_work.enter_context(ThreadPoolExecutor(1)).submit(save)  # while the pair is matched
+                rectified = rectified_pair(config.calibration, scene)
+                pair, facts, warnings = rectified.pair, rectified.facts, rectified.warnings
+                # While the pair is matched:
+                saved = side_work.enter_context(ThreadPoolExecutor(1)).submit(rectified.save, folder)
                 side_work.callback(saved.result)
             found = match_pair(matcher, pair, self.given_range(scene), limits, clock, known)
         clock.start("save")

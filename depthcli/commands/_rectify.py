@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,18 +115,13 @@ class Rectify(Batch[StereoScene]):
         *views, overlap = found.images(left, right)
         rows, warnings = ({}, []) if points is None else _row_errors(points, found)
         clock.start("save")
-        facts: Row = {"width": found.size[0], "height": found.size[1], **rows}
-        facts["overlap"] = round(float(np.mean(overlap)), 6)
         search: Row = {}
         try:
-            shared = sequence_range(self.calibration, frames) if frames else None
-            alike = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
-            pair = StereoPair(views[0], views[1]) if alike else StereoPair(_grey8(views[0]), _grey8(views[1]))
-            span = (shared or range_of_key_points(pair)).suggested
-            search = {"min_disparity": span.min_disparity, "max_disparity": span.max_disparity}
+            search = self._search_range(frames, views)
         except InputError as error:
             warnings.append(str(error))
-        facts |= search
+        facts: Row = {"width": found.size[0], "height": found.size[1], **rows}
+        facts |= {"overlap": round(float(np.mean(overlap)), 6), **search}
         if isinstance(found, RectifiedRig):
             facts |= {"focal": found.geometry.left.fx, "baseline": found.geometry.baseline}
             write_geometry(folder / "calib.txt", found.geometry, search.get("max_disparity"))
@@ -136,6 +131,14 @@ class Rectify(Batch[StereoScene]):
         write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
         return Outcome(facts, clock.seconds, warnings)
 
+    def _search_range(self, frames: tuple[StereoScene, ...], views: list[NDArray[Any]]) -> Row:
+        """Return the range of disparities that key points of the frames, or else of the views, suggest."""
+        alike = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
+        pair = StereoPair(*(views if alike else map(_grey8, views)))
+        shared = sequence_range(self.calibration, frames) if frames else None
+        span = (shared or range_of_key_points(pair)).suggested
+        return {"min_disparity": span.min_disparity, "max_disparity": span.max_disparity}
+
 
 def calibration_files(calibration: Calibration | None) -> dict[str, Path]:
     """Return role -> file of a calibration; None has none."""
@@ -143,13 +146,23 @@ def calibration_files(calibration: Calibration | None) -> dict[str, Path]:
     return {f"calibration_{k}": Path(name) for k, name in enumerate(names)}
 
 
-def rectified_pair(
-    calibration: Calibration, scene: StereoScene, folder: Path
-) -> tuple[StereoPair, Callable[[], None], Row, list[str]]:
-    """Return the rectified pair, what writes its left image and calibration, facts for the report, and warnings.
+class RectifiedPair(NamedTuple):
+    """A pair that a calibration made rectified, with facts and warnings for the report."""
 
-    Rows are compared in single pairs and the first frames of sequences: the others have the same cameras.
-    """
+    pair: StereoPair
+    left: NDArray[np.generic]  # with its colors
+    rig: RectifiedRig
+    facts: Row
+    warnings: list[str]
+
+    def save(self, folder: Path) -> None:
+        """Write the left image and the calibration that holds after rectification."""
+        write_png(folder / "left.png", self.left)
+        write_geometry(folder / "calib.txt", self.rig.geometry)
+
+
+def rectified_pair(calibration: Calibration, scene: StereoScene) -> RectifiedPair:
+    """Return the rectified pair; rows are compared but in later frames of a sequence, which have the same cameras."""
     left, right = load_views(scene)
     rig = rectified_rig(calibration, left, right)
     pair, view = _pair_of(rig, scene, left, right)
@@ -157,12 +170,7 @@ def rectified_pair(
     facts, warnings = ({}, []) if points is None else _row_errors(points, rig)
     if scene.has_truth:
         warnings.append("the map is that of the rectified image, the scene's ground truth is not: do not compare them")
-
-    def save() -> None:
-        write_png(folder / "left.png", view)
-        write_geometry(folder / "calib.txt", rig.geometry)
-
-    return pair, save, facts, warnings
+    return RectifiedPair(pair, view, rig, facts, warnings)
 
 
 def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene]) -> KeyPointRange | None:
