@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -23,8 +23,7 @@ _MIN_SUPPORT = 8.0  # with less weight than this the plane is level
 _BLOCK = 64  # pixels of a row that are worked on together: a few vectors, and all sums stay in the cache
 
 
-@dataclass(frozen=True)
-class WindowPlanes:
+class WindowPlanes(NamedTuple):
     """A plane for every pixel; all (H, W) float32."""
 
     value: NDArray[np.float32]  # disparity of the plane at the pixel, pixels; NaN where the disparity is unknown
@@ -35,8 +34,8 @@ class WindowPlanes:
 
     def every(self, stride: int) -> WindowPlanes:
         """Return the planes of every n-th pixel of every n-th row, n = ``stride``; slopes are per n pixels."""
-        part, steps = np.s_[::stride, ::stride], np.float32(stride)
-        return WindowPlanes(self.value[part], self.slope_x[part] * steps, self.slope_y[part] * steps, self.scale[part])
+        value, slope_x, slope_y, scale = (np.ascontiguousarray(each[::stride, ::stride]) for each in self)
+        return WindowPlanes(value, slope_x * np.float32(stride), slope_y * np.float32(stride), scale)
 
 
 def window_planes(
@@ -58,11 +57,11 @@ def window_planes(
         changed = np.ones(disparity.shape, bool)
         planes = WindowPlanes(*(np.empty(disparity.shape, np.float32) for _ in range(4)))
     else:
-        planes = WindowPlanes(*astuple(previous))  # copies
+        planes = WindowPlanes(*(each.copy() for each in previous))
     side = 2 * RADIUS + 1
     affected = cv2.dilate(changed.astype(np.uint8), np.ones((side, side), np.uint8))
     first, growth, gate = (np.float32(g * noise) for g in (_FIRST_GATE, _FIRST_GATE_GROWTH, _GATE))
-    _fit(padded, weight, affected, first, growth, gate, planes.value, planes.slope_x, planes.slope_y, planes.scale)
+    _fit(padded, weight, affected, first, growth, gate, *planes)
     planes.value[~known] = np.nan
     return planes
 

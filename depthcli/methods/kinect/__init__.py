@@ -15,7 +15,7 @@ disparity and ``jump`` the smallest step that counts as a depth edge, both in pi
 | pipeline | steps, in order (module: decision) |
 |---|---|
 | ``plane_votes``, the most accurate | 1. ``depth_edges`` and ``candidates.hidden_openings``: which measurements are \
-correct. 2. Planes through windows of these (``algorithms.plane_fitting.window_planes``). 3. ``shadows`` and \
+correct. 2. Planes through windows of these (``algorithms.plane_fitting.window_planes``). 3. ``gap_limits`` and \
 ``gap_filling``: which surfaces a gap allows, and the likeliest one. 4. ``candidates`` for the other pixels, by \
 votes of the planes. 5. ``candidates.choose_candidates``: which candidate |
 | ``dsrm``, of the thesis (depth-guided segments, robust model) | 1. ``disparity.Measurement``: which measurements are \
@@ -23,7 +23,7 @@ unreliable. 2. Segments, from fine to coarse (``algorithms.segmentation``). 3. `
 which neighbor a segment without one joins, and the detail that surfaces leave out; then the median of the \
 segmentations, and which measurements it replaces. 4. ``gap_filling`` along paths |
 | ``sequence`` | as ``dsrm``, but segments and surfaces are carried from frame to frame |
-| ``shadow_smoother``, at video rate | 1. ``depth_edges``, ``shadows`` and ``gap_filling``: a value and its confidence \
-for each pixel. 2. Smoothing |
+| ``shadow_smoother``, at video rate | 1. ``depth_edges``, ``gap_limits`` and ``gap_filling``: a value and its \
+confidence for each pixel. 2. Smoothing |
 | the others | filters of libraries, for comparison |
 """

@@ -110,6 +110,15 @@ def _pixel_motion(motion: Any, camera: Intrinsics) -> tuple[Doubles, Doubles]:
 
 
 @jit
+def _moved(a, b, x, y, inverse):
+    # Column and row that a pixel of this inverse depth moves to, and the factor of its depth.
+    w = a[2, 0] * x + a[2, 1] * y + a[2, 2] + b[2] * inverse
+    u = (a[0, 0] * x + a[0, 1] * y + a[0, 2] + b[0] * inverse) / w
+    v = (a[1, 0] * x + a[1, 1] * y + a[1, 2] + b[1] * inverse) / w
+    return u, v, w
+
+
+@jit
 def _splat(disparity, a, b, fb, source, values):
     height, width = disparity.shape
     for y in range(height):
@@ -117,13 +126,8 @@ def _splat(disparity, a, b, fb, source, values):
             d = disparity[y, x]
             if not d > 0:
                 continue
-            inverse = d / fb
-            w = a[2, 0] * x + a[2, 1] * y + a[2, 2] + b[2] * inverse
-            if not w > 0:
-                continue
-            u = (a[0, 0] * x + a[0, 1] * y + a[0, 2] + b[0] * inverse) / w
-            v = (a[1, 0] * x + a[1, 1] * y + a[1, 2] + b[1] * inverse) / w
-            if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
+            u, v, w = _moved(a, b, x, y, d / fb)
+            if not (w > 0 and -0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
                 continue
             i, j = int(np.floor(v + 0.5)), int(np.floor(u + 0.5))
             value = np.float32(d / w)
@@ -154,8 +158,6 @@ def _places(values, a, b, fb, columns, rows):
     for y in prange(height):
         for x in range(width):
             columns[y, x], rows[y, x] = -1, -1
-            inverse = values[y, x] / fb
-            w = a[2, 0] * x + a[2, 1] * y + a[2, 2] + b[2] * inverse
+            u, v, w = _moved(a, b, x, y, values[y, x] / fb)
             if w > 0:  # False where it is unknown
-                columns[y, x] = (a[0, 0] * x + a[0, 1] * y + a[0, 2] + b[0] * inverse) / w
-                rows[y, x] = (a[1, 0] * x + a[1, 1] * y + a[1, 2] + b[1] * inverse) / w
+                columns[y, x], rows[y, x] = u, v

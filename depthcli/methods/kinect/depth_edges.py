@@ -11,7 +11,8 @@ import numpy as np
 
 from depthcli.core.arrays import Doubles, Floats, Image8, Mask
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows, lab_difference
+from depthcli.methods.kinect.color import lab_difference
+from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows
 
 # Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 MIN_OFFSET, MAX_OFFSET = -6, 14

@@ -13,8 +13,10 @@ from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, DepthResult
+from depthcli.methods.kinect.color import frame_lab
 from depthcli.methods.kinect.depth_edges import correct_probability
-from depthcli.methods.kinect.shadows import Shadows, Side, max_disparity_in_gaps, shadows_of
+from depthcli.methods.kinect.gap_limits import max_disparity_in_gaps
+from depthcli.methods.kinect.shadows import Shadows, Side, shadows_of
 
 _NOISE_SAMPLES = 60_000  # second differences along either axis: as many give the median within a percent
 _NOISE_REACH = 3  # pixels between values of a second difference: noise that neighbors share shows there
@@ -90,11 +92,6 @@ class Measurement:
         core = unreliable & (probability > _CORE_PROBABILITY)
         limit = max_disparity_in_gaps(disparity, jump * noise, shadows.likely())
         return cls(lab, disparity, noise, jump * noise, shadows, probability, reliable, core, limit)
-
-
-def frame_lab(frame: RgbdFrame) -> Image8:
-    """Return the color image in CIE Lab as OpenCV scales it, (H, W, 3)."""
-    return np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
 
 
 def nearest_fill(values: Floats) -> Floats:

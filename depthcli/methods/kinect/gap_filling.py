@@ -8,7 +8,8 @@ import numpy as np
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
 from depthcli.core.arrays import Floats, Image8, Ints, Mask
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.shadows import SLOPE_FADE, lab_difference
+from depthcli.methods.kinect.color import lab_difference
+from depthcli.methods.kinect.gap_limits import SLOPE_FADE
 
 UNRELIABLE_COST = 15.0
 """Of paths that start at unreliable pixels, pixels of length."""
@@ -116,16 +117,23 @@ def _median(source, pixels, lab, stride, out):
 
 
 @jit
+def passed(y, x, step, k):
+    """Return the place of the k-th of the four neighbors that a raster sweep has passed; ``step`` -1 is a sweep back.
+
+    For other kernels.
+    """
+    return (y, x - step) if k == 0 else (y - step, x + k - 2)
+
+
+@jit
 def _join(pixels, lab, segments, limit, values, start, total):
     # Raster sweeps in turn from both ends, as of a chamfer distance; paths that wind more often are missed.
     height, width = limit.shape
-    count = len(pixels)
     for sweep in range(_SWEEPS):
         step = 1 - 2 * (sweep & 1)
-        for n in range(count):
-            y, x = pixels[n if step == 1 else count - 1 - n]
+        for y, x in pixels[::step]:
             for k in range(4):
-                v, u = (y, x - step) if k == 0 else (y - step, x + k - 2)
+                v, u = passed(y, x, step, k)
                 if not (0 <= v < height and 0 <= u < width) or start[v, u] < 0:
                     continue
                 path = total[v, u] + np.float32(1 if k == 0 or k == 2 else 1.4)

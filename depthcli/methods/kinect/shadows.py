@@ -15,9 +15,8 @@ from typing import Literal
 
 import numpy as np
 
-from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
-from depthcli.core.arrays import Floats, Image8
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.core.arrays import Floats
+from depthcli.kernels.jit import jit
 
 # Chosen on simulated sensors and on blocks taken out of real frames; nothing in the repository varies them.
 WIDTH_TOLERANCE = 4.0
@@ -36,17 +35,6 @@ _MAX_GAPS = 2000  # more do not change the estimate
 _STEP_WEIGHT = 2.0  # of a pixel in a gap beside a step that is no shadow, beside one in a hole of one surface
 _STEEPNESS = 6  # exponent of the ratio in the odds of holes
 _EQUAL_RATIO = 6.5  # of the pixels in gaps that are no shadows to those in shadows, at which holes are as probable
-# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
-SHADOW_FACTOR, GAP_FACTOR, HOLE_FACTOR = 0.02, 0.06, 0.5
-"""Likelihood of a surface that is nearer than a shadow allows: in a shadow, another gap, a hole of one surface."""
-SHADOW_BAND = 8
-"""Width of the band on the right of a shadow where the near surface may have grown over the far one, pixels."""
-SLOPE_FADE = 20.0
-"""Distance from a surface at which half of its slope is left when it is continued, pixels."""
-_MAX_COLOR_DIFFERENCE = 10  # between a hole and the surface around it, L1 in 8-bit Lab
-# Share of the votes that the surface on the left of a shadow gets: least; where the shadow is as wide as its step.
-_MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE = 0.1, 0.6
-_EXTRA_SHARE_SCALE = 2.0  # pixels between the shadow's width and the step over which the share falls by 1/e
 
 
 @dataclass(frozen=True)
@@ -186,131 +174,3 @@ def _count_fits(gaps, scales, covered, found, pairs):
                 width = gaps[k, 0] + covered[j]
                 found[0, i, j] += abs(width - scales[i] * step) <= _MAX_WIDTH_DIFFERENCE
                 found[1, i, j] += different and abs(width - scales[i] * other) <= _MAX_WIDTH_DIFFERENCE
-
-
-def shadow_limits(
-    lab: Image8, disparity: Floats, planes: WindowPlanes, jump: float, tolerance: float, shadows: Shadows
-) -> tuple[Floats, Floats]:
-    """Compute the largest disparity that a shadow allows at each pixel, and the likelihood of surfaces above it.
-
-    Both are (H, W) float32: pixels, inf outside gaps; a factor in (0, 1], 1 outside gaps and without shadows.
-    """
-    limit, limit_factor = np.full(disparity.shape, np.inf, np.float32), np.ones(disparity.shape, np.float32)
-    for shadow, step, holes in shadows.sides():
-        turn = np.s_[:, ::step]
-        given = [np.ascontiguousarray(m[turn]) for m in (lab, disparity, planes.value, step * planes.slope_x)]
-        hidden = shadow.confidence * (1 - shadows.p_hole)
-        factors = np.array([SHADOW_FACTOR**shadow.confidence, GAP_FACTOR**hidden, HOLE_FACTOR**hidden], np.float32)
-        sizes = (np.float32(size) for size in (jump, tolerance, shadow.scale, shadow.covered))
-        _limits(limit[turn], limit_factor[turn], holes, factors, *given, *sizes)
-    return limit, limit_factor
-
-
-def shadow_background(disparity: Floats, planes: WindowPlanes, jump: float, shadows: Shadows) -> tuple[Floats, Floats]:
-    """Compute the disparity of the surface behind each shadow and the band beyond it, and its share of the votes.
-
-    It is the surface on the far side, continued along its slope. A shadow is as wide as the step to the surface that it
-    falls on: the nearer its width is to the step to the surface on the far side, the larger the share. Both are
-    (H, W) float32: pixels, NaN = no shadow; the share of all votes that the background gets in addition.
-    """
-    background, extra_share = np.full(disparity.shape, np.nan, np.float32), np.zeros(disparity.shape, np.float32)
-    for shadow, step, _ in shadows.sides():
-        turn = np.s_[:, ::step]
-        given = [np.ascontiguousarray(m[turn]) for m in (disparity, planes.value, step * planes.slope_x)]
-        low, high = (shadow.confidence * share for share in (_MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE))
-        sizes = (np.float32(size) for size in (jump, low, high, shadow.scale, shadow.covered))
-        _background(background[turn], extra_share[turn], *given, *sizes)
-    return background, extra_share
-
-
-@jit
-def lab_difference(lab, y, x, v, u):
-    """Return the L1 difference of two pixels' colors, int32; for other kernels."""
-    difference = np.int32(0)
-    for i in range(3):
-        difference += abs(np.int32(lab[y, x, i]) - np.int32(lab[v, u, i]))
-    return difference
-
-
-@jit
-def _rim_contrast(lab, d, y, u, left, right):
-    # Smallest difference of color between pixel u and the first few known ones beyond the rims of its gap.
-    smallest = np.int32(1000)
-    for k in range(8):
-        for v in (left - k, right + k):
-            if 0 <= v < d.size and not np.isnan(d[v]):
-                smallest = min(smallest, lab_difference(lab, y, u, y, v))
-    return smallest
-
-
-@parallel_jit
-def _limits(limit, limit_factor, holes, factors, lab, disparity, value, slope_x, jump, tolerance, scale, covered):
-    for y in prange(disparity.shape[0]):
-        d = disparity[y]
-        for last, x in gaps_of(d, True):
-            gap = np.float32(x - last - 1)
-            step = d[x] - d[last] if last >= 0 else np.float32(0)
-            if step <= jump and not holes:
-                continue
-            shadow = step > jump and abs(gap + covered - scale * step) <= np.float32(WIDTH_TOLERANCE)
-            factor = factors[0] if shadow else factors[1]
-            one_surface = False
-            if last >= 0 and abs(step) < jump + np.float32(0.2) * gap:
-                far = gap + np.float32(1)
-                off = abs(value[y, last] + slope_x[y, last] * far - d[x])
-                off = min(off, abs(value[y, x] - slope_x[y, x] * far - d[last]))
-                one_surface = off < tolerance + np.float32(0.05) * far
-            for u in range(last + 1, x):
-                if one_surface:
-                    # a hole in one surface, if the color is that of the rims
-                    factor = factors[2 if _rim_contrast(lab, d, y, u, last, x) < _MAX_COLOR_DIFFERENCE else 1]
-                limit[y, u] = d[x] - (np.float32(x - u) + covered) / scale + tolerance
-                limit_factor[y, u] = factor
-
-
-@parallel_jit
-def _background(background, extra_share, disparity, value, slope_x, jump, low, high, scale, covered):
-    for y in prange(disparity.shape[0]):
-        d = disparity[y]
-        for last, x in gaps_of(d, False):
-            width, step = (np.float32(x - last - 1) + covered) / scale, d[x] - d[last]
-            if step > jump and abs(width - step) <= np.float32(WIDTH_TOLERANCE):
-                end = min(x + SHADOW_BAND, d.size)
-                for u in range(last + 1, end):
-                    far = np.float32(u - last)
-                    fade = 1 + (far / np.float32(SLOPE_FADE)) ** 2
-                    background[y, u] = value[y, last] + slope_x[y, last] * far / fade
-                off = (width - (d[x] - background[y, x])) / np.float32(_EXTRA_SHARE_SCALE)
-                extra_share[y, last + 1 : end] = low + (high - low) * np.float32(np.exp(-off * off))
-
-
-def max_disparity_in_gaps(disparity: Floats, jump: float, shadows: Shadows, tolerance: float = 2.5) -> Floats:
-    """Compute the largest disparity (H, W) float32 that a gap allows if it is a shadow; inf where it is none.
-
-    One value per gap, from its rims only (:func:`shadow_limits` is finer, and weighs). A gap of n pixels beside a step
-    is the shadow of its near side on a surface that is farther by about n pixels of disparity: on the far side of the
-    step, if that is as far, or else on a surface behind it, unless holes are as probable. Gaps between known pixels
-    that differ by less than ``jump`` are taken for reflections.
-    """
-    limit = np.full(disparity.shape, np.inf, np.float32)
-    for shadow, step, _ in shadows.sides():
-        turned = np.ascontiguousarray(disparity[:, ::step])
-        sizes = (np.float32(size) for size in (jump, tolerance, shadow.scale, shadow.covered))
-        _max_in_gaps(limit[:, ::step], turned, shadows.p_hole < 0.5, *sizes)
-    return limit
-
-
-@parallel_jit
-def _max_in_gaps(limit, disparity, behind, jump, tolerance, scale, covered):
-    for y in prange(disparity.shape[0]):
-        d = disparity[y]
-        for last, x in gaps_of(d, False):
-            near, far = d[x], d[last]
-            if near - far <= jump:
-                continue
-            gap = np.float32(x - last - 1)
-            largest = near - (gap + covered) / scale
-            if largest >= far - tolerance:
-                largest = max(largest, far)
-            if behind or abs(gap + covered - scale * (near - far)) <= np.float32(WIDTH_TOLERANCE):
-                limit[y, last + 1 : x] = largest + tolerance

@@ -7,8 +7,8 @@ in which they are used:
 
 | module | decision |
 |---|---|
-| ``cross_modal`` | how color and infrared images become comparable, and which of their matches become \
-sparse depth |
+| ``cross_modal``, ``color_mix`` | how color and infrared images become comparable |
+| ``match_selection`` | which of their matches become sparse depth |
 | ``fitted_frame`` | which sparse samples are outliers; planes through the others at every pixel |
 | ``unreliable`` | in which regions the sensor contradicts the planes |
 

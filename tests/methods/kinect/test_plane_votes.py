@@ -9,10 +9,11 @@ import pytest
 from depthcli.algorithms.plane_fitting.window_planes import window_planes
 from depthcli.methods.kinect.candidates import LEVELS, ExtraVotes, Voters, cast_votes, hidden_openings
 from depthcli.methods.kinect.depth_edges import MIN_OFFSET, correct_probability, outline_offsets
+from depthcli.methods.kinect.gap_limits import Limits, shadow_background, shadow_limits
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
 from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
-from depthcli.methods.kinect.shadows import Shadow, Shadows, measure_shadows, shadow_background, shadow_limits
+from depthcli.methods.kinect.shadows import Shadow, Shadows, measure_shadows
 from depthcli.simulate.depth_sensor import simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene
 from tests.naive import kinect_votes as naive
@@ -82,8 +83,9 @@ def test_votes_agree_with_the_reference():
     continued = np.full((2, *shape), np.nan, np.float32)
     continued[0, :, ::2] = 21.7
     continued[1, :, ::3] = 19.3
-    prior = ExtraVotes(limit, beyond, rim, bonus, continued, np.full(shape, 0.2, np.float32))
-    values, shares = cast_votes(pixels, lab, voters, prior, 0.3, 4, 40.0, sigma)
+    given = np.full((2, *shape), 0.2, np.float32)
+    extra = ExtraVotes(np.stack([rim, *continued]), np.stack([bonus, *given]))
+    values, shares = cast_votes(pixels, lab, voters, Limits(limit, beyond), extra, 0.3, 4, 40.0, sigma)
     voting = planes.value[(trust > 0) & ~np.isnan(planes.value)]
     unit = 0.3 * 5 / 3
     low = float(voting.min()) - 8 * unit

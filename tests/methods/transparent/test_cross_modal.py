@@ -15,13 +15,9 @@ from depthcli.core.result import Clock
 from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
-from depthcli.methods.transparent.cross_modal import (
-    GREY,
-    CrossModal,
-    MatchSelection,
-    learned_weights,
-    mix_channels,
-)
+from depthcli.methods.transparent.color_mix import GREY, learned_weights, mix_channels
+from depthcli.methods.transparent.cross_modal import CrossModal
+from depthcli.methods.transparent.match_selection import MatchSelection
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.scenes import DATA, load, true

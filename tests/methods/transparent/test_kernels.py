@@ -7,7 +7,8 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.methods.transparent.cross_modal import cost_at, faded_costs, local_deviation
+from depthcli.methods.transparent.cross_modal import faded_costs
+from depthcli.methods.transparent.match_selection import cost_at, local_deviation
 from depthcli.methods.transparent.pipeline.robust import Smoothing
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import transparent as naive

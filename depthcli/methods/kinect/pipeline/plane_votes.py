@@ -8,23 +8,18 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.window_planes import RADIUS, window_planes
+from depthcli.algorithms.plane_fitting.window_planes import RADIUS, WindowPlanes, window_planes
+from depthcli.core.arrays import Floats, Mask
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock, DepthResult
-from depthcli.methods.kinect.candidates import (
-    AGREEMENT,
-    LEVELS,
-    ExtraVotes,
-    Voters,
-    cast_votes,
-    choose_candidates,
-    hidden_openings,
-)
+from depthcli.methods.kinect import candidates
+from depthcli.methods.kinect.candidates import AGREEMENT, LEVELS, OPENING_LEVEL, Evidence, ExtraVotes, Voters
 from depthcli.methods.kinect.disparity import Measurement, nearest_fill, refined_depth
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
+from depthcli.methods.kinect.gap_limits import GAP_FACTOR, Limits, shadow_background, shadow_limits
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
-from depthcli.methods.kinect.shadows import GAP_FACTOR, SHADOW_SIDES, Side, shadow_background, shadow_limits
+from depthcli.methods.kinect.shadows import SHADOW_SIDES, Shadows, Side
 
 
 class PlaneVotes(KinectPipeline):
@@ -71,51 +66,37 @@ class PlaneVotes(KinectPipeline):
         clock.start("unreliable")
         measurement = Measurement.of(frame, self.jump, self.min_probability, self.shadows)
         measured, noise, shadows = measurement.disparity, measurement.noise, measurement.shadows
-        lab, p_correct, jump = measurement.lab, measurement.probability, measurement.jump
-        known = ~np.isnan(measured)
-        in_shadows = max(shadows.left.confidence, shadows.right.confidence)
+        lab, p_correct, known = measurement.lab, measurement.probability, ~np.isnan(measured)
         unreliable = ~known | (p_correct < self.min_probability)
         trust = np.where(known & (p_correct > self.min_vote_probability), p_correct, np.float32(0))
-
-        refined = measured
         clock.start("planes")
         planes = window_planes(measured, trust, noise)
-        limit, limit_factor = shadow_limits(lab, measured, planes, jump, 3 * noise, shadows)
-        distance = cv2.distanceTransform((trust == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-        local = self.sigma_space + self.sigma_growth * distance
-        shadowed = np.where(known, in_shadows, np.clip(np.log(limit_factor) / np.log(GAP_FACTOR), 0, 1))
-        sigma_space = (local ** (1 - shadowed) * self.sigma_shadow**shadowed).astype(np.float32)
+        limits = shadow_limits(lab, measured, planes, measurement.jump, 3 * noise, shadows)
+        sigma_space = self._sigma_space(trust, known, limits, shadows)
         clock.start("paths")
         trusted = np.where(trust > 0, measured, np.float32(np.nan))
-        possible = np.where(limit_factor < 0.1, limit, np.float32(np.inf))
+        possible = np.where(limits.factor < 0.1, limits.value, np.float32(np.inf))
         cost = np.where(unreliable, np.float32(UNRELIABLE_COST), np.float32(0))
         path, _ = fill_gaps(trusted, lab, None, possible, cost, noise)
-        continued = np.stack([path, Dsrm().surfaces(frame, measurement, clock)[0].disparity])
+        dsrm, _, _ = Dsrm().surfaces(frame, measurement, clock)
         share = np.where(known, np.float32(0), np.float32(self.continued_share))
-        for step in range(self.passes):
+        continued = ExtraVotes(np.stack([path, dsrm.disparity]), np.stack([share, share]))
+        if frame.has_color and self.opening_probability is not None:
+            clock.start("openings")
+            voters = Voters.of(lab, planes, trust, LEVELS[OPENING_LEVEL][0])
+            tested = known & ~unreliable
+            opened = candidates.hidden_openings(lab, planes, voters, tested, measurement.jump, self.sigma_color)
+            p_correct = np.where(opened, np.minimum(p_correct, np.float32(self.opening_probability)), p_correct)
+            unreliable |= opened
+        evidence, refined = Evidence(lab, measured, p_correct, unreliable), measured
+        for grid in [2] * (self.passes - 1) + [1]:  # all but the last on every second pixel of every second row
             clock.start("votes")
-            voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
-            if step == 0 and frame.has_color and self.opening_probability is not None:
-                clock.start("openings")
-                opened = hidden_openings(lab, planes, voters[1], known & ~unreliable, jump, self.sigma_color)
-                p_correct = np.where(opened, np.minimum(p_correct, np.float32(self.opening_probability)), p_correct)
-                unreliable |= opened
-                clock.start("votes")
-            # All but the last pass work on every second pixel of every second row.
-            grid = 1 if step == self.passes - 1 else 2
-            every = np.s_[::grid, ::grid]
-            pixels = np.argwhere(unreliable[every]).astype(np.int32)
-            background, extra_share = shadow_background(measured, planes, jump, shadows)
-            extra_share = np.where(known, extra_share * (1 - p_correct), extra_share).astype(np.float32)
-            prior = ExtraVotes(limit, limit_factor, background, extra_share, continued, share)
-            sigmas = self.sigma_color, sigma_space
-            values, shares = cast_votes(grid * pixels, lab, voters, prior, noise, self.candidates, *sigmas)
-            clock.start("choice")
-            chosen = np.full_like(measured, np.nan)
-            costs = noise, self.smoothness, self.truncation
-            maps = lab[every], measured[every], p_correct[every], unreliable[every]
-            around = planes.every(grid)
-            chosen[every] = choose_candidates(pixels, values, shares, around, costs, self.iterations, *maps)
+            background, share = shadow_background(measured, planes, measurement.jump, shadows)
+            share = np.where(known, share * (1 - p_correct), share).astype(np.float32)
+            extra = ExtraVotes(
+                np.concatenate([background[None], continued.values]), np.concatenate([share[None], continued.shares])
+            )
+            chosen = self._one_pass(evidence, planes, trust, limits, extra, noise, sigma_space, grid, clock)
             # Where the choice agrees with the measurement, the measurement is more exact.
             agreed = known & ~(np.abs(chosen - measured) >= np.float32(AGREEMENT * noise))
             old, old_trust = refined, trust
@@ -124,12 +105,44 @@ class PlaneVotes(KinectPipeline):
             changed = (trust != old_trust) | ((refined != old) & (trust > 0))
             clock.start("planes")
             planes = window_planes(refined, trust, noise, planes, changed)
-        fallback = np.isnan(planes.value)
-        values = nearest_fill(planes.value)
-        sigma = np.maximum(planes.scale, np.float32(noise / (2 * RADIUS + 1)))
-        result = refined_depth(frame, values, sigma.astype(np.float32), noise, clock, fallback)
+        sigma = np.maximum(planes.scale, np.float32(noise / (2 * RADIUS + 1))).astype(np.float32)
+        result = refined_depth(frame, nearest_fill(planes.value), sigma, noise, clock, np.isnan(planes.value))
         result.figures = shadows.figures()
         return result
+
+    def _one_pass(
+        self,
+        evidence: Evidence,
+        planes: WindowPlanes,
+        trust: Floats,
+        limits: Limits,
+        extra: ExtraVotes,
+        noise: float,
+        sigma_space: Floats,
+        grid: int,
+        clock: Clock,
+    ) -> Floats:
+        """Return the disparity chosen for the unreliable pixels of every ``grid``-th row and column, else NaN."""
+        voters = [Voters.of(evidence.lab, planes, trust, stride) for stride, _ in LEVELS]
+        pixels = np.argwhere(evidence.unreliable[::grid, ::grid]).astype(np.int32)
+        sigmas = self.sigma_color, sigma_space
+        found = candidates.cast_votes(
+            grid * pixels, evidence.lab, voters, limits, extra, noise, self.candidates, *sigmas
+        )
+        clock.start("choice")
+        chosen, costs = np.full_like(trust, np.nan), candidates.Costs(noise, self.smoothness, self.truncation)
+        chosen[::grid, ::grid] = candidates.choose_candidates(
+            pixels, found, planes.every(grid), evidence.every(grid), costs, self.iterations
+        )
+        return chosen
+
+    def _sigma_space(self, trust: Floats, known: Mask, limits: Limits, shadows: Shadows) -> Floats:
+        """Return the distance over which votes for a pixel fade, (H, W) float32, pixels."""
+        in_shadows = max(shadows.left.confidence, shadows.right.confidence)
+        distance = cv2.distanceTransform((trust == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+        local = self.sigma_space + self.sigma_growth * distance
+        shadowed = np.where(known, in_shadows, np.clip(np.log(limits.factor) / np.log(GAP_FACTOR), 0, 1))
+        return np.asarray(local ** (1 - shadowed) * self.sigma_shadow**shadowed, np.float32)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Estimate as for a frame of unreliable pixels only: candidates, messages and weights; or segments before."""

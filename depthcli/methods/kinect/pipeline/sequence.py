@@ -18,6 +18,7 @@ from depthcli.core.result import Clock, DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.camera_motion import View, displacement, estimated_motion, view_after
 from depthcli.methods.kinect.disparity import Measurement
+from depthcli.methods.kinect.gap_filling import passed
 from depthcli.methods.kinect.layers import SHADOW_PENALTY, Layer
 from depthcli.methods.kinect.pipeline import SequencePipeline
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
@@ -167,7 +168,8 @@ def carried_labels(layer: Layer, still: Mask, color: Image8, measurement: Measur
     cost, given = np.empty(still.shape, np.float32), (measurement.reliable, measurement.limit)
     _held(layer.labels, still, *given, *shapes, surfaces.scale, np.float32(measurement.jump), cost)
     labels, own = np.where(cost > 0, np.int32(-1), layer.labels), layer.own.copy()
-    _sweep(cost, labels, own, color, *given, *shapes, np.float32(5 / measurement.noise))
+    pixels = np.argwhere(cost > 0).astype(np.int32)
+    _sweep(pixels, cost, labels, own, color, *given, *shapes, np.float32(5 / measurement.noise))
     return labels, own
 
 
@@ -188,31 +190,24 @@ def _held(labels, still, reliable, limit, coefficients, center, bounds, unit, sc
 
 
 @jit
-def _sweep(cost, labels, own, color, reliable, limit, coefficients, center, bounds, unit, weight):
+def _sweep(pixels, cost, labels, own, color, reliable, limit, coefficients, center, bounds, unit, weight):
     height, width = labels.shape
-    held = cost.copy()
     for step in (1, -1):
-        for j in range(height):
-            y = j if step == 1 else height - 1 - j
-            for i in range(width):
-                x = i if step == 1 else width - 1 - i
-                if held[y, x] == 0:
+        for y, x in pixels[::step]:
+            for k in range(4):
+                v, u = passed(y, x, step, k)
+                if not (0 <= v < height and 0 <= u < width) or labels[v, u] < 0:
                     continue
-                for k in range(4):
-                    v = y if k == 0 else y - step
-                    u = x - step if k == 0 else x + (k - 2)
-                    if not (0 <= v < height and 0 <= u < width) or labels[v, u] < 0:
-                        continue
-                    total = cost[v, u]
-                    for c in range(3):
-                        total += np.float32(abs(np.int64(color[y, x, c]) - np.int64(color[v, u, c])))
-                    value = surface_at(coefficients, center, bounds, unit, labels[v, u], y, x)
-                    apart = weight * np.float32(abs(reliable[y, x] - value))
-                    if not np.isnan(apart):
-                        total += apart
-                    if value > limit[y, x]:
-                        total += np.float32(SHADOW_PENALTY)
-                    if total < cost[y, x]:
-                        cost[y, x] = total
-                        labels[y, x] = labels[v, u]
-                        own[y, x] = own[v, u]
+                total = cost[v, u]
+                for c in range(3):
+                    total += np.float32(abs(np.int64(color[y, x, c]) - np.int64(color[v, u, c])))
+                value = surface_at(coefficients, center, bounds, unit, labels[v, u], y, x)
+                apart = weight * np.float32(abs(reliable[y, x] - value))
+                if not np.isnan(apart):
+                    total += apart
+                if value > limit[y, x]:
+                    total += np.float32(SHADOW_PENALTY)
+                if total < cost[y, x]:
+                    cost[y, x] = total
+                    labels[y, x] = labels[v, u]
+                    own[y, x] = own[v, u]

@@ -10,12 +10,14 @@ from pydantic import Field
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock, DepthResult
+from depthcli.methods.kinect.color import frame_lab
 from depthcli.methods.kinect.depth_edges import near_side
-from depthcli.methods.kinect.disparity import frame_lab, measured_disparity, noise_level, refined_depth
+from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
+from depthcli.methods.kinect.gap_limits import shadow_background
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.fast_global_smoother import weighted_smoothing
-from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side, shadow_background, shadows_of
+from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side, shadows_of
 
 
 class ShadowSmoother(KinectPipeline):

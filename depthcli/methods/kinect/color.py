@@ -1,0 +1,24 @@
+"""Colors of a frame in CIE Lab, and how much those of two pixels differ."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from depthcli.core.arrays import Image8
+from depthcli.core.frames import RgbdFrame
+from depthcli.kernels.jit import jit
+
+
+def frame_lab(frame: RgbdFrame) -> Image8:
+    """Return the color image in CIE Lab as OpenCV scales it, (H, W, 3)."""
+    return np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
+
+
+@jit
+def lab_difference(lab, y, x, v, u):
+    """Return the L1 difference of two pixels' colors, int32; for other kernels."""
+    difference = np.int32(0)
+    for i in range(3):
+        difference += abs(np.int32(lab[y, x, i]) - np.int32(lab[v, u, i]))
+    return difference

@@ -1,0 +1,159 @@
+"""Which surfaces gaps allow: limits that shadows set, and the surfaces behind shadows."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
+from depthcli.core.arrays import Floats, Image8
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.kinect.color import lab_difference
+from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadow, Shadows, gaps_of
+
+# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
+SHADOW_FACTOR, GAP_FACTOR, HOLE_FACTOR = 0.02, 0.06, 0.5
+"""Likelihood of a surface that is nearer than a shadow allows: in a shadow, another gap, a hole of one surface."""
+SHADOW_BAND = 8
+"""Width of the band on the right of a shadow where the near surface may have grown over the far one, pixels."""
+SLOPE_FADE = 20.0
+"""Distance from a surface at which half of its slope is left when it is continued, pixels."""
+_MAX_COLOR_DIFFERENCE = 10  # between a hole and the surface around it, L1 in 8-bit Lab
+# Share of the votes that the surface on the left of a shadow gets: least; where the shadow is as wide as its step.
+_MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE = 0.1, 0.6
+_EXTRA_SHARE_SCALE = 2.0  # pixels between the shadow's width and the step over which the share falls by 1/e
+
+
+class Limits(NamedTuple):
+    """The largest disparity that a shadow allows at each pixel; both (H, W) float32."""
+
+    value: Floats  # pixels, inf outside gaps
+    factor: Floats  # likelihood of surfaces above it, in (0, 1]; 1 outside gaps and without shadows
+
+
+class _Sizes(NamedTuple):
+    # The shadows on one side as kernels take them, float32.
+    scale: np.float32
+    covered: np.float32
+    jump: np.float32
+
+    @classmethod
+    def of(cls, shadow: Shadow, jump: float) -> _Sizes:
+        return cls(np.float32(shadow.scale), np.float32(shadow.covered), np.float32(jump))
+
+
+@jit
+def _is_shadow(gap, step, sizes):
+    # Whether a gap beside a step is as wide as the shadow of the step.
+    return step > sizes.jump and abs(gap + sizes.covered - sizes.scale * step) <= np.float32(WIDTH_TOLERANCE)
+
+
+def shadow_limits(
+    lab: Image8, disparity: Floats, planes: WindowPlanes, jump: float, tolerance: float, shadows: Shadows
+) -> Limits:
+    """Compute the largest disparity that a shadow allows at each pixel, and the likelihood of surfaces above it."""
+    limits = Limits(np.full(disparity.shape, np.inf, np.float32), np.ones(disparity.shape, np.float32))
+    for shadow, step, holes in shadows.sides():
+        turn = np.s_[:, ::step]
+        given = [np.ascontiguousarray(m[turn]) for m in (lab, disparity, planes.value, step * planes.slope_x)]
+        hidden = shadow.confidence * (1 - shadows.p_hole)
+        factors = np.array([SHADOW_FACTOR**shadow.confidence, GAP_FACTOR**hidden, HOLE_FACTOR**hidden], np.float32)
+        turned = Limits(*(m[turn] for m in limits))
+        _limits(turned, holes, factors, _Sizes.of(shadow, jump), np.float32(tolerance), *given)
+    return limits
+
+
+@jit
+def _rim_contrast(lab, d, y, u, left, right):
+    # Smallest difference of color between pixel u and the first few known ones beyond the rims of its gap.
+    smallest = np.int32(1000)
+    for k in range(8):
+        for v in (left - k, right + k):
+            if 0 <= v < d.size and not np.isnan(d[v]):
+                smallest = min(smallest, lab_difference(lab, y, u, y, v))
+    return smallest
+
+
+@parallel_jit
+def _limits(limits, holes, factors, sizes, tolerance, lab, disparity, value, slope_x):
+    for y in prange(disparity.shape[0]):
+        d = disparity[y]
+        for last, x in gaps_of(d, True):
+            gap = np.float32(x - last - 1)
+            step = d[x] - d[last] if last >= 0 else np.float32(0)
+            if step <= sizes.jump and not holes:
+                continue
+            factor = factors[0 if _is_shadow(gap, step, sizes) else 1]
+            one_surface = False
+            if last >= 0 and abs(step) < sizes.jump + np.float32(0.2) * gap:
+                far = gap + np.float32(1)
+                off = abs(value[y, last] + slope_x[y, last] * far - d[x])
+                off = min(off, abs(value[y, x] - slope_x[y, x] * far - d[last]))
+                one_surface = off < tolerance + np.float32(0.05) * far
+            for u in range(last + 1, x):
+                if one_surface:
+                    # a hole in one surface, if the color is that of the rims
+                    factor = factors[2 if _rim_contrast(lab, d, y, u, last, x) < _MAX_COLOR_DIFFERENCE else 1]
+                limits.value[y, u] = d[x] - (np.float32(x - u) + sizes.covered) / sizes.scale + tolerance
+                limits.factor[y, u] = factor
+
+
+def max_disparity_in_gaps(disparity: Floats, jump: float, shadows: Shadows, tolerance: float = 2.5) -> Floats:
+    """Compute the largest disparity (H, W) float32 that a gap allows if it is a shadow; inf where it is none.
+
+    One value per gap, from its rims only (:func:`shadow_limits` is finer, and weighs). A gap of n pixels beside a step
+    is the shadow of its near side on a surface that is farther by about n pixels of disparity: on the far side of the
+    step, if that is as far, or else on a surface behind it, unless holes are as probable. Gaps between known pixels
+    that differ by less than ``jump`` are taken for reflections.
+    """
+    limit = np.full(disparity.shape, np.inf, np.float32)
+    for shadow, step, _ in shadows.sides():
+        turned, behind = np.ascontiguousarray(disparity[:, ::step]), shadows.p_hole < 0.5
+        _max_in_gaps(limit[:, ::step], turned, behind, _Sizes.of(shadow, jump), np.float32(tolerance))
+    return limit
+
+
+@parallel_jit
+def _max_in_gaps(limit, disparity, behind, sizes, tolerance):
+    for y in prange(disparity.shape[0]):
+        d = disparity[y]
+        for last, x in gaps_of(d, False):
+            gap, step = np.float32(x - last - 1), d[x] - d[last]
+            if step > sizes.jump and (behind or _is_shadow(gap, step, sizes)):
+                largest = d[x] - (gap + sizes.covered) / sizes.scale
+                if largest >= d[last] - tolerance:
+                    largest = max(largest, d[last])
+                limit[y, last + 1 : x] = largest + tolerance
+
+
+def shadow_background(disparity: Floats, planes: WindowPlanes, jump: float, shadows: Shadows) -> tuple[Floats, Floats]:
+    """Compute the disparity of the surface behind each shadow and the band beyond it, and its share of the votes.
+
+    It is the surface on the far side, continued along its slope. A shadow is as wide as the step to the surface that it
+    falls on: the nearer its width is to the step to the surface on the far side, the larger the share. Both are
+    (H, W) float32: pixels, NaN = no shadow; the share of all votes that the background gets in addition.
+    """
+    background, extra_share = np.full(disparity.shape, np.nan, np.float32), np.zeros(disparity.shape, np.float32)
+    for shadow, step, _ in shadows.sides():
+        turn = np.s_[:, ::step]
+        given = [np.ascontiguousarray(m[turn]) for m in (disparity, planes.value, step * planes.slope_x)]
+        low, high = (np.float32(shadow.confidence * share) for share in (_MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE))
+        _background(background[turn], extra_share[turn], _Sizes.of(shadow, jump), low, high, *given)
+    return background, extra_share
+
+
+@parallel_jit
+def _background(background, extra_share, sizes, low, high, disparity, value, slope_x):
+    for y in prange(disparity.shape[0]):
+        d = disparity[y]
+        for last, x in gaps_of(d, False):
+            width, step = (np.float32(x - last - 1) + sizes.covered) / sizes.scale, d[x] - d[last]
+            if step > sizes.jump and abs(width - step) <= np.float32(WIDTH_TOLERANCE):
+                end = min(x + SHADOW_BAND, d.size)
+                for u in range(last + 1, end):
+                    far = np.float32(u - last)
+                    fade = 1 + (far / np.float32(SLOPE_FADE)) ** 2
+                    background[y, u] = value[y, last] + slope_x[y, last] * far / fade
+                off = (width - (d[x] - background[y, x])) / np.float32(_EXTRA_SHARE_SCALE)
+                extra_share[y, last + 1 : end] = low + (high - low) * np.float32(np.exp(-off * off))
