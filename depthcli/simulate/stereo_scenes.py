@@ -17,7 +17,8 @@ import numpy as np
 from depthcli.algorithms.filters import discontinuity_mask
 from depthcli.core.arrays import Floats, Image8, Mask
 from depthcli.simulate import textures
-from depthcli.simulate.rendering import Array, Outline, Room, disparities, levels8, render, rotation, trace
+from depthcli.simulate.rendering import disparities, levels8, render, trace
+from depthcli.simulate.room import Array, Outline, Room, rotation
 
 Kind = Literal["planes", "foreground", "repetitive", "curved", "street"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -210,14 +211,21 @@ def _street(room: Room) -> None:
     sky, behind = np.full((8, 8, 3), rng.uniform(0.75, 0.97), np.float32), room.focal / room.far
     room.plane(np.array([0.0, 0.0, behind]), rotation(), (4 * w / room.far, 4 * h / room.far), sky, unbounded=True)
     room.light = np.array([rng.uniform(-40, 40), -60.0, rng.uniform(0, 30)])
-    # The road.
     first, last = room.focal / max_disparity, room.focal / (0.1 * max_disparity)
     size = (4 * w / max_disparity, last - first)
     picture = room.paint(textures.asphalt, size, 0.4 * max_disparity)
     middle = np.array([rng.uniform(-1, 1), room.floor, (first + last) / 2])
     room.plane(middle, rotation(pitch=np.pi / 2), size, picture, unbounded=True)
-    # House by house along the road, beside the camera by ``fronts`` baselines.
+    # How far the house fronts on the left and on the right are from the camera, baselines.
     fronts = [side / (max_disparity * rng.uniform(0.25, 0.7)) for side in (room.center[0], w - room.center[0])]
+    _houses(room, fronts)
+    room.surroundings = textures.surroundings(rng, h, w, room.feature)
+    _cars(room, fronts)
+    _poles(room, fronts)
+
+
+def _houses(room: Room, fronts: list[float]) -> None:
+    rng, max_disparity = room.rng, room.max_disparity
     for sign, away in zip((-1, 1), fronts, strict=True):
         z, end = room.focal / (0.97 * max_disparity), room.focal / (0.05 * max_disparity)
         while z < end:
@@ -228,7 +236,10 @@ def _street(room: Room) -> None:
             picture = room.faded(room.paint(maker, (long, tall), min(near, 0.5 * max_disparity)))
             room.plane(middle, rotation(sign * np.pi / 2), (long, tall), picture)
             z += long * rng.uniform(1.0, 1.15)
-    room.surroundings = textures.surroundings(rng, h, w, room.feature)
+
+
+def _cars(room: Room, fronts: list[float]) -> None:
+    rng, max_disparity = room.rng, room.max_disparity
     gloss = rng.uniform(0.05, 0.35)
     # The nearest cars are cut off by the border of the image, on either side.
     for k, d in enumerate(max_disparity * np.array([0.93, 0.8, 0.5, 0.3, 0.17]) * rng.uniform(0.75, 1.0, 5)):
@@ -236,8 +247,12 @@ def _street(room: Room) -> None:
         away = fronts[(sign + 1) // 2] * rng.uniform(0.55, 0.8)
         measures = (unit * rng.uniform(0.9, 1.1), unit * rng.uniform(0.75, 0.95), unit * rng.uniform(1.8, 2.4))
         room.box(room.center[0] + sign * away * d, d, measures, textures.bodywork, rng.uniform(-0.08, 0.08), gloss)
+
+
+def _poles(room: Room, fronts: list[float]) -> None:
+    rng = room.rng
     for _ in range(int(rng.integers(3, 7))):
-        d = max_disparity * rng.uniform(0.12, 0.6)
+        d = room.max_disparity * rng.uniform(0.12, 0.6)
         sign = 1 if rng.random() < 0.5 else -1
         x = room.center[0] + sign * fronts[(sign + 1) // 2] * rng.uniform(0.75, 0.95) * d
         tall, thin = room.floor * d * rng.uniform(0.6, 2.6), max(2.0, d * rng.uniform(0.04, 0.12))

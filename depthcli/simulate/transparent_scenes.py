@@ -14,7 +14,8 @@ import numpy as np
 
 from depthcli.core.arrays import Floats, Image8, Mask
 from depthcli.core.frames import Image, StereoPair, color8
-from depthcli.simulate.rendering import Room, disparities, levels8, render, rotation
+from depthcli.simulate.rendering import disparities, levels8, render
+from depthcli.simulate.room import Room, rotation
 
 _OWN_SHARE = 0.55  # share of an object's own picture in what is seen of it
 _LENS = 0.35  # how far the picture behind is drawn towards an object's center

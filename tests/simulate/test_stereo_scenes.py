@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from depthcli.simulate import textures
-from depthcli.simulate.rendering import Room, Surface, disparities, render, rotation
+from depthcli.simulate.rendering import disparities, render
+from depthcli.simulate.room import Room, Surface, rotation
 from depthcli.simulate.stereo_scenes import KINDS, Radiometry, SyntheticScene, make_scene
 
 CASES = [(kind, seed) for kind in KINDS for seed in (0, 3)]

@@ -147,12 +147,12 @@ def cast_votes(
     space = np.exp(-np.arange(reach + 1) / _SPACE_SCALES[:, None]).astype(np.float32)
     scale = np.searchsorted(_SPACE_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
     planes, colors = zip(*voters, strict=True)
-    _vote(pixels, scale, lab, planes, colors, limits, extra, color_similarity(sigma_color), space, bins, found)
+    _vote(pixels, scale, lab, planes, colors, limits, extra, color_similarity(sigma_color), space, bins, *found)
     return found
 
 
 @parallel_jit
-def _vote(pixels, scale, lab, planes, colors, limits, extra, similarity, space, bins, found):
+def _vote(pixels, scale, lab, planes, colors, limits, extra, similarity, space, bins, values, shares):
     low, per_pixel, n_bins = bins
     for block in prange((len(pixels) + 255) // 256):
         histogram = _Histogram(np.zeros((n_bins, 2), np.float32), np.empty(2, np.int64), low, per_pixel)
@@ -174,7 +174,7 @@ def _vote(pixels, scale, lab, planes, colors, limits, extra, similarity, space, 
                 d = extra.values[k, y, x]
                 if not np.isnan(d):
                     total += _add_vote(histogram, max(extra.shares[k, y, x] * cast, np.float32(1e-9)), d)
-            _modes(histogram, total, found.values[n], found.shares[n])
+            _modes(histogram, total, values[n], shares[n])
             votes[extent[0] : extent[1] + 1] = np.float32(0)
 
 

@@ -59,8 +59,15 @@ def shadow_limits(
         given = [np.ascontiguousarray(m[turn]) for m in (lab, disparity, planes.value, step * planes.slope_x)]
         hidden = shadow.confidence * (1 - shadows.p_hole)
         factors = np.array([SHADOW_FACTOR**shadow.confidence, GAP_FACTOR**hidden, HOLE_FACTOR**hidden], np.float32)
-        turned = Limits(*(m[turn] for m in limits))
-        _limits(turned, holes, factors, _Sizes.of(shadow, jump), np.float32(tolerance), *given)
+        _limits(
+            limits.value[turn],
+            limits.factor[turn],
+            holes,
+            factors,
+            _Sizes.of(shadow, jump),
+            np.float32(tolerance),
+            *given,
+        )
     return limits
 
 
@@ -76,7 +83,7 @@ def _rim_contrast(lab, d, y, u, left, right):
 
 
 @parallel_jit
-def _limits(limits, holes, factors, sizes, tolerance, lab, disparity, value, slope_x):
+def _limits(limit, limit_factor, holes, factors, sizes, tolerance, lab, disparity, value, slope_x):
     for y in prange(disparity.shape[0]):
         d = disparity[y]
         for last, x in gaps_of(d, True):
@@ -95,8 +102,8 @@ def _limits(limits, holes, factors, sizes, tolerance, lab, disparity, value, slo
                 if one_surface:
                     # a hole in one surface, if the color is that of the rims
                     factor = factors[2 if _rim_contrast(lab, d, y, u, last, x) < _MAX_COLOR_DIFFERENCE else 1]
-                limits.value[y, u] = d[x] - (np.float32(x - u) + sizes.covered) / sizes.scale + tolerance
-                limits.factor[y, u] = factor
+                limit[y, u] = d[x] - (np.float32(x - u) + sizes.covered) / sizes.scale + tolerance
+                limit_factor[y, u] = factor
 
 
 def max_disparity_in_gaps(disparity: Floats, jump: float, shadows: Shadows, tolerance: float = 2.5) -> Floats:

@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
-from depthcli.core.arrays import Floats, Image8, Ints, Mask
+from depthcli.core.arrays import Doubles, Floats, Image8, Ints, Mask
 from depthcli.core.method import ConfigModel
 
 # The first three are those of the figures of scripts/transparent_experiments.py, which varies none of them.
@@ -95,6 +95,17 @@ class UnreliableRegions(ConfigModel):
         """
         if samples.values.size == 0:
             return np.zeros(sensor.shape, np.bool_)
+        region = grid_cut(self._scores(sensor, planes, samples, noise), self._outline_costs(image))
+        region = self._contradicted(region, sensor, samples, noise) & np.isfinite(sensor)
+        # Drop the pieces that hold one sample or none where their area should hold several: pixels that the sensor does
+        # not know join such a piece to others; its own evidence may be a single wrong sample.
+        labels, area = _pieces(region)
+        number = np.bincount(labels[samples.rows, samples.columns], minlength=area.size)
+        keep = (number > 1) | (area * (samples.values.size / region.size) < _MIN_EXPECTED_SAMPLES)
+        return np.asarray(keep[labels] & region, np.bool_)
+
+    def _scores(self, sensor: Floats, planes: SamplePlanes, samples: Samples, noise: float) -> Doubles:
+        """Return what it is worth that a pixel lies in an unreliable region, (H, W)."""
         distance = samples.distance((sensor.shape[0], sensor.shape[1])).ravel()
         fading = np.exp(-(distance**2.0) / (2 * (self.reach * sensor.shape[1]) ** 2))
         spread = np.sqrt(noise**2 + (self.model_error * planes.sigma) ** 2.0)
@@ -105,16 +116,21 @@ class UnreliableRegions(ConfigModel):
         score = np.where(score > 0, score * gain, score)
         # Through glass the sensor measures a farther surface, never a nearer one.
         score = np.where(deviation > 0, np.minimum(score, -self.score_threshold), score)
-        score = np.where(np.isfinite(deviation), score, 0.0).reshape(sensor.shape)
-        color, weights = image.astype(np.float64), []
+        return np.where(np.isfinite(deviation), score, 0.0).reshape(sensor.shape)
+
+    def _outline_costs(self, image: Image8) -> tuple[Doubles, ...]:
+        """Return what an outline between two pixels costs, for each of the steps between neighbors."""
+        color, costs = image.astype(np.float64), []
         for step in STEPS:
             here, there = edge_ends((image.shape[0], image.shape[1]), step)
             change = ((color[here] - color[there]) ** 2).sum(axis=2)
             similarity = np.exp(-change / (2 * self.color_scale**2))
             share = self.min_outline_share + (1 - self.min_outline_share) * similarity
-            weights.append(self.outline * share / np.hypot(*step))
-        region = grid_cut(score, tuple(weights))
-        # Regions have to be contradicted by their own samples.
+            costs.append(self.outline * share / np.hypot(*step))
+        return tuple(costs)
+
+    def _contradicted(self, region: Mask, sensor: Floats, samples: Samples, noise: float) -> Mask:
+        """Return the pieces of a region whose own samples contradict the sensor."""
         labels, area = _pieces(region)
         evidence = self.beyond_systematic((samples.values - sensor[samples.rows, samples.columns]) / noise)
         known = np.isfinite(evidence)
@@ -123,12 +139,6 @@ class UnreliableRegions(ConfigModel):
         number = np.bincount(at, minlength=area.size)
         keep = (number > 0) & (total >= self.min_region_evidence * np.sqrt(number))
         keep &= (total >= self.min_sample_evidence * number) & (area >= self.min_area * region.size)
-        region = keep[labels] & region & np.isfinite(sensor)
-        # Drop the pieces that hold one sample or none where their area should hold several: pixels that the sensor does
-        # not know join such a piece to others; its own evidence may be a single wrong sample.
-        labels, area = _pieces(region)
-        number = np.bincount(labels[samples.rows, samples.columns], minlength=area.size)
-        keep = (number > 1) | (area * (samples.values.size / region.size) < _MIN_EXPECTED_SAMPLES)
         return np.asarray(keep[labels] & region, np.bool_)
 
     def beyond_systematic(self, deviations: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:

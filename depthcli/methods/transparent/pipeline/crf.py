@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import cv2
@@ -10,7 +11,7 @@ from pydantic import Field
 
 from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
-from depthcli.core.arrays import Doubles, Mask
+from depthcli.core.arrays import Floats, Mask
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.fitted_frame import FittedFrame, fit_frame, inverse_depth, refined_depth
@@ -54,75 +55,82 @@ class DenseCrf(TransparentPipeline):
 
     def __call__(self, frame: SparseFrame) -> DepthResult:
         clock = Clock()
-        if self.unreliable is None:
+        if self.unreliable is None:  # every sample agrees, no pixel is known to be unreliable, and all are labelled
             sensor, samples = inverse_depth(frame.depth), Samples.of(inverse_depth(frame.sparse))
             blank = np.full(frame.shape, np.nan, np.float32)
-            fitted = FittedFrame(sensor, samples, 0.0, blank, blank, np.zeros(frame.shape, np.bool_))
+            fitted = FittedFrame(sensor, samples, np.inf, blank, blank, np.zeros(frame.shape, np.bool_))
             region = replaced = set_by_labels = np.ones(frame.shape, np.bool_)
+            frame, separation = replace(frame, dense=None), 0.0
         else:
-            fitted = fit_frame(frame, self.fit, self.unreliable, clock)
+            fitted, separation = fit_frame(frame, self.fit, self.unreliable, clock), self.separation
             replaced, set_by_labels = fitted.unreliable, fitted.unreliable | np.isnan(fitted.sensor)
             square = np.ones((2 * self.band + 1,) * 2, np.uint8)
             region = cv2.dilate(set_by_labels.astype(np.uint8), square) > 0
         values, sigma = fitted.sensor.astype(np.float64), np.full(frame.shape, fitted.noise)
         if region.any():
-            means, deviation = self._label(frame, fitted, region, clock)
-            chosen = set_by_labels[region]
-            values[set_by_labels], sigma[set_by_labels] = means[chosen], deviation[chosen]
+            clock.start("crf")
+            first, step, unary = self._unary(frame, fitted, region)
+            kernels = self._kernels(frame, region, fitted.unreliable, separation)
+            q = mean_field(unary, kernels, self.smooth_truncation, self.iterations)
+            label, chosen = np.arange(self.labels, dtype=np.float32), set_by_labels[region]
+            mean = (q @ label).astype(np.float64)
+            spread = np.sqrt(np.maximum((q @ label**2).astype(np.float64) - mean**2, 0.0))
+            values[set_by_labels] = (first + step * mean)[chosen]
+            sigma[set_by_labels] = (step * np.sqrt(spread**2 + 1 / 12))[chosen]
         clock.start("decode")
         figures = {"labelled": float(region.mean()), "samples": float(fitted.samples.values.size)}
-        sampled = None if self.unreliable is None else fitted.sampled(values)
-        return refined_depth(frame, values, replaced, clock, sigma, sampled, **figures)
+        return refined_depth(frame, values, replaced, clock, sigma, fitted.sampled(values), **figures)
 
-    def _label(self, frame: SparseFrame, fitted: FittedFrame, region: Mask, clock: Clock) -> tuple[Doubles, Doubles]:
-        # Posterior mean and standard deviation of the inverse depth at the region's pixels.
-        clock.start("crf")
-        samples = np.full(frame.shape, np.nan, np.float32)
+    def _unary(self, frame: SparseFrame, fitted: FittedFrame, region: Mask) -> tuple[float, float, Floats]:
+        """Return the inverse depth of the first label, the step between labels, and the costs of the region's pixels.
+
+        These are (n, labels); the dense map counts only where the sensor has no depth, or is unreliable.
+        """
+        samples, nothing = np.full(frame.shape, np.nan, np.float32), np.float32(np.nan)
         samples[fitted.samples.rows, fitted.samples.columns] = fitted.samples.values
-        reliable = np.where(fitted.unreliable, np.float32(np.nan), fitted.sensor)
+        reliable = np.where(fitted.unreliable, nothing, fitted.sensor)
         votes = [(reliable, self.sensor_weight), (samples, self.sample_weight), (fitted.fit, self.fit_weight)]
-        if frame.dense is not None and self.unreliable is not None:
-            # The dense map counts only where the sensor has no depth, or is unreliable.
-            dense = np.where(
-                fitted.unreliable | np.isnan(fitted.sensor), inverse_depth(frame.dense), np.float32(np.nan)
-            )
-            votes.append((dense, self.dense_weight))
-        # The inverse depth of the first label, and the step between labels.
+        if frame.dense is not None:
+            votes.append((np.where(np.isnan(reliable), inverse_depth(frame.dense), nothing), self.dense_weight))
         evidence = np.concatenate([part[np.isfinite(part)] for part, _ in votes])
         low, high = (float(value) for value in np.quantile(evidence, [0.005, 0.995]))
         margin = 0.05 * (high - low) or 0.05 * high
         first = max(low - margin, 0.1 * low)
         step = (high + margin - first) / (self.labels - 1)
         unary = np.zeros((int(region.sum()), self.labels), np.float32)
-        label = np.arange(self.labels, dtype=np.float32)
-        for part, weight in votes:
+
+        def distances(part: Floats) -> tuple[Mask, Floats]:
+            """Return which pixels of the region have a value, and its distance from each label."""
             at = (part[region] - first) / step
             known = np.isfinite(at)
-            distance = np.abs(label - at[known, None].astype(np.float32))
-            unary[known] += np.float32(weight) * np.minimum(distance, np.float32(self.truncation))
+            distance = np.abs(np.arange(self.labels, dtype=np.float32) - at[known, None].astype(np.float32))
+            return known, np.minimum(distance, np.float32(self.truncation))
+
+        for part, weight in votes:
+            known, distance = distances(part)
+            unary[known] += np.float32(weight) * distance
         if frame.sparse_confidence is not None:
             # Undo the cost of samples above as far as they lack confidence.
-            at = ((samples[region] - first) / step).astype(np.float32)
-            share = 1 - np.clip(frame.sparse_confidence[region], 0, 1)
-            known = np.isfinite(at) & np.isfinite(share)
-            distance = np.minimum(np.abs(label - at[known, None]), np.float32(self.truncation))
-            unary[known] -= (np.float32(self.sample_weight) * share[known, None] * distance).astype(np.float32)
+            known, distance = distances(samples)
+            share = np.nan_to_num(1 - np.clip(frame.sparse_confidence[region][known], 0, 1))
+            unary[known] -= np.float32(self.sample_weight) * share[:, None] * distance
+        return first, step, unary
+
+    def _kernels(
+        self, frame: SparseFrame, region: Mask, unreliable: Mask, separation: float
+    ) -> tuple[GaussianKernel, GaussianKernel]:
+        """Return the similarity of the region's pixels by place and color, and by place alone."""
         rows, columns = (axis.astype(np.float32) for axis in np.nonzero(region))
         place = np.stack([columns, rows], axis=1)
         color = frame.color[region].astype(np.float32) / np.float32(self.bilateral_color)
-        flag = np.zeros((rows.size, 0), np.float32)
-        if self.unreliable is not None and self.separation:
-            flag = np.float32(self.separation) * fitted.unreliable[region, None].astype(np.float32)
+        flag = np.float32(separation) * unreliable[region, None].astype(np.float32)
+        if not separation:
+            flag = flag[:, :0]
         wide, near = place / np.float32(self.bilateral_distance), place / np.float32(self.near_distance)
-        kernels = [
+        return (
             GaussianKernel(np.concatenate([wide, color, flag], axis=1), self.bilateral_weight),
             GaussianKernel(np.concatenate([near, flag], axis=1), self.near_weight),
-        ]
-        q = mean_field(unary, kernels, self.smooth_truncation, self.iterations)
-        mean = (q @ label).astype(np.float64)
-        spread = np.sqrt(np.maximum((q @ label**2).astype(np.float64) - mean**2, 0.0))
-        deviation: Doubles = step * np.sqrt(spread**2 + 1 / 12)
-        return first + step * mean, deviation
+        )
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         # Energies, marginals and intermediate arrays of all labels; the lattices; the fit.
