@@ -54,17 +54,6 @@ def test_memory_is_respected(made, tmp_path, capsys):
     assert "needs about" in json.loads(capsys.readouterr().out)["scenes"][0]["error"]
 
 
-def test_other_sparse_depth_is_another_input(made, tmp_path, capsys):
-    folder = tmp_path / "in"
-    shutil.copytree(made, folder)
-    run = ["transparent", "nearest", "-i", str(folder), "-o", str(tmp_path / "run"), "-q"]
-    assert main(run) == 0
-    before = (tmp_path / "run" / "glass_0" / "depth.pfm").read_bytes()
-    shutil.copy(made / "glass_1" / "sparse.pfm", folder / "glass_0" / "sparse.pfm")
-    assert main([*run, "--overwrite"]) == 0
-    assert (tmp_path / "run" / "glass_0" / "depth.pfm").read_bytes() != before
-
-
 def _broken(folder, made):
     """Scenes beside a good one, each with one thing that cannot be used, and what is said of it by which preset."""
     camera = {"K": [[100, 0, 64], [0, 100, 48], [0, 0, 1]], "size": [128, 96]}

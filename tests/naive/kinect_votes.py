@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 
@@ -72,13 +70,3 @@ def modes(mass, moment, most):
         mass[max(top - 2, 0) : top + 3] = 0
         moment[max(top - 2, 0) : top + 3] = 0
     return found
-
-
-def shadows(disparity, jump):
-    """For each gap between known pixels of a row: (row, first, end, is as wide as the rise at its right end)."""
-    for y, row in enumerate(disparity):
-        known = np.flatnonzero(~np.isnan(row))
-        for a, b in itertools.pairwise(known):
-            if b > a + 1:
-                rise = row[b] - row[a]
-                yield y, a + 1, b, rise > jump and b - a - 1 <= rise + 4

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 
@@ -44,14 +43,6 @@ def test_nearest_fill_takes_the_nearest_known_value():
     clear = np.abs(first - second) > 1  # the transform's distances are approximate
     np.testing.assert_array_equal(filled[clear], np.where(first < second, 1, 2)[clear])
     assert np.isnan(nearest_fill(np.full((3, 3), np.nan, np.float32))).all()
-
-
-def test_inpaint_equals_opencv(sample):
-    frame = sample.frame()
-    gaps = np.isnan(frame.disparity)
-    expected = cv2.inpaint(np.nan_to_num(frame.disparity), gaps.astype(np.uint8), 3, cv2.INPAINT_TELEA)
-    expected = np.clip(expected, np.nanmin(frame.disparity), np.nanmax(frame.disparity))
-    np.testing.assert_allclose(frame.fb / Inpaint()(frame).depth.values[gaps], expected[gaps], rtol=1e-5)
 
 
 def spatial(line, alpha, delta):

@@ -14,7 +14,6 @@ from depthcli.core.frames import RgbIrFrame
 from depthcli.core.result import Clock
 from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes
-from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.transparent.color_mix import GREY, learned_weights, mix_channels
 from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.methods.transparent.match_selection import MatchSelection
@@ -70,17 +69,6 @@ def test_a_wall_is_measured_through_two_different_cameras(shift):
     assert np.nanmedian(np.abs(found - 1.0)) < 0.02
     assert figures["matched"] == pytest.approx(np.isfinite(frame.sparse).mean())
     assert (frame.sparse_confidence[np.isfinite(frame.sparse)] >= 0.3).all()
-
-
-def test_depth_is_rectified_and_back():
-    rectified = rig().rectified(SIZE, SMALL, -1, mirrored=True)
-    depth = np.fromfunction(lambda y, x: 1 + 0.001 * x + 0.0005 * y, SIZE[::-1]).astype(np.float32)
-    rectified_depth = rectified.rectify_depth(depth)
-    back, beside = rectified.unrectify_depth(rectified_depth, rectified_depth)
-    known = np.isfinite(back)
-    assert known.mean() > 0.7
-    np.testing.assert_allclose(back[known], depth[known], atol=0.004)
-    assert np.isfinite(beside[known]).all()
 
 
 @pytest.mark.parametrize(
@@ -161,18 +149,6 @@ class TestRealScenes:
                 stereo_scene,
             )
         return found
-
-    @pytest.mark.slow
-    def test_structure_beats_absolute_differences_by_far(self, scenes):
-        for scene, nonocc, stereo_scene in scenes.values():
-            rates = []
-            fields = CrossModal().fusion.model_dump()
-            plain = {**fields, "measures": [AbsoluteDifference().method_name()], "consensus": {"vote_cost": 0}}
-            for fusion in (fields, plain):
-                stereo = CrossModal(max_disparity=stereo_scene.max_disparity, fusion=fusion)
-                found = stereo.match(scene.color, scene.infrared, scene.sensor).dense
-                rates.append(np.mean(np.abs(found - scene.disparity)[nonocc] > 1))
-            assert rates[0] < 0.4 * rates[1]
 
     @pytest.mark.slow
     def test_the_preset_kinect_replaces_the_object_and_little_else(self, scenes):
