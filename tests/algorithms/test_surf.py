@@ -51,14 +51,6 @@ def test_a_blob_is_found_where_it_is(dark, y, x):
     assert points.sign[0] == (1 if dark else -1)
 
 
-def test_descriptors_are_unit_vectors_and_sorted_by_strength():
-    points = Surf()(_picture())
-    assert len(points) > 50
-    assert points.descriptors.shape == (len(points), 64)
-    assert np.allclose(np.linalg.norm(points.descriptors, axis=1), 1, atol=1e-5)
-    assert np.all(np.diff(points.response) <= 0)
-
-
 def _repeated(points, moved, expected_x, expected_y, reach, max_distance):
     """Part of the points that are found again where expected, with a similar description."""
     hits = 0

@@ -11,22 +11,18 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.calibration import Chessboard, Corners
-from depthcli.cli import main
 from depthcli.core.cameras.rig import Rig
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import read_rig
 from depthcli.io.formats.images import read_image, write_png
 from tests import boards
 from tests.boards import SIZE, SQUARE
+from tests.command_line import run
 
 pytestmark = pytest.mark.slow
 
 CHESS = ("--board", "9x6", "--square", "25mm")
 EXTENT = (8 * SQUARE, 5 * SQUARE)
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
 
 
 def shoot(folder: Path, rig: Rig, texture: np.ndarray, places: list, names: str = "{side}{k:02}.png") -> Path:

@@ -21,13 +21,10 @@ from depthcli.cli import main
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
+from tests.command_line import run
 
 FAST = "opencv-bm"
 """The quickest preset; the tests here are about what is around the matching."""
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
 
 
 def test_maps_and_reports_for_a_folder(made_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -150,6 +147,10 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
         (("sample", "-o", "x", "--count", "0", "--width", "3"), "Invalid value for '--count'"),
         (("sample", "-o", "x", "--speckles", "0.1"), "--speckles has no effect on stereo scenes"),
         (("sample", "-o", "x", "--max-disparity", "300"), "at most width / 2 = 200"),
+        (("nope",), "No such command 'nope'"),
+        (("sterio",), "Did you mean 'stereo'?"),
+        (("stereo",), "Missing argument 'CONFIG'"),
+        (("presets", "--jso"), "--json"),
     ],
 )
 def test_wrong_usage_is_exit_2_and_a_line(arguments, said, tmp_path: Path, monkeypatch, capsys):
@@ -198,17 +199,6 @@ def test_help_imports_nothing_heavy():
     assert "--max-memory" in done.stdout
 
 
-def test_threads_do_not_change_the_bytes(made_scenes: Path, tmp_path: Path):
-    one = ("-i", made_scenes, "--scenes", "*_0", "-q")
-    for threads in ("1", "2"):
-        assert run("stereo", "fast", *one, "-o", tmp_path / threads, "--threads", threads) == 0
-    files = [p.relative_to(tmp_path / "1") for p in (tmp_path / "1").rglob("*") if p.is_file()]
-    assert len(files) == 4 * 5 + 4
-    for file in files:
-        if file.name not in ("report.json", "report.csv", "record.json"):
-            assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes(), file
-
-
 @pytest.mark.system
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGINT")
 @pytest.mark.parametrize("jobs", ["1", "2"])
@@ -252,18 +242,6 @@ def test_results_inside_the_input_are_no_scenes(made_scenes: Path, tmp_path: Pat
     assert "1 of 1 scenes are done already" in said
     assert f"{scenes / below}: holds a run, its results are left out" in said
     assert sorted(scenes.rglob("*")) == before
-
-
-def test_own_files_in_the_place_of_results_stay(made_scenes: Path, tmp_path: Path, capsys):
-    """A folder of scenes as --output, with the name of one of them: the scene fails, and its truth stays."""
-    data = tmp_path / "data"
-    shutil.copytree(made_scenes / "planes_0", data / "planes_0", ignore=shutil.ignore_patterns("record.json"))
-    pair = [f"--{side}={made_scenes / 'planes_1' / side}.png" for side in ("left", "right")]
-    before = {path: path.read_bytes() for path in data.rglob("*") if path.is_file()}
-    for more in ([], ["--overwrite"]):
-        assert run("stereo", FAST, *pair, "--max-disparity", "12", "--name", "planes_0", "-o", data, *more) == 3
-        assert "disp_left.pfm would be replaced, but no record says" in capsys.readouterr().err
-        assert {path: path.read_bytes() for path in before} == before
 
 
 def test_results_are_not_written_to_urls(tmp_path, monkeypatch, capsys):

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
 from depthcli.io.formats.calibrations import read_geometry, write_geometry
@@ -18,6 +17,7 @@ from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
+from tests.command_line import run
 
 V3 = """cam0=[713.189 0 56.021; 0 713.189 38.263; 0 0 1]
 cam1=[713.189 0 87.361; 0 713.189 38.263; 0 0 1]
@@ -32,10 +32,6 @@ P1: 700 0 600 -371 0 700 170 0 0 0 1 0
 P2: 710 0 610 42.6 0 710 172 0 0 0 1 0
 P3: 710 0 612 -340.8 0 710 172 0 0 0 1 0
 """
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -7,16 +7,12 @@ import numpy as np
 import pytest
 import yaml
 
-from depthcli.cli import main
 from depthcli.core.frames import StereoPair
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.networks import network_path
 from depthcli.methods.stereo.cost.census import Census
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
+from tests.command_line import run
 
 
 @pytest.fixture
@@ -103,12 +99,3 @@ def test_a_scene_whose_volume_is_missing_or_damaged_fails_alone(
     assert "npy" in err
     assert "(H, W, D)" in err
     assert (tmp_path / "run" / "shifted" / "disp_left.pfm").is_file()
-
-
-def test_mistakes_in_the_config_are_named(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    file = config(tmp_path, max_disparity=11, weights="best", consensus={"windw": 3}, confidence=["pkx"])
-    assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run") == 2
-    err = capsys.readouterr().err
-    assert "weights" in err
-    assert "windw" in err
-    assert "pkx" in err

@@ -10,15 +10,11 @@ import numpy as np
 import pytest
 
 import depthcli
-from depthcli.cli import main
 from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import read_status
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
+from tests.command_line import run
 
 
 def digests(folder: Path) -> dict[str, str]:

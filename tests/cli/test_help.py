@@ -53,21 +53,6 @@ def test_examples_parse_and_their_configs_load(example: str):
         load_config(model, find_config(values.get("command", name), values["config"]), settings)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("nope",), "No such command 'nope'"),
-        (("sterio",), "Did you mean 'stereo'?"),
-        (("stereo",), "Missing argument 'CONFIG'"),
-        (("presets", "--jso"), "--json"),
-    ],
-)
-def test_wrong_usage_ends_with_2(words: tuple[str, ...], said: str, capsys):
-    assert main(list(words)) == 2
-    out, err = capsys.readouterr()
-    assert (out, said in err) == ("", True), err
-
-
 def test_without_a_command_the_help_is_shown(capsys):
     assert main([]) == 2
     assert "Match and refine:" in capsys.readouterr().err

@@ -11,18 +11,14 @@ import pytest
 import yaml
 
 import depthcli
-from depthcli.cli import main
 from depthcli.core.errors import ConfigError
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import write_png
+from tests.command_line import run
 from tests.methods.stereo._networks import block_matcher, has_onnx, local_features
 from tests.methods.stereo._pairs import shifted_pair
 
 needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is not installed")
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
 
 
 @pytest.fixture

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import depthcli
-from depthcli.cli import main
 from depthcli.commands import _rectify
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
@@ -22,14 +21,11 @@ from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import read_status
 from depthcli.methods.stereo.rectification import rectify_uncalibrated, row_error
+from tests.command_line import run
 
 SIZE = (240, 180)
 # Planes n . X = 1 in the left camera's frame, nearest last: a slanted wall, a board in front of it.
 WALL, BOARD = np.array([0.05, 0.02, 0.34]), np.array([0.0, 0.03, 0.55])
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
 
 
 def rotation(*degrees: float) -> np.ndarray:

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.core.maps import DepthStatus
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_pfm, read_plane, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
+from tests.command_line import rows, run
 from tests.rendered import (
     COLOR,
     COLOR_SHAPE,
@@ -35,14 +35,6 @@ def kinect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("kinect")
     assert run("sample", "--kinect", "-o", folder, "--width", "96", "--height", "72", "--frames", "4", "-q") == 0
     return folder
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
-
-
-def rows(output: Path) -> dict[str, dict[str, object]]:
-    return {row["scene"]: row for row in json.loads((output / "report.json").read_text())["scenes"]}
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -266,12 +258,3 @@ def test_wrong_cameras_are_refused(
     assert run("refine-kinect", "nearest", "-i", phone, option, numbers, "-o", tmp_path / "r") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert f"{option}: expected fx,fy,cx,cy" in line
-
-
-def test_depth_of_another_aspect_is_refused(phone: Path, tmp_path: Path):
-    write_png(tmp_path / "in" / "a" / "depth.png", np.full((48, 70), 1500, np.uint16))
-    shutil.copy(phone / "room" / "color.png", tmp_path / "in" / "a" / "color.png")
-    assert run("refine-kinect", "nearest", "-i", tmp_path / "in", "-o", tmp_path / "r", "-q") == 3
-    error = str(rows(tmp_path / "r")["a"]["error"])
-    assert "70 x 48, but the color image is 480 x 360" in error
-    assert error.endswith("else give depth_intrinsics, and intrinsics of the color camera")

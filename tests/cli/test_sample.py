@@ -109,20 +109,20 @@ def test_cross_modal_keeps_the_truth(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["meta.json", "record.json"])
-@pytest.mark.parametrize("text", ["{}", "[" * 100_000 + "]" * 100_000, '{"width": {}}', "\0"])
-def test_damaged_notes_beside_a_scene_are_made_again(tmp_path: Path, capsys, name: str, text: str):
-    assert sample(tmp_path / "a", "-n", "2") == 0
-    wanted = _bytes(tmp_path / "a")
-    (tmp_path / "a" / "planes_0" / name).write_text(text)
-    assert sample(tmp_path / "a", "-n", "2") == 0
-    assert _bytes(tmp_path / "a") == wanted
-    assert "Traceback" not in capsys.readouterr().err
+def test_damaged_notes_beside_a_scene_are_made_again(tmp_path: Path, capsys, name: str):
+    assert sample(tmp_path, "-n", "2") == 0
+    wanted = _bytes(tmp_path)
+    for text in ("{}", "[" * 100_000 + "]" * 100_000, '{"width": {}}', "\0"):
+        (tmp_path / "planes_0" / name).write_text(text)
+        assert sample(tmp_path, "-n", "2") == 0
+        assert _bytes(tmp_path) == wanted
+        assert "Traceback" not in capsys.readouterr().err
 
 
 @pytest.mark.slow
 def test_two_at_once_do_not_mix(tmp_path: Path):
     command = [sys.executable, "-m", "depthcli", "sample", "-o", str(tmp_path / "a"), "-q", *SMALL, "-n", "4"]
-    started = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(3)]
+    started = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]
     said = [process.communicate()[1].decode() for process in started]
     for process, text in zip(started, said, strict=True):
         # Who comes while another writes is told so; who comes after it finds everything done.

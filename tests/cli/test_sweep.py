@@ -105,6 +105,8 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(
     assert all(row["memory"] > 10_000 for row in document["scenes"])
     assert main([*command, "--set", "optimization.p2=3", "--dry-run"]) == 0
     assert "made with another config; needs --overwrite" in capsys.readouterr().out
+    assert main([*command, "--list-scenes", "--shard", "2/2"]) == 0
+    assert len(capsys.readouterr().out.split()) == 1
 
 
 def test_dry_runs_of_commands_without_a_config(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -6,13 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from depthcli.commands._options import SampleOptions
 from depthcli.core.method import Family
-from depthcli.evaluation.protocols import load, missing_scores, picture
-from depthcli.evaluation.scores import MapResult
 from depthcli.io.layouts import own_layouts
 from depthcli.io.walk import discover_scenes
 from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes
@@ -42,26 +39,6 @@ def test_methods(package: str, name: str, check: Callable[[Any], None]):
 
 def test_layout_of_our_own_scenes(made_scenes: Path):
     check_layout(next(each for each in own_layouts() if each.name == "scenes"), made_scenes)
-
-
-@pytest.mark.parametrize("name", ["middlebury-v2", "eth3d", "kitti-2012", "kitti-2015"])
-def test_protocols(name: str, made_scenes: Path):
-    scene, protocol = discover_scenes(made_scenes)[0], load(name)()
-    truth = protocol.truth(scene)
-    best = protocol.read(scene.disparity_left, scene, truth)  # type: ignore[attr-defined]
-    scores, missing, regions = protocol.scores(best, truth), missing_scores(protocol, truth), truth.regions
-    assert all(region.dtype == bool for region in regions.values())
-    headlines = {score.region for score in scores if score.metric == protocol.headline}
-    assert headlines and headlines <= set(regions)
-    assert {(score.metric, score.region) for score in missing} == {(score.metric, score.region) for score in scores}
-    for score, worst in zip(scores, missing, strict=True):
-        if score.metric.worst is not None and not np.isnan(worst.value):
-            assert worst.value == score.metric.worst != score.value
-    assert not protocol.wrong(best, truth).any()
-    result = MapResult("run", scene.name, "set", protocol.name, scores=tuple(scores))
-    assert any(score.metric == protocol.headline for score in protocol.mean([result]))
-    drawn = picture(protocol, best, truth)
-    assert drawn is not None and drawn.dtype == np.uint8 and drawn.ndim == 3
 
 
 @pytest.mark.parametrize("name", ["stereo", "kinect", "cross_modal", "registration"])

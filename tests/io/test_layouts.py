@@ -209,16 +209,6 @@ def test_broken_meta(tmp_path: Path, meta, said):
         find(tmp_path / "a")
 
 
-def test_a_broken_scene_spoils_no_other(tmp_path: Path):
-    own(tmp_path / "a", {"disp_scale": 0})
-    own(tmp_path / "b")
-    broken, good = find(tmp_path)
-    assert (broken.name, good.name, good.problem) == ("a", "b", "")
-    with pytest.raises(InputError, match=r"meta\.json: .*disp_scale"):
-        load(broken)
-    load(good)
-
-
 def test_what_is_said_where_nothing_fits(tmp_path: Path):
     with pytest.raises(InputError, match="no such folder"):
         find(tmp_path / "absent")

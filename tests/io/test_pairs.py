@@ -9,20 +9,16 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.images import write_png
 from depthcli.io.named_files import match_patterns, named_scenes, scenes_of_table
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_views
 from depthcli.io.walk import discover_scenes
+from tests.command_line import run
 from tests.scenes import load
 
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
 
 
 def put(folder: Path, *names: str) -> None:

@@ -195,37 +195,8 @@ def test_depth_alone_is_a_frame_without_color(tmp_path: Path):
         load_sparse_frame(scene)
 
 
-def test_frames_that_cannot_be_used(tmp_path: Path):
-    for depth, said in (
-        (DEPTH[:5], "8 x 5, but the color image is 8 x 6; the depth must be registered"),
-        (np.zeros((6, 8), np.uint16), "no pixel has a depth"),
-        (np.full((6, 8), 7, np.uint8), "8-bit"),
-    ):
-        write(tmp_path / "a", depth=depth)
-        with pytest.raises(InputError, match=said):
-            load(find(tmp_path)[0])
-
-
 WIDE, SMALLER = np.zeros((90, 120, 3), np.uint8), np.full((20, 30), 2000, np.uint16)
-CAMERA = {"fx": 100, "fy": 100, "cx": 60, "cy": 45}
 DEPTH_CAMERA = {"fx": 20, "fy": 20, "cx": 15, "cy": 10}
-
-
-def test_depth_of_its_own_camera_is_registered(tmp_path: Path):
-    place = {"rotation": np.eye(3).tolist(), "translation": [0.1, 0, 0]}
-    write(tmp_path, WIDE, SMALLER, intrinsics=CAMERA, depth_intrinsics=DEPTH_CAMERA, depth_to_color=place)
-    (scene,) = find(tmp_path)
-    frame = load(scene)
-    assert frame.interpolated
-    known = np.isfinite(frame.depth)
-    assert (frame.depth[known] == 2).all()
-    # The 30 x 20 samples cover 150 x 100 pixels around the center, 5 pixels (100 x 0.1 / 2) farther right than alone.
-    assert known[:, 5:].all()
-    np.testing.assert_array_equal(known[:, :5].any(), True)
-    alone = load(replace(scene, depth_to_color=None, depth_intrinsics=(25, 25, 15, 10))).depth
-    moved = load(replace(scene, depth_intrinsics=(25, 25, 15, 10))).depth
-    np.testing.assert_array_equal(np.isfinite(moved[:, 5:]), np.isfinite(alone[:, :-5]))
-    assert 0 < np.isnan(alone[:, :2]).sum() < 3 * 90
 
 
 @pytest.mark.parametrize(
@@ -246,16 +217,6 @@ def test_cameras_of_meta_json_that_cannot_be(tmp_path: Path, meta: dict[str, obj
     with pytest.raises(InputError, match=said) as error:
         load(find(tmp_path)[0])
     assert "\n" not in str(error.value)
-
-
-def test_smaller_depth_of_the_same_aspect_is_scaled_and_said(tmp_path: Path):
-    write(tmp_path, WIDE, SMALLER[:15, :20])
-    (scene,) = find(tmp_path)
-    with collected_warnings() as lines:
-        frame = load(scene)
-    assert (frame.depth == 2).all()
-    (line,) = lines
-    assert line.startswith(f"{tmp_path}/depth.png: 20 x 15, taken as registered to the color image of 120 x 90")
 
 
 def test_triangulation_is_its_own_inverse():

@@ -262,14 +262,6 @@ def test_what_is_finished_when_the_signal_comes_is_reported(folder: Folder, monk
     assert folder.computed()[-3:] == ["b", "c", "d"]
 
 
-@pytest.mark.slow
-def test_workers_give_the_same_bytes(folder: Folder, tmp_path_factory: pytest.TempPathFactory):
-    folder.run(jobs=2)
-    other = Folder(tmp_path_factory.mktemp("other"))
-    other.run()
-    assert folder.bytes() == other.bytes()
-
-
 def test_leftovers_of_killed_runs_are_removed(folder: Folder):
     folder.run()
     before = folder.bytes()

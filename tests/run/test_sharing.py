@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import signal
 import subprocess
@@ -12,17 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from depthcli.cli import main
 from depthcli.core.errors import ConfigError
 from depthcli.run.batch import shard_of
 from depthcli.run.folder import LOCKS_FILE, FolderLock
+from tests.command_line import run
 from tests.run.processes import contents, rows, start, wait_for
 
 FAST = "opencv-bm"
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
 
 
 def report(folder: Path) -> dict[str, str]:
@@ -42,12 +37,13 @@ def test_xargs_with_a_scene_each_loses_nothing(made_scenes: Path, whole: Path, t
     """Processes that begin and end at any time, one scene each, fill one folder; the report has all."""
     out = tmp_path / "run"
     command = [sys.executable, "-m", "depthcli", "stereo", FAST, "-i", made_scenes, "-o", out, "-q", "--scenes"]
-    names = "\n".join(report(whole))
+    names = "\n".join(list(report(whole))[:5])
     line = f"xargs -P3 -n1 {shlex.join(map(str, command))}"
     done = subprocess.run(line, shell=True, input=names, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert report(out) == report(whole)
-    assert contents(out) == contents(whole)
+    assert report(out) == {name: report(whole)[name] for name in names.split()}
+    made = contents(out)
+    assert len(made) > 5 * 4 and made.items() <= contents(whole).items()
 
 
 @pytest.mark.slow
@@ -182,18 +178,3 @@ def test_leaving_files_out(made_scenes: Path, whole: Path, tmp_path: Path):
 
 def test_shards_and_evaluation_exclude_each_other(made_scenes: Path, tmp_path: Path):
     assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "--shard", "1/2", "--evaluate") == 2
-
-
-@pytest.mark.slow
-def test_what_would_be_done(made_scenes: Path, tmp_path: Path, capsys):
-    common = ("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run")
-    assert run(*common, "--scenes", "planes_0", "-q") == 0
-    capsys.readouterr()
-    assert run(*common, "--dry-run", "--json") == 0
-    plan = json.loads(capsys.readouterr().out)
-    assert [row["scene"] for row in plan["scenes"] if row["status"] == "done, kept"] == ["planes_0"]
-    assert all(row["memory"] > 0 for row in plan["scenes"])
-    assert run(*common, "--dry-run", "--set", "block=7") == 0
-    assert "needs --overwrite" in capsys.readouterr().out
-    assert run(*common, "--list-scenes", "--shard", "2/6") == 0
-    assert len(capsys.readouterr().out.split()) == 2

@@ -22,6 +22,7 @@ from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_p
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.command import ProgramError, run_program
+from tests.command_line import rows
 
 # OpenCV's matcher as a program of somebody else: reads two images, writes a map as .npy.
 SGBM = """
@@ -82,10 +83,6 @@ def write_config(path: Path, words: list[str], **fields: object) -> Path:
 
 def stereo(config: str, scenes: Path, output: str, *options: str) -> int:
     return main(["stereo", config, "-i", str(scenes), "-o", output, "-q", *options])
-
-
-def rows(run: Path) -> dict[str, dict]:
-    return {row["scene"]: row for row in json.loads((run / "report.json").read_text())["scenes"]}
 
 
 def program(words: list[str], **fields: object) -> StereoConfig:

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.io.formats.disparity import read_disparity, read_pfm, write_pfm
@@ -19,10 +18,7 @@ from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.search_range import SearchRange, range_of_key_points
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.simulate.stereo_scenes import make_scene
-
-
-def run(*arguments: str | Path) -> int:
-    return main([str(a) for a in arguments])
+from tests.command_line import run
 
 
 def blobs(width: int, height: int = 60, seed: int = 3) -> np.ndarray:

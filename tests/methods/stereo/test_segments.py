@@ -18,7 +18,6 @@ from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.run.presets import find_config
 from depthcli.simulate.stereo_scenes import make_scene
-from tests.methods.stereo._pairs import assert_pure
 from tests.naive import segments as naive
 
 FIT = SegmentPlaneFit(tolerance=0.5, trials=200, max_slope=1.0, flatness=1.0, seed=0)
@@ -192,12 +191,6 @@ def test_generated_planes_come_out():
     assert not np.any((status & Status.FILLED == 0) & (status & (Status.OCCLUDED | Status.MISMATCH) != 0))
     hidden = (status & Status.OCCLUDED) != 0
     assert hidden[~scene.nonocc].mean() > 0.5 > hidden[scene.nonocc].mean()
-
-
-def test_same_bytes_at_any_number_of_threads_and_inputs_untouched():
-    scene = make_scene("foreground", seed=2, height=90, width=120, max_disparity=16)
-    pipeline, pair = _preset(), StereoPair(scene.left, scene.right)
-    assert_pure(lambda: pipeline(pair, 16).disparity.values, scene.left, scene.right)
 
 
 def test_details_are_written_on_request():
