@@ -35,22 +35,20 @@ def write(folder, calibration=RIG, infrared=(28, 36), dtype=np.uint8):
         (folder / "calib.json").write_text(json.dumps(calibration))
 
 
-def only(folder):
+def loaded(folder):
     (scene,) = discover_scenes(folder, (RgbdScene,))
-    assert isinstance(scene, RgbIrScene)
-    return scene
+    assert isinstance(scene, RgbIrScene) and scene.layout == "rgb-ir"
+    return load_infrared_frame(scene)
 
 
 def test_a_rig_and_a_rectified_pair(tmp_path):
     write(tmp_path)
-    scene = only(tmp_path)
-    frame = load_infrared_frame(scene)
-    assert scene.layout == "rgb-ir"
-    assert isinstance(frame.rig, Rig)
-    assert frame.infrared.shape == (28, 36)
+    frame = loaded(tmp_path)
+    assert isinstance(frame.rig, Rig) and frame.infrared.shape == (28, 36)
     assert frame.rig.left.distortion[0] == 0.1
     write(tmp_path, {"rectified": True, "fb": 12.5}, (30, 40))
-    assert (load_infrared_frame(only(tmp_path)).rig, load_infrared_frame(only(tmp_path)).fb) == (None, 12.5)
+    frame = loaded(tmp_path)
+    assert (frame.rig, frame.fb) == (None, 12.5)
 
 
 def test_yaml_of_opencv(tmp_path):
@@ -61,7 +59,7 @@ def test_yaml_of_opencv(tmp_path):
     for name, value in values.items():
         storage.write(name, np.asarray(value, np.float64))
     storage.release()
-    rig = load_infrared_frame(only(tmp_path)).rig
+    rig = loaded(tmp_path).rig
     assert rig is not None
     np.testing.assert_allclose(rig.translation, [-0.05, 0, 0])
     assert rig.left.distortion == (0.1, 0, 0, 0, 0)
@@ -70,12 +68,12 @@ def test_yaml_of_opencv(tmp_path):
 def test_the_image_without_the_projector_is_used(tmp_path):
     write(tmp_path)
     write_png(tmp_path / "ir_noprojector.png", np.full((28, 36), 77, np.uint8))
-    assert (load_infrared_frame(only(tmp_path)).infrared == 77).all()
+    assert (loaded(tmp_path).infrared == 77).all()
 
 
 def test_sixteen_bits_use_their_own_range(tmp_path):
     write(tmp_path, dtype=np.uint16)
-    infrared = load_infrared_frame(only(tmp_path)).infrared
+    infrared = loaded(tmp_path).infrared
     assert infrared.dtype == np.uint8
     assert infrared.max() == 255
     assert 100 < infrared.mean() < 150
@@ -95,7 +93,7 @@ def test_sixteen_bits_use_their_own_range(tmp_path):
 def test_what_cannot_be_used_says_why_in_a_line(tmp_path, change, infrared, said):
     write(tmp_path, None if change is None else {**RIG, **change}, infrared)
     with pytest.raises(InputError, match=said) as caught:
-        load_infrared_frame(only(tmp_path))
+        loaded(tmp_path)
     assert "\n" not in str(caught.value)
 
 

@@ -31,7 +31,8 @@ _MASK = "mask."  # before the name of a mask in a role
 _MASKS = "masks"  # role of all masks, whose names are ``{mask}``
 _OWN_FIELDS = ("folder", "layout", "problem")  # of scenes, which no file of layouts says
 _VIEWS = {StereoScene: ("left", "right"), RgbdScene: ("color", "depth")}
-_Keys = dict[str, str]
+_Keys = dict[str, str]  # placeholder -> text
+_Key = tuple[tuple[str, str], ...]  # the same, as pairs
 
 
 class Found(NamedTuple):
@@ -88,8 +89,8 @@ class LayoutRow(Layout):
     def _found(self, folder: Folder, variant: Mapping[str, str]) -> Iterator[tuple[_Keys, dict[str, Path]]]:
         """Yield placeholders and the two images of every scene."""
         first, second = self._views
-        one = dict(_files(folder, first, variant.get(first, "")))
-        other = dict(_files(folder, second, variant.get(second, ""))) if one or self.either else {}
+        one = _files(folder, first, variant.get(first, ""))
+        other = _files(folder, second, variant.get(second, "")) if one or self.either else {}
         if self.either and "{" in variant[second] and not one.keys() & other.keys():
             return
         for key in {**one, **other} if self.either else one:
@@ -107,13 +108,9 @@ class LayoutRow(Layout):
         facts = self.facts(Found(folder, keys, files | views, masks))
         if facts is None:
             return None
-        named = {
-            **keys,
-            "folder": folder.name,
-            "path_": f"{keys['path']}_".replace("/", "_") if keys.get("path") else "",
-        }
+        path_ = f"{keys['path']}_".replace("/", "_") if keys.get("path") else ""
         scene_name = variant.get("name", "{folder}")
-        name = scene_name.format(**named)
+        name = scene_name.format(**{**keys, "folder": folder.name, "path_": path_})
         values = {
             "name": name if "{folder}" in scene_name else folder.prefix + name,
             "masks": masks, **self.values, **files, **views,
@@ -183,24 +180,19 @@ def _file(folder: Folder, role: str, names: str, keys: _Keys) -> Path | None:
     return None
 
 
-def _files(folder: Folder, role: str, names: str) -> Iterator[tuple[tuple[tuple[str, str], ...], Path]]:
-    """Yield placeholders and file of every file of a role; numbers without the zeros before them."""
+def _files(folder: Folder, role: str, names: str) -> dict[_Key, Path]:
+    """Return placeholders -> file of a role, by the first of the names that any file has."""
     for name in names.split("|"):
-        if "{" not in name:
-            found = _file(folder, role, name, {})
-            if found is not None:
-                yield (), found
-                return
-            continue
-        known: dict[tuple[tuple[str, str], ...], Path] = {}
-        for keys, file in _matches(folder, name, _suffixes(role)):
-            key = tuple((k, str(int(v)) if k == "number" else v) for k, v in keys.items())
-            if key in known:
-                raise InputError(f"{file.parent}: both {known[key].name} and {file.name}; keep one")
-            known[key] = file
+        known: dict[_Key, Path] = {}
+        if "{" not in name and (single := _file(folder, role, name, {})) is not None:
+            known[()] = single
+        for keys, file in _matches(folder, name, _suffixes(role)) if "{" in name else ():
+            key = tuple((k, str(int(v)) if k == "number" else v) for k, v in keys.items())  # 7 and 007 are a pair
+            if (other := known.setdefault(key, file)) is not file:
+                raise InputError(f"{file.parent}: both {other.name} and {file.name}; keep one")
         if known:
-            yield from known.items()
-            return
+            return known
+    return {}
 
 
 def _matches(folder: Folder, name: str, suffixes: tuple[str, ...]) -> Iterator[tuple[_Keys, Path]]:
