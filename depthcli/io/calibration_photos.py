@@ -12,9 +12,12 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.files import shown
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 
-# Words of a name that say which camera it is; "cam0" and "cam1" only where both are there.
+SIDES = re.compile(r"(?<![a-z])(?:(left|l)|(right|r))(?![a-z])", re.IGNORECASE)
+"""Words of a name that say which view it is."""
+
+# "cam0" and "cam1" say the camera only where both are there.
 _WORDS = (
-    re.compile(r"(?<![a-z])(?:(left|l)|(right|r))(?![a-z])", re.IGNORECASE),
+    SIDES,
     re.compile(r"(?<![a-z])(?:cam(?:era)?|image|img)[-_]?0?(?:(0)|(1))(?![0-9a-z])", re.IGNORECASE),
 )
 _MAX_DEPTH = 2  # folders below the given one
@@ -60,14 +63,18 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
     return [Photos(name, file, None) for name, file in files.items()], []
 
 
+def without_word(name: str, word: re.Pattern[str] | None) -> str:
+    """Return a name or path without what ``word`` matches, and without what parted it from the rest."""
+    parts = (word.sub("", name) if word else name).split("/")
+    plain = (re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in parts)
+    return "/".join(part for part in plain if part)
+
+
 def _keyed(files: Iterable[tuple[str, Path]], word: re.Pattern[str] | None, place: str) -> dict[str, Path]:
     """Return name without what ``word`` matches -> file."""
     keyed: dict[str, Path] = {}
     for name, file in files:
-        stem = os.path.splitext(name)[0]
-        parts = (word.sub("", stem) if word else stem).split("/")
-        plain = (re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in parts)
-        key = "/".join(part for part in plain if part) or "photo"
+        key = without_word(os.path.splitext(name)[0], word) or "photo"
         if (other := keyed.setdefault(key, file)) is not file:
             raise InputError(f"{place}: {other.name} and {file.name} of one camera are both called {key}")
     return keyed

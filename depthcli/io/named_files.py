@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.io.calibration_photos import SIDES, without_word
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.videos import VIDEO_SUFFIXES, count_frames
@@ -22,8 +23,6 @@ TABLE_SUFFIXES = (".csv", ".tsv")
 
 _WILD = re.compile(r"[*?\[]")
 _MAX_BYTES = 1 << 28  # of a table
-# Words of a file's name that say which view it is; a file without the other's word has no partner.
-_SIDES = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 _COLUMNS = ("left", "right", "name", "calibration", "max_disparity", "min_disparity")
 # Names of files that say nothing of the scene, which is called as the folder then.
 _GENERIC_LEFT = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")
@@ -163,17 +162,25 @@ def scenes_of_table(path: Path) -> list[StereoScene]:
         taken = Counter(each["name"] for each in fields if "name" in each)
         if twice := [name for name, count in taken.items() if count > 1]:
             raise InputError(f"two lines are called {twice[0][:100]!r}")
-    names = [each.get("name") or Path(each["left"]).stem for each in fields]
-    if len(set(names)) < len(names):  # lines without a name of their own get their number
-        for number, (name, each) in enumerate(zip(names, fields, strict=True), 1):
-            if "name" not in each:
-                name = f"{number:0{len(str(len(names)))}}_{name}"
-                while name in taken:
-                    name += "_"
-            taken[name] = 1
-            names[number - 1] = name
-    folder = path.parent
+    folder, names = path.parent, _names_of(fields)
     return [_pair(n, folder / f["left"], folder / f["right"], f, folder) for n, f in zip(names, fields, strict=True)]
+
+
+def _names_of(fields: Sequence[Mapping[str, str]]) -> list[str]:
+    """Return the names of pairs: their own, else their left files', with their numbers where those repeat."""
+    names = [each.get("name") or Path(each["left"]).stem for each in fields]
+    if len(set(names)) == len(names):
+        return names
+    taken = {each["name"] for each in fields if "name" in each}
+    unique = []
+    for number, (name, each) in enumerate(zip(names, fields, strict=True), 1):
+        if "name" not in each:
+            name = f"{number:0{len(str(len(names)))}}_{name}"
+            while name in taken:
+                name += "_"
+            taken.add(name)
+        unique.append(name)
+    return unique
 
 
 def match_patterns(left: Path, right: Path) -> list[tuple[str, Path | None, Path | None]]:
@@ -189,8 +196,8 @@ def match_patterns(left: Path, right: Path) -> list[tuple[str, Path | None, Path
             query = "; a query behind its URL is read of archives alone" if ":/" in str(pattern) else ""
             raise ConfigError(f"{pattern}: matches no image{query}")
     keys: tuple[Callable[[_Match], str], ...] = (
-        lambda file: _without_side(file.captured),
-        lambda file: _without_side(file.name),
+        lambda file: without_word(file.captured, SIDES),
+        lambda file: without_word(file.name, SIDES),
         lambda file: (re.findall(r"\d+", file.name) or [""])[-1],
     )
     for key in keys:
@@ -246,8 +253,3 @@ def _keyed(files: list[_Match], key: Callable[[_Match], str]) -> dict[str, Path]
     keys = [key(file) for file in files]
     once = {text for text, count in Counter(keys).items() if count == 1 and text}
     return {text: file.path for text, file in zip(keys, files, strict=True) if text in once}
-
-
-def _without_side(name: str) -> str:
-    plain = "/".join(re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in _SIDES.sub("", name).split("/"))
-    return plain.strip("/")
