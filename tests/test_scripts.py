@@ -53,6 +53,7 @@ def test_all_that_can_be_started_is_tested():
     assert {file.name for file in files} == {*SCRIPTS, "demo", "test"}
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_help_by_a_python_without_packages(checkout: Path, tmp_path: Path, name: str):
     command = [*BARE, str(checkout / "scripts" / name), "--help"]

@@ -172,7 +172,7 @@ def test_kernels_read_constants_of_files_with_kernels_alone():
                 assert {origin[each] for each in names & origin.keys()} <= hashed, (name, kernel.name)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_a_moved_package_finds_its_kernels(tmp_path: Path):
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
