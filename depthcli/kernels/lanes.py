@@ -5,7 +5,7 @@ the arithmetic, and sums over rows are loaded and stored at every row. With thes
 become LLVM vectors, for which LLVM emits the vector instructions of the processor.
 
 Values are made by :func:`load` and :func:`splat`, added, subtracted, multiplied and divided by the operators, and
-written by :func:`store`. Vectors of int16, made by :func:`load_shorts` and :func:`splat_shorts`, are only added and
+written by :func:`store`. Vectors of int16, made by :func:`load_shorts` and :func:`splat`, are only added and
 subtracted. Indices are not checked against the bounds of an array.
 """
 
@@ -25,7 +25,7 @@ from depthcli.kernels.jit import cgutils, intrinsic, jit, models, overload, regi
 LANES = 16
 """Values in a vector of float32."""
 SHORT_LANES = 32
-"""Values in a vector of int16."""
+"""Values in a vector of int16 or uint8."""
 # As many as 8 registers of 512 bit, or of 256 bit, hold twice.
 WIDE = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
 """Values in a wide vector of float32, for loops that have two of them."""
@@ -44,6 +44,9 @@ class Lanes(types.Type):
 FLOATS = Lanes(ir.FloatType(), LANES)
 _WIDE_FLOATS = Lanes(ir.FloatType(), WIDE)
 _SHORTS = Lanes(ir.IntType(16), SHORT_LANES)
+_BYTES = Lanes(ir.IntType(8), SHORT_LANES)
+_FEW_BYTES = Lanes(ir.IntType(8), LANES)
+_LANES_OF = {types.float32: FLOATS, types.int16: _SHORTS, types.uint8: _BYTES}
 _INTEGERS = ir.VectorType(ir.IntType(32), LANES)
 
 
@@ -106,10 +109,11 @@ load_shorts = _loader(_SHORTS)
 
 @intrinsic
 def load_like(typingctx, like, array, index):
-    """Return as many float32 of a flat array, from ``index`` on, as the vector ``like`` has."""
+    """Return as many values of a flat array, from ``index`` on, as the vector ``like`` of their type has."""
 
     def codegen(context, builder, signature, args):
-        return builder.load(address(context, builder, array, args[1], args[2], like.vector), align=4)
+        place = address(context, builder, array, args[1], args[2], like.vector)
+        return builder.load(place, align=array.dtype.bitwidth // 8)
 
     return like(like, array, types.intp), codegen
 
@@ -147,7 +151,8 @@ def ordered_sum(builder, a, b):
 def store(typingctx, array, index, value):
     """Assign a vector to ``array[index : index + its lanes]`` of a flat array.
 
-    float32 values are stored as float32, or cut off to uint8; int16 values as int16, or their low halves as uint8.
+    float32 values are stored as float32, or cut off to uint8; int16 values as int16, or their low halves as uint8;
+    uint8 values as uint8.
     """
 
     def codegen(context, builder, signature, args):
@@ -163,28 +168,28 @@ def store(typingctx, array, index, value):
     return types.void(array, types.intp, value), codegen
 
 
-@_operation(FLOATS(types.float32))
-def splat(builder, value):
-    """Return a vector with one float32 in all lanes."""
-    return spread(builder, value, FLOATS.vector)
+@intrinsic
+def splat(typingctx, value):
+    """Return a vector with one float32, int16 or uint8 in all lanes; other numbers become float32."""
+    result = _LANES_OF.get(value, FLOATS)
+    element = value if value in _LANES_OF else types.float32
+    return result(element), lambda context, builder, signature, args: spread(builder, args[0], result.vector)
 
 
-@_operation(_SHORTS(types.int16))
-def splat_shorts(builder, value):
-    """Return a vector with one int16 in all lanes."""
-    return spread(builder, value, _SHORTS.vector)
+@intrinsic
+def shifted_right(typingctx, value, count):
+    """Return the lanes of ``value``, integers >= 0, divided by 2^``count``, an integer of their type."""
+
+    def codegen(context, builder, signature, args):
+        return builder.lshr(args[0], spread(builder, args[1], value.vector))
+
+    return value(value, count), codegen
 
 
-@_operation(_SHORTS(_SHORTS, types.int16))
-def shifted_right(builder, value, count):
-    """Return the int16 lanes of ``value``, all >= 0, divided by 2^``count``."""
-    return builder.lshr(value, spread(builder, count, _SHORTS.vector))
-
-
-@_operation(FLOATS(FLOATS))
-def truncated(builder, value):
-    """Return the float32 lanes of ``value`` without their fractions; they are less than 2^31."""
-    return builder.sitofp(builder.fptosi(value, _INTEGERS), FLOATS.vector)
+@_operation(_FEW_BYTES(FLOATS))
+def as_bytes(builder, value):
+    """Return the float32 lanes of ``value``, 0 or more and less than 256, without their fractions as uint8."""
+    return builder.trunc(builder.fptosi(value, _INTEGERS), _FEW_BYTES.vector)
 
 
 @_operation(types.UniTuple(FLOATS, 2)(_SHORTS))
@@ -201,12 +206,24 @@ def where_at_most(builder, a, b, chosen, other):
     return builder.select(builder.fcmp_ordered("<=", a, b), chosen, other)
 
 
+def saturated(builder: Any, name: str, a: Any, b: Any) -> Any:
+    """Return the sum ("add") or difference ("sub") of two vectors of unsigned integers, cut to their range."""
+    function = f"llvm.u{name}.sat.v{a.type.count}i{a.type.element.width}"
+    kind = ir.FunctionType(a.type, [a.type, a.type])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, function), (a, b))
+
+
 def _has_integers(value: Any) -> bool:
     return isinstance(value.type.element, ir.IntType)
 
 
+def _has_bytes(value: Any) -> bool:
+    return _has_integers(value) and value.type.element.width == 8
+
+
 def _chosen(builder: Any, symbol: str, a: Any, b: Any) -> Any:
     compare = builder.icmp_signed if _has_integers(a) else builder.fcmp_ordered
+    compare = builder.icmp_unsigned if _has_bytes(a) else compare
     return builder.select(compare(symbol, a, b), a, b)
 
 
@@ -218,6 +235,8 @@ maximum = _operation(None)(lambda builder, a, b: _chosen(builder, ">", a, b))
 
 def _operator(symbol: Callable[[Any, Any], Any], of_integers: str, of_floats: str) -> None:
     def build(builder, a, b):
+        if _has_bytes(a):  # sums are at most 255, differences at least 0
+            return saturated(builder, of_integers, a, b)
         if _has_integers(a):
             return getattr(builder, of_integers)(a, b)
         return getattr(builder, of_floats)(a, b, flags=_FLAGS)

@@ -8,6 +8,7 @@ from depthcli.kernels import lanes
 from depthcli.kernels.jit import jit
 from depthcli.kernels.lanes import (
     absolute_difference,
+    as_bytes,
     exp_minus,
     halves,
     lane_exp_minus_16,
@@ -15,14 +16,13 @@ from depthcli.kernels.lanes import (
     lane_min,
     lane_sum,
     load,
+    load_like,
     load_shorts,
     maximum,
     minimum,
     shifted_right,
     splat,
-    splat_shorts,
     store,
-    truncated,
     where_at_most,
 )
 
@@ -75,8 +75,12 @@ def _compute_more(a, b, levels, out, bytes_out):
     store(out, 0, x / y)
     store(out, 16, maximum(x, y))
     store(out, 32, where_at_most(x, y, x + y, z))
-    store(out, 48, truncated(x))
-    store(out, 64, lane_exp_minus_16(x * x))
+    share = as_bytes(where_at_most(x, y, z, splat(np.float32(200.7))))
+    store(bytes_out, 18, load_like(share, levels, 1) + share)
+    store(bytes_out, 34, load_like(share, levels, 1) - share)
+    store(bytes_out, 50, absolute_difference(load_like(share, levels, 1), share))
+    store(bytes_out, 66, minimum(load_like(share, levels, 1), share))
+    store(out, 48, lane_exp_minus_16(x * x))
     store(bytes_out, 1, z + splat(np.float32(0.9)))
     return lane_max(x)
 
@@ -86,14 +90,17 @@ def test_more_operations_on_floats_and_bytes():
     a, b = (rng.normal(0, 2, 16).astype(np.float32) for _ in range(2))
     b += np.sign(b)
     levels = rng.integers(0, 255, 17).astype(np.uint8)
-    out, bytes_out = np.zeros((5, 16), np.float32), np.zeros(18, np.uint8)
+    out, bytes_out = np.zeros((4, 16), np.float32), np.zeros(82, np.uint8)
     assert _compute_more(a, b, levels, out.reshape(-1), bytes_out) == a.max()
     z = levels[1:].astype(np.float32)
-    expected = (a / b, np.maximum(a, b), np.where(a <= b, a + b, z), np.trunc(a))
-    np.testing.assert_allclose(out[:4], expected, rtol=1e-6)
-    np.testing.assert_allclose(out[4], np.exp(-16 * np.minimum(a * a, 1)), atol=1e-4)
+    expected = (a / b, np.maximum(a, b), np.where(a <= b, a + b, z))
+    np.testing.assert_allclose(out[:3], expected, rtol=1e-6)
+    np.testing.assert_allclose(out[3], np.exp(-16 * np.minimum(a * a, 1)), atol=1e-4)
     np.testing.assert_array_equal(bytes_out[1:17], levels[1:])
     assert bytes_out[0] == bytes_out[17] == 0
+    share = np.where(a <= b, z, 200)
+    of_bytes = (np.minimum(z + share, 255), np.maximum(z - share, 0), np.abs(z - share), np.minimum(z, share))
+    np.testing.assert_array_equal(bytes_out[18:].reshape(4, 16), of_bytes)
 
 
 @jit
@@ -105,7 +112,7 @@ def _compute_shorts(a, levels, out, bytes_out, floats):
     store(out, 96, maximum(x, y))
     store(out, 128, absolute_difference(x, y))
     store(out, 160, shifted_right(y, np.int16(3)))
-    store(out, 192, splat_shorts(np.int16(-7)))
+    store(out, 192, splat(np.int16(-7)))
     store(bytes_out, 0, y)
     low, high = halves(x)
     store(floats, 0, low)

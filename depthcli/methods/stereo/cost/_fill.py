@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,11 +16,11 @@ from depthcli.kernels.jit import intrinsic, parallel_jit, prange, types
 from depthcli.kernels.lanes import (
     SHORT_LANES,
     absolute_difference,
-    load_shorts,
+    load_like,
     maximum,
     minimum,
     shifted_right,
-    splat_shorts,
+    splat,
     store,
 )
 
@@ -58,42 +59,42 @@ def difference_volume(
     sampling: str = "exact",
     shift: int = 0,
 ) -> None:
-    """Write the sums over channels of the differences of (C, H, W) images into (H, W, D) ``costs``.
+    """Write the sums over channels of the differences of (C, H, W) uint8 or int16 images into (H, W, D) ``costs``.
 
-    The sum is divided by 2^``shift`` (rounded half up), at most ``limit``. ``exact``: ``|left - right|``. ``tolerant``:
-    the sampling-insensitive dissimilarity of Birchfield and Tomasi (PAMI 1998), the difference of a pixel from the
-    nearest value that the other image has within half a pixel of its match; the smaller one of left to right and right
-    to left.
+    The sum is divided by 2^``shift`` (rounded half up; no ``shift`` of uint8), at most ``limit``. ``exact``:
+    ``|left - right|``. ``tolerant``: the sampling-insensitive dissimilarity of Birchfield and Tomasi (PAMI 1998), the
+    difference of a pixel from the nearest value that the other image has within half a pixel of its match; the smaller
+    one of left to right and right to left.
     """
-    left, right = left.astype(np.int16, copy=False), right.astype(np.int16, copy=False)  # one type to compile for
-    tolerant = sampling == "tolerant"
-    low, high = _half_pixel_range(left) if tolerant else (left, left)
-    right_low, right_high = _half_pixel_range(right) if tolerant else (right, right)
-    _difference_volume(left, low, high, right, right_low, right_high, costs, tolerant, np.int16(shift), np.int16(limit))
+    ranges = None
+    if sampling == "tolerant":
+        left, right = left.astype(np.int16, copy=False), right.astype(np.int16, copy=False)
+        ranges = *_half_pixel_range(left), *_half_pixel_range(right)
+    kind = left.dtype.type
+    _difference_volume(left, right, ranges, costs, kind((1 << shift) >> 1), kind(shift), kind(limit))
 
 
 def _half_pixel_range(image: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
     # Smallest and largest value within half a pixel along the row, linear between pixels.
-    padded = np.pad(image, ((0, 0), (0, 0), (1, 1)), mode="edge")
-    between = (padded[..., 1:] + padded[..., :-1]) >> 1
-    before, after = between[..., :-1], between[..., 1:]
-    return np.minimum(image, np.minimum(before, after)), np.maximum(image, np.maximum(before, after))
+    rows, three = image.reshape(-1, image.shape[-1]), np.ones((1, 3), np.uint8)
+    low, high = ((rows + np.asarray(extreme(rows, three), np.int16)) >> 1 for extreme in (cv2.erode, cv2.dilate))
+    return low.reshape(image.shape), high.reshape(image.shape)
 
 
 @parallel_jit
-def _difference_volume(left, left_low, left_high, right, right_low, right_high, costs, tolerant, shift, limit):
+def _difference_volume(left, right, ranges, costs, half, shift, limit):
+    # Compiled for int16 with and without ``ranges``, and for uint8 without: a vector of bytes is half as long, and as
+    # its sums stop at 255, ``limit`` is right.
     channels, height, width = left.shape
     n_disparities = costs.shape[2]
     padded = max(n_disparities, SHORT_LANES)
     row_size = width + padded
-    half, zero, largest = splat_shorts(np.int16((1 << shift) >> 1)), splat_shorts(np.int16(0)), splat_shorts(limit)
+    largest, zero = splat(limit), splat(np.int16(0))
     for y in prange(height):
-        mirror = np.zeros((3 * channels, row_size), np.int16)
-        for c in range(channels):
-            mirror[3 * c, :width] = right[c, y, ::-1]
-            if tolerant:
-                mirror[3 * c + 1, :width] = right_low[c, y, ::-1]
-                mirror[3 * c + 2, :width] = right_high[c, y, ::-1]
+        mirror = np.zeros((3, channels, row_size), left.dtype)
+        mirror[0, :, :width] = right[:, y, ::-1]
+        if ranges is not None:
+            mirror[1, :, :width], mirror[2, :, :width] = ranges[2][:, y, ::-1], ranges[3][:, y, ::-1]
         flat = mirror.reshape(3 * channels * row_size)
         row = np.empty(padded, np.uint8)
         out = costs[y].reshape(width * n_disparities)
@@ -101,18 +102,18 @@ def _difference_volume(left, left_low, left_high, right, right_low, right_high, 
             at = x * n_disparities
             for first in range(0, padded, SHORT_LANES):
                 first = min(first, padded - SHORT_LANES)  # the last vector ends at the last disparity
-                total = half
+                total = splat(half)
                 for c in range(channels):
-                    value, place = splat_shorts(left[c, y, x]), 3 * c * row_size + width - 1 - x + first
-                    other = load_shorts(flat, place)
-                    if tolerant:
-                        low, high = splat_shorts(left_low[c, y, x]), splat_shorts(left_high[c, y, x])
-                        other_low = load_shorts(flat, place + row_size)
-                        other_high = load_shorts(flat, place + 2 * row_size)
+                    value, place = splat(left[c, y, x]), c * row_size + width - 1 - x + first
+                    other = load_like(value, flat, place)
+                    if ranges is None:
+                        total = total + absolute_difference(value, other)
+                    else:
+                        low, high = splat(ranges[0][c, y, x]), splat(ranges[1][c, y, x])
+                        other_low = load_like(value, flat, place + channels * row_size)
+                        other_high = load_like(value, flat, place + 2 * channels * row_size)
                         forth, back = maximum(value - other_high, other_low - value), maximum(other - high, low - other)
                         total = total + maximum(minimum(forth, back), zero)
-                    else:
-                        total = total + absolute_difference(value, other)
                 total = minimum(shifted_right(total, shift), largest)
                 if n_disparities < SHORT_LANES:
                     store(row, 0, total)

@@ -11,7 +11,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.exponential import exp_minus_16
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.kernels.lanes import LANES, lane_exp_minus_16, load, minimum, splat, store, truncated
+from depthcli.kernels.lanes import LANES, as_bytes, lane_exp_minus_16, load, load_like, splat, store
 from depthcli.methods.stereo.cost import CostMeasure, PartCost, light_weights
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
@@ -54,10 +54,12 @@ class Combined(CostMeasure):
         total[:] = 0
         weights = light_weights([part.cost for part in self.parts], pair)
         if weights is None:
-            weights = np.ones((len(self.parts), *pair.shape), np.float32)
+            weights = np.ones((len(self.parts), pair.shape[0], 1), np.float32)
+        runs = (*weights.shape[1:], -1)  # of costs of one weight: those of a pixel, or of a whole row
         for part, weight in zip(self.parts, weights, strict=True):
             volume = part.cost(pair, n_padded)
-            _add_exponential(volume.costs, _rate(volume.scale * part.lambda_), np.float32(unit) * weight, total)
+            rate = _rate(volume.scale * part.lambda_)
+            _add_exponential(volume.costs.reshape(runs), rate, np.float32(unit) * weight, total.reshape(runs))
         fill_outside(total, np.uint8(min(255, round(self.outside * unit))))
         return CostVolume(np.ascontiguousarray(total[:, :, :n_disparities]), float(unit))
 
@@ -81,14 +83,14 @@ def _share(rate, shares):
 
 @parallel_jit
 def _add_exponential(costs, rate, units, total):
-    # Adds ``units`` (H, W) times the terms of the costs. A table of 256 terms would not vectorize.
-    height, width, n_disparities = costs.shape
+    # Adds ``units`` (H, R) times the terms of the costs, (H, R, N). A table of 256 terms would not vectorize.
+    height, n_runs, length = costs.shape
     for y in prange(height):
-        sources, sums = costs[y].reshape(width * n_disparities), total[y].reshape(width * n_disparities)
-        for x in range(width):
-            at = x * n_disparities
-            end = at + n_disparities - LANES
-            # The last vector ends at the last disparity. It overlaps the one before and is added to what was there.
+        sources, sums = costs[y].reshape(n_runs * length), total[y].reshape(n_runs * length)
+        for x in range(n_runs):
+            at = x * length
+            end = at + length - LANES
+            # The last vector ends at the end of the run. It overlaps the one before and is added to what was there.
             last = _with_share(sources, sums, end, rate, units[y, x])
             for first in range(at, end, LANES):
                 store(sums, first, _with_share(sources, sums, first, rate, units[y, x]))
@@ -97,7 +99,7 @@ def _add_exponential(costs, rate, units, total):
 
 @jit
 def _with_share(costs, sums, at, rate, unit):
-    # Lanes of ``sums`` with the part's terms added, rounded half up; see ``exp_minus_16``.
+    # Lanes of ``sums`` with the part's terms added, rounded half up, at most 255; see ``exp_minus_16``.
     share = splat(np.float32(1)) - lane_exp_minus_16(load(costs, at) * splat(rate))
-    part = truncated(splat(unit) * share + splat(np.float32(0.5)))
-    return minimum(load(sums, at) + part, splat(np.float32(255)))
+    part = as_bytes(splat(unit) * share + splat(np.float32(0.5)))
+    return load_like(part, sums, at) + part

@@ -9,7 +9,7 @@ from __future__ import annotations
 from llvmlite import ir
 
 from depthcli.kernels.jit import cgutils, intrinsic, types
-from depthcli.kernels.lanes import address, spread
+from depthcli.kernels.lanes import address, saturated, spread
 
 LANES = 16
 """Number of 16-bit values in a vector; a volume needs at least as many disparities."""
@@ -60,9 +60,6 @@ def path_step(
         def minimum(a, b):
             return builder.select(builder.icmp_unsigned("<", a, b), a, b)
 
-        add_saturating = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(vector, [vector, vector]), f"llvm.uadd.sat.v{n_lanes}i{bits}"
-        )
         before, after = members(3), members(4)
         path_minima = [builder.load(at(5, place, cell)) for place in members(6)]
         offsets = [spread(builder, value, vector) for value in path_minima]
@@ -100,7 +97,7 @@ def path_step(
                     builder.load(at(2, builder.add(origin, ir.Constant(word, n)), vector), align=align)
                     for n in range(3)
                 )
-                best = minimum(builder.call(add_saturating, [minimum(lower, upper), steps[k]]), jumps[k])
+                best = minimum(saturated(builder, "add", minimum(lower, upper), steps[k]), jumps[k])
                 best = minimum(best, same)
                 value = builder.add(builder.sub(best, offsets[k]), cost)
                 new = builder.add(builder.add(after[k], start), ir.Constant(word, 1))
