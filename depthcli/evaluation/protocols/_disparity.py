@@ -83,8 +83,8 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     """A protocol for (H, W) float32 disparity maps in pixels, NaN = no value.
 
     One that derives from it adds ``presentation``, ``thresholds`` of the tables and ``default_threshold`` of the
-    headline, in pixels. It may replace ``masks``, the regions that are judged, ``scores``, which gets the errors of every
-    region from ``tallies``, and ``values``, if maps are changed before they are compared.
+    headline, in pixels. It may replace ``masks``, the regions that are judged, ``scores``, which gets the errors of
+    every region from ``tallies``, and ``values``, if maps are changed before they are compared.
     """
 
     kind = StereoScene
