@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from depthcli.core.errors import ConfigError
-from depthcli.io.scenes import Scene
 from depthcli.run.resources import available_memory, cores
 
 if TYPE_CHECKING:
     from depthcli.io.formats.pictures import Palette
+    from depthcli.io.scenes import Scene
     from depthcli.run.console import Column
     from depthcli.run.json_csv import Row
 
-SceneT = TypeVar("SceneT", bound=Scene)
+SceneT = TypeVar("SceneT", bound="Scene")
 
 
 @dataclass
