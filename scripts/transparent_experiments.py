@@ -28,7 +28,8 @@ from _experiments import config_of
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
-from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
+from depthcli.core.color_and_infrared import RgbIrFrame
+from depthcli.core.frames import SparseFrame, StereoPair
 from depthcli.core.result import Clock
 from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes import RgbdScene, StereoScene

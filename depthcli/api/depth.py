@@ -15,8 +15,9 @@ from depthcli.api.results import RefinedDepth, chosen_pixels
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import sensor_fb
+from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame, color8, infrared_image
+from depthcli.core.frames import RgbdFrame, SparseFrame, color8, infrared_image
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, DepthResult
 from depthcli.io.formats.calibrations import read_color_infrared_rig

@@ -14,8 +14,9 @@ from depthcli.api.results import share
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
+from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
-from depthcli.core.frames import RgbIrFrame, SparseFrame
+from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock
 from depthcli.io.formats.depth import beyond_png

@@ -9,7 +9,8 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 | ``registry`` | named classes of one kind, and what packages and files of users add to them |
 | ``config_file`` | ``load_config``: a YAML file, the one it is based on, and ``--set`` become a checked model |
 | ``yaml_source`` | the YAML below it: plain data, with the line of every value; ``to_yaml`` back |
-| ``frames``, ``volumes`` | inputs: a rectified pair; color and depth (and infrared); two volumes on one grid |
+| ``frames``, ``volumes`` | inputs: a rectified pair; color and depth; two volumes on one grid |
+| ``color_and_infrared`` | input: color, infrared and depth |
 | ``maps``, ``result`` | outputs: a map with the status of every pixel; what else a method returns, and its times |
 | ``scene`` | the scene that is computed, as programs need to know it |
 | ``cameras`` | one camera, two of them, their rectification; disparity and depth; the Kinect's raw codes |

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Intrinsics
-from depthcli.core.cameras.rig import Rig
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -157,28 +156,6 @@ class RgbdFrame:
     def disparity(self) -> NDArray[np.float32]:
         """(H, W) float32, ``fb / depth``: affine in (x, y) on planes; pixels, NaN = unknown."""
         return (np.float32(self.fb) / self.depth).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class RgbIrFrame:
-    """A color image, an infrared one, and the depth that a sensor measured for the color image's pixels.
-
-    ``rig`` has the color (left) and the infrared camera (right); without one the images are a rectified pair of one
-    size, with ``fb``, focal length x baseline in pixel meters.
-    """
-
-    color: NDArray[np.uint8]  # (H, W, 3) RGB
-    infrared: NDArray[np.uint8]  # (h, w)
-    depth: NDArray[np.float32]  # (H, W), meters, NaN = unknown; registered to ``color``
-    rig: Rig | None = None
-    fb: float = 1.0
-
-    def __post_init__(self) -> None:
-        RgbdFrame(self.color, self.depth)
-        if self.infrared.ndim != 2 or self.infrared.dtype != np.uint8:
-            raise ValueError(f"expected (h, w) uint8 infrared, got {self.infrared.shape} {self.infrared.dtype}")
-        if self.rig is None and self.infrared.shape != self.depth.shape:
-            raise ValueError(f"a rectified pair has one size, got {self.depth.shape} and {self.infrared.shape}")
 
 
 @dataclass(frozen=True)

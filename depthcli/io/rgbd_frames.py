@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import kinect_v1, sensor_fb
+from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
-from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame, color8, infrared_image
+from depthcli.core.frames import RgbdFrame, SparseFrame, color8, infrared_image
 from depthcli.io.formats.calibrations import read_color_infrared_rig, read_kinect_calibration
 from depthcli.io.formats.depth import MILLIMETERS, check_fb, read_depth, read_kinect_raw
 from depthcli.io.formats.disparity import read_plane

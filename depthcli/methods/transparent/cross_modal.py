@@ -12,7 +12,8 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.arrays import Floats, Image8
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
-from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
+from depthcli.core.color_and_infrared import RgbIrFrame
+from depthcli.core.frames import SparseFrame, StereoPair
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange

@@ -9,8 +9,8 @@ import pytest
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
+from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
-from depthcli.core.frames import RgbIrFrame
 from depthcli.core.result import Clock
 from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes
