@@ -11,7 +11,7 @@ Images are (H, W, 3) uint8 RGB, maps (H, W) float32 with NaN where nothing is kn
 | ``regions`` | of label maps: connected components, their pixels, the graph of neighbors, merging |
 | ``keypoints`` | distinctive points with descriptors, one file per method |
 | ``plane_fitting`` | planes and polynomials through known values, robust to outliers |
-| ``filters`` | local mean and variance, masks of discontinuities, gaps filled by means of similar color |
+| ``filters`` | local mean and variance, masks of discontinuities, gaps filled by similar color, OpenCV in one thread |
 | ``body`` | the body in a slice of a medical volume, apart from the air around it |
 | ``resampling`` | samples of volumes: trilinear, nearest, block means, shifts |
 """

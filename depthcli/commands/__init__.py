@@ -1,8 +1,8 @@
 """The sub-commands, one file each; the only place where files meet algorithms.
 
 A public module here is a command: it holds a function of its own name, whose parameters typer reads as arguments and
-options (``_options``), and the module's docstring is its help. The function returns the exit code. Nothing heavy is
-imported before it runs: each imports the module that does the work where it needs it.
+options (``_shared_options``, ``_options``), and the module's docstring is its help. The function returns the exit code.
+Nothing heavy is imported before it runs: each imports the module that does the work where it needs it.
 
 A command that makes a run folder describes its work as a ``Batch`` (:mod:`depthcli.run.batch`), finds the scenes
 (``_scenes``) and gives both to ``run_batch`` (``_batch``), which has every scene computed by

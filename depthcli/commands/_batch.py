@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import BaseModel
 
 from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.commands._shared_options import TableOptions
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import InputError
 from depthcli.core.method import used_files
@@ -123,7 +124,7 @@ def _print_results(
     if evaluation is not None:
         from depthcli.commands._evaluation import print_tables
 
-        print_tables(evaluation, reporter, None, options.quiet)
+        print_tables(evaluation, reporter, TableOptions(), options.quiet)
     elif not options.quiet:
         reporter.data(run_table(rows, batch.columns))
     if options.conditions and not options.quiet:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import numpy as np
+from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 
 def check_limits(near: float, far: float | None) -> None:
@@ -19,8 +16,6 @@ def check_limits(near: float, far: float | None) -> None:
 
 def empty_cloud(depth: NDArray[np.float32], cloud: NDArray[np.bool_]) -> list[str]:
     """Return a warning where none of the pixels ``cloud`` has a depth, else no line."""
-    import numpy as np
-
     known = np.isfinite(depth)
     if np.any(known & cloud):
         return []

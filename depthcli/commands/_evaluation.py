@@ -14,15 +14,12 @@ from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.page import Page, RunWithoutTruth
 from depthcli.run.console import Reporter
 
-PAGE_BUDGET = "50MB"
-"""Default size of a page's pictures beyond which they are scaled down."""
-
 
 def viewers(
     reporter: Reporter,
     output: Path | None,
     html: bool,
-    html_budget: str | None = None,
+    html_budget: str = "50MB",
     without_truth: RunWithoutTruth | None = None,
 ) -> list[Viewer]:
     """Return what shows the maps of an evaluation: the contact sheet, and the page that ``--html`` requests.
@@ -38,7 +35,7 @@ def viewers(
         raise ConfigError("--html wants --output, the folder to write the page into")
     return [
         ContactSheet(),
-        Page(reporter.command_line, parse_bytes(html_budget or PAGE_BUDGET, "--html-budget"), without_truth),
+        Page(reporter.command_line, parse_bytes(html_budget, "--html-budget"), without_truth),
     ]
 
 
@@ -49,9 +46,8 @@ def check_tables(options: TableOptions) -> None:
     check_names(_listed(options.tables))
 
 
-def print_tables(report: EvaluationReport, reporter: Reporter, options: TableOptions | None, quiet: bool) -> None:
-    """Print the tables that the options choose, or else the headline; None: no options."""
-    options = options or TableOptions()
+def print_tables(report: EvaluationReport, reporter: Reporter, options: TableOptions, quiet: bool) -> None:
+    """Print the tables that the options choose, or else the headline."""
     names, columns, form = _listed(options.tables), _listed(options.columns), options.format
     if form is None and columns == [] and options.caption is None and names in ([], ["headline"]):
         text = "" if quiet else headline_text(report)

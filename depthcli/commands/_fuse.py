@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from depthcli.api.stereo import with_network
 from depthcli.commands._options import RunOptions, SceneOptions
@@ -20,10 +19,10 @@ from depthcli.methods.stereo.stages import PairMatcher
 
 
 def prepare(
-    config: str, pairs: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None, **options: Any
+    config: str, pairs: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None
 ) -> tuple[Fuse, list[StereoScene]]:
     """Return the batch of ``fuse`` with this config, and the pairs that the command line names."""
-    found = with_network(pair_config(FuseConfig, config, pairs, settings, **options))
+    found = with_network(pair_config(FuseConfig, config, pairs, settings))
     return Fuse(found), find_scenes((StereoScene,), pairs, run)
 
 

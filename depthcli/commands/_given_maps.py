@@ -177,7 +177,7 @@ class Confidence(_GivenMaps):
         images = read_image(scene.left) if scene.right is None else load_pair(scene)
         shape = (images.shape[0], images.shape[1])
         maps = {one.run: _loaded(one, shape) for one in scene.maps}
-        right = None if scene.right_map is None else _loaded(scene.right_map, shape)
+        right = None if scene.right is None or scene.right_map is None else _loaded(scene.right_map, shape)
         clock.start("other")
         top = self.max_disparity(scene)
         found = judged(images, maps, top, config["within"], config["measures"], right, memory)

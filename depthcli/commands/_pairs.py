@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from abc import abstractmethod
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -134,11 +133,11 @@ class MatchPairs(Batch[StereoScene]):
         """
         config, clock, facts, warnings = self.config, Clock(), dict[str, Any](), list[str]()
         matcher, limits = self.matcher(scene), limits_of(config, memory, self.device())
-        known = None
+        known = saved = None
         if frames := self.range_frames(scene):
             clock.start("range")
             known = sequence_range(config.calibration, frames)
-        with contextlib.ExitStack() as side_work:
+        with ThreadPoolExecutor(1) as side_work:  # which starts no thread before it has work
             if config.calibration is None:
                 clock.start("load")
                 pair = load_pair(scene)
@@ -148,10 +147,10 @@ class MatchPairs(Batch[StereoScene]):
                 clock.start("rectify")
                 rectified = rectified_pair(config.calibration, scene)
                 pair, facts, warnings = rectified.pair, rectified.facts, rectified.warnings
-                # While the pair is matched:
-                saved = side_work.enter_context(ThreadPoolExecutor(1)).submit(rectified.save, folder)
-                side_work.callback(saved.result)
+                saved = side_work.submit(rectified.save, folder)  # while the pair is matched
             found = match_pair(matcher, pair, self.given_range(scene), limits, clock, known)
+        if saved is not None:
+            saved.result()
         clock.start("save")
         found.save(folder)
         search, key_points = found.search, found.key_points

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from depthcli.api.matching import device_of, with_address
 from depthcli.commands._options import RunOptions, SceneOptions
@@ -19,10 +18,14 @@ from depthcli.run.json_csv import Row
 
 
 def prepare(
-    config: str, pairs: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None, **options: Any
+    config: str,
+    pairs: SceneOptions,
+    run: RunOptions,
+    settings: Sequence[str | tuple[str, str]] | None,
+    device: str | None = None,
 ) -> tuple[Stereo, list[StereoScene]]:
     """Return the batch of ``stereo`` with this config, and the pairs that the command line names."""
-    found = with_address(pair_config(StereoConfig, config, pairs, settings, **options))
+    found = with_address(pair_config(StereoConfig, config, pairs, settings, device=device))
     return Stereo(found), find_scenes((StereoScene,), pairs, run)
 
 

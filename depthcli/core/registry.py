@@ -68,7 +68,7 @@ class Plugin:
         module, _, attribute = self.reference.partition(":")
         try:
             return operator.attrgetter(attribute)(importlib.import_module(module))
-        except Exception as error:  # a stranger's code may raise anything
+        except (Exception, SystemExit) as error:  # a stranger's code may raise anything, or want to exit
             raise ConfigError(f"{self} cannot be loaded: {_reason(error)}") from error
 
     def __str__(self) -> str:
@@ -249,7 +249,7 @@ def load_file(path: Path) -> None:
                 _file_plugins[path].append(Plugin(snake, group, path.name, version, f"{name}:{kind.__qualname__}"))
         if not _file_plugins[path]:
             raise TypeError("it holds no command, and no subclass of a method, layout, protocol or the like")
-    except Exception as error:  # a stranger's code may raise anything
+    except (Exception, SystemExit) as error:  # a stranger's code may raise anything, or want to exit
         os.environ[_FILES_VARIABLE] = before
         del _file_plugins[path]
         sys.modules.pop(name, None)
@@ -271,7 +271,7 @@ def _module_name(path: Path) -> str:
     return _FILE_MODULE + re.sub(r"\W", "_", path.stem)
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: BaseException) -> str:
     return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
 
 

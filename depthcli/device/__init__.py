@@ -71,7 +71,7 @@ class Device(ABC):
     """A device with one queue: commands run in the order in which they are given.
 
     Every public method raises DeviceError where the driver fails, or the device has too little memory. A back end
-    implements those that begin with an underscore; what its package raises (``errors``) is translated here.
+    implements the abstract ones; what its package raises (``errors``) is translated here.
     """
 
     errors: tuple[type[Exception], ...] = (Exception,)

@@ -117,12 +117,11 @@ class Section:
         made = []
         for run in self.runs:
             for key in self.scores[run, MEAN]:
-                n_scenes, n_common = (len(self.scenes_of(place, key[1])) for place in (MEAN, COMMON_MEAN))
-                n_missing = len(self.missing[run] & self.known[key[1]])
-                missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
+                counts = self._counts(run, key[1])
+                missing = f", {counts['missing']} missing ones counted as wholly wrong" if counts["missing"] else ""
                 notes = {
-                    MEAN: f"over {n_scenes} scenes{missing}",
-                    COMMON_MEAN: f"over the {n_common} scenes that all runs have",
+                    MEAN: f"over {counts['scenes']} scenes{missing}",
+                    COMMON_MEAN: f"over the {counts['common']} scenes that all runs have",
                 }
                 for place, note in notes.items():
                     where = {"run": run, "data_set": self.data_set, "scene": place, "protocol": self.protocol.name}
@@ -156,10 +155,12 @@ class Section:
         return found
 
     def _mean_row(self, run: str, score: Score, common: Score) -> dict[str, Any]:
-        n_scenes, n_common = (len(self.scenes_of(place, score.region)) for place in (MEAN, COMMON_MEAN))
-        n_missing = len(self.missing[run] & self.known[score.region])
-        counts = {"scenes": n_scenes, "missing": n_missing, "common": n_common}
-        return score.row() | counts | {"value_common": common.value}
+        return score.row() | self._counts(run, score.region) | {"value_common": common.value}
+
+    def _counts(self, run: str, region: str) -> dict[str, int]:
+        """Return the numbers of scenes with truth in a region: all, those that the run lacks, those all runs have."""
+        n_scenes, n_common = (len(self.scenes_of(place, region)) for place in (MEAN, COMMON_MEAN))
+        return {"scenes": n_scenes, "missing": len(self.missing[run] & self.known[region]), "common": n_common}
 
 
 @dataclass(frozen=True)

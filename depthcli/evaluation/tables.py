@@ -348,9 +348,9 @@ def chosen_text(
             wide += [_wide_by_metric(section, region) for region in section.regions]
             tables += _named(report, section, wide)
         tables += others if names else []
-    if names and "all" not in names:
-        called = {name: [t for t in tables if f"{t.name}-".startswith(f"{name}-")] for name in names}
-        if absent := [name for name, found in called.items() if not found and name not in NAMES]:
+    if names:
+        called = {name: [t for t in tables if name == "all" or f"{t.name}-".startswith(f"{name}-")] for name in names}
+        if absent := [name for name, found in called.items() if not found and name not in ("all", *NAMES)]:
             raise ConfigError(f"--tables: no table {absent[0]}; there are {', '.join(t.name for t in tables)}")
         tables = [table for table in tables if any(table in found for found in called.values())]
     if columns:
@@ -382,7 +382,7 @@ def report_markdown(report: EvaluationReport) -> str:
         used = ", ".join(f"{package} {version}" for package, version in report.plugins.items())
         out += [f"Plug-ins: {markdown_code(used)}.", ""]
     out += [f"**Warning:** {markdown_text(line)}\n" for line in report.warnings]
-    out += [FORMATS["markdown"](table) for table in report_tables(report)]
+    out += [table.markdown() for table in report_tables(report)]
     out += ["## Error pictures", ""]
     shown = ((p.name, p.presentation) for p in report.protocols.values())
     out += [f"{name}: {presentation.legend}.\n" for name, presentation in shown if presentation.error_pictures]

@@ -89,12 +89,13 @@ def load_infrared_frame(scene: RgbIrScene) -> RgbIrFrame:
     frame = load_frame(scene)
     if scene.calibration is None:
         raise InputError(f"{scene.folder}: no calibration of the color and the infrared camera (calib.json)")
-    infrared = infrared_image(read_image(scene.infrared_plain or scene.infrared))
+    file = scene.infrared_plain or scene.infrared
+    infrared = infrared_image(read_image(file))
     height, width = infrared.shape
     rig = read_color_infrared_rig(scene.calibration, (frame.shape[1], frame.shape[0]), (width, height))
     if not isinstance(rig, float):
         return RgbIrFrame(frame.color, infrared, frame.depth, rig)
-    check_same_size(scene.infrared, infrared.shape, scene.image, frame.shape, "; a rectified pair has one size")
+    check_same_size(file, infrared.shape, scene.image, frame.shape, "; a rectified pair has one size")
     check_fb(scene.calibration, rig, frame.depth)
     return RgbIrFrame(frame.color, infrared, frame.depth, None, rig)
 

@@ -1,6 +1,7 @@
 """Scenes: what a command works on one at a time, as names of files that belong together and facts about them.
 
-No file is opened here: ``stereo_pairs``, ``rgbd_frames`` and ``volume_pairs`` load what the scenes name.
+No image or volume is loaded here; ``input_files`` alone looks into headers for further files. ``stereo_pairs``,
+``rgbd_frames`` and ``volume_pairs`` load what the scenes name.
 """
 
 from __future__ import annotations

@@ -5,8 +5,9 @@ the arithmetic, and sums over rows are loaded and stored at every row. With thes
 become LLVM vectors, for which LLVM emits the vector instructions of the processor.
 
 Values are made by :func:`load` and :func:`splat`, added, subtracted, multiplied and divided by the operators, and
-written by :func:`store`. Vectors of int16, made by :func:`load_shorts` and :func:`splat`, are only added and
-subtracted. Indices are not checked against the bounds of an array.
+written by :func:`store`. Vectors of int16 and uint8, made by :func:`load_shorts`, :func:`load_like` and :func:`splat`,
+are only added and subtracted; those of uint8 stay within 0 to 255. Indices are not checked against the bounds of an
+array.
 """
 
 from __future__ import annotations

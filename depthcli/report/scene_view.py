@@ -158,12 +158,8 @@ class SceneView:
 
     def add_shown(self, run: str, path: Path, shown: ShownMap) -> None:
         """Add the map of a run without truth: map, status, confidence and expected error."""
-        status, error, words, cut = (
-            self._status(path),
-            shown.expected_error,
-            self.protocol.presentation,
-            self._start.index,
-        )
+        status, error = self._status(path), shown.expected_error
+        words, cut = self.protocol.presentation, self._start.index
         top = self.data["top"] = 1.0 if error is None else float(f"{scale_of(error)[1]:.2g}")
         confidence = {n: plane for n, plane in shown.confidence.items() if plane.shape == shown.values.shape}
         packed_error = None if error is None else (error, top)
@@ -171,8 +167,16 @@ class SceneView:
         for view in self.data["views"]:
             view["region"] = None
         self.figures, self.note = dict(shown.figures), shown.note
+        chosen = {
+            "confidence" if name == "confidence" else f"confidence {name}": plane
+            for name, plane in list(confidence.items())[:_MAX_CONFIDENCES]
+        }
+        for said, plane in chosen.items():
+            finite = plane[np.isfinite(plane)]
+            self.mean_confidence[f"{said}, mean"] = float(finite.mean()) if finite.size else np.nan
         if shown.axes and (preview := _preview(path.with_name("preview.png"))):  # three slices say more than one
             self.sheet, self.thumbs = preview, {}
+            return
         low, high = (f"{float(f'{self.data[end]:.4g}'):g}" for end in ("low", "high"))
         thumbs = {f"{words.quantity}, {low} to {high} {words.unit}": self._map_thumb(shown.values[cut])}
         if error is not None:
@@ -186,13 +190,10 @@ class SceneView:
                 if color not in self.legend.values():
                     self.legend[entry["words"].removesuffix(", smoothed")] = color
             thumbs["status"] = _png(table[_small(status[cut])])
-        for name, plane in list(confidence.items())[:_MAX_CONFIDENCES]:
-            words_of, finite = "confidence" if name == "confidence" else f"confidence {name}", plane[np.isfinite(plane)]
-            self.mean_confidence[f"{words_of}, mean"] = float(finite.mean()) if finite.size else np.nan
+        for said, plane in chosen.items():
             grey = confidence_picture(_small(plane[cut]))
-            thumbs[f"{words_of}, dark: unsure"] = _png(np.repeat(grey[..., None], 3, axis=2))
-        if self.sheet is None:
-            self.thumbs[run] = thumbs
+            thumbs[f"{said}, dark: unsure"] = _png(np.repeat(grey[..., None], 3, axis=2))
+        self.thumbs[run] = thumbs
 
     def close(self) -> None:
         """Scale the errors by the median of the runs' 90 % quantiles over wrong pixels, and draw their pictures."""

@@ -20,7 +20,7 @@ from depthcli.run import resources
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row
 from depthcli.run.records import digest, file_digest
-from depthcli.run.workers import GOES_ON, Task, Work, counted, report_compilation, use_threads
+from depthcli.run.workers import BUG, GOES_ON, Task, Work, counted, report_compilation, use_threads
 
 _CONNECT_TIMEOUT = "20s"
 _RUNNING_FILE = "goes-on"  # in the hidden folder of a run; workers stop when it is gone
@@ -49,6 +49,7 @@ def compute_on_cluster(
     (workspace / _RUNNING_FILE).touch()
     client, wait = _connected(address)
     waiting, running, n_workers = iter(tasks), dict[Any, Task](), -1
+    identity, folder = _identity_here(work), os.getcwd()
     try:
         while True:
             with contextlib.suppress(OSError, TimeoutError):  # the scheduler was just lost
@@ -59,7 +60,7 @@ def compute_on_cluster(
             while client.status == "running" and len(running) < 2 * max(n_workers, 1):
                 if (task := next(waiting, None)) is None:
                     break
-                data = pickle.dumps((task, work, _identity_here(work), os.getcwd()))
+                data = pickle.dumps((task, work, identity, folder))
                 running[client.submit(_compute_there, data, pure=False)] = task
             if not running:
                 return
@@ -74,10 +75,13 @@ def compute_on_cluster(
                 elif type(error).__name__ == "KilledWorker":
                     row = task.died("its worker died several times, probably out of memory; see --max-memory", work)
                 else:
-                    reason = (str(error).splitlines() or [type(error).__name__])[0][:300]
-                    if not isinstance(error, ConfigError):
-                        reason = f"its workers have no such depthcli, or not its plug-ins ({reason})"
-                    raise ConfigError(f"{address}: {reason}") from error
+                    reason = (str(error).splitlines() or [""])[0][:300]
+                    if isinstance(error, ConfigError):
+                        raise ConfigError(f"{address}: {reason}") from error
+                    if isinstance(error, ImportError | AttributeError | pickle.UnpicklingError):
+                        problem = f"its workers have no such depthcli, or not its plug-ins ({reason})"
+                        raise ConfigError(f"{address}: {problem}") from error
+                    row = task.died(f"{BUG}{type(error).__name__}: {reason}", work)
                 yield row
             if client.status != "running":
                 raise IncompleteError(lost)
@@ -126,10 +130,10 @@ def _compute_there(data: bytes) -> tuple[Row, int, float]:
             f"than this machine; end it or install the same there; {GOES_ON}"
         )
     with _lock, CompileWatch(lambda _: None) as watch:
-        os.chdir(folder)  # paths may be relative to where the run was started
-        running = task.hidden.parent / _RUNNING_FILE
+        running = Path(folder, task.hidden.parent, _RUNNING_FILE)
         if not running.exists():  # or the run has ended meanwhile
             raise ConfigError(f"worker {worker.address} does not see {running}; all need a common file system")
+        os.chdir(folder)  # paths may be relative to where the run was started
         use_threads(work.how.threads or worker.state.nthreads)
         # A worker that was believed to be dead may still compute the scene in its own folder.
         own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))

@@ -11,6 +11,7 @@ import contextlib
 import os
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,8 @@ class Plan:
         self.work = Work(batch.command, batch.config, batch.compute, how, frozenset(plugins))
         self.identity = self.work.identity
         self.workspace = hidden_folder(output)
-        self._digests: dict[Path, str] = {}
+        self._shared = used_files(batch.config)  # files that the config names, of every scene
+        self._digest = lru_cache(maxsize=_MAX_REMEMBERED)(file_digest)
 
     def check_names(self, scenes: Sequence[Any]) -> None:
         """Raise ConfigError where a name cannot name a folder, or the folder is a link or holds the scene's input."""
@@ -100,13 +102,8 @@ class Plan:
 
     def task(self, scene: Any, number: int) -> Task:
         """Return the task that computes a scene, with the digests of all that its result depends on."""
-        files, inputs = self._files(scene), dict[str, str]()
-        for role, file in files.items():
-            if file not in self._digests:
-                if len(self._digests) >= _MAX_REMEMBERED:
-                    self._digests.pop(next(iter(self._digests)))
-                self._digests[file] = file_digest(file)
-            inputs[role] = self._digests[file]
+        files = self._files(scene)
+        inputs = {role: self._digest(file) for role, file in files.items()}
         inputs |= {} if scene.problem else self.batch.settings(scene)
         inputs |= {"keep": " ".join(self.how.keep)} if self.how.keep else {}
         source = origin(next(iter(files.values()), scene.folder).absolute())
@@ -118,7 +115,7 @@ class Plan:
         return (known.row if known is not None and known.is_done(task.target, task.run, task.inputs) else None), known
 
     def _files(self, scene: Any) -> dict[str, Path]:
-        return {} if scene.problem else self.batch.files(scene) | used_files(self.batch.config)
+        return {} if scene.problem else self.batch.files(scene) | self._shared
 
 
 @dataclass

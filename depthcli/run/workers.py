@@ -264,7 +264,8 @@ def compute_in_processes(
                     break
                 worker = next((worker for worker in workers if worker.task is None), None)
                 if worker is None:
-                    workers.append(worker := _start(context, work))
+                    with _ctrl_c_later():  # so that one that has started is among those that are ended
+                        workers.append(worker := _start(context, work))
                 worker.task, worker.tries = task, tries + 1
                 with contextlib.suppress(OSError):  # it has died meanwhile, which is seen below
                     worker.pipe.send(task)
@@ -311,8 +312,7 @@ def _start(context: Any, work: Work) -> _Worker:
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(theirs, work), daemon=True)
     resource_tracker.ensure_running()  # started with the first process, it would lift the block for that one
-    with _ctrl_c_later():
-        process.start()
+    process.start()
     theirs.close()
     return _Worker(process, ours)
 

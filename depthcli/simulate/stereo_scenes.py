@@ -94,7 +94,8 @@ def make_scene(
     supersampling : rays per pixel, along each axis
     """
     if width < 16 or height < 16 or not 4 <= max_disparity <= width / 2:
-        raise ValueError(f"expected 16 x 16 pixels or more, max_disparity in 4 .. {width // 2}, got {max_disparity}")
+        got = f"{width} x {height}, {max_disparity}"
+        raise ValueError(f"expected 16 x 16 pixels or more, max_disparity in 4 .. {width // 2}, got {got}")
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     room = Room(rng, width, height, max_disparity, wall_contrast)
     _FURNISH[kind](room)

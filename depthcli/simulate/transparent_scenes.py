@@ -58,9 +58,8 @@ def make_transparent_scene(
     radius = 0.16 * height
     room.stand("sphere", width * rng.uniform(0.3, 0.45), 0.6 * max_disparity, (radius, 2 * radius))
     room.stand("cylinder", width * rng.uniform(0.6, 0.75), 0.7 * max_disparity, (0.06 * width, 0.3 * height))
-    mixed = []
-    for right, view, front in zip((False, True), views, render(room, 2), strict=True):
-        owner = disparities(room, right)[1]
+    mixed, seen = [], [disparities(room, right) for right in (False, True)]
+    for view, front, (_, owner) in zip(views, render(room, 2), seen, strict=True):
         image = np.where((owner >= opaque)[:, :, None], front, view)
         for index in range(opaque, int(owner.max()) + 1):
             v, u = np.nonzero(owner == index)
@@ -69,7 +68,7 @@ def make_transparent_scene(
                 shifted = cv2.remap(view, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
                 image[v, u] = _OWN_SHARE * front[v, u] + (1 - _OWN_SHARE) * shifted[:, 0]
         mixed.append(levels8(255 * image))
-    disparity, owner = disparities(room)
+    disparity, owner = seen[0]
     truth, mask = disparity.astype(np.float32), owner >= opaque
     sensor = _sensor_through(truth, behind.astype(np.float32), mask, seed)
     return TransparentScene(mixed[0], infrared_like(mixed[1], seed, speckles), truth, sensor, mask)

@@ -202,7 +202,7 @@ def check_depth(scenes: Path, taken: Rig, tmp_path: Path, alpha: float = 0.0) ->
     assert np.mean(np.abs(error) < 0.04) > 0.93
 
 
-def test_a_rectify_pair_has_rows_that_correspond_and_the_right_depth(pinhole: Shot, tmp_path: Path):
+def test_a_rectified_pair_has_rows_that_correspond_and_the_right_depth(pinhole: Shot, tmp_path: Path):
     taken = pinhole.rig
     calibration = opencv(tmp_path / "c.yml", taken)
     assert run("rectify", *pinhole.words, "--calibration", calibration, "-o", tmp_path / "scenes", "-q") == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -11,6 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
+
+from tests.command_line import statuses
 
 pytestmark = [
     pytest.mark.slow,
@@ -27,10 +28,6 @@ def shell(line: str, *arguments: str | Path, **environment: str) -> subprocess.C
     return subprocess.run(command, env=env, capture_output=True, text=True, check=False, errors="replace")
 
 
-def report(output: Path) -> dict[str, str]:
-    return {row["scene"]: row["status"] for row in json.loads((output / "report.json").read_text())["scenes"]}
-
-
 @pytest.mark.parametrize(("line", "code"), [
     ('"$@" | true', 0),
     ('"$@" >&-', 0),
@@ -44,7 +41,7 @@ def test_no_stream_stops_the_work(made_scenes: Path, tmp_path: Path, line: str, 
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
     assert "Exception ignored" not in done.stderr
-    assert set(report(tmp_path / "r").values()) == {"done"}
+    assert set(statuses(tmp_path / "r").values()) == {"done"}
     if code == 3:
         assert "stdout: cannot be written (No space left on device)" in done.stderr
 
@@ -55,7 +52,7 @@ def test_a_failed_scene_is_told_through_a_closed_pipe(made_scenes: Path, tmp_pat
     (tmp_path / "in" / "a" / "left.png").write_bytes(b"")
     done = shell('"$@" | true; exit ${PIPESTATUS[0]}', "-i", tmp_path / "in", "-o", tmp_path / "r")
     assert done.returncode == 3
-    assert report(tmp_path / "r") == {"a": "failed", "b": "done"}
+    assert statuses(tmp_path / "r") == {"a": "failed", "b": "done"}
 
 
 def test_names_that_no_terminal_shows(made_scenes: Path, tmp_path: Path):
@@ -66,7 +63,7 @@ def test_names_that_no_terminal_shows(made_scenes: Path, tmp_path: Path):
         done = shell('"$@"', "-i", tmp_path / "in", "-o", tmp_path / "r", *options, LC_ALL="C", PYTHONUTF8="0")
         assert done.returncode == 0, done.stderr
         assert "Traceback" not in done.stderr
-    assert len(report(tmp_path / "r")) == 3
+    assert len(statuses(tmp_path / "r")) == 3
 
 
 def test_sigterm_ends_like_ctrl_c(made_scenes: Path, tmp_path: Path):
@@ -81,7 +78,7 @@ def test_sigterm_ends_like_ctrl_c(made_scenes: Path, tmp_path: Path):
     _, err = process.communicate(timeout=60)
     assert process.returncode == 143, err
     assert "terminated; the same command goes on" in err
-    assert set(report(tmp_path / "r").values()) == {"done"}
+    assert set(statuses(tmp_path / "r").values()) == {"done"}
     assert not list((tmp_path / "r").glob(".partial-*"))
 
 

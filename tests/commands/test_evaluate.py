@@ -522,8 +522,11 @@ def test_the_terminal_shows_the_headline_within_100_columns(
     assert main([*command, "--tables", "metrics-all,scenes"]) == 0
     chosen = capsys.readouterr().out
     assert "every metric, all" in chosen and "by scene" in chosen and "every metric, disc" not in chosen
-    assert main([*command, "--tables", "metrics-edges"]) == 2
-    assert "no table metrics-edges; there are headline, metrics-nonocc" in capsys.readouterr().err
+    for names in ("metrics-edges", "all,metrics-edges"):
+        assert main([*command, "--tables", names]) == 2
+        assert "no table metrics-edges; there are headline, metrics-nonocc" in capsys.readouterr().err
+    assert main([*command, "--tables", "metric"]) == 2
+    assert "(got metric)" in capsys.readouterr().err
 
 
 def test_a_table_for_a_paper(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import itertools
+import threading
 from collections.abc import Iterator
 
 import numpy as np
@@ -73,3 +74,24 @@ def test_arrays_alive_at_once_never_share_memory_in_any_order():
         alive = alive[-20:]
     ends = sorted((address(a), address(a) + (a.shape[0] - 1) * a.strides[0] + a[0].nbytes) for _, a in alive)
     assert all(end <= start for (_, end), (start, _) in itertools.pairwise(ends))
+
+
+def test_threads_never_get_the_same_memory():
+    wrong = []
+
+    def work(mark):
+        rng = np.random.default_rng(mark)
+        for _ in range(150):
+            arrays = [memory.empty((int(rng.integers(1, 4)) * MEBI,), np.uint8) for _ in range(2)]
+            for k, array in enumerate(arrays):
+                array[::4096] = mark + k
+            for k, array in enumerate(arrays):
+                if not np.all(array[::4096] == mark + k):
+                    wrong.append(mark)
+
+    threads = [threading.Thread(target=work, args=(10 * k,)) for k in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong

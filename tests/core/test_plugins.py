@@ -166,6 +166,8 @@ def test_classes_of_a_file_are_found_by_their_names(file: Path):
     assert used.package == "mine.py" and len(used.version) == 12
     found = [COSTS.find(name) for name in ("wc 5", "ad", "mine.py:wc-5")]
     assert found == ["wide_census", "absolute_difference", None]
+    lacking = {package for package, each in registry.registries.items() if not each.plugins()}
+    assert not [package for package in lacking if package.startswith("depthcli.")]
     versions = registry.versions_here([used, replace(used, package="elsewhere")])
     assert versions == {"elsewhere": "missing", "mine.py": used.version}
 
@@ -192,6 +194,7 @@ def test_a_command_of_a_file(file: Path, capsys: pytest.CaptureFixture[str]):
     ("text", "said"),
     [
         ("import nowhere_at_all", r"mine\.py:1: plug-in cannot be loaded: ModuleNotFoundError"),
+        ("import sys\nsys.exit(0)", r"mine\.py:2: plug-in cannot be loaded: SystemExit: 0"),
         ("x = 1\n1 / 0", r"mine\.py:2: plug-in cannot be loaded: ZeroDivisionError: division by zero"),
         ("def f(:", r"mine\.py.*plug-in cannot be loaded: SyntaxError"),
         ("x = 3", r"mine\.py: plug-in cannot be loaded: TypeError: it holds no command"),

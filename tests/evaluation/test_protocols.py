@@ -315,14 +315,18 @@ def test_kitti_scores_the_png_that_would_be_submitted(tmp_path):
     assert (out.wrong, out.pixels, out.density) == (2, 3, 75)
 
 
-def test_a_frame_that_a_run_lacks_is_wholly_wrong():
+@pytest.mark.parametrize(
+    ("name", "metric", "value", "density"),
+    [("kitti-2012", "out", 62.5, 50), ("kitti-2015", "D1", 40, 80)],  # frames averaged; their pixels pooled
+)
+def test_a_frame_that_a_run_lacks_is_wholly_wrong(name, metric, value, density):
     truths = [np.full((1, 4), 10, np.float32), np.full((1, 1), 10, np.float32)]
-    judge = make("kitti-2015")
+    judge = make(name)
     found = judge.scores(truths[0] + np.array([[0, 0, 0, 9]], np.float32), everywhere(truths[0], "occ"))
     absent = missing_scores(judge, everywhere(truths[1], "occ"))
     mean = judge.mean([MapResult("r", str(k), "d", judge.name, scores=tuple(s)) for k, s in enumerate((found, absent))])
-    assert pick(mean, "D1", 3.0, ESTIMATED_ONLY).value == 40
-    assert pick(mean, "D1", 3.0, INTERPOLATED).density == 80
+    assert pick(mean, metric, 3.0, ESTIMATED_ONLY).value == value
+    assert pick(mean, metric, 3.0, INTERPOLATED).density == density
     assert math.isnan(pick(mean, "avgerr", None, INTERPOLATED).value)
 
 

@@ -55,7 +55,7 @@ def test_damage_is_told_by_us_alone(tmp_path: Path, capfd, name):
     for number in range(ROUNDS):
         rng = np.random.default_rng(number)
         way = (damage.truncated, damage.holed, damage.flipped)[number % 3]
-        path.write_bytes(way(data, rng, []))
+        path.write_bytes(way(data, rng))
         try:
             read_image(path) if name in FILES else read_plane(path)
             accepted += 1

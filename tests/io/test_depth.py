@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.kinect import kinect_v1
 from depthcli.core.errors import InputError
 from depthcli.io.formats.depth import (
     SENSOR,
@@ -112,5 +113,4 @@ def test_raw_kinect_codes():
     codes = read_kinect_raw(DATA / "rgbd_nyu/raw_dump/disparity_raw_byteswapped.pgm")
     assert codes.max() == 2047
     known = codes < 2047
-    depth = 351.3 / (1092.5 - codes[known])
-    assert 0.5 < np.median(depth) < 6 and known.mean() > 0.5
+    assert 0.5 < np.nanmedian(kinect_v1().depth_of_raw(codes)) < 5 and known.mean() > 0.5

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from depthcli.core.cameras.camera import Camera
-from depthcli.core.cameras.kinect import KinectCalibration, kinect_v1
+from depthcli.core.cameras.kinect import KinectCalibration
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.io.formats.calibrations import read_kinect_calibration
@@ -341,6 +341,8 @@ def test_cleargrasp(tmp_path: Path, real: bool):
 
 @needs_data
 def test_the_shared_folders_are_recognized_as_they_lie_there():
+    if not (DATA / "transparent").is_dir():
+        pytest.skip("transparent is not in ../shared/data")
     scenes = find(DATA / "transparent")
     assert [scene.layout for scene in scenes] == ["cleargrasp"] * 5
     for scene in scenes:
@@ -377,4 +379,3 @@ class TestRealFrames:
             own = abs(frame["kinect_minus_plane_median_mm"]) + 0.6745 * frame["kinect_minus_plane_std_mm"]
             assert distance(calibration) <= own + 1.2
             assert distance(calibration) < distance(plain) < distance(calibration) + 5
-        assert 0.5 < np.nanmedian(kinect_v1().depth_of_raw(raw)) < 5

@@ -7,6 +7,7 @@ import csv
 import json
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -206,8 +207,13 @@ class Shifted(RegistrationProtocol):
         return estimate + 1
 
 
-def test_points_show_where_they_lie_on_a_grid(tmp_path: Path):
-    judge, scene, page, grid = Shifted(), Scene(name="box", folder=tmp_path), Page(), Grid((8, 6, 4), (1, 1, 1))
+class WithoutGrid(Shifted):
+    presentation = replace(RegistrationProtocol.presentation, on_grid=lambda *_: None)
+
+
+@pytest.mark.parametrize("kind", [Shifted, WithoutGrid])
+def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, kind: type[RegistrationProtocol]):
+    judge, scene, page, grid = kind(), Scene(name="box", folder=tmp_path), Page(), Grid((8, 6, 4), (1, 1, 1))
     inside = np.zeros((4, 6, 8), bool)
     inside[1:3, 2:, ::2] = True
     points = np.arange(inside.sum(), dtype=np.float32) / 8
@@ -217,7 +223,12 @@ def test_points_show_where_they_lie_on_a_grid(tmp_path: Path):
     page.begin_scene(judge, scene, truth)
     page.add_map(result, tmp_path / "box", points, truth, {"c": points})
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, "truth"), "{}", {})
-    views = json.loads(read(tmp_path).scripts["data-0"])["views"]
+    reader = read(tmp_path)
+    assert ("data-0" in reader.scripts) == (kind is Shifted)
+    assert "1 run, 1 scene of" in reader.text
+    if kind is WithoutGrid:
+        return
+    views = json.loads(reader.scripts["data-0"])["views"]
     assert [view["name"].rpartition(", ")[2] for view in views] == [
         f"{k + 1} of {n}" for n in (4, 6, 8) for k in range(n)
     ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import time
@@ -23,10 +22,6 @@ def contents(folder: Path) -> dict[str, bytes]:
     others = (*REPORT_FILES, RECORD_FILE)
     paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in others)
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
-
-
-def rows(folder: Path) -> list[dict[str, Any]]:
-    return json.loads((folder / "report.json").read_text())["scenes"]
 
 
 def wait_for(folder: Path, scenes: int, process: subprocess.Popen[Any]) -> None:

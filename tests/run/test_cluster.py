@@ -16,7 +16,8 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.run import records
-from tests.run.processes import contents, rows, start, wait_for
+from tests.command_line import rows
+from tests.run.processes import contents, start, wait_for
 
 PRESET = "opencv-sgbm"
 SCENES = 48
@@ -72,8 +73,8 @@ def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, tmp_path: Path, 
     assert "workers at tcp://" in said
     assert f"{SCENES} of {SCENES} scenes done" in said
     assert contents(output) == contents(whole)
-    assert [row["scene"] for row in rows(output)] == [row["scene"] for row in rows(whole)]
-    assert sum(bool(row["seconds"]) for row in rows(output)) >= SCENES - 10
+    assert list(rows(output)) == list(rows(whole))
+    assert sum(bool(row["seconds"]) for row in rows(output).values()) >= SCENES - 10
 
     # Some scenes are to do again, the scheduler goes: what is done is reported, the rest can be resumed, by anyone.
     again = sorted(path.parent.name for path in output.glob(f"*/{records.RECORD_FILE}"))[:40]
@@ -86,7 +87,7 @@ def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, tmp_path: Path, 
     assert run.returncode == 3, said
     assert "the scheduler was lost" in said
     assert "Traceback" not in said, said
-    done = {row["scene"] for row in rows(output)}
+    done = set(rows(output))
     assert SCENES - 40 < len(done) < SCENES
     capfd.readouterr()
     assert main(["stereo", PRESET, "-i", str(scenes), "-o", str(output)]) == 0

@@ -67,6 +67,8 @@ class Repeat(Batch[Text]):
             with atomic_path(folder / "out.txt") as path:
                 path.write_text("half of it")
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        if text == "quota":
+            raise OSError(errno.EDQUOT, os.strerror(errno.EDQUOT), "/tmp/scratch/file")
         if text == "huge":
             raise MemoryError
         if text == "stop":
@@ -531,6 +533,12 @@ def test_shards_are_apart_and_together_everything(folder: Folder):
     assert [row["scene"] for row in folder.report()["scenes"]] == list("abcd")
     assert folder.run().keys() == set("abcd")
     assert folder.computed() == []
+
+
+def test_a_used_up_quota_elsewhere_is_named_by_its_place(folder: Folder):
+    folder.texts["b"] = "quota"
+    with pytest.raises(OutputError, match=r"^/tmp/scratch: Disk quota exceeded.*; stopped, 1 of 4 scenes done"):
+        folder.run()
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to threads")

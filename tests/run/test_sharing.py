@@ -14,14 +14,10 @@ import pytest
 from depthcli.core.errors import ConfigError
 from depthcli.run.batch import shard_of
 from depthcli.run.folder import LOCKS_FILE, FolderLock
-from tests.command_line import run
-from tests.run.processes import contents, rows, start, wait_for
+from tests.command_line import run, statuses
+from tests.run.processes import contents, start, wait_for
 
 FAST = "opencv-bm"
-
-
-def report(folder: Path) -> dict[str, str]:
-    return {row["scene"]: row["status"] for row in rows(folder)}
 
 
 @pytest.fixture(scope="module")
@@ -37,11 +33,11 @@ def test_xargs_with_a_scene_each_loses_nothing(made_scenes: Path, whole: Path, t
     """Processes that begin and end at any time, one scene each, fill one folder; the report has all."""
     out = tmp_path / "run"
     command = [sys.executable, "-m", "depthcli", "stereo", FAST, "-i", made_scenes, "-o", out, "-q", "--scenes"]
-    names = "\n".join(list(report(whole))[:5])
+    names = "\n".join(list(statuses(whole))[:5])
     line = f"xargs -P3 -n1 {shlex.join(map(str, command))}"
     done = subprocess.run(line, shell=True, input=names, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert report(out) == {name: report(whole)[name] for name in names.split()}
+    assert statuses(out) == {name: statuses(whole)[name] for name in names.split()}
     made = contents(out)
     assert len(made) > 5 * 4 and made.items() <= contents(whole).items()
 
@@ -55,7 +51,7 @@ def test_the_same_run_twice_is_done_once(made_scenes: Path, whole: Path, tmp_pat
     made = Counter(line.partition(":")[0] for text in said for line in text.splitlines() if line.endswith(" s"))
     assert all(count == 1 for scene, count in made.items() if "_" in scene), made
     assert contents(tmp_path / "run") == contents(whole)
-    assert report(tmp_path / "run") == report(whole)
+    assert statuses(tmp_path / "run") == statuses(whole)
 
 
 @pytest.mark.system
@@ -68,7 +64,7 @@ def test_a_killed_process_leaves_its_scenes_to_be_done_again(made_scenes: Path, 
     victim.communicate()
     assert run(*common, "-q") == 0
     assert contents(out) == contents(whole)
-    assert report(out) == report(whole)
+    assert statuses(out) == statuses(whole)
 
 
 @pytest.mark.slow
@@ -138,7 +134,7 @@ def test_a_file_system_without_locks(made_scenes: Path, whole: Path, tmp_path: P
         assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "--shard", f"{index}/2") == 0
         assert capsys.readouterr().err.count("no locks on this file system") == 1
     assert contents(tmp_path / "run") == contents(whole)
-    assert report(tmp_path / "run") == report(whole)
+    assert statuses(tmp_path / "run") == statuses(whole)
     assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "--set", "block=7") == 2
 
 

@@ -147,7 +147,9 @@ def test_radiometry_changes_the_right_view_only_and_as_said():
     assert Radiometry.of_strength(0) == Radiometry()
 
 
-@pytest.mark.parametrize("change", [{"width": 10}, {"max_disparity": 60}, {"max_disparity": 2}])
+@pytest.mark.parametrize(
+    "change", [{"height": 10}, {"width": 10, "max_disparity": 4}, {"max_disparity": 60}, {"max_disparity": 2}]
+)
 def test_impossible_sizes_are_refused(change):
     with pytest.raises(ValueError, match="max_disparity"):
         make_scene(**{"kind": "planes", "width": 96, "height": 72, "max_disparity": 12, **change})

@@ -74,14 +74,14 @@ def mean_field(
     q: NDArray[np.float32] = memory.empty((count, width), np.float32)
     arrays = np.ascontiguousarray(unary).reshape(-1), q.reshape(-1), near
     graph = slots.reshape(-1), np.concatenate(rows), weights.reshape(-1), corners, own
+    limits = min(truncation, labels), np.concatenate(bands, axis=1), width
     last = iterations if corners else 0
     for step in range(last + 1):
         slot = row = 0
         for lattice in lattices if step else ():
             blur(lattice, width, partial[slot * width :], near[row * width :], far[row * width :])
             slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
-        cut, joined = min(truncation, labels), np.concatenate(bands, axis=1)
-        _update(*arrays, *graph, cut, joined, width, step > 0, step < last, partial)
+        _update(*arrays, *graph, *limits, step > 0, step < last, partial)
     return q if width == labels else np.ascontiguousarray(q[:, :labels])
 
 

@@ -109,9 +109,8 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
             raise InputError(f"{scene.folder}: the true depth of {scene.name} has no known pixel")
         masks = {name: self._resized(mask.astype(np.uint8)) > 0 for name, mask in stored.masks.items()}
         regions = {"all": known, **{name: mask & known for name, mask in masks.items()}}
-        scale = getattr(scene, "depth_scale", _CODES_PER_METER)
         ordered = {name: regions[name] for name in in_order(regions, self.region_order)}
-        return DepthTruth(depth, ordered, stored.fb, scale)
+        return DepthTruth(depth, ordered, stored.fb, scene.depth_scale)
 
     def read(self, path: Path, scene: Scene, truth: DepthTruth) -> Depth:
         """Return the map in meters; integer codes have the truth's scale where the settings have none."""

@@ -179,7 +179,7 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
         arrays = {key: _field(fields, key, shape) for key, shape in _KINECT.items()}
         if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
             raise InputError("singular: focal lengths and dc[1] must not be zero")
-        depth, color = (_camera(fields, f"{name}_K", f"{name}_kc") for name in ("depth", "color"))
+        depth, color = (Camera(arrays[f"{n}_K"], tuple(arrays[f"{n}_kc"].tolist())) for n in ("depth", "color"))
     beta = kinect_files(path)
     start, slope = arrays["dc"].tolist()
     one, other = arrays["dc_alpha"].tolist()

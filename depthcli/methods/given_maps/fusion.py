@@ -45,7 +45,8 @@ def fuse(
     of each; their softmax is averaged over neighbors of similar color, and the largest share wins.
 
     Returns a map that has a value everywhere, and how likely every pixel is right ``within`` so many pixels. Costs are
-    computed up to ``max_disparity``. ValueError: there is no map, or one has not the size of the images.
+    computed up to ``max_disparity``. There are 1 to ``MAX_MAPS`` maps, which callers check. ValueError: one has not the
+    size of the images.
     """
     clock = Clock()
     evidence = Evidence.of(pair, max_disparity, clock)

@@ -72,10 +72,10 @@ def inverse_depth(depth: Floats) -> Floats:
 
 def refined_depth(
     frame: SparseFrame,
-    values: Any,
+    values: NDArray[np.floating[Any]],
     unreliable: Mask,
     clock: Clock,
-    sigma: Any = np.nan,
+    sigma: NDArray[np.floating[Any]] | float = np.nan,
     sampled: Mask | None = None,
     **figures: float,
 ) -> DepthResult:

@@ -7,13 +7,32 @@ import math
 import numpy as np
 import pytest
 
+from depthcli.algorithms.pixel_network import TILE
 from depthcli.api.maps import networks
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
-from depthcli.methods.given_maps import MEASURES, judge, judge_by_one_view, judged_maps, odds_of, offsets
-from depthcli.methods.given_maps._planes import _COST, _OPTIMIZATION, _REFINEMENT, OTHERS, Evidence
+from depthcli.methods.given_maps import (
+    HIDDEN,
+    MEASURES,
+    RIGHT_NAMES,
+    judge,
+    judge_by_one_view,
+    judged_maps,
+    odds_of,
+    offsets,
+)
+from depthcli.methods.given_maps._planes import (
+    _COST,
+    _OPTIMIZATION,
+    _REFINEMENT,
+    ALONE,
+    INPUTS,
+    ONE_VIEW,
+    OTHERS,
+    Evidence,
+)
 from depthcli.methods.given_maps.fusion import fuse
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.local import Local
@@ -136,3 +155,10 @@ def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: Sy
     assert set(found.confidence) == {"smoothness"}
     with pytest.raises(ValueError, match="size"):
         judge_by_one_view(networks(), pair.left, values[1:], 32)
+
+
+def test_the_networks_were_trained_for_these_planes():
+    right, hidden, one_view = networks()
+    assert (right.inputs, hidden.inputs, one_view.inputs) == (INPUTS, ALONE, ONE_VIEW)
+    assert right.maps == one_view.maps == RIGHT_NAMES and hidden.maps == (HIDDEN,)
+    assert not any(weights.shape[1] % TILE for one in networks() for weights, _ in one.layers[:2])

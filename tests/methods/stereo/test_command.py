@@ -223,6 +223,7 @@ def test_a_shell_is_only_used_where_wanted_and_gets_quoted_values(here: Path):
         (["run=[./absent, '{left}']"], r"program: \./absent: neither beside the config file nor"),
         (["run=[python, '{zzzz}']"], r"no placeholder \{zzzz\}; there are: left, right, max_disparity"),
         (["run=[python, '{']"], "a brace is written"),
+        (["run=[python, '{max_disparity:03}']"], "no placeholder"),
         (["timeout=10 parsecs"], "timeout: want a time"),
         (["parameters.left=3"], "'left' cannot be the name of a parameter"),
         (["shell=true"], "want one text with shell: true"),
@@ -266,6 +267,12 @@ def run(folder: Path, code: str, timeout: float = 60.0, memory: int = 1 << 40) -
     with computing("scene", memory) as scene:
         run_program([sys.executable, "program.py"], folder, timeout)
     return scene.used
+
+
+def test_time_and_memory_are_those_of_the_program(tmp_path: Path):
+    found = run(tmp_path, 'block = bytearray(b"x" * (64 << 20)); print(sum(range(3_000_000)))')
+    assert found["program_cpu"] > 0.01
+    assert 64 << 20 < found["program_memory"] < 400 << 20  # not that of this process
 
 
 def running(pid: int) -> bool:

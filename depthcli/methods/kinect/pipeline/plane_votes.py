@@ -67,7 +67,7 @@ class PlaneVotes(KinectPipeline):
         measurement = Measurement.of(frame, self.jump, self.min_probability, self.shadows)
         measured, noise, shadows = measurement.disparity, measurement.noise, measurement.shadows
         lab, p_correct, known = measurement.lab, measurement.probability, ~np.isnan(measured)
-        unreliable = ~known | (p_correct < self.min_probability)
+        unreliable = np.isnan(measurement.reliable)
         trust = np.where(known & (p_correct > self.min_vote_probability), p_correct, np.float32(0))
         clock.start("planes")
         planes = window_planes(measured, trust, noise)

@@ -9,6 +9,7 @@ import resource
 import shlex
 import shutil
 import signal
+import string
 import subprocess
 import sys
 import tempfile
@@ -125,11 +126,12 @@ class Program(StereoPipeline):
         known = [*_PLACEHOLDERS, *info.data.get("parameters", ())]
         for word in words:
             try:
-                word.format_map(dict.fromkeys(known, ""))
-            except KeyError as error:
-                raise ValueError(f"no placeholder {{{error.args[0]}}}; there are: {', '.join(known)}") from None
-            except (ValueError, LookupError, AttributeError, TypeError) as error:
+                fields = [field[1:] for field in string.Formatter().parse(word) if field[1] is not None]
+            except ValueError as error:
                 raise ValueError(f"{error} in {word!r}; a brace is written {{{{ or }}}}") from None
+            for name, spec, conversion in fields:
+                if name not in known or spec or conversion:
+                    raise ValueError(f"no placeholder {{{name}}}; there are: {', '.join(known)}")
         folder = (info.context or {}).get("folder")
         if shell or folder is None:
             return program
@@ -205,7 +207,7 @@ class Program(StereoPipeline):
         return files
 
     def _read_map(self, path: Path, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the map that the program wrote, (H, W) float32, NaN = no value; ProgramError where it has none."""
+        """Return the map that the program wrote, (H, W) float32, NaN = no value; ProgramError: none of this size."""
         if not path.is_file():
             raise ProgramError(f"the program wrote no {path.name}")
         try:

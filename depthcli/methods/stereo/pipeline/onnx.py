@@ -178,7 +178,7 @@ class NetworkPipeline(Network, StereoPipeline):
         """Return what the inputs get, and the (H, W) of images, None: any; InputError where that is not clear."""
         session = self.session
         feeds = _feeds(session)
-        if bool(session.counts) != (self.iterations is not None):
+        if bool(session.counts) != (self.iterations is not None) or len(session.counts) > 1:
             what = "needs a number of iterations" if session.counts else "has a fixed number of iterations"
             raise InputError(f"{self.model}: the network {what}; see iterations")
         size = None if self.size is None else (self.size[1], self.size[0])
@@ -218,16 +218,18 @@ def _feeds(session: Session) -> list[_Feed]:
     if len(images) == 1 and channels <= {2, 6}:
         return [_Feed(images[0], ("left", "right"))]
     if len(images) not in (2, 4) or not channels <= {None, 1, 3}:
-        shown = ", ".join(f"{image.name} ({image.channels} channels)" for image in images)
+        shown = ", ".join(f"{image.name} ({image.channels or '?'} channels)" for image in images)
         # CREStereo is also exported in two files, of which the second takes two images and the flow of the first.
         part = "; is it one part of a network in two files? take one file with four images" if len(images) == 3 else ""
         raise InputError(
             f"{session.model}: want one input of 2 or 6 channels, two images, or four with two at half size; "
             f"it has {shown}{part}"
         )
-    order = sorted(
-        images, key=lambda image: ((image.size[0] or 0) * (image.size[1] or 0), "init" not in image.name.lower())
-    )
+    order = list(images)
+    if len(images) == 4:  # the smaller ones, or those whose names say so, are at half size
+        order = sorted(
+            images, key=lambda image: ((image.size[0] or 0) * (image.size[1] or 0), "init" not in image.name.lower())
+        )
     feeds = []
     for k in range(0, len(order), 2):
         first, second = order[k : k + 2]  # in the order of the network, unless their names say the reverse
