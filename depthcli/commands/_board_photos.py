@@ -74,7 +74,7 @@ def _length(name: str, text: str) -> float:
 
 
 @dataclass
-class View:
+class CameraPhotos:
     """A camera, and what its photos show."""
 
     side: str
@@ -93,7 +93,7 @@ class View:
         return len({(x, y) for x, y in cells.tolist()}) / (_CELLS[0] * _CELLS[1])
 
 
-def look(view: View, board: Board, files: Mapping[str, Path | None], reporter: Reporter) -> None:
+def look(view: CameraPhotos, board: Board, files: Mapping[str, Path | None], reporter: Reporter) -> None:
     """Find the board in the photos of a camera; InputError where too few show it."""
     sizes: dict[str, Size] = {}
     for name, file in files.items():

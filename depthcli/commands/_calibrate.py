@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from depthcli.algorithms.calibration import MIN_PHOTOS, Board, fit_camera, fit_rig
-from depthcli.commands._board_photos import OUTLIER, View, board_of, look
+from depthcli.commands._board_photos import OUTLIER, CameraPhotos, board_of, look
 from depthcli.commands._calibration_report import Calibrated, picture_of, print_summary, report_of, table_of
 from depthcli.commands._options import BoardOptions
 from depthcli.commands._shared_options import Printing
@@ -37,9 +37,9 @@ def calibrate_cameras(
     photos, unnamed = find_photos(folders)
     for file in unnamed:
         reporter.info(f"{file}: left out, since its name does not say which camera took it")
-    views = [View("left", "camera")]
+    views = [CameraPhotos("left", "camera")]
     if any(each.right for each in photos):
-        views = [View("left", "left camera"), View("right", "right camera")]
+        views = [CameraPhotos("left", "left camera"), CameraPhotos("right", "right camera")]
     with reporter:
         reporter.start(len(views) * len(photos), 0, "calibrate")
         for view in views:
@@ -69,7 +69,7 @@ def calibrate_cameras(
     return SOME_FAILED if any(view.unreadable for view in views) else 0
 
 
-def _with_rig(board: Board, left: View, right: View) -> Calibrated:
+def _with_rig(board: Board, left: CameraPhotos, right: CameraPhotos) -> Calibrated:
     """Return two cameras with their rig, and by how much the rows of each pair differ once rectified."""
     both = [name for name in left.fit.errors if name in right.fit.errors]
     if len(both) < MIN_PHOTOS:

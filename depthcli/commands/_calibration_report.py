@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.calibration import MIN_TILT, Board, CharucoBoard, RigFit
-from depthcli.commands._board_photos import NOT_FOUND, OUTLIER, View
+from depthcli.commands._board_photos import NOT_FOUND, OUTLIER, CameraPhotos
 from depthcli.core.cameras.camera import Camera
 from depthcli.io.formats.pictures import draw_text
 from depthcli.run.console import Reporter, aligned
@@ -28,7 +28,7 @@ _RED_PX = 1.0  # error of a corner that is drawn red
 class Calibrated:
     """One camera or two, as their photos give them."""
 
-    views: Sequence[View]
+    views: Sequence[CameraPhotos]
     rig: RigFit | None = None
     row_errors: dict[str, float] = field(default_factory=dict)  # of each pair once rectified, pixels
     warnings: list[str] = field(default_factory=list)
@@ -59,7 +59,7 @@ def report_of(found: Calibrated, board: Board, photos: Sequence[str], unnamed: S
     return report
 
 
-def _doubts(view: View) -> list[str]:
+def _doubts(view: CameraPhotos) -> list[str]:
     """Return what makes a camera doubtful."""
     fit, which = view.fit, "" if view.name == "camera" else f"{view.name}: "
     lines, why, focal = [], "", float(fit.camera.matrix[0, 0])
@@ -78,7 +78,7 @@ def _doubts(view: View) -> list[str]:
     return lines
 
 
-def _camera(view: View, camera: Camera) -> Row:
+def _camera(view: CameraPhotos, camera: Camera) -> Row:
     """Return what the report says of a camera: pixels, degrees."""
     fit, (fx, fy), (cx, cy) = view.fit, np.diag(camera.matrix)[:2], camera.matrix[:2, 2]
     row: Row = {"side": view.side, "size": list(view.size), "fx": fx, "fy": fy, "cx": cx, "cy": cy}
@@ -116,7 +116,7 @@ def table_of(report: Row) -> str:
     return aligned(lines)
 
 
-def print_summary(report: Row, views: Sequence[View], reporter: Reporter) -> None:
+def print_summary(report: Row, views: Sequence[CameraPhotos], reporter: Reporter) -> None:
     """Name the photos that are left out, warn, and print a line a camera, and one of the rig."""
     for reason, text in ((OUTLIER, "left out, since they do not fit the others"), (NOT_FOUND, "no board")):
         if names := [row["name"] for row in report["photos"] if reason in row["left_out"].values()]:
@@ -134,7 +134,7 @@ def print_summary(report: Row, views: Sequence[View], reporter: Reporter) -> Non
         reporter.info(f"baseline {1000 * rig['baseline']:.2f} mm from {rig['pairs']} pairs{rows}")
 
 
-def picture_of(views: Sequence[View]) -> NDArray[np.uint8]:
+def picture_of(views: Sequence[CameraPhotos]) -> NDArray[np.uint8]:
     """Return (H, W, 3): the corners in every camera's image, green where they fit, red where off by a pixel."""
     pictures = []
     for view in views:

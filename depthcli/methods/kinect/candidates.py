@@ -12,7 +12,7 @@ from depthcli.algorithms.trws import trws
 from depthcli.core.arrays import Floats, Image8, Ints, Mask
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.color import lab_difference
-from depthcli.methods.kinect.gap_limits import SLOPE_FADE, Limits
+from depthcli.methods.kinect.gap_limits import SLOPE_FADE, GapLimits
 
 # Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 LEVELS = ((1, 5), (4, 36), (12, 108))
@@ -59,14 +59,14 @@ class ExtraVotes(NamedTuple):
     shares: Floats  # of the votes of the planes, which each of them gets in addition
 
 
-class Candidates(NamedTuple):
+class VotedModes(NamedTuple):
     """The strongest modes of the votes for N pixels, at most K of each; both (N, K) float32."""
 
     values: Floats  # pixels, strongest first, NaN = no more
     shares: Floats  # of the votes, 0 where there is no candidate
 
 
-class Evidence(NamedTuple):
+class Observed(NamedTuple):
     """What is known of the pixels that candidates are chosen for, (H, W)."""
 
     lab: Image8  # (H, W, 3)
@@ -74,12 +74,12 @@ class Evidence(NamedTuple):
     p_correct: Floats  # probability that a measured value is correct
     unreliable: Mask
 
-    def every(self, stride: int) -> Evidence:
+    def every(self, stride: int) -> Observed:
         """Return every n-th pixel of every n-th row, n = ``stride``."""
         lab, disparity, p_correct, unreliable = self
         part = np.s_[::stride, ::stride]
         values = np.ascontiguousarray(disparity[part]), np.ascontiguousarray(p_correct[part])
-        return Evidence(np.ascontiguousarray(lab[part]), *values, np.ascontiguousarray(unreliable[part]))
+        return Observed(np.ascontiguousarray(lab[part]), *values, np.ascontiguousarray(unreliable[part]))
 
 
 class Costs(NamedTuple):
@@ -114,13 +114,13 @@ def cast_votes(
     pixels: Ints,
     lab: Image8,
     voters: list[Voters],
-    limits: Limits,
+    limits: GapLimits,
     extra: ExtraVotes,
     noise: float,
     count: int,
     sigma_color: float,
     sigma_space: Floats,
-) -> Candidates:
+) -> VotedModes:
     """Compute the candidates for the disparity of some pixels: the strongest modes of the votes, ``count`` at most.
 
     Each voter votes for its plane, continued to the pixel along slopes that fade with distance, with the
@@ -135,7 +135,7 @@ def cast_votes(
     sigma_color, sigma_space : L1 in 8-bit Lab; (H, W) float32, pixels
     """
     shape = len(pixels), count
-    found = Candidates(np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32))
+    found = VotedModes(np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32))
     value, _, _, weight = voters[0].planes
     voting = value[weight > 0]
     if len(pixels) == 0 or not voting.size:
@@ -313,7 +313,7 @@ def _test_openings(lab, around, planes, colors, trusted, similarity, space, jump
 
 
 def choose_candidates(
-    pixels: Ints, found: Candidates, planes: WindowPlanes, evidence: Evidence, costs: Costs, iterations: int
+    pixels: Ints, found: VotedModes, planes: WindowPlanes, evidence: Observed, costs: Costs, iterations: int
 ) -> Floats:
     """Choose a value for every unreliable pixel, (H, W) float32; NaN where it has no candidate, and elsewhere.
 

@@ -25,7 +25,7 @@ _MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE = 0.1, 0.6
 _EXTRA_SHARE_SCALE = 2.0  # pixels between the shadow's width and the step over which the share falls by 1/e
 
 
-class Limits(NamedTuple):
+class GapLimits(NamedTuple):
     """The largest disparity that a shadow allows at each pixel; both (H, W) float32."""
 
     value: Floats  # pixels, inf outside gaps
@@ -51,9 +51,9 @@ def _is_shadow(gap, step, sizes):
 
 def shadow_limits(
     lab: Image8, disparity: Floats, planes: WindowPlanes, jump: float, tolerance: float, shadows: Shadows
-) -> Limits:
+) -> GapLimits:
     """Compute the largest disparity that a shadow allows at each pixel, and the likelihood of surfaces above it."""
-    limits = Limits(np.full(disparity.shape, np.inf, np.float32), np.ones(disparity.shape, np.float32))
+    limits = GapLimits(np.full(disparity.shape, np.inf, np.float32), np.ones(disparity.shape, np.float32))
     for shadow, step, holes in shadows.sides():
         turn = np.s_[:, ::step]
         given = [np.ascontiguousarray(m[turn]) for m in (lab, disparity, planes.value, step * planes.slope_x)]

@@ -9,7 +9,7 @@ import pytest
 from depthcli.algorithms.plane_fitting.window_planes import window_planes
 from depthcli.methods.kinect.candidates import LEVELS, OPENING_LEVEL, ExtraVotes, Voters, cast_votes, hidden_openings
 from depthcli.methods.kinect.depth_edges import MIN_OFFSET, correct_probability, outline_offsets
-from depthcli.methods.kinect.gap_limits import Limits, shadow_background, shadow_limits
+from depthcli.methods.kinect.gap_limits import GapLimits, shadow_background, shadow_limits
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
 from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
@@ -85,7 +85,7 @@ def test_votes_agree_with_the_reference():
     continued[1, :, ::3] = 19.3
     given = np.full((2, *shape), 0.2, np.float32)
     extra = ExtraVotes(np.stack([rim, *continued]), np.stack([bonus, *given]))
-    values, shares = cast_votes(pixels, lab, voters, Limits(limit, beyond), extra, 0.3, 4, 40.0, sigma)
+    values, shares = cast_votes(pixels, lab, voters, GapLimits(limit, beyond), extra, 0.3, 4, 40.0, sigma)
     voting = planes.value[(trust > 0) & ~np.isnan(planes.value)]
     unit = 0.3 * 5 / 3
     low = float(voting.min()) - 8 * unit

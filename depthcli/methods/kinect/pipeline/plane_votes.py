@@ -13,10 +13,10 @@ from depthcli.core.arrays import Floats, Mask
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.kinect import candidates
-from depthcli.methods.kinect.candidates import AGREEMENT, LEVELS, OPENING_LEVEL, Evidence, ExtraVotes, Voters
+from depthcli.methods.kinect.candidates import AGREEMENT, LEVELS, OPENING_LEVEL, ExtraVotes, Observed, Voters
 from depthcli.methods.kinect.disparity import Measurement, nearest_fill, refined_depth
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
-from depthcli.methods.kinect.gap_limits import GAP_FACTOR, Limits, shadow_background, shadow_limits
+from depthcli.methods.kinect.gap_limits import GAP_FACTOR, GapLimits, shadow_background, shadow_limits
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.methods.kinect.shadows import SHADOW_SIDES, Shadows, Side
@@ -88,7 +88,7 @@ class PlaneVotes(KinectPipeline):
             opened = candidates.hidden_openings(lab, planes, voters, tested, measurement.jump, self.sigma_color)
             p_correct = np.where(opened, np.minimum(p_correct, np.float32(self.opening_probability)), p_correct)
             unreliable |= opened
-        evidence, refined = Evidence(lab, measured, p_correct, unreliable), measured
+        evidence, refined = Observed(lab, measured, p_correct, unreliable), measured
         for grid in [2] * (self.passes - 1) + [1]:  # all but the last on every second pixel of every second row
             clock.start("votes")
             background, share = shadow_background(measured, planes, measurement.jump, shadows)
@@ -112,10 +112,10 @@ class PlaneVotes(KinectPipeline):
 
     def _one_pass(
         self,
-        evidence: Evidence,
+        evidence: Observed,
         planes: WindowPlanes,
         trust: Floats,
-        limits: Limits,
+        limits: GapLimits,
         extra: ExtraVotes,
         noise: float,
         sigma_space: Floats,
@@ -136,7 +136,7 @@ class PlaneVotes(KinectPipeline):
         )
         return chosen
 
-    def _sigma_space(self, trust: Floats, known: Mask, limits: Limits, shadows: Shadows) -> Floats:
+    def _sigma_space(self, trust: Floats, known: Mask, limits: GapLimits, shadows: Shadows) -> Floats:
         """Return the distance over which votes for a pixel fade, (H, W) float32, pixels."""
         in_shadows = max(shadows.left.confidence, shadows.right.confidence)
         distance = cv2.distanceTransform((trust == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
