@@ -14,7 +14,7 @@ import numpy as np
 from depthcli.api.matching import limits_of, match_pair, partly_used, read_rig
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import SceneOptions
-from depthcli.commands._rectify import calibration_files, check_unit, rectified_pair, sequence_range
+from depthcli.commands._rectified_pairs import calibration_files, check_unit, rectified_pair, sequence_range
 from depthcli.core.errors import ConfigError
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock

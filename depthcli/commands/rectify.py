@@ -10,7 +10,8 @@ Examples:
 
 from __future__ import annotations
 
-from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
+from depthcli.commands._options import PairOptions, RunOptions
+from depthcli.commands._single_options import RectifyOptions
 
 
 def rectify(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> int:

@@ -9,7 +9,8 @@ Examples:
 
 from __future__ import annotations
 
-from depthcli.commands._options import RunOptions, SampleOptions
+from depthcli.commands._options import RunOptions
+from depthcli.commands._single_options import SampleOptions
 
 
 def sample(run: RunOptions, scenes: SampleOptions) -> int:

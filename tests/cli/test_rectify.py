@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import depthcli
-from depthcli.commands import _rectify
+from depthcli.commands import _rectified_pairs
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
@@ -20,7 +20,8 @@ from depthcli.io.formats.calibrations import read_geometry, read_rig
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import read_status
-from depthcli.methods.stereo.rectification import rectify_uncalibrated, row_error
+from depthcli.methods.stereo.rectification import rectify_uncalibrated
+from depthcli.methods.stereo.view_matching import row_error
 from tests.command_line import run
 
 SIZE = (240, 180)
@@ -295,8 +296,8 @@ def test_a_calibration_costs_a_video_once(video: list[str | Path], tmp_path: Pat
 
         monkeypatch.setattr(place, name, call)
 
-    counted(_rectify, "match_views")
-    counted(_rectify, "range_of_key_points")
+    counted(_rectified_pairs, "match_views")
+    counted(_rectified_pairs, "range_of_key_points")
     counted(Camera, "undistortion_maps")
     assert run(*video, "-o", tmp_path / "run", "-q") == 0
     assert calls == {"match_views": 1, "range_of_key_points": 3, "undistortion_maps": 2}

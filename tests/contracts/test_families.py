@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from depthcli.commands._options import SampleOptions
+from depthcli.commands._single_options import SampleOptions
 from depthcli.core.method import Family
 from depthcli.io.layouts import own_layouts
 from depthcli.io.walk import discover_scenes

@@ -5,7 +5,7 @@ Start at :func:`.matching.match`. In the order of the data:
 | module | what comes in -> what goes out |
 |---|---|
 | ``config`` | the fields of the ``stereo`` command's config, and of every command that matches pairs |
-| ``rectification`` | two images of uncalibrated cameras -> the same images with matches on one row |
+| ``rectification`` | points matched by ``view_matching`` -> homographies that bring them to the same rows |
 | ``search_range`` | pair, ends given by the user or "auto" -> the disparities to search (by ``keypoint_matching``) |
 | ``matching`` | matcher, pair, largest disparity, limits -> ``StereoResult``; matched whole, in tiles or on a device |
 | ``stages`` | ``PairMatcher``, the base of all matchers; ``CostStages``, the families below in one object |
