@@ -24,6 +24,7 @@ from depthcli.run.folder import LEGEND_FILE
 from depthcli.run.identity import refusal
 from depthcli.run.json_csv import Row, to_json
 from depthcli.run.presets import find_config, find_preset
+from depthcli.run.records import read_record
 from depthcli.run.report import report_document
 from depthcli.run.runner import Plan, run_scenes
 from depthcli.run.workers import BUG
@@ -140,7 +141,8 @@ def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: E
     for scene in how.own(scenes):
         row: Row = {"scene": scene.name, "status": BROKEN, "memory": None, "problem": scene.problem}
         if not scene.problem:
-            row["status"] = TO_DO if planned.finished(planned.task(scene, 0))[0] is None else DONE
+            task, known = planned.task(scene, 0), read_record(output / scene.name)
+            row["status"] = DONE if known is not None and task.is_done(known) else TO_DO
             try:
                 row["memory"] = batch.memory(scene)
             except InputError as error:

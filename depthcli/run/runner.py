@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,6 @@ from depthcli.run.folder import FolderLock
 from depthcli.run.json_csv import Row
 from depthcli.run.records import (
     OTHER_RUN,
-    Record,
     discard,
     file_digest,
     hidden_folder,
@@ -74,12 +72,11 @@ class Plan:
     """Says which scenes of a run are done, and makes tasks of the others."""
 
     def __init__(self, batch: Batch[Any], scenes: Sequence[Any], output: Path, how: Execution) -> None:
-        self.batch, self.output, self.how = batch, output, how
         plugins = used_plugins(batch.config) | layout_plugins(scenes)
         name = batch.command.replace("-", "_")
         plugins |= {plugin for plugin in plugins_in("depthcli.commands") if plugin.name == name}
         plugins |= format_plugins(file for scene in scenes for file in scene.input_files.values())
-        self.work = Work(batch.command, batch.config, batch.compute, how, frozenset(plugins))
+        self.work, self.output = Work(batch, how, frozenset(plugins)), output
         self.identity = self.work.identity
         self.workspace = hidden_folder(output)
         self._shared = used_files(batch.config)  # files that the config names, of every scene
@@ -104,27 +101,13 @@ class Plan:
         """Return the task that computes a scene, with the digests of all that its result depends on."""
         files = self._files(scene)
         inputs = {role: self._digest(file) for role, file in files.items()}
-        inputs |= {} if scene.problem else self.batch.settings(scene)
-        inputs |= {"keep": " ".join(self.how.keep)} if self.how.keep else {}
+        inputs |= {} if scene.problem else self.work.batch.settings(scene)
+        inputs |= {"keep": " ".join(keep)} if (keep := self.work.how.keep) else {}
         source = origin(next(iter(files.values()), scene.folder).absolute())
         return Task(scene, self.output, self.workspace / str(number), self.identity, inputs, source)
 
-    def finished(self, task: Task) -> tuple[Row | None, Record | None]:
-        """Return the row of a scene that is done, and its record; None where it is not done, or has no record."""
-        known = read_record(task.target)
-        return (known.row if known is not None and known.is_done(task.target, task.run, task.inputs) else None), known
-
     def _files(self, scene: Any) -> dict[str, Path]:
-        return {} if scene.problem else self.batch.files(scene) | self._shared
-
-
-@dataclass
-class _Ending:
-    """Why a run ended before all scenes were computed, or without its report."""
-
-    first_failure: bool = False  # with ``fail_fast``
-    disk_full: str = ""  # the disk, and how much is free there
-    no_report: str = ""  # why it cannot be written
+        return {} if scene.problem else self.work.batch.files(scene) | self._shared
 
 
 class _Run:
@@ -135,42 +118,91 @@ class _Run:
         self.warnings = WarningCounts(reporter)
         self.rows: dict[str, Row] = {}
         self.n_elsewhere = 0  # scenes that other processes compute
+        # Why the run ended before all scenes were computed, or without its report:
+        self.first_failure = False  # with ``fail_fast``
+        self.disk_full = ""  # the disk, and how much is free there
+        self.no_report = ""  # why it cannot be written
 
     def rows_of_all(self) -> list[Row]:
         """Compute what is not done, write the report, and return the rows in the order of the scenes."""
-        ending = _Ending()
+        command = self.plan.work.batch.command
         computed = self._computed(self._tasks())
         try:
             with self.reporter, contextlib.closing(computed):
-                self.reporter.start(len(self.scenes), len(self.rows), self.plan.batch.command)
-                self._collect(computed, ending)
+                self.reporter.start(len(self.scenes), len(self.rows), command)
+                self._collect(computed)
         finally:
             self.warnings.close()
             discard(self.plan.workspace)
             with self.lock.reporting():
                 try:
-                    write_report(self.plan.output, self.plan.batch.command, self.plan.identity)
+                    write_report(self.plan.output, command, self.plan.identity)
                 except OutputError as error:  # a scene that cannot be written reports that itself
-                    ending.no_report = str(error)
+                    self.no_report = str(error)
             if self.lock.last():
                 remove_leftovers(self.plan.output)
-        self._sum_up(ending)
+        self._sum_up()
         return [self.rows[scene.name] for scene in self.scenes if scene.name in self.rows]
+
+    def _tasks(self) -> list[Task]:
+        """Return the tasks of the scenes that are not done; take the rows of the others.
+
+        ConfigError where results of another run, or of another input of the same name, would be replaced.
+        """
+        plan, replaces = self.plan, self.plan.work.how.overwrite
+        records = {scene.name: read_record(plan.output / scene.name) for scene in self.scenes}
+        for name, known in records.items():  # before any file is digested, which can take long
+            if known is not None and known.run != plan.identity and known.row.get("status") == "done" and not replaces:
+                raise ConfigError(f"{plan.output / name}: {OTHER_RUN}")
+        tasks = []
+        for number, scene in enumerate(self.scenes):
+            task, known = plan.task(scene, number), records[scene.name]
+            if known is not None and task.is_done(known):
+                if known.row.get("source") != task.source:  # the inputs have moved
+                    known.row["source"] = task.source
+                    write_record(task.target, known)
+                self._take(known.row)
+                continue
+            source = known.row.get("source") if known is not None and known.run == task.run and known.files else None
+            if source and source != task.source and not replaces:
+                raise ConfigError(
+                    f"{plan.output}: holds the result of another {scene.name!r}, made from {source}; this one is "
+                    f"{task.source}; choose another --output, or --overwrite it"
+                )
+            tasks.append(task)
+        if self.rows:
+            self.reporter.info(f"{len(self.rows)} of {len(self.scenes)} scenes are done already")
+        return tasks
 
     def _computed(self, tasks: Sequence[Task]) -> Generator[Row, None, None]:
         """Return what yields the rows of the tasks, computed as the options say."""
-        todo, plan, jobs = self._claimed(tasks), self.plan, min(self.plan.how.jobs, len(tasks))
-        if plan.how.scheduler is not None and tasks:
+        todo, plan = self._claimed(tasks), self.plan
+        how, jobs = plan.work.how, min(plan.work.how.jobs, len(tasks))
+        if how.scheduler is not None and tasks:
             return compute_on_cluster(todo, plan.work, self.reporter, plan.workspace)
         if jobs > 1:
             return compute_in_processes(todo, plan.work, self.reporter, jobs)
         return compute_here(todo, plan.work, self.reporter)
 
-    def _collect(self, computed: Iterable[Row], ending: _Ending) -> None:
+    def _claimed(self, tasks: Sequence[Task]) -> Iterator[Task]:
+        """Yield the tasks that no other process computes, or has computed since."""
+        for task in tasks:
+            if self.lock.claim(task.scene.name):
+                known = read_record(task.target)
+                if known is None or not task.is_done(known):
+                    yield task
+                    continue
+                self._take(known.row)
+                self.lock.release(task.scene.name)
+            else:
+                self.n_elsewhere += 1
+            self.reporter.step()
+
+    def _collect(self, computed: Iterable[Row]) -> None:
         """Take the rows as they come, until the last one, a full disk, or the first failure with ``fail_fast``."""
         for row in computed:
             if "disk_full" in row:
-                ending.disk_full = row["disk_full"]
+                self.disk_full = row["disk_full"]
                 return
             name, failed = row["scene"], row["status"] == "failed"
             self.lock.release(name)
@@ -180,67 +212,25 @@ class _Run:
                 self.reporter.detail(f"{name}: {sum(row['seconds'].values()):.2f} s")
             self._take(row)
             self.reporter.step(failed)
-            if failed and self.plan.how.fail_fast:
-                ending.first_failure = True
+            if failed and self.plan.work.how.fail_fast:
+                self.first_failure = True
                 return
 
-    def _sum_up(self, ending: _Ending) -> None:
+    def _take(self, row: Row) -> None:
+        self.rows[row["scene"]] = row
+        self.warnings.add(row["scene"], row.get("warnings") or [])
+
+    def _sum_up(self) -> None:
         """Say what was left out, or raise for it."""
         n_failed = sum(row["status"] == "failed" for row in self.rows.values())
         n_all = len({scene.name for scene in self.scenes})
         left = n_all - len(self.rows) - self.n_elsewhere
         counts = f"{len(self.rows) - n_failed} of {n_all} scenes done, {n_failed} failed, {left} not computed"
-        if ending.disk_full:
-            raise OutputError(f"{ending.disk_full}; stopped, {counts}; make room there, {GOES_ON}")
-        if ending.first_failure:
+        if self.disk_full:
+            raise OutputError(f"{self.disk_full}; stopped, {counts}; make room there, {GOES_ON}")
+        if self.first_failure:
             self.reporter.info(f"stopped at the first failure, {counts}; {GOES_ON}")
         if self.n_elsewhere:
             self.reporter.info(f"{self.n_elsewhere} scenes are being computed by other processes")
-        if ending.no_report:
-            raise IncompleteError(ending.no_report)
-
-    def _tasks(self) -> list[Task]:
-        """Return the tasks of the scenes that are not done; take the rows of the others.
-
-        ConfigError where results of another run, or of another input of the same name, would be replaced.
-        """
-        tasks, replaces = [], self.plan.how.overwrite
-        for number, scene in enumerate(self.scenes):
-            task = self.plan.task(scene, number)
-            row, known = self.plan.finished(task)
-            if known is not None and row is not None:
-                if row.get("source") != task.source:  # the inputs have moved
-                    row["source"] = task.source
-                    write_record(task.target, replace(known, row=row))
-                self._take(row)
-                continue
-            if known is not None and known.run != task.run and known.row.get("status") == "done" and not replaces:
-                raise ConfigError(f"{task.target}: {OTHER_RUN}")
-            source = known.row.get("source") if known is not None and known.run == task.run and known.files else None
-            if source and source != task.source and not replaces:
-                raise ConfigError(
-                    f"{self.plan.output}: holds the result of another {scene.name!r}, made from {source}; this one is "
-                    f"{task.source}; choose another --output, or --overwrite it"
-                )
-            tasks.append(task)
-        if self.rows:
-            self.reporter.info(f"{len(self.rows)} of {len(self.scenes)} scenes are done already")
-        return tasks
-
-    def _claimed(self, tasks: Sequence[Task]) -> Iterator[Task]:
-        """Yield the tasks that no other process computes, or has computed since."""
-        for task in tasks:
-            if self.lock.claim(task.scene.name):
-                row, _ = self.plan.finished(task)
-                if row is None:
-                    yield task
-                    continue
-                self._take(row)
-                self.lock.release(task.scene.name)
-            else:
-                self.n_elsewhere += 1
-            self.reporter.step()
-
-    def _take(self, row: Row) -> None:
-        self.rows[row["scene"]] = row
-        self.warnings.add(row["scene"], row.get("warnings") or [])
+        if self.no_report:
+            raise IncompleteError(self.no_report)

@@ -16,7 +16,7 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing import connection, resource_tracker
 from pathlib import Path
@@ -34,7 +34,7 @@ from depthcli.io.formats.files import collected_warnings
 from depthcli.io.scenes import Scene
 from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, set_threads
 from depthcli.run import resources
-from depthcli.run.batch import Execution, Outcome
+from depthcli.run.batch import Batch, Execution, Outcome
 from depthcli.run.console import Reporter, silence_warnings
 from depthcli.run.identity import run_text
 from depthcli.run.json_csv import Row
@@ -51,18 +51,16 @@ _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up
 
 @dataclass(frozen=True)
 class Work:
-    """What workers get of a batch, and how it is carried out."""
+    """What workers get: the batch, how it is carried out, and the plug-ins that take part."""
 
-    command: str
-    config: Any
-    compute: Callable[[Any, Path, int], Outcome]
+    batch: Batch[Any]
     how: Execution
     plugins: frozenset[Plugin]
 
     @property
     def text(self) -> str:
         """The text of ``run.yaml``: config and versions of this process."""
-        return run_text(self.command, self.config, self.plugins)
+        return run_text(self.batch.command, self.batch.config, self.plugins)
 
     @property
     def identity(self) -> str:
@@ -106,6 +104,10 @@ class Task:
         row: Row = {"scene": self.scene.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None}
         return row | {"source": self.source, "warnings": []}
 
+    def is_done(self, known: Record) -> bool:
+        """Return True where a record of the scene is of this run and of these inputs, and its files are unchanged."""
+        return known.is_done(self.target, self.run, self.inputs)
+
     def record(self, row: Row, files: dict[str, str]) -> Record:
         """Return the record of the scene with this row."""
         return Record(self.scene.name, self.run, self.inputs, files, row)
@@ -131,7 +133,7 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
             task.hidden.mkdir(parents=True)
             opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
             with computing(task.scene.name, limit) as programs:
-                outcome = work.compute(task.scene, task.hidden, limit)
+                outcome = work.batch.compute(task.scene, task.hidden, limit)
             row = task.done(outcome, programs.used, lines)
             try:
                 _keep_only(work.how.keep, task.hidden)

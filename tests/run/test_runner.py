@@ -395,21 +395,22 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
     made = dict.fromkeys(("a.txt", "b.txt"), "whole")
     gone = []
 
-    def slow(scene: Text, folder: Path, memory: int) -> Outcome:
-        for number, (name, text) in enumerate(made.items()):
-            if number == 1 and not gone:
-                gone.append(folder)
-                discard(folder.parent)  # the run ends, and the next one makes the scene
-                assert compute_scene(task(tmp_path / "next"), work, memory)["status"] == "done"
-            folder.mkdir(parents=True, exist_ok=True)  # as the writers of files do
-            (folder / name).write_text(text)
-        return Outcome()
+    class Slow(Repeat):
+        def compute(self, scene: Text, folder: Path, memory: int) -> Outcome:
+            for number, (name, text) in enumerate(made.items()):
+                if number == 1 and not gone:
+                    gone.append(folder)
+                    discard(folder.parent)  # the run ends, and the next one makes the scene
+                    assert compute_scene(task(tmp_path / "next"), work, memory)["status"] == "done"
+                folder.mkdir(parents=True, exist_ok=True)  # as the writers of files do
+                (folder / name).write_text(text)
+            return Outcome()
 
     def task(place: Path) -> Task:
         scene = Text(name="item", folder=tmp_path, file=tmp_path / "item.txt")
         return Task(scene, tmp_path / "run", place / "0", "run", {}, "")
 
-    work = Work("slow", None, slow, Execution(), frozenset())
+    work = Work(Slow(Config()), Execution(), frozenset())
     row = compute_scene(task(tmp_path / "making"), work, 1 << 30)
     assert row["status"] == "failed"
     assert "the run has ended" in row["error"]
@@ -445,14 +446,16 @@ def test_a_folder_with_own_files_is_no_run_folder(folder: Folder, name: str, ove
     assert (folder.output / name).read_text() == "pipeline: mine"
 
 
-def test_scenes_of_another_run_need_overwrite(folder: Folder):
-    folder.run()
+def test_scenes_of_another_run_need_overwrite(folder: Folder, monkeypatch: pytest.MonkeyPatch):
+    folder.run(only="d")  # the last scene of the runs that follow
     (folder.output / "run.yaml").unlink()
     (folder.output / "report.json").unlink()
     (folder.output / "report.csv").unlink()
     before = folder.bytes()
-    with pytest.raises(ConfigError, match="holds a scene of another run"):
-        folder.run(factor=3)
+    with monkeypatch.context() as patched:
+        patched.setattr("depthcli.run.runner.file_digest", lambda file: pytest.fail(f"{file} was digested before"))
+        with pytest.raises(ConfigError, match="d: holds a scene of another run"):
+            folder.run(factor=3)
     assert folder.bytes() | before == folder.bytes()
     folder.run(factor=3, overwrite=True)
     assert (folder.output / "a/out.txt").read_text() == "a" * 9
