@@ -13,14 +13,11 @@ from typing import Literal
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import Device
-from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
-from depthcli.methods.stereo.on_device import DevicePair, run_stage
-from depthcli.methods.stereo.stages import CostStages, PairMatcher
+from depthcli.methods.stereo.on_device import DevicePair, device_implementation_of, run_stage
+from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.tiling import match_in_tiles
-from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES, Memory
 from depthcli.methods.stereo.volume import StereoResult
 
 TileMode = Literal["auto", "always", "never"]
@@ -43,6 +40,10 @@ class Limits:
     tile_memory: int = 3072 << 20  # bytes that it may take where the pair is matched in tiles
     device: Device | None = None  # where to match, if the matcher can; None: on the processor
 
+    def device_for(self, matcher: PairMatcher) -> Device | None:
+        """Return the device, if there is one and the matcher has an implementation for it."""
+        return None if self.device is None or device_implementation_of(matcher) is None else self.device
+
 
 def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Limits) -> StereoResult:
     """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive, in the way that ``limits`` ask for.
@@ -50,36 +51,19 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
     On the device, where one is given and the matcher has an implementation for it; in tiles, where the whole pair needs
     more memory than tiles may take, or always; else whole. InputError where memory does not suffice.
     """
-    clock = Clock()
-
-    def prepare() -> tuple[StereoPair, PairMatcher]:
-        # The whole images adjusted, and the matcher without this step.
-        if not isinstance(matcher, AdjustingMatcher):
-            return pair, matcher
-        return adjusted(pair, max_disparity, matcher.adjust, clock), matcher.model_copy(update={"adjust": ()})
-
+    device = limits.device_for(matcher)
     need, has_tiles = _needs(matcher, pair.shape, max_disparity, limits)
     tile_memory = min(limits.memory, limits.tile_memory)
     if has_tiles and (need > tile_memory or limits.tiles == "always"):
-        prepared, rest = prepare()
-        held = 0 if prepared is pair else pair.right.nbytes + pair.shape[0] * pair.shape[1]
-        return match_in_tiles(rest, prepared, max_disparity, Memory(tile_memory, PROCESS_BYTES + held), clock)
+        return match_in_tiles(matcher, pair, max_disparity, tile_memory)
     if need > limits.memory:
         raise InputError(
             f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, {max_disparity + 1} "
             f"disparities), {show_bytes(limits.memory)} may be used; see max_disparity"
         )
-    if limits.device is None or not isinstance(matcher, CostStages):
+    if device is None:
         return matcher(pair, max_disparity)
-    device_need = matcher.device_bytes(pair.shape, max_disparity)
-    device = limits.device.info
-    if device_need > device.memory:
-        raise InputError(
-            f"needs about {show_bytes(device_need)} on {device.address} ({device.name}), which has "
-            f"{show_bytes(device.memory)}; see device, max_disparity"
-        )
-    prepared, rest = prepare()
-    result: StereoResult = run_stage(rest, DevicePair(limits.device, prepared), max_disparity, clock)
+    result: StereoResult = run_stage(matcher, DevicePair(device, pair), max_disparity)
     return result
 
 
@@ -91,8 +75,8 @@ def host_bytes(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int,
 
 def _needs(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> tuple[int, bool]:
     # The memory of this machine for the whole pair, bytes, and whether it may be matched in tiles instead.
-    if limits.device is None or not isinstance(matcher, CostStages):
-        return matcher.peak_bytes(shape, max_disparity), limits.tiles != "never" and matcher.tile_halo() is not None
-    if limits.device.info.is_gpu:
+    device = limits.device_for(matcher)
+    if device is not None and device.info.is_gpu:
         return _HOST_BYTES_PER_PIXEL * shape[0] * shape[1] + _HOST_BYTES, False
-    return matcher.peak_bytes(shape, max_disparity), False
+    has_tiles = device is None and limits.tiles != "never" and matcher.tile_halo() is not None
+    return matcher.peak_bytes(shape, max_disparity), has_tiles

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ _TILE_HALO = 64  # pixels, for methods of which nothing is known
 
 
 class PairMatcher(ABC):
-    """Anything that matches a pair (pipelines, fusion), with what :func:`..matching.match` needs to know of it."""
+    """Anything that matches a pair (pipelines, fusion), and how :func:`..matching.match` may match a large one."""
 
     uses_devices: ClassVar[bool] = True
     """Whether :mod:`depthcli.device` opens the devices that it runs on; networks have a runtime that does."""
@@ -44,6 +44,14 @@ class PairMatcher(ABC):
         """Return how many pixels a part of a pair needs around it; None: only the whole pair can be matched."""
         return _TILE_HALO
 
+    def tile_stages(self) -> CostStages | None:
+        """Return the stages of which only costs are computed tile by tile; None: each tile is a pair of its own."""
+        return None
+
+    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, Self]:
+        """Return the pair after steps that look at the whole of it, and a matcher without them for its tiles."""
+        return pair, self
+
 
 class CostStages(ConfigModel):
     """The stages of a method that computes costs: cost measure, aggregation, optimization, refinement, confidence."""
@@ -58,6 +66,11 @@ class CostStages(ConfigModel):
     confidence: tuple[MeasureName, ...] = Field(
         (), description="confidence measures whose maps are written, measured on the optimized costs"
     )
+
+    def match(self, pair: StereoPair, max_disparity: int, clock: Clock) -> StereoResult:
+        """Match a pair by these stages over disparities 0 .. ``max_disparity`` inclusive; ``clock`` books them."""
+        volume = self.volume(pair, max_disparity, clock)
+        return finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)[0]
 
     def volume(self, pair: StereoPair, max_disparity: int, clock: Clock) -> CostVolume:
         """Compute the costs of disparities 0 .. ``max_disparity`` before optimization; ``clock`` books the stages."""
@@ -77,12 +90,6 @@ class CostStages(ConfigModel):
         optimized = not isinstance(self.optimization, WinnerTakesAll)
         bytes_per_cell = max(2, 7 if aggregated else 0, (6 if aggregated else 5) if optimized else 0)
         return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + self.cost.pixel_bytes())
-
-    def device_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Estimate the bytes on a device of the volumes, where scanlines run one after another, and of the maps."""
-        intersects = getattr(self.aggregation, "support", "") == "intersection"
-        bytes_per_cell = 18 if intersects else 10 if self.aggregation is not None else 7
-        return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + 100)
 
     def halo(self) -> int | None:
         """Return how many pixels around a pixel its optimized costs depend on; None: on the whole image."""

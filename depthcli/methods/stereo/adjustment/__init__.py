@@ -8,7 +8,7 @@ once, no matching cost has to tolerate them.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Literal, cast
+from typing import Annotated, Literal, Self, cast
 
 import cv2
 import numpy as np
@@ -30,7 +30,7 @@ from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
-from depthcli.methods.stereo.stages import PairMatcher, finish
+from depthcli.methods.stereo.stages import CostStages, PairMatcher
 
 Adjust = Annotated[
     tuple[Literal["noise", "rows", "light"], ...],
@@ -43,9 +43,11 @@ Adjust = Annotated[
 
 # The match at the reduced size: in about a tenth of the time of `stereo accurate`.
 _MAX_PIXELS, _MAX_COSTS = 1 << 17, 1 << 24
-_COST = Census(window=(7, 7))
-_OPTIMIZATION = Scanline(p1=25, p2=120, edge_threshold=15, edge_divisor=6)
-_REFINEMENT = (LeftRightCheck(), SpeckleFilter(size=50), Subpixel())
+_STAGES = CostStages(
+    cost=Census(window=(7, 7)),
+    optimization=Scanline(p1=25, p2=120, edge_threshold=15, edge_divisor=6),
+    refinement=(LeftRightCheck(), SpeckleFilter(size=50), Subpixel()),
+)
 
 _MIN_DISPARITIES = 3  # with one or two the left-right check rejects nothing
 _MIN_MATCHES = 500  # enough for 6 coefficients and for gains that vary over the image
@@ -113,11 +115,14 @@ class AdjustingMatcher(PairMatcher, BaseModel):
 
     adjust: Adjust = ()
 
+    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, Self]:
+        """Return the pair adjusted, and the matcher without this step."""
+        return adjusted(pair, max_disparity, self.adjust, clock), self.model_copy(update={"adjust": ()})
+
 
 def _matched(pair: StereoPair, max_disparity: int) -> NDArray[np.float32] | None:
     # Disparities of a reduced pair, NaN without a match; None where there are too few of them.
     if min(pair.shape) < BLOCK or max_disparity + 1 < _MIN_DISPARITIES:
         return None
-    volume = _COST(pair, max_disparity + 1)
-    disparity = finish(pair, volume, _OPTIMIZATION, _REFINEMENT, (), Clock())[0].disparity
+    disparity = _STAGES.match(pair, max_disparity, Clock()).disparity
     return disparity.values if np.count_nonzero(disparity.valid) >= _MIN_MATCHES else None

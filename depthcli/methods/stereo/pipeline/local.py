@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
-from depthcli.methods.stereo.adjustment import adjusted
-from depthcli.methods.stereo.pipeline import CostPipeline
-from depthcli.methods.stereo.stages import CostStages, finish
+from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
+from depthcli.methods.stereo.pipeline import StereoPipeline
+from depthcli.methods.stereo.stages import CostStages
 from depthcli.methods.stereo.volume import StereoResult
 
 
-class Local(CostStages, CostPipeline):
+class Local(CostStages, AdjustingMatcher, StereoPipeline):
     """Stereo by matching costs: any measure, any aggregation, any optimization, any list of refinements."""
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
         clock = Clock()
         pair = adjusted(pair, max_disparity, self.adjust, clock)
-        volume = self.volume(pair, max_disparity, clock)
-        return finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)[0]
+        return self.match(pair, max_disparity, clock)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the bytes of the volumes and of the maps."""
         return self.volume_bytes(shape, max_disparity) + 200 * shape[0] * shape[1] + (64 << 20)
+
+    def tile_stages(self) -> CostStages | None:
+        """Return its stages; None where a step of refinement looks at costs, which tiles do not keep."""
+        return None if any(step.needs_costs for step in self.refinement) else self

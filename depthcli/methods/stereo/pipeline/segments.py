@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
-from depthcli.methods.stereo.adjustment import adjusted
+from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
+from depthcli.methods.stereo.cost import Cost
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
-from depthcli.methods.stereo.pipeline import CostPipeline
+from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.segments.steps import SegmentSteps
 from depthcli.methods.stereo.volume import StereoResult
 
 
-class Segments(SegmentSteps, CostPipeline):
+class Segments(SegmentSteps, AdjustingMatcher, StereoPipeline):
     """Every segment of the left image is a plane; which plane is decided for all segments at once.
 
     What it adds to the method (thesis, chapter 2), all off by default; the presets say what they use:
@@ -21,6 +24,8 @@ class Segments(SegmentSteps, CostPipeline):
     - ``rounds``: planes are fitted again to groups of segments that share one;
     - ``visibility``: a plane that puts occluded pixels in front of the right view's surface costs.
     """
+
+    cost: Cost = Field(description="matching cost of two pixels")
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""

@@ -25,7 +25,7 @@ from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.stages import CostStages, PairMatcher
-from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, Candidates, Memory
+from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candidates, Memory
 from depthcli.methods.stereo.tiling.tile_by_tile import Prior, match_by_costs, match_by_patches, refined_map
 from depthcli.methods.stereo.volume import StereoResult
 
@@ -49,29 +49,28 @@ _COARSE_STAGES = CostStages(
 )
 
 
-def match_in_tiles(
-    matcher: PairMatcher, pair: StereoPair, max_disparity: int, available: Memory, clock: Clock
-) -> StereoResult:
-    """Match a pair over disparities 0 .. ``max_disparity`` inclusive in at most the ``available`` memory.
+def match_in_tiles(matcher: PairMatcher, pair: StereoPair, max_disparity: int, memory: int) -> StereoResult:
+    """Match a pair over disparities 0 .. ``max_disparity`` inclusive, in a process that takes at most ``memory`` bytes.
 
-    Methods with cost stages compute costs tile by tile; the right view's map, and every step that looks at maps alone,
-    is that of the whole image. Any other method matches every tile for itself, over one range from its smallest to its
-    largest candidate, without pictures and tables. ``figures`` has ``tiles``, their number, ``levels``, the number of
-    sizes that were matched, and ``exact``: 1 where the map is that of the whole pair. InputError where nothing fits.
+    Methods with ``tile_stages`` compute costs tile by tile; the right view's map, and every step that looks at maps
+    alone, is that of the whole image. Any other method matches every tile for itself, over one range from its smallest
+    to its largest candidate, without pictures and tables. ``figures`` has ``tiles``, their number, ``levels``, the
+    number of sizes that were matched, and ``exact``: 1 where the map is that of the whole pair. InputError where
+    nothing fits.
     """
-    stages = matcher if isinstance(matcher, CostStages) else None
-    if stages is not None and any(step.needs_costs for step in stages.refinement):
-        stages = None  # the steps look at costs: tiles are matched as pairs of their own
-    halo = None if stages is None else stages.halo()
-    prior = None
-    if halo is None:
-        prior = coarse_prior(stages or _COARSE_STAGES, pair, max_disparity, available, clock)
+    clock = Clock()
+    prepared, matcher = matcher.prepared(pair, max_disparity, clock)
+    added = 0 if prepared is pair else prepared.right.nbytes + pair.shape[0] * pair.shape[1]
+    available = Memory(memory, PROCESS_BYTES + added)
+    stages = matcher.tile_stages()
+    exact = stages is not None and stages.halo() is not None
+    prior = None if exact else coarse_prior(stages or _COARSE_STAGES, prepared, max_disparity, available, clock)
     candidates = Candidates.everywhere(pair.shape, max_disparity) if prior is None else prior.candidates
     if stages is None:
-        result = match_by_patches(matcher, pair, candidates, available, clock)
+        result = match_by_patches(matcher, prepared, candidates, available, clock)
     else:
-        result, _ = match_by_costs(stages, pair, candidates, prior, halo, available, clock)
-    result.figures |= {"levels": 1.0 if prior is None else float(prior.levels), "exact": float(halo is not None)}
+        result, _ = match_by_costs(stages, prepared, candidates, prior, available, clock)
+    result.figures |= {"levels": 1.0 if prior is None else float(prior.levels), "exact": float(exact)}
     return result
 
 
@@ -82,25 +81,17 @@ def coarse_prior(
 
     None where the range is narrow enough, or the image small enough, to be searched whole.
     """
-    sizes = [(pair, max_disparity)]
-    while sizes[-1][1] + 1 >= _MIN_DISPARITIES and min(sizes[-1][0].shape) >= _MIN_SIDE:
-        sizes.append((halved(sizes[-1][0]), -(-sizes[-1][1] // 2)))
-    prior = None
-    if len(sizes) > 1:
-        clock.start("coarse")
-    while len(sizes) > 1:
-        half, half_range = sizes.pop()
-        left = available
-        for larger, _ in sizes:  # in memory meanwhile
-            left = left.beside(larger)
-        candidates = Candidates.everywhere(half.shape, half_range) if prior is None else prior.candidates
-        result, found = match_by_costs(stages, half, candidates, prior, None, left, Clock())
-        islands = refined_map((LeftRightCheck(), SpeckleFilter(size=_ISLAND_SIZE)), found, half, half_range)
-        fine, fine_range = sizes[-1]
-        thin = thin_structures(fine, fine_range)
-        levels = 2 if prior is None else 1 + prior.levels
-        prior = _prior_of(result.disparity, islands.values, thin, fine.shape, fine_range, levels)
-    return prior
+    if max_disparity + 1 < _MIN_DISPARITIES or min(pair.shape) < _MIN_SIDE:
+        return None
+    clock.start("coarse")
+    half, half_range, available = halved(pair), -(-max_disparity // 2), available.beside(pair)
+    prior = coarse_prior(stages, half, half_range, available, clock)
+    candidates = Candidates.everywhere(half.shape, half_range) if prior is None else prior.candidates
+    result, found = match_by_costs(stages, half, candidates, prior, available, Clock())
+    islands = refined_map((LeftRightCheck(), SpeckleFilter(size=_ISLAND_SIZE)), found, half, half_range)
+    thin = thin_structures(pair, max_disparity)
+    levels = 2 if prior is None else 1 + prior.levels
+    return _prior_of(result.disparity, islands.values, thin, pair.shape, max_disparity, levels)
 
 
 def _prior_of(

@@ -91,15 +91,12 @@ def match_by_costs(
     pair: StereoPair,
     candidates: Candidates,
     prior: Prior | None,
-    halo: int | None,
     available: Memory,
     clock: Clock,
 ) -> tuple[StereoResult, TiledWinners]:
-    """Compute costs and winners tile by tile, then refine the whole map; without a ``prior`` over the whole range.
-
-    Optimized costs depend on ``halo`` pixels around a pixel; None: on the whole image.
-    """
+    """Compute costs and winners tile by tile, then refine the whole map; without a ``prior`` over the whole range."""
     clock.start("plan")
+    halo = stages.halo()
     path_halo = _PATH_HALO if prior is None else _PATH_HALO // 2  # likely disparities hold paths that begin anew
     margins = Margins(path_halo, path_halo // 2, False) if halo is None else Margins(halo, halo, False)
 
@@ -230,18 +227,12 @@ def _add_penalty(costs, spans, low, high, corner, penalty, largest):
 def refined_map(
     steps: Sequence[Refinement], found: TiledWinners, pair: StereoPair, max_disparity: int, prior: Prior | None = None
 ) -> DisparityMap:
-    """Return the map of all winners after all ``steps``; before the first that fills, the prior fills empty pixels.
-
-    A step is applied to one band of rows at a time, where it looks no farther.
-    """
+    """Return the map of all winners after all ``steps``; before the first that fills, the prior fills empty pixels."""
     height, width = pair.shape
-    disparity = DisparityMap(found.left.astype(np.float32), np.zeros(pair.shape, np.uint8))
-    first = next((k for k, step in enumerate(steps) if step.fills), len(steps))
     right = found.right()
-    for k, step in enumerate(steps):
-        if k == first and prior is not None:
-            doubled = np.repeat(np.repeat(np.float32(2) * prior.values, 2, 0), 2, 1)[:height, :width]
-            disparity = with_filled(disparity, np.where(np.isnan(disparity.values), doubled, disparity.values))
+
+    def applied(step: Refinement, disparity: DisparityMap) -> DisparityMap:
+        # To one band of rows at a time, where the step looks no farther.
         halo = step.halo()
         band = height if halo is None else max(4 * halo, _BAND_PIXELS // width, 1)
         values, status = np.empty_like(disparity.values), np.empty_like(disparity.status)
@@ -253,21 +244,28 @@ def refined_map(
                 CostMinima(found.left[rows], minima, max_disparity + 1),
                 right[rows],
             )
-            given = DisparityMap(disparity.values[rows], disparity.status[rows])
-            part = step(given, context)
-            if prior is not None and k < first and isinstance(step, SpeckleFilter):
-                # Speckles are the same parts of the scene at every size, so they have more pixels here than at the
-                # smallest one. Thin structures stay; what is removed has the value of the smaller image afterwards.
-                mild, size = part, step.size * 4 ** (prior.levels - 1)
-                part = step.model_copy(update={"size": size})(given, context)
-                v, u = np.nonzero(mild.valid & ~part.valid)
-                low, high = prior.thin[:, (v + rows.start) // 2, u // 2]
-                stays = (mild.values[v, u] >= low) & (mild.values[v, u] <= high)
-                v, u = v[stays], u[stays]
-                part.values[v, u], part.status[v, u] = mild.values[v, u], mild.status[v, u]
+            part = step(DisparityMap(disparity.values[rows], disparity.status[rows]), context)
             inside = slice(y - rows.start, min(y + band, height) - rows.start)
             values[y : y + band], status[y : y + band] = part.values[inside], part.status[inside]
-        disparity = DisparityMap(values, status)
+        return DisparityMap(values, status)
+
+    disparity = DisparityMap(found.left.astype(np.float32), np.zeros(pair.shape, np.uint8))
+    first_fill = next((k for k, step in enumerate(steps) if step.fills), len(steps))
+    for k, step in enumerate(steps):
+        if k == first_fill and prior is not None:
+            doubled = np.repeat(np.repeat(np.float32(2) * prior.values, 2, 0), 2, 1)[:height, :width]
+            disparity = with_filled(disparity, np.where(np.isnan(disparity.values), doubled, disparity.values))
+        before, disparity = disparity, applied(step, disparity)
+        if k < first_fill and prior is not None and isinstance(step, SpeckleFilter):
+            # Speckles are the same parts of the scene at every size, so they have more pixels here than at the
+            # smallest one. Thin structures stay; what is removed has the value of the smaller image afterwards.
+            mild, size = disparity, step.size * 4 ** (prior.levels - 1)
+            disparity = applied(step.model_copy(update={"size": size}), before)
+            v, u = np.nonzero(mild.valid & ~disparity.valid)
+            low, high = prior.thin[:, v // 2, u // 2]
+            stays = (mild.values[v, u] >= low) & (mild.values[v, u] <= high)
+            v, u = v[stays], u[stays]
+            disparity.values[v, u], disparity.status[v, u] = mild.values[v, u], mild.status[v, u]
     return disparity
 
 

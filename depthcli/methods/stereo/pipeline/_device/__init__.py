@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
+from depthcli.core.text import show_bytes
 from depthcli.device import DeviceArray, Kernels
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps
+from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.on_device import (
     DeviceContext,
     DeviceMap,
@@ -23,13 +26,20 @@ _KERNELS = Kernels("depthcli.methods.stereo", "selection.cl")
 _LANES, _PIXELS = 32, 8  # threads of a group along the disparities, and pixels of a group
 
 
-def local(method: Local, pair: DevicePair, max_disparity: int, clock: Clock) -> StereoResult:
-    """Match a pair whose right image is adjusted over disparities 0 .. ``max_disparity`` inclusive.
+def local(method: Local, pair: DevicePair, max_disparity: int) -> StereoResult:
+    """Match a pair over disparities 0 .. ``max_disparity`` inclusive; InputError where device memory is short.
 
     Stages without a device implementation run on the processor, with transfers; ``figures["stages_on_cpu"]`` counts
-    them. Confidence is measured on the processor.
+    them. The pair is adjusted and confidence measured on the processor.
     """
-    device = pair.device
+    device, info, clock = pair.device, pair.device.info, Clock()
+    need = _device_bytes(method, pair.shape, max_disparity)
+    if need > info.memory:
+        raise InputError(
+            f"needs about {show_bytes(need)} on {info.address} ({info.name}), which has {show_bytes(info.memory)}; "
+            "see device, max_disparity"
+        )
+    pair = DevicePair(device, adjusted(pair.host, max_disparity, method.adjust, clock))
 
     def start(stage: str) -> None:
         device.finish()
@@ -55,6 +65,13 @@ def local(method: Local, pair: DevicePair, max_disparity: int, clock: Clock) -> 
     stages = [method.cost, method.aggregation, method.optimization, *method.refinement]
     on_cpu = sum(stage is not None and device_implementation_of(stage) is None for stage in stages)
     return StereoResult(found, seconds=clock.seconds, confidence=maps, figures={"stages_on_cpu": float(on_cpu)})
+
+
+def _device_bytes(method: Local, shape: tuple[int, int], max_disparity: int) -> int:
+    # Of the volumes, where scanlines run one after another, and of the maps.
+    intersects = getattr(method.aggregation, "support", "") == "intersection"
+    bytes_per_cell = 18 if intersects else 10 if method.aggregation is not None else 7
+    return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + 100)
 
 
 def _winners(volume: DeviceVolume) -> tuple[DeviceArray, DeviceArray]:
