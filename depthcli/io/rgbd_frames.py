@@ -15,11 +15,12 @@ from depthcli.core.cameras.kinect import kinect_v1, sensor_fb
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbdFrame, SparseFrame, color8, infrared_image
-from depthcli.io.formats.calibrations import read_color_infrared_rig, read_kinect_calibration
-from depthcli.io.formats.depth import MILLIMETERS, check_fb, read_depth, read_kinect_raw
+from depthcli.io.formats.calibrations import read_color_infrared_rig
+from depthcli.io.formats.depth import MILLIMETERS, check_fb, read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import naming, warn
 from depthcli.io.formats.images import image_size, read_grey, read_image
+from depthcli.io.formats.kinect import read_kinect_calibration, read_kinect_raw
 from depthcli.io.scenes import RgbdScene, RgbIrScene, check_same_size
 
 

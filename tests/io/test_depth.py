@@ -10,16 +10,10 @@ import pytest
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.kinect import kinect_v1
 from depthcli.core.errors import InputError
-from depthcli.io.formats.depth import (
-    SENSOR,
-    implausible_depth,
-    read_depth,
-    read_kinect_raw,
-    write_depth_png,
-    write_points,
-)
+from depthcli.io.formats.depth import SENSOR, implausible_depth, read_depth, write_depth_png, write_points
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
+from depthcli.io.formats.kinect import read_kinect_raw
 from tests.scenes import DATA, needs_data
 
 

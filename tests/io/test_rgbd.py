@@ -13,11 +13,11 @@ from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.kinect import KinectCalibration
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.errors import InputError
-from depthcli.io.formats.calibrations import read_kinect_calibration
-from depthcli.io.formats.depth import read_kinect_raw, write_depth_png
+from depthcli.io.formats.depth import write_depth_png
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_grey, write_png
+from depthcli.io.formats.kinect import read_kinect_calibration, read_kinect_raw
 from depthcli.io.layouts import own_layouts
 from depthcli.io.rgbd_frames import frame_size, load_sparse_frame
 from depthcli.io.scenes import RgbdScene

@@ -1,7 +1,7 @@
 """Calibrations as programs and data sets store them.
 
 Two cameras that are not rectified (OpenCV, ROS, Kalibr, KITTI), rectified pairs (Middlebury's ``calib.txt``, KITTI's
-projections, Booster's XML), color with infrared, and the cameras of a first-generation Kinect.
+projections, Booster's XML), and color with infrared.
 """
 
 from __future__ import annotations
@@ -20,13 +20,10 @@ import yaml
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Camera, Intrinsics
-from depthcli.core.cameras.kinect import KinectCalibration
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
-from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import naming, read_bytes, write_text
-from depthcli.io.formats.files_behind import kinect_files
 from depthcli.io.formats.plain_text import image_sides, json_object, key_values, numbers
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -50,8 +47,6 @@ _NAMES = {
 # Distortion models of the programs' files: whether OpenCV's fisheye model is meant.
 _KALIBR = {"radtan": False, "equidistant": True, "equi": True, "none": False}
 _ROS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
-_KINECT: dict[str, tuple[int, ...]] = dict.fromkeys(("depth_K", "color_K", "depth_to_color_R"), (3, 3))
-_KINECT |= {"depth_kc": (5,), "color_kc": (5,), "depth_to_color_t": (3,), "dc": (2,), "dc_alpha": (2,)}
 
 
 def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, cameras: tuple[int, int] = (2, 3)) -> Rig:
@@ -170,23 +165,6 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
         if not low < rig.baseline < high:
             raise InputError(f"a baseline of {rig.baseline:.3g} m; the translation is in meters")
         return replace(rig, left=replace(rig.left, size=color_size), right=replace(rig.right, size=infrared_size))
-
-
-def read_kinect_calibration(path: Path) -> KinectCalibration:
-    """Return the calibration of Herrera et al.'s toolbox as JSON, with its distortion map ``dc_beta.npy`` beside it."""
-    with naming(path):
-        fields = json_object(read_bytes(path))
-        arrays = {key: _field(fields, key, shape) for key, shape in _KINECT.items()}
-        if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
-            raise InputError("singular: focal lengths and dc[1] must not be zero")
-        depth, color = (Camera(arrays[f"{n}_K"], tuple(arrays[f"{n}_kc"].tolist())) for n in ("depth", "color"))
-    beta = kinect_files(path)
-    start, slope = arrays["dc"].tolist()
-    one, other = arrays["dc_alpha"].tolist()
-    return KinectCalibration(
-        depth, color, arrays["depth_to_color_R"], arrays["depth_to_color_t"], offset=-start / slope,
-        factor=-1.0 / slope, beta=read_plane(beta[0]).astype(np.float64) if beta else None, alpha=(one, other),
-    )  # fmt: skip
 
 
 def _field(fields: Mapping[str, Any], key: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np.float64]:

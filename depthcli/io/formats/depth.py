@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.kinect import UNKNOWN_CODE
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import shown, warn, write_bytes
@@ -33,17 +32,8 @@ MIN_DEPTH, MAX_DEPTH = 0.01, 100.0
 _COMMON_SCALES = (1000.0, 5000.0, 8000.0, 10_000.0, 256.0, 100.0)
 
 
-def read_kinect_raw(path: Path | str) -> NDArray[np.uint16]:
-    """Return (H, W) uint16 raw codes 0..2047 of a first-generation Kinect, in either order of bytes."""
-    raw = _codes(read_plane(path), path)
-    if raw.max() > UNKNOWN_CODE:  # the bytes are the wrong way round
-        raw = raw.byteswap()
-    if raw.max() > UNKNOWN_CODE:
-        raise InputError(f"{shown(path)}: codes up to {int(raw.max())}, a Kinect's go to {UNKNOWN_CODE}")
-    return raw
-
-
-def _codes(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
+def codes_of(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
+    """Return integers as codes of 16 bits; InputError for other numbers."""
     if values.dtype.kind not in "iu" or (values.dtype.itemsize > 1 and (values.min() < 0 or values.max() > 65535)):
         raise InputError(f"{shown(path)}: want codes from 0 to 65535, got {values.dtype}")
     return values.astype(np.uint16)
@@ -62,7 +52,7 @@ def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) ->
     if values.dtype.kind in "iu":
         if scale is None and values.dtype.itemsize == 1:
             raise InputError(f"{shown(path)}: 8-bit depth needs a scale (codes per meter)")
-        values, scale = _codes(values, path), scale or MILLIMETERS
+        values, scale = codes_of(values, path), scale or MILLIMETERS
         if rotate:
             values = (values >> np.uint16(rotate)) | (values << np.uint16(16 - rotate))
     with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
