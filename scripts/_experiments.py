@@ -15,6 +15,7 @@ from depthcli.api.stereo import with_network
 from depthcli.commands import config_model
 from depthcli.core.config_file import load_config
 from depthcli.evaluation.render import Table
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
 from depthcli.run.presets import find_config
 
@@ -37,7 +38,7 @@ def real_scenes(data: Any, group: str) -> Iterator[tuple[str, Any]]:
     """Yield folder and scene of a group of ``stereo_groups.yaml``, as far as they are in the data."""
     for folder, names in GROUPS[group].items():
         if folder != "generated" and (data / folder).is_dir():
-            yield from ((folder, scene) for scene in discover_scenes(data / folder, patterns=names))
+            yield from ((folder, scene) for scene in discover_scenes(data / folder, ALL_KINDS, patterns=names))
 
 
 def generated_scenes(group: str) -> Iterator[tuple[str, str, int, dict[str, float]]]:

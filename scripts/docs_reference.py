@@ -31,12 +31,12 @@ from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.evaluation import columns as evaluation
 from depthcli.evaluation import protocols
-from depthcli.evaluation.evaluate import RESULTS
+from depthcli.evaluation.scoring import RESULTS
 from depthcli.io.formats.files import RUN_FILE
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 from depthcli.io.formats.volumes import VOLUME_SUFFIXES
-from depthcli.io.layouts import layouts
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.methods.registration.search import MEASURES
 from depthcli.run.folder import REPORT_FILES
 from depthcli.run.presets import find_config, list_presets
@@ -238,7 +238,7 @@ def _kind(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 def data() -> str:
     """Return the page of layouts and file formats."""
-    rows = [(f"`{each.name}`", each.wants) for each in layouts()]
+    rows = [(f"`{each.name}`", each.wants) for each in ALL_KINDS.with_plugins().rows]
     others = {end: _markdown(_first(type(of))) for end, of in map_formats().items()}
     maps: dict[str, list[str]] = {}
     for name in protocols.names():

@@ -25,6 +25,7 @@ from depthcli.evaluation.plots import Line, line_plot
 from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number, Table
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
@@ -55,7 +56,7 @@ def main() -> None:
         **{("AW", w): AdaptiveWeight(window=w) for w in windows},
     }
     rates: dict[tuple[str, str, int, str], list[float]] = {}
-    scenes, judge = discover_scenes(options.data), MiddleburyV2Protocol()
+    scenes, judge = discover_scenes(options.data, ALL_KINDS), MiddleburyV2Protocol()
     for scene in scenes:
         pair, truth = load_pair(scene), judge.truth(scene)
         for similarity, cost in costs.items():

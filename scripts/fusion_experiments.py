@@ -24,6 +24,7 @@ from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.protocols import headlines, load
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.statistics import compare
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
@@ -105,7 +106,7 @@ def main() -> None:
     parts = {"confidences": confidences, "fusion": fusion}
     _env.add_list(parser, "--only", list(parts), choices=list(parts))
     options = parser.parse_args()
-    scenes = [scene for name in SETS for scene in discover_scenes(options.data / name, [StereoScene])]
+    scenes = [scene for name in SETS for scene in discover_scenes(options.data / name, PAIRS)]
     for name in options.only:
         parts[name](scenes)
 

@@ -27,6 +27,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.evaluation import protocols
 from depthcli.evaluation.curves import HiddenPixels, reliability, sparsification
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.given_maps import judge
@@ -148,7 +149,7 @@ def main() -> int:
     show("Judgments", header, [[folder, *each.judged()] for folder, each in sums.items()])
     header = ["set", *FUSED, "fused", "fused, surfaces", "SGBM + WLS", "SGBM refined", "over the best", "worst scene"]
     show("Fusions", header, [[folder, *each.fused()] for folder, each in sums.items()])
-    (scene,) = discover_scenes(options.data / "middlebury_v2", patterns=["Teddy"])
+    (scene,) = discover_scenes(options.data / "middlebury_v2", ALL_KINDS, patterns=["Teddy"])
     pair = load_pair(scene)
     jobs = jobs_of(pair, scene.max_disparity, maps("middlebury_v2", scene, pair))
     taken = {name: float(np.median(found)) for name, found in seconds_in_turns(jobs, 7).items()}

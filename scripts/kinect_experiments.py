@@ -32,8 +32,10 @@ from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.frames import RgbdFrame, color8
 from depthcli.evaluation.render import Number
 from depthcli.io.formats.images import read_image
+from depthcli.io.layouts.depth import FRAMES
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.rgbd_frames import load_frame
-from depthcli.io.scenes import RgbdScene, StereoScene
+from depthcli.io.scenes import RgbdScene
 from depthcli.io.stereo_pairs import true_disparity
 from depthcli.io.walk import discover_scenes
 from depthcli.run.presets import list_presets
@@ -75,7 +77,7 @@ Map = NDArray[np.float32]
 
 def images(data: Path, folder: str) -> Iterator[tuple[str, NDArray[np.uint8], Map]]:
     """Yield name, color image and true disparity of the scenes of a set."""
-    for scene in discover_scenes(data / folder, (StereoScene,)):
+    for scene in discover_scenes(data / folder, PAIRS):
         if scene.has_truth:
             yield scene.name, color8(read_image(scene.left)), true_disparity(scene).disparity
 
@@ -158,7 +160,7 @@ def real(data: Path, methods: dict[str, Refine]) -> None:
 def _real_frames(data: Path) -> list[tuple[str, RgbdFrame]]:
     frames = []
     for folder in sorted([*data.glob("rgbd_*"), data / "kinect_v1_raw"]):
-        for scene in discover_scenes(folder, (RgbdScene,), "sun-rgbd" if folder.name == "rgbd_sun" else None):
+        for scene in discover_scenes(folder, FRAMES, "sun-rgbd" if folder.name == "rgbd_sun" else None):
             if isinstance(scene, RgbdScene):
                 if folder.name == "rgbd_tum":
                     scene = replace(scene, depth_scale=5000.0)

@@ -22,6 +22,7 @@ import numpy as np
 from depthcli.evaluation.protocols import headlines, picture
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.io.formats.disparity import read_disparity
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
 
@@ -40,7 +41,7 @@ def main() -> int:
         scenes = Path(scratch) / "scenes"
         run("sample", "--output", scenes, "--count", "1", "--kind", options.kind, "--seed", options.seed,
             "--width", WIDTH, "--height", HEIGHT, "--noise", "2", "--radiometric", "0.1")  # fmt: skip
-        (scene,) = discover_scenes(scenes)
+        (scene,) = discover_scenes(scenes, ALL_KINDS)
         left, truth = load_pair(scene).left, protocol.truth(scene)
         panels = [left]
         for preset in ("accurate", "opencv-sgbm"):

@@ -28,6 +28,7 @@ from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.volumes import simple_itk
+from depthcli.io.layouts.registration import VOLUMES
 from depthcli.io.scenes import VolumePairScene
 from depthcli.io.volume_pairs import load_volumes, true_errors
 from depthcli.io.walk import discover_scenes
@@ -178,7 +179,7 @@ def main() -> int:
     _env.add_list(parser, "--only", PARTS, choices=PARTS)
     _env.add_list(parser, "--presets", ["mind", "cost0", "intensity", "coarse"], help="of `real`")
     options = parser.parse_args()
-    found = discover_scenes(options.folder, (VolumePairScene,))
+    found = discover_scenes(options.folder, VOLUMES)
     scenes = [scene for scene in found if isinstance(scene, VolumePairScene) and scene.has_truth]
     makers: dict[str, Callable[[], Table]] = {
         "real": lambda: real(scenes, options.presets),

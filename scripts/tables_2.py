@@ -22,6 +22,7 @@ from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.statistics import average_ranks
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
 
@@ -47,7 +48,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, help="folder with the four scenes of Middlebury v2")
     options = parser.parse_args()
-    scenes = {scene.name: scene for scene in discover_scenes(options.data)}
+    scenes = {scene.name: scene for scene in discover_scenes(options.data, ALL_KINDS)}
     judge = MiddleburyV2Protocol()
     ours: dict[str, list[float]] = {}
     for row, name in ROWS.items():

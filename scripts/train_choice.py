@@ -39,6 +39,7 @@ from depthcli.core.networks import TrainedNetwork
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
 from depthcli.io.formats.networks import write_network
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
@@ -83,7 +84,7 @@ def scenes(data: Path) -> Iterator[TrainingScene]:
         yield TrainingScene(
             f"{name}_{kind}_{seed}", seed // 2 % 2, GENERATED, 20, partial(generated, kind, seed, **look)
         )
-    for scene in discover_scenes(data / "middlebury_half", patterns=["Cloth3", "Reindeer"]):
+    for scene in discover_scenes(data / "middlebury_half", ALL_KINDS, patterns=["Cloth3", "Reindeer"]):
         yield TrainingScene(f"half_{scene.name}", 1, 0.7, 20, partial(real, scene, ""))
     for k, kind in enumerate(KINDS):
         for look, (contrast, noise, light) in enumerate(LOOKS):

@@ -31,6 +31,8 @@ from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.frames import SparseFrame, StereoPair
 from depthcli.core.result import Clock
+from depthcli.io.layouts.depth import FRAMES
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes import RgbdScene, StereoScene
 from depthcli.io.stereo_pairs import load_pair, true_disparity
@@ -85,7 +87,7 @@ def errors(estimate: Map, scene: HalvedScene) -> dict[str, float]:
 
 def accuracy(folder: Path, presets: list[str]) -> None:
     """Print a line a preset and kind of samples: the mean over the scenes, then MAE by scene."""
-    scenes = [halved(files) for files in discover_scenes(folder, (RgbdScene,)) if isinstance(files, RgbdScene)]
+    scenes = [halved(files) for files in discover_scenes(folder, FRAMES) if isinstance(files, RgbdScene)]
     for preset in presets:
         config = config_of("transparent", preset)
         for case, settings in CASES.items():
@@ -109,7 +111,7 @@ def cross_modal(folders: list[Path]) -> None:
     stereo = configs["kinect"].stereo
     assert stereo is not None
     rows = []
-    for files in (files for folder in folders for files in discover_scenes(folder, (StereoScene,))):
+    for files in (files for folder in folders for files in discover_scenes(folder, PAIRS)):
         if not isinstance(files, StereoScene) or files.right is None or not files.has_truth:
             continue
         pair, truth = load_pair(files), true_disparity(files)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation import protocols
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 from depthcli.io.stereo_pairs import load_pair, true_disparity
@@ -38,7 +39,7 @@ def real_scenes(folder: str = V2, protocol: str = "middlebury_v2") -> dict[str, 
         pytest.skip(f"{folder} is not in ../shared/data")
     judge = protocols.load(protocol)()
     found = {}
-    for scene in discover_scenes(DATA / folder, (StereoScene,)):
+    for scene in discover_scenes(DATA / folder, PAIRS):
         assert isinstance(scene, StereoScene)
         if scene.right is not None:
             assert scene.max_disparity is not None

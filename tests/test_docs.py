@@ -20,7 +20,7 @@ from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.evaluation import protocols
 from depthcli.io.formats.map_format import map_formats
-from depthcli.io.layouts import layouts
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.methods.registration.search import MEASURES
 from depthcli.run.presets import list_presets
 
@@ -66,7 +66,7 @@ def test_every_name_of_the_program_is_in_the_reference():
             assert section, (package, name)
             assert all(f"| `{field}` |" in section for field in family.load(name).model_fields), (package, name)
     for found, page in (
-        ([each.name for each in layouts()], "data"),
+        ([each.name for each in ALL_KINDS.with_plugins().rows], "data"),
         (protocols.names(), "protocols"),
         ([str(int(bit)) for bit in (*STATUS_HELP, *DEPTH_STATUS_HELP)], "outputs"),
         (map(str, EXIT_CODES), "outputs"),

@@ -30,6 +30,7 @@ from depthcli.io.formats.files import naming
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
 from depthcli.io.inputs import local
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
 from depthcli.io.walk import matches_any, scenes_with_files
 from depthcli.run.batch import Batch, Outcome
@@ -167,10 +168,10 @@ def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:
         raise InputError(f"{run}: no {'scene matches' if there else 'disparity maps there'} (SCENE/{_MAP})")
     sources = {name: local(source) for name in names if (source := rows.get(name, {}).get("source"))}
     if maps.input is not None:
-        pairs = scenes_at(maps.input, (StereoScene,), maps.layout, ["*"], reporter)
+        pairs = scenes_at(maps.input, PAIRS, maps.layout, ["*"], reporter)
         inputs = {scene.name: cast(Scene, scene) for scene in pairs}
     else:
-        known = scenes_with_files(sources.values())
+        known = scenes_with_files(sources.values(), PAIRS)
         inputs = {name: known[source] for name, source in sources.items() if source in known}
     found = [_map_of(run / name, name, inputs.get(name), sources.get(name), maps) for name in names]
     for name, row in rows.items():

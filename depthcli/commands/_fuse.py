@@ -13,6 +13,7 @@ from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import map_npy
 from depthcli.io.formats.networks import network_path
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.stages import PairMatcher
@@ -23,7 +24,7 @@ def prepare(
 ) -> tuple[Fuse, list[StereoScene]]:
     """Return the batch of ``fuse`` with this config, and the pairs that the command line names."""
     found = with_network(pair_config(FuseConfig, config, pairs, settings))
-    return Fuse(found), find_scenes((StereoScene,), pairs, run)
+    return Fuse(found), find_scenes(PAIRS, pairs, run)
 
 
 @dataclass(frozen=True)

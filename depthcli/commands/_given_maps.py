@@ -32,7 +32,8 @@ from depthcli.io.formats.files import collected_warnings, shown, warn
 from depthcli.io.formats.images import image_size, read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.inputs import local
-from depthcli.io.scenes import GivenMap, MapsScene, StereoScene
+from depthcli.io.layouts.stereo import PAIRS
+from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps import peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
@@ -106,11 +107,14 @@ class _GivenMaps(Batch[MapsScene]):
 
     palette = STATUS_PALETTE
     shown_as = "middlebury-v2"
-    truth_kinds = (StereoScene,)
     n_added: ClassVar[int] = 0
     """Number of maps that are compared beside the given ones."""
 
     config: Mapping[str, Any]
+
+    def truth_scenes(self, scenes: Sequence[MapsScene]) -> Sequence[Scene]:
+        """Return the pairs, which can be used without their maps."""
+        return [scene.pair for scene in scenes]
 
     def settings(self, scene: MapsScene) -> dict[str, str]:
         """Return by what the maps are read, and the range of the scene."""
@@ -254,7 +258,7 @@ def _find_scenes(
     of_all, own = given_naming({**rights, **places}, "--pattern", coding.pattern, coding.scale, coding.invalid)
     naming = {name: own[name].over(of_all) for name in places}
     right_naming = {name: own[name].over(replace(of_all, pattern="")) for name in rights}
-    scenes = find_scenes((StereoScene,), pairs, run)
+    scenes = find_scenes(PAIRS, pairs, run)
     names = names_in_run([scene.name for scene in scenes], pairs.input and local(pairs.input))
     for name, place in places.items():
         if os.path.isfile(place):
@@ -281,7 +285,7 @@ def _find_scenes(
         there = tuple(one for one in maps.values() if one is not None)
         own_fields = {**vars(scene), "problem": scene.problem or problem}
         right_map = next(iter(other.values()), None)
-        made.append(MapsScene(**own_fields, maps=there, right_map=right_map, absent=tuple(absent)))
+        made.append(MapsScene(**own_fields, pair=scene, maps=there, right_map=right_map, absent=tuple(absent)))
     return made
 
 

@@ -30,6 +30,7 @@ from depthcli.core.result import Clock
 from depthcli.io.formats.calibrations import write_geometry
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import write_png
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_views
 from depthcli.methods.stereo.config import Calibration
@@ -59,7 +60,7 @@ def prepare(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> tuple[R
         lens = {"unit": how.unit, "fisheye": how.fisheye, "alpha": how.alpha, "cameras": (int(first), int(second))}
         calibration = Calibration.model_validate({"files": [str(file) for file in files], **lens})
     config = {key: getattr(how, key) for key in ("uncalibrated", "unit", "fisheye", "alpha", "cameras")}
-    return Rectify(config, calibration), find_scenes((StereoScene,), pairs, run)
+    return Rectify(config, calibration), find_scenes(PAIRS, pairs, run)
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,9 @@ from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts import Folder
-from depthcli.io.layouts.depth import cameras
+from depthcli.io.layouts.depth import FRAMES, cameras
 from depthcli.io.rgbd_frames import frame_size, load_frame
-from depthcli.io.scenes import RgbdScene, SequenceScene, sequences
+from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import SequencePipeline, frame_by_frame
 from depthcli.run.batch import Batch, Outcome
@@ -56,7 +56,7 @@ def prepare(
     found = config_of(RefineKinectConfig, config, settings, **options)
     check_limits(found.near, found.far)
     parse_mask(found.mask)  # a wrong share is an error before any frame is opened
-    scenes = find_scenes((RgbdScene,), frames, run)
+    scenes = find_scenes(FRAMES, frames, run)
     if getattr(frames, "color", None) is not None:  # the cameras may lie in a meta.json beside the files
         scenes = [replace(s, **cameras(Folder(s.folder, s.name, "", "").meta)) for s in scenes]
     if depth_intrinsics is not None:
@@ -92,9 +92,13 @@ class RefineKinect(Batch[FrameOrSequence]):
     columns = (SIZE, *map(percent, ("known", "kept", "filled", "corrected")))
     palette = DEPTH_STATUS_PALETTE
     shown_as = "depth"
-    truth_kinds = (RgbdScene,)  # the truth of a sequence is that of its frames
 
     config: RefineKinectConfig
+
+    def truth_scenes(self, scenes: Sequence[FrameOrSequence]) -> Sequence[Scene]:
+        """Return the frames, of sequences, too."""
+        frames = [each for scene in scenes for each in (scene.frames if isinstance(scene, SequenceScene) else (scene,))]
+        return sorted(frames, key=lambda frame: frame.name)
 
     def settings(self, scene: FrameOrSequence) -> dict[str, str]:
         """Return what the layout or the options say of the cameras."""

@@ -14,6 +14,7 @@ from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.result import Clock
 from depthcli.io.formats.volumes import written_suffix
+from depthcli.io.layouts.registration import VOLUMES
 from depthcli.io.scenes import VolumePairScene
 from depthcli.io.volume_pairs import landmarks, load_volumes, loaded_size
 from depthcli.methods.registration.config import RegisterConfidenceConfig
@@ -33,7 +34,7 @@ def prepare(
 ) -> tuple[RegisterConfidence, list[VolumePairScene]]:
     """Return the batch of the command with this config, and the pairs that the command line names."""
     found = config_of(RegisterConfidenceConfig, config, settings, **options)
-    return RegisterConfidence(found), find_scenes((VolumePairScene,), volumes, run)
+    return RegisterConfidence(found), find_scenes(VOLUMES, volumes, run)
 
 
 def _size(row: Row) -> str:

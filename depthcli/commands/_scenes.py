@@ -12,6 +12,7 @@ from typing import cast
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError
 from depthcli.io.inputs import local
+from depthcli.io.layouts import Layouts
 from depthcli.io.named_files import TABLE_SUFFIXES, named_scenes, scenes_of_table
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.walk import NoScenesError, chosen_scenes, discover_scenes
@@ -21,8 +22,10 @@ from depthcli.run.console import Reporter
 _MIN_SCENES_TO_FREEZE = 1000  # scenes, whose objects take long to look through
 
 
-def find_scenes(kinds: tuple[type[SceneT], ...], source: SceneOptions, run: RunOptions) -> list[SceneT]:
+def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions) -> list[SceneT]:
     """Return the scenes that ``--input``, or the options for the files of a single scene, name.
+
+    ``layouts`` are those of the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``.
 
     Raises
     ------
@@ -33,7 +36,7 @@ def find_scenes(kinds: tuple[type[SceneT], ...], source: SceneOptions, run: RunO
     """
     place, name, single = source.input, source.name, source.single_files
     files = {key: local(value) if isinstance(value, Path) else value for key, value in vars(source).items()}
-    if named := cast("list[SceneT]", named_scenes(kinds, files)):
+    if named := cast("list[SceneT]", named_scenes(layouts.kind, files)):
         if place is not None:
             raise ConfigError(f"--input and {single} exclude each other")
         if run.evaluate:
@@ -50,21 +53,21 @@ def find_scenes(kinds: tuple[type[SceneT], ...], source: SceneOptions, run: RunO
     if run.evaluate and os.path.isfile(local(place)):
         raise ConfigError(f"{place}: --evaluate needs a folder of scenes, with their ground truth")
     try:
-        return scenes_at(place, kinds, source.layout, source.patterns, run.reporter)
+        return scenes_at(place, layouts, source.layout, source.patterns, run.reporter)
     except NoScenesError as error:
         raise NoScenesError(f"{error}; give files of other names by {single}") from error
 
 
 def scenes_at(
-    place: Path, kinds: tuple[type[SceneT], ...], layout: str | None, patterns: Sequence[str], reporter: Reporter
+    place: Path, layouts: Layouts[SceneT], layout: str | None, patterns: Sequence[str], reporter: Reporter
 ) -> list[SceneT]:
     """Return the scenes of a folder, or those that a table of files lists."""
     if os.path.isfile(place) and place.suffix.lower() in TABLE_SUFFIXES:
-        if not issubclass(StereoScene, kinds):
+        if not issubclass(StereoScene, layouts.kind):
             raise ConfigError(f"{place}: want a folder")
         return _chosen(cast("list[SceneT]", scenes_of_table(place)), patterns, place)
     # Folders that cannot be read are among them as scenes with a ``problem``, which are reported and not computed.
-    found = cast("list[SceneT]", discover_scenes(place, kinds, layout, patterns, reporter.info))
+    found = cast("list[SceneT]", discover_scenes(place, layouts, layout, patterns, reporter.info))
     if len(found) >= _MIN_SCENES_TO_FREEZE:
         gc.freeze()  # they stay to the end: no later search for garbage has to look at them
     return found

@@ -10,6 +10,7 @@ from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._pairs import MatchPairs, pair_config
 from depthcli.commands._scenes import find_scenes
 from depthcli.device import Device
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.on_device import device_implementation_of
@@ -26,7 +27,7 @@ def prepare(
 ) -> tuple[Stereo, list[StereoScene]]:
     """Return the batch of ``stereo`` with this config, and the pairs that the command line names."""
     found = with_address(pair_config(StereoConfig, config, pairs, settings, device=device))
-    return Stereo(found), find_scenes((StereoScene,), pairs, run)
+    return Stereo(found), find_scenes(PAIRS, pairs, run)
 
 
 @dataclass(frozen=True)

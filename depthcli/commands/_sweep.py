@@ -15,10 +15,12 @@ from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._sweep_axes import Axes, Combination, effects, folder_names, value_text
 from depthcli.core.errors import SOME_FAILED, ConfigError
 from depthcli.evaluation.comparison import Section
-from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
+from depthcli.evaluation.evaluate import evaluate_runs
 from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.scoring import PAGE_FILE
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.io.formats.files import write_text
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
 from depthcli.run.batch import Batch
 from depthcli.run.console import aligned
@@ -70,7 +72,8 @@ class Sweep:
             reporter.info(f"run {count} of {len(runs)}: {name}")
             failed |= run_batch(run.batch, run.scenes, run.options, source) != 0
         assert source.input is not None
-        if not any(scene.has_truth for scene in discover_scenes(source.input, None, source.layout, source.patterns)):
+        found = discover_scenes(source.input, ALL_KINDS, source.layout, source.patterns)
+        if not any(scene.has_truth for scene in found):
             reporter.info(f"{source.input}: no ground truth there, the runs are not compared")
             return SOME_FAILED if failed else 0
         report = evaluate_runs(

@@ -21,6 +21,7 @@ from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock
 from depthcli.io.formats.depth import beyond_png
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
+from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import frame_size, load_infrared_frame, load_sparse_frame
 from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.methods.transparent.config import TransparentConfig
@@ -33,7 +34,7 @@ def prepare(
 ) -> tuple[Transparent, list[RgbdScene]]:
     """Return the batch of ``transparent`` with this config, and the frames that the command line names."""
     found = config_of(TransparentConfig, config, settings, **options)
-    return Transparent(found), find_scenes((RgbdScene,), frames, run)
+    return Transparent(found), find_scenes(FRAMES, frames, run)
 
 
 @dataclass(frozen=True)

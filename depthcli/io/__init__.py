@@ -1,12 +1,13 @@
 """Files: from a folder to scenes, from a scene to arrays, and from arrays to files. Only here are files opened.
 
-``walk.discover_scenes(folder)`` tries every layout on a folder and gives its scenes, which name files; nothing is
-opened yet. ``load_...`` reads the input of a method from a scene, ``true_...`` what its result is compared with, by
-``formats``, where each reader gives an array or one :class:`~depthcli.core.errors.InputError` that names the file.
+``walk.discover_scenes(folder, PAIRS)`` tries the layouts of pairs on a folder and gives its scenes, which name files;
+nothing is opened yet. ``load_...`` reads the input of a method from a scene, ``true_...`` what its result is compared
+with, by ``formats``, where each reader gives an array or one :class:`~depthcli.core.errors.InputError` that names the
+file.
 
 =================  ============================================================================================
 ``walk``           start here: the scenes of a folder, by layouts; those that a pattern chooses
-``named_files``    scenes given on the command line: files, two patterns or folders, videos, a table
+``named_files``    scenes given on the command line: files, two patterns or folders (``view_words``), videos, a table
 ``inputs``         archives and URLs, fetched and unpacked once
 ``layouts/``       how people lay out folders, tables of file names: which files a scene has
 ``scenes``         what kinds of scene there are, as files and facts

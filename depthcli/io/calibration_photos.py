@@ -11,9 +11,7 @@ from typing import NamedTuple
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import shown
 from depthcli.io.formats.images import IMAGE_SUFFIXES
-
-SIDES = re.compile(r"(?<![a-z])(?:(left|l)|(right|r))(?![a-z])", re.IGNORECASE)
-"""Words of a name that say which view it is."""
+from depthcli.io.view_words import SIDES, without_word
 
 # "cam0" and "cam1" say the camera only where both are there.
 _WORDS = (
@@ -61,13 +59,6 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
         if left and right and not are_photo_numbers:
             return _paired(left, right, place), without
     return [Photos(name, file, None) for name, file in files.items()], []
-
-
-def without_word(name: str, word: re.Pattern[str] | None) -> str:
-    """Return a name or path without what ``word`` matches, and without what parted it from the rest."""
-    parts = (word.sub("", name) if word else name).split("/")
-    plain = (re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in parts)
-    return "/".join(part for part in plain if part)
 
 
 def _keyed(files: Iterable[tuple[str, Path]], word: re.Pattern[str] | None, place: str) -> dict[str, Path]:

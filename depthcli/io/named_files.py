@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.io.calibration_photos import SIDES, without_word
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.videos import VIDEO_SUFFIXES, count_frames
 from depthcli.io.scenes import LEFT_OUT, MAX_DISPARITY, RgbdScene, Scene, StereoScene, VolumePairScene
+from depthcli.io.view_words import SIDES, without_word
 
 TABLE_SUFFIXES = (".csv", ".tsv")
 
@@ -29,17 +29,16 @@ _GENERIC_LEFT = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "imag
 _GENERIC_COLOR = ("color", "rgb", "image", "depth")
 
 
-def named_scenes(kinds: Sequence[type[Scene]], values: Mapping[str, Any]) -> list[Scene]:
-    """Return the scenes whose files the options name, of the first kind of which there are any.
+def named_scenes(kind: type[Scene], values: Mapping[str, Any]) -> list[Scene]:
+    """Return the scenes of a kind whose files the options name.
 
     These are the pair of ``--left`` and ``--right``, those of two patterns or folders, the frames of two videos; the
     frame of ``--color`` and ``--depth``, or of the latter alone; the pair of ``--fixed`` and ``--warped``, or of
     ``--moving`` with its transform. ConfigError where an option is missing.
     """
-    for kind in kinds:
-        for base, find in ((StereoScene, _named_pairs), (RgbdScene, _named_frame), (VolumePairScene, _named_volumes)):
-            if issubclass(kind, base) and (scenes := find(values)):
-                return scenes
+    for base, find in ((StereoScene, _named_pairs), (RgbdScene, _named_frame), (VolumePairScene, _named_volumes)):
+        if issubclass(kind, base):
+            return find(values)
     return []
 
 

@@ -110,6 +110,7 @@ class GivenMap:
 class MapsScene(StereoScene):
     """A pair with disparity maps of its left view that were made before."""
 
+    pair: StereoScene  # without the maps
     maps: tuple[GivenMap, ...] = ()  # in the order of the command line
     right_map: GivenMap | None = None  # map of the right view
     absent: tuple[str, ...] = ()  # names of the runs that have no map of this scene

@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import RUN_FILE, read_bytes
 from depthcli.io.inputs import archives_in, gathered, local
-from depthcli.io.layouts import Folder, Layout, layouts, own_layouts
+from depthcli.io.layouts.base import Folder, Layout, Layouts
 from depthcli.io.layouts.rows import rows_in_file
 from depthcli.io.scenes import Scene, StereoScene
 
@@ -43,7 +44,7 @@ def _no_collections() -> Iterator[None]:
 @_no_collections()
 def discover_scenes(
     folder: Path | str,
-    kinds: Iterable[type[Scene]] | None = None,
+    layouts: Layouts[Any],
     layout: str | None = None,
     patterns: Sequence[str] = ("*",),
     warn: Callable[[str], None] = lambda line: None,
@@ -57,7 +58,7 @@ def discover_scenes(
 
     Parameters
     ----------
-    kinds : kinds of scene that are wanted; None: all
+    layouts : those that are tried, such as ``PAIRS``
     layout : name of a layout, or a YAML file of layouts; None recognizes it, for every folder by itself
     patterns : shell patterns, one of which the name, or its last part, must match
     warn : called with a line about folders of runs, and about scenes on deeper levels, which are not used
@@ -66,17 +67,16 @@ def discover_scenes(
     if not os.path.isdir(folder):
         is_file = os.path.isfile(folder)
         raise InputError(f"{folder}: {'a file, expected a folder or an archive' if is_file else 'no such folder'}")
-    fitting = tuple(kinds) if kinds is not None else (Scene,)
-    wanted = _wanted(own_layouts(), fitting, layout)
+    wanted = _wanted(layouts, layout)
     found = _find(folder, wanted, layout, warn) if wanted else []
-    if not found and layouts() != own_layouts():  # layouts of plug-ins are asked where no other fits
-        wanted = _wanted(layouts(), fitting, layout)
+    if not found and (known := layouts.with_plugins()) != layouts:  # asked where no other fits
+        wanted = _wanted(known, layout)
         found = _find(folder, wanted, layout, warn)
     if not wanted:
-        names = ", ".join(each.name for each in _wanted(layouts(), fitting, None))
+        names = ", ".join(each.name for each in layouts.with_plugins().rows)
         raise InputError(f"no layout called {layout!r}; one of: {names}")
     if not found and (archives := archives_in(folder)):
-        return discover_scenes(gathered(archives), kinds, layout, patterns, warn)
+        return discover_scenes(gathered(archives), layouts, layout, patterns, warn)
     if not found:
         names = ", ".join(each.name for each in wanted)
         looked_for = f"files of the layouts {names}, which the reference of the documentation names"
@@ -86,12 +86,12 @@ def discover_scenes(
     return chosen_scenes(found, patterns, folder)
 
 
-def _wanted(known: Iterable[Layout], kinds: tuple[type[Scene], ...], layout: str | None) -> tuple[Layout, ...]:
-    """The layouts that give scenes of these kinds; the named one, or those of a user's file, where they are named."""
-    if layout and layout.endswith((".yaml", ".yml")):
-        return tuple(row for row in rows_in_file(Path(layout)) if issubclass(row.kind, kinds))
-    name = layout and layout.lower().replace("_", "-")
-    return tuple(each for each in known if issubclass(each.kind, kinds) and name in (None, each.name))
+def _wanted(layouts: Layouts[Any], name: str | None) -> tuple[Layout, ...]:
+    """Return all layouts, or the one of that name, or those of a user's file for this kind of scene."""
+    if name and name.endswith((".yaml", ".yml")):
+        return tuple(row for row in rows_in_file(Path(name)) if issubclass(row.kind, layouts.kind))
+    name = name and name.lower().replace("_", "-")
+    return tuple(each for each in layouts.rows if name in (None, each.name))
 
 
 def _find(folder: Path, wanted: tuple[Layout, ...], layout: str | None, warn: Callable[[str], None]) -> list[Scene]:
@@ -198,13 +198,9 @@ def _with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
     ]
 
 
-def scene_with_file(file: Path) -> Scene | None:
-    """Return the scene that ``file`` belongs to by the layout of its folder or of one above it (KITTI), or None."""
-    return next(iter(scenes_with_files([file]).values()), None)
-
-
-def scenes_with_files(files: Iterable[Path]) -> dict[Path, Scene]:
-    """Return file -> the scene that it belongs to, as :func:`scene_with_file`, of those that belong to one."""
+def scenes_with_files(files: Iterable[Path], layouts: Layouts[Any]) -> dict[Path, Scene]:
+    """Return file -> the scene that it belongs to by the layout of its folder or of one above it (KITTI), if any."""
+    rows = layouts.with_plugins().rows
     known: dict[Path, dict[Path, Scene]] = {}
     scene_of: dict[Path, Scene] = {}
     for file in files:
@@ -213,7 +209,7 @@ def scenes_with_files(files: Iterable[Path]) -> dict[Path, Scene]:
             if place not in known:
                 known[place] = {}
                 with contextlib.suppress(InputError):
-                    inside = [scene for each in layouts() for scene in each.scenes(Folder(place, place.name, ""))]
+                    inside = [scene for each in rows for scene in each.scenes(Folder(place, place.name, ""))]
                     for one in reversed(inside):  # of two scenes with one file, the first
                         known[place] |= {value: one for value in vars(one).values() if isinstance(value, Path)}
             if path in known[place]:

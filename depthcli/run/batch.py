@@ -80,7 +80,6 @@ class Batch(ABC, Generic[SceneT]):
     legend: ClassVar[tuple[int, ...] | None] = None  # combinations of status bits that their legend shows
     shown_as: ClassVar[str] = ""  # protocol that says how the page shows maps without truth
     page_columns: ClassVar[tuple[Column, ...] | None] = None  # that this page shows beside its own; None: ``columns``
-    truth_kinds: ClassVar[tuple[type[Scene], ...]] = ()  # that ``--evaluate`` looks for; none: those of the scenes
 
     config: Any
     """The config, a mapping for commands without one; it decides with all versions which run this is."""
@@ -100,6 +99,10 @@ class Batch(ABC, Generic[SceneT]):
     def memory(self, scene: SceneT) -> int | None:
         """Estimate the peak memory in bytes from the headers of the files; None where that is not known."""
         return None
+
+    def truth_scenes(self, scenes: Sequence[SceneT]) -> Sequence[Scene]:
+        """Return the scenes whose ground truth ``--evaluate`` compares the results with."""
+        return scenes
 
     def notes(self, scenes: Sequence[SceneT], rows: Sequence[Row]) -> list[str]:
         """Return warnings about a whole run."""

@@ -19,6 +19,9 @@ from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.volumes import write_array
+from depthcli.io.layouts import Layouts
+from depthcli.io.layouts.depth import FRAMES
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 from depthcli.io.stereo_pairs import load_pair, true_disparity
@@ -64,9 +67,9 @@ def sample_scenes(sample: str, values: Values) -> list[SampleScene]:
     """Return the scenes of a kind of sample that the options ask for; ConfigError where options do not fit together."""
     seed, folder = values["seed"], values.get("from_")
     if folder is not None:
-        kinds: tuple[type[Scene], ...] = (RgbdScene, StereoScene) if sample == "transparent" else (StereoScene,)
+        layouts = Layouts.of(Scene, *PAIRS.rows, *FRAMES.rows) if sample == "transparent" else PAIRS
         lack = {"kinect": "no true disparity", "transparent": "no true depth"}.get(sample, "")
-        return [_scene_from(scene, seed, lack) for scene in discover_scenes(folder, kinds)]
+        return [_scene_from(scene, seed, lack) for scene in discover_scenes(folder, layouts)]
     if sample == "kinect":
         if values["width"] < _MIN_WIDTH:
             raise ConfigError(f"--width: at least {_MIN_WIDTH} for Kinect scenes (got {values['width']})")

@@ -15,6 +15,7 @@ from depthcli.core.errors import ConfigError
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.volumes import read_volume, write_array
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.named_files import named_scenes
 from depthcli.io.scenes import VolumePairScene
 from depthcli.io.walk import discover_scenes
@@ -107,19 +108,19 @@ def test_a_field_and_a_transform_are_refused_unless_one_counts(tmp_path, capsys)
     folder.mkdir()
     for name in ("fixed.mha", "moving.mha", "displacement.mha", "transform.tfm"):
         (folder / name).touch()
-    (scene,) = discover_scenes(folder)
+    (scene,) = discover_scenes(folder, ALL_KINDS)
     assert "both displacement.mha and transform.tfm; take away the one" in scene.problem
     files = {"displacement": folder / "displacement.mha", "transform": folder / "transform.tfm"}
     given = files | {"fixed": folder / "fixed.mha", "moving": folder / "moving.mha"}
     with pytest.raises(ConfigError, match="both --displacement and --transform: leave one out"):
-        named_scenes((VolumePairScene,), given)
+        named_scenes(VolumePairScene, given)
     for apply, counting in {"displacement": {"displacement"}, "transform": {"transform"}, "both": set(files)}.items():
         (folder / "meta.json").write_text(json.dumps({"apply": apply}))
-        for pair in (*discover_scenes(folder), *named_scenes((VolumePairScene,), given | {"apply": apply})):
+        for pair in (*discover_scenes(folder, ALL_KINDS), *named_scenes(VolumePairScene, given | {"apply": apply})):
             assert not pair.problem
             assert {role for role in files if getattr(pair, role) is not None} == counting
     with pytest.raises(ConfigError, match="--apply: want displacement, transform, both"):
-        named_scenes((VolumePairScene,), given | {"apply": "field"})
+        named_scenes(VolumePairScene, given | {"apply": "field"})
 
 
 def spoil(folder, what):

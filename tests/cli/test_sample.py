@@ -12,6 +12,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.io.formats.images import read_image
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.simulate.stereo_scenes import Radiometry, make_scene
@@ -31,7 +32,7 @@ def _bytes(folder: Path) -> dict[str, bytes]:
 
 def scenes(folder: Path) -> dict[str, StereoScene]:
     found = {}
-    for scene in discover_scenes(folder, (StereoScene,)):
+    for scene in discover_scenes(folder, PAIRS):
         assert isinstance(scene, StereoScene)
         found[scene.name] = scene
     return found

@@ -24,6 +24,7 @@ from depthcli.evaluation.scores import MapResult, find_score
 from depthcli.evaluation.tables import chosen_text, report_tables
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
 from depthcli.run.records import Record, write_record
 from tests.scenes import true
@@ -51,7 +52,7 @@ def truth(tmp_path: Path) -> Path:
 
 
 def exact(truth: Path, name: str = "a") -> np.ndarray:
-    return true(discover_scenes(truth, patterns=[name])[0]).disparity
+    return true(discover_scenes(truth, ALL_KINDS, patterns=[name])[0]).disparity
 
 
 def run_of(folder: Path, maps: dict[str, np.ndarray]) -> Path:
@@ -232,7 +233,7 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
     assert (out / "errors/other/a.png").is_file()
     assert not list(out.glob(".partial*"))
 
-    monkeypatch.setattr("depthcli.evaluation.evaluate._Scoring.all_results", None)  # nothing is computed from here on
+    monkeypatch.setattr("depthcli.evaluation.scoring._Scoring.all_results", None)  # nothing is computed from here on
     for name in ("scores.csv", "report.md", "contact_sheet.png", "errors/run/deeper/a.png"):
         place = tmp_path / "mine" / name
         place.parent.mkdir(parents=True, exist_ok=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from depthcli.io.layouts import Folder, Layout, own_layouts
+from depthcli.io.layouts import Folder, Layout
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.scenes import Scene
 from tests.scenes import load
 
@@ -19,7 +20,7 @@ def check_layout(layout: Layout, folder: Path) -> None:
         assert all(file.is_file() for file in scene.input_files.values())
         load(scene)
     for each in holding:
-        assert [own.name for own in own_layouts() if _scenes(own, each)] == [layout.name]
+        assert [own.name for own in ALL_KINDS.rows if _scenes(own, each)] == [layout.name]
 
 
 def _scenes(layout: Layout, folder: Path) -> list[Scene]:

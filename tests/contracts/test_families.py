@@ -10,7 +10,7 @@ import pytest
 
 from depthcli.commands._single_options import SampleOptions
 from depthcli.core.method import Family
-from depthcli.io.layouts import own_layouts
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
 from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes
 from tests.contracts.checks import CHECKS
@@ -38,7 +38,7 @@ def test_methods(package: str, name: str, check: Callable[[Any], None]):
 
 
 def test_layout_of_our_own_scenes(made_scenes: Path):
-    check_layout(next(each for each in own_layouts() if each.name == "scenes"), made_scenes)
+    check_layout(next(each for each in ALL_KINDS.rows if each.name == "scenes"), made_scenes)
 
 
 @pytest.mark.parametrize("name", ["stereo", "kinect", "cross_modal", "registration"])
@@ -54,7 +54,7 @@ def test_samples_are_found_with_their_truth_and_are_the_same_again(name: str, tm
             sample.make(given, scene, root / scene.name)
         written.append({path.relative_to(root): path.read_bytes() for path in root.rglob("*.*")})
     assert written[0] and written[0] == written[1]
-    found = discover_scenes(tmp_path / "once")
+    found = discover_scenes(tmp_path / "once", ALL_KINDS)
     assert all(any(f"{made.name}/".startswith(f"{scene.name}/") for made in found) for scene in scenes)
     for made in found:
         assert not made.problem and made.has_truth

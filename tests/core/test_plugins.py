@@ -19,9 +19,9 @@ from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.method import Family, used_plugins
 from depthcli.core.yaml_source import parse_config
-from depthcli.io import layouts
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.run import presets
 
@@ -237,7 +237,7 @@ def test_a_broken_package_costs_a_warning(
     with pytest.raises(ConfigError, match="bow of strange"):
         COSTS.parse("bow")
     with pytest.warns(registry.PluginWarning, match="bow of strange"):
-        assert layouts.layouts() == layouts.own_layouts()
+        assert ALL_KINDS.with_plugins() == ALL_KINDS
     assert main(["--help"]) == 0
     out, err = capsys.readouterr()
     assert "refine-kinect" in out and "bow of strange 1.2 cannot be loaded" in out + err

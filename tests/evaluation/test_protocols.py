@@ -20,6 +20,7 @@ from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_b
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MapResult, Metric, Score, find_score, in_order
 from depthcli.io.formats.disparity import read_disparity, write_pfm
 from depthcli.io.formats.files import collected_warnings
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import StereoTruth
 from depthcli.io.walk import discover_scenes
@@ -388,7 +389,7 @@ def disturbed(truth: np.ndarray, holes: bool) -> np.ndarray:
 
 
 def of_motorcycle(name: str, holes: bool) -> list[Score]:
-    (scene,) = discover_scenes(DATA / "middlebury_v3", patterns=["Motorcycle"])
+    (scene,) = discover_scenes(DATA / "middlebury_v3", ALL_KINDS, patterns=["Motorcycle"])
     judge = make(name)
     truth = judge.truth(scene)
     return judge.scores(disturbed(truth.values, holes), truth)
@@ -491,7 +492,7 @@ def _kitti_frames(judge: Any, holes: bool) -> list[MapResult]:
 ])  # fmt: skip
 def test_figures_of_the_kitti_pairs(pair, d1, three, end_point):
     """The D1, > 3 px and end-point errors that DATA.md gives for a real network's maps."""
-    (scene,) = discover_scenes(DATA / "kitti_eval_pairs", patterns=[pair])
+    (scene,) = discover_scenes(DATA / "kitti_eval_pairs", ALL_KINDS, patterns=[pair])
     judge = make("kitti-2015")
     truth = judge.truth(scene)
     scores = judge.scores(judge.read(DATA / "kitti_eval_pairs" / pair / "disp_est.png", scene, truth), truth)

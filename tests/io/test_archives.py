@@ -24,6 +24,7 @@ from depthcli.core.text import without_secrets
 from depthcli.io import inputs
 from depthcli.io.formats.images import write_png
 from depthcli.io.inputs import local, origin
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
 
 
@@ -85,7 +86,7 @@ MAKERS: dict[str, Callable[[Path, Path], Path]] = {
 def test_archive_is_its_folder(scenes: Path, tmp_path: Path, name: str) -> None:
     archive = MAKERS[name](scenes, tmp_path / name)
     assert _contents(local(archive)) == _contents(scenes)
-    found = discover_scenes(archive)
+    found = discover_scenes(archive, ALL_KINDS)
     assert [scene.name for scene in found] == ["s0", "s1"] and all(scene.has_truth for scene in found)
     inside = "" if (name.startswith("a.") and "gz" not in name) or name == "shard.tar" else "scenes/"
     assert origin(found[1].input_files["left"]) == f"{archive}/{inside}s1/left.png"
@@ -113,13 +114,13 @@ def test_several_archives(scenes: Path, tmp_path: Path) -> None:
         _shards(scenes, tmp_path / f"shard-{k:03d}.tar")
     wanted = [f"shard-{k:03d}/s{n}" for k in range(3) for n in range(2)]
     for place in (tmp_path, tmp_path / "shard-*.tar", tmp_path / "shard-{000..002}.tar"):
-        assert [scene.name for scene in discover_scenes(place)] == wanted
+        assert [scene.name for scene in discover_scenes(place, ALL_KINDS)] == wanted
     with pytest.raises(InputError, match=r"shard-003\.tar: no such file"):
-        discover_scenes(tmp_path / "shard-{002..003}.tar")
+        discover_scenes(tmp_path / "shard-{002..003}.tar", ALL_KINDS)
     lines: list[str] = []
     shutil.copytree(scenes, tmp_path / "data")
     _zip(scenes, tmp_path / "data" / "more.zip")
-    assert [scene.name for scene in discover_scenes(tmp_path / "data", warn=lines.append)] == ["s0", "s1"]
+    assert [scene.name for scene in discover_scenes(tmp_path / "data", ALL_KINDS, warn=lines.append)] == ["s0", "s1"]
     assert len(lines) == 1 and "more.zip" in lines[0]
 
 
@@ -219,9 +220,9 @@ def test_urls(scenes: Path, server: str, tmp_path: Path, capsys: pytest.CaptureF
     for url in (f"{server}/a.zip", f"{server}/scenes", f"file://{scenes}", f"{server}/a.zip?X-Signature=a%2Fb&c=1",
                 f"{server}/get?token=x&file=a.zip", f"file://{scenes.parent}/a.tar.gz", "memory://store/a.zip",
                 "memory://store/scenes"):  # fmt: skip
-        assert [scene.name for scene in discover_scenes(url)] == ["s0", "s1"], url
+        assert [scene.name for scene in discover_scenes(url, ALL_KINDS)] == ["s0", "s1"], url
         assert _contents(local(url)) == _contents(scenes), url
-    signed = discover_scenes(f"{server}/a.zip?token=secret")[1].input_files["left"]
+    signed = discover_scenes(f"{server}/a.zip?token=secret", ALL_KINDS)[1].input_files["left"]
     assert origin(signed) == f"{server}/a.zip/s1/left.png"
     pair = [f"{server}/a.zip/s1/left.png", "--right", f"{server}/scenes/s1/right.png", "--max-disparity", "8"]
     assert main(["stereo", "fast", "--left", *pair, "-o", str(tmp_path / "pair"), "-q"]) == 0

@@ -11,7 +11,8 @@ import pytest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.layouts import layouts
+from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.walk import discover_scenes
 from tests.scenes import DATA, load, needs_data, true
@@ -23,7 +24,7 @@ TRUTH[0] = np.nan
 
 
 def find(folder: Path, layout: str | None = None, pattern: str = "*", warn=lambda line: None) -> list[StereoScene]:
-    return discover_scenes(folder, (StereoScene,), layout, [pattern], warn)
+    return discover_scenes(folder, PAIRS, layout, [pattern], warn)
 
 
 def own(folder: Path, meta: object = None, masks: bool = True) -> Path:
@@ -127,9 +128,9 @@ def test_a_scene_too_deep_is_told(tmp_path: Path):
 def test_several_patterns(tmp_path: Path):
     for name in ("a", "b", "c"):
         own(tmp_path / name)
-    assert [s.name for s in discover_scenes(tmp_path, (StereoScene,), None, ["c", "a"])] == ["a", "c"]
+    assert [s.name for s in discover_scenes(tmp_path, PAIRS, None, ["c", "a"])] == ["a", "c"]
     with pytest.raises(InputError, match="no scene matches 'x'"):
-        discover_scenes(tmp_path, (StereoScene,), None, ["a", "x"])
+        discover_scenes(tmp_path, PAIRS, None, ["a", "x"])
 
 
 def test_listing_opens_no_image(tmp_path: Path):
@@ -143,8 +144,8 @@ def test_listing_opens_no_image(tmp_path: Path):
 
 
 def test_every_layout_says_what_it_wants():
-    assert [each.name for each in layouts()] == sorted(each.name for each in layouts())
-    assert all(each.wants and issubclass(each.kind, Scene) for each in layouts())
+    assert [each.name for each in ALL_KINDS.rows] == sorted(each.name for each in ALL_KINDS.rows)
+    assert all(each.wants and issubclass(each.kind, Scene) for each in ALL_KINDS.rows)
 
 
 @pytest.mark.parametrize(("stems", "truth"), [
@@ -264,7 +265,7 @@ def test_every_stereo_scene_of_the_shared_data_loads():
 
 def test_a_layout_may_be_named_with_underscores(tmp_path: Path):
     v3(tmp_path / "a", "ndisp=3")
-    (scene,) = discover_scenes(tmp_path, layout="Middlebury_V3")
+    (scene,) = discover_scenes(tmp_path, ALL_KINDS, layout="Middlebury_V3")
     assert scene.layout == "middlebury-v3"
 
 

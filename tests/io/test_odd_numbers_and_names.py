@@ -11,6 +11,7 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.disparity import map_npy
 from depthcli.io.formats.images import write_png
+from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.named_files import scenes_of_table
 from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import chosen_scenes, discover_scenes
@@ -28,7 +29,7 @@ def test_calib_txt_with_numbers_too_large(tmp_path: Path, number: str):
         write_png(tmp_path / f"{name}.png", IMAGE)
     (tmp_path / "calib.txt").write_text(f"{CALIB}ndisp={number}\n")
     with pytest.raises(InputError, match="ndisp"):
-        discover_scenes(tmp_path)
+        discover_scenes(tmp_path, ALL_KINDS)
     (tmp_path / "calib.txt").write_text(f"{CALIB}width={number}\nheight=6\n")
     with pytest.raises(InputError, match="width"):
         read_geometry(tmp_path / "calib.txt")

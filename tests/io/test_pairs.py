@@ -11,6 +11,7 @@ import pytest
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.images import write_png
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.named_files import match_patterns, named_scenes, scenes_of_table
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_views
@@ -106,7 +107,7 @@ def video(path: Path, shift: int, count: int = 5) -> Path:
 @pytest.mark.slow
 def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     left, right = video(tmp_path / "l.avi", 0), video(tmp_path / "r.avi", 6)
-    scenes = named_scenes((StereoScene,), {"left": left, "right": right})
+    scenes = named_scenes(StereoScene, {"left": left, "right": right})
     assert [scene.name for scene in scenes] == [f"{k:06}" for k in range(5)]
     reader = cv2.VideoCapture(str(left))
     frames = [reader.read()[1][..., ::-1] for _ in range(5)]
@@ -127,7 +128,7 @@ def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
 
 
 def find(folder: Path) -> dict[str, StereoScene]:
-    return {scene.name: scene for scene in discover_scenes(folder, (StereoScene,))}  # type: ignore[misc]
+    return {scene.name: scene for scene in discover_scenes(folder, PAIRS)}  # type: ignore[misc]
 
 
 def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):

@@ -13,8 +13,9 @@ from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
+from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import load_infrared_frame
-from depthcli.io.scenes import RgbdScene, RgbIrScene
+from depthcli.io.scenes import RgbIrScene
 from depthcli.io.walk import discover_scenes
 
 K = [[190.0, 0, 20], [0, 190, 15], [0, 0, 1]]
@@ -36,7 +37,7 @@ def write(folder, calibration=RIG, infrared=(28, 36), dtype=np.uint8):
 
 
 def loaded(folder):
-    (scene,) = discover_scenes(folder, (RgbdScene,))
+    (scene,) = discover_scenes(folder, FRAMES)
     assert isinstance(scene, RgbIrScene) and scene.layout == "rgb-ir"
     return load_infrared_frame(scene)
 

@@ -18,7 +18,8 @@ from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_grey, write_png
 from depthcli.io.formats.kinect import read_kinect_calibration, read_kinect_raw
-from depthcli.io.layouts import own_layouts
+from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import frame_size, load_sparse_frame
 from depthcli.io.scenes import RgbdScene
 from depthcli.io.walk import discover_scenes
@@ -31,7 +32,7 @@ DEPTH[0] = 0
 
 
 def find(folder: Path) -> list[RgbdScene]:
-    scenes = discover_scenes(folder, (RgbdScene,))
+    scenes = discover_scenes(folder, FRAMES)
     assert all(isinstance(scene, RgbdScene) for scene in scenes)
     return scenes  # type: ignore[return-value]
 
@@ -117,7 +118,7 @@ def test_tum_pairs_by_time(tmp_path: Path):
     (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png 2.001 depth/a.png\n")
     assert [i.problem for i in find(tmp_path)] == [""]
     (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png nonsense\n")
-    (broken,) = discover_scenes(tmp_path, (RgbdScene,))
+    (broken,) = discover_scenes(tmp_path, FRAMES)
     assert "associations.txt:1: expected time file time file" in broken.problem
 
 
@@ -171,7 +172,7 @@ def test_numbered_frames_have_poses_by_order_or_by_number(tmp_path: Path, lines:
 ])  # fmt: skip
 def test_wrong_poses_are_one_line(tmp_path: Path, text: str, said: str):
     (write(tmp_path / "s", end="_0") / "poses.txt").write_text(text)
-    (broken,) = discover_scenes(tmp_path, (RgbdScene,))
+    (broken,) = discover_scenes(tmp_path, FRAMES)
     assert said in broken.problem and "\n" not in broken.problem
 
 
@@ -276,7 +277,7 @@ def test_scannet(tmp_path: Path, names: str):
     frame = load(first)
     assert frame.depth.shape == (24, 32)
     np.testing.assert_allclose(frame.depth[8:16, 8:24], 1.5)
-    (layout,) = (each for each in own_layouts() if each.name == "scannet")
+    (layout,) = (each for each in ALL_KINDS.rows if each.name == "scannet")
     check_layout(layout, tmp_path)
     (folder / "depth" / "10.png").unlink()
     with pytest.raises(InputError, match=r"10\.jpg: a frame without its depth"):

@@ -12,9 +12,10 @@ from depthcli.evaluation import protocols
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.layouts import own_layouts
+from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
-from depthcli.io.walk import discover_scenes, scene_with_file
+from depthcli.io.walk import discover_scenes, scenes_with_files
 from tests.contracts.layouts import check_layout
 from tests.scenes import load, true
 
@@ -25,7 +26,7 @@ DISPARITY[2:4, 3:] = 4.25
 
 
 def find(folder: Path, layout: str | None = None, warn=lambda line: None) -> list[StereoScene]:
-    scenes = discover_scenes(folder, (StereoScene,), layout, ["*"], warn)
+    scenes = discover_scenes(folder, PAIRS, layout, ["*"], warn)
     return scenes  # type: ignore[return-value]
 
 
@@ -35,7 +36,7 @@ def images(*paths: Path) -> None:
 
 
 def check(name: str, folder: Path) -> None:
-    (layout,) = (each for each in own_layouts() if each.name == name)
+    (layout,) = (each for each in ALL_KINDS.rows if each.name == name)
     check_layout(layout, folder)
 
 
@@ -63,7 +64,7 @@ def test_the_three_scene_flow_sets(tmp_path: Path, where: str):
     assert (clean.layout, clean.protocol, clean.max_disparity) == ("sceneflow", "scene_flow", 192)
     assert clean.disparity_left is not None
     assert clean.disparity_left == final.disparity_left
-    found = scene_with_file(clean.disparity_left)
+    found = scenes_with_files([clean.disparity_left], ALL_KINDS).get(clean.disparity_left)
     assert found is not None
     assert found.folder == root
     truth = true(clean)
@@ -328,6 +329,6 @@ def test_many_view_scenes_of_eth3d_are_refused(tmp_path: Path, camera: str):
     with pytest.raises(InputError, match=r"a many-view scene of ETH3D, without rectified pairs; its two-view scenes"):
         find(tmp_path / "delivery_area")
     eth3d(tmp_path)
-    refused, usable = discover_scenes(tmp_path, (StereoScene,))
+    refused, usable = discover_scenes(tmp_path, PAIRS)
     assert "many-view" in refused.problem
     assert usable.layout == "eth3d"

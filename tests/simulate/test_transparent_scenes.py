@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import load_sparse_frame, true_depth
 from depthcli.io.scenes import RgbdScene
 from depthcli.io.walk import discover_scenes
@@ -58,7 +59,7 @@ def test_the_command_makes_frames_and_makes_them_from_others(tmp_path):
     assert main(["sample", "--transparent", "--width", "96", "--height", "72", "-o", str(made), "-q"]) == 0
     assert main(["sample", "--transparent", "--from", str(made), "--share", "0.3", "-o", str(more), "-q"]) == 0
     for folder, share in ((made, 0.02), (more, 0.3)):
-        scenes = discover_scenes(folder, (RgbdScene,))
+        scenes = discover_scenes(folder, FRAMES)
         assert [scene.name for scene in scenes] == ["glass_0", "glass_1"]
         for scene in scenes:
             assert isinstance(scene, RgbdScene)

@@ -1,21 +1,24 @@
-"""A folder as a layout sees it, and the class of layouts."""
+"""A folder as a layout sees it, the class of layouts, and the layouts of one kind of scene."""
 
 from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from depthcli.core.errors import InputError
-from depthcli.core.registry import Registry, registered_name
+from depthcli.core.registry import Plugin, Registry, registered_name
 from depthcli.core.text import short
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import json_object, numbers
 from depthcli.io.formats.poses import Pose, pose_of
 from depthcli.io.scenes import Scene
+
+SceneT = TypeVar("SceneT", bound=Scene)
 
 _MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # numbers of meta.json; no image is as wide
 
@@ -166,3 +169,32 @@ class Layout(ABC):
 
 PLUGINS = Registry[Layout](__name__, group="depthcli.layouts")
 """The layouts of plug-ins; those of this package are rows of tables."""
+
+
+@dataclass(frozen=True)
+class Layouts(Generic[SceneT]):
+    """The layouts whose scenes are of one kind."""
+
+    kind: type[SceneT]
+    rows: tuple[Layout, ...]
+
+    @classmethod
+    def of(cls, kind: type[SceneT], *rows: Layout) -> Layouts[SceneT]:
+        """Return layouts sorted by name."""
+        return cls(kind, tuple(sorted(rows, key=lambda row: row.name)))
+
+    def of_kind(self, kind: type[Scene]) -> Layouts[Any]:
+        """Return those of a narrower kind."""
+        return Layouts(kind, tuple(row for row in self.rows if issubclass(row.kind, kind)))
+
+    def with_plugins(self) -> Layouts[SceneT]:
+        """Return these, then those of plug-ins."""
+        added = (PLUGINS.load(name)() for name in PLUGINS.names())
+        return replace(self, rows=(*self.rows, *(row for row in added if issubclass(row.kind, self.kind))))
+
+
+def layout_plugins(scenes: Iterable[Scene]) -> set[Plugin]:
+    """Return the plug-ins whose layouts found any of these scenes."""
+    plugins = PLUGINS.plugins()
+    names = {scene.layout for scene in scenes} if plugins else set()
+    return {plugin for name, plugin in plugins.items() if name.replace("_", "-") in names}

@@ -11,7 +11,7 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import numbers
 from depthcli.io.formats.poses import Poses, read_poses
-from depthcli.io.layouts.base import Folder, Layout, Meta
+from depthcli.io.layouts.base import Folder, Layout, Layouts, Meta
 from depthcli.io.layouts.rows import Found, LayoutRow
 from depthcli.io.scenes import RgbdScene, RgbIrScene, Scene
 
@@ -180,7 +180,8 @@ _NUMBERED = {
     "depth_true": "depth_true_{number}.*|depth_true.*", "masks": "mask_{mask}_{number}.*", "name": "{number}",
 }  # fmt: skip
 
-DEPTH_LAYOUTS: tuple[Layout, ...] = (
+FRAMES = Layouts.of(
+    RgbdScene,
     LayoutRow(
         title="rgbd", kind=RgbdScene,
         wants="`color.*`, `depth.*`, or the latter alone for `refine-kinect`; where known `depth_true.*`, "

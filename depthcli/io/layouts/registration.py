@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import warn
-from depthcli.io.layouts.base import Folder, Layout
+from depthcli.io.layouts.base import Folder, Layout, Layouts
 from depthcli.io.scenes import LEFT_OUT, Scene, VolumePairScene
 
 _VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img", ".png", ".jpg", ".jpeg")
@@ -78,3 +78,6 @@ def _labels(folder: Folder, maps: Sequence[str]) -> tuple[tuple[str, tuple[tuple
             raise InputError(f"{folder.meta.path}: labels: two regions have one label")
     used = {name: tuple((region, k) for region, k in given[name].items() if k) for name in given if name in maps}
     return tuple(used.items())
+
+
+VOLUMES = Layouts.of(VolumePairScene, Registration())

@@ -16,7 +16,7 @@ from depthcli.io.formats.disparity import KITTI_SCALE, read_disparity
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.plain_text import key_values, numbers
-from depthcli.io.layouts.base import Folder, Layout
+from depthcli.io.layouts.base import Folder, Layouts
 from depthcli.io.layouts.rows import Found, LayoutRow
 from depthcli.io.scenes import MAX_DISPARITY, Scene, StereoScene
 
@@ -162,7 +162,8 @@ _KITTI_FILES = {
 _SIDES = (("L", "R", "_"), ("l", "r", "_"), ("left", "right", "_"), ("left", "right", "-"), ("Left", "Right", "_"))
 _DRIVING_CALIB = "<0>-image-calib/{sequence}.txt"
 
-STEREO_LAYOUTS: tuple[Layout, ...] = (
+PAIRS = Layouts.of(
+    StereoScene,
     LayoutRow(
         title="scenes",
         wants="`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), "

@@ -19,6 +19,7 @@ from depthcli.commands._scenes import find_scenes
 from depthcli.commands._shared_options import ConfigArgument, SetOption
 from depthcli.core.root_config import RootConfig
 from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.run.batch import Batch, Outcome
@@ -58,4 +59,4 @@ def constant(config: ConfigArgument, pairs: PairOptions, run: ScoredRunOptions, 
     ``run_batch`` goes through the scenes, with progress, resuming, reports and workers.
     """
     batch = Constant(config_of(ConstantConfig, config, set))
-    return run_batch(batch, find_scenes((StereoScene,), pairs, run), run, pairs)
+    return run_batch(batch, find_scenes(PAIRS, pairs, run), run, pairs)

@@ -12,6 +12,7 @@ from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.transparent.color_mix import GREY, learned_weights, mix_channels
@@ -140,7 +141,7 @@ class TestRealScenes:
         if not folder.is_dir():
             pytest.skip("middlebury_v2 is not in ../shared/data")
         found = {}
-        for stereo_scene in discover_scenes(folder, (StereoScene,), patterns=("Cones", "Teddy", "Venus")):
+        for stereo_scene in discover_scenes(folder, PAIRS, patterns=("Cones", "Teddy", "Venus")):
             assert isinstance(stereo_scene, StereoScene)
             pair, truth = load(stereo_scene), true(stereo_scene)
             found[stereo_scene.name] = (

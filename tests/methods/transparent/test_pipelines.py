@@ -11,6 +11,7 @@ import pytest
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import SparseFrame
+from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.scenes import RgbdScene
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.transparent.config import TransparentConfig
@@ -98,7 +99,7 @@ class TestRealScenes:
         if not folder.is_dir():
             pytest.skip("transparent/real_d435 is not in ../shared/data")
         found = {}
-        for scene in discover_scenes(folder, (RgbdScene,)):
+        for scene in discover_scenes(folder, FRAMES):
             assert isinstance(scene, RgbdScene)
             frame, truth = load(scene), true(scene)
             color = cv2.resize(frame.color, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
