@@ -21,7 +21,7 @@ from depthcli.core.scene import computing
 from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.methods.stereo.config import StereoConfig
-from depthcli.methods.stereo.pipeline.command import ProgramError, run_program
+from depthcli.methods.stereo.pipeline._process import ProgramError, run_program
 from tests.command_line import rows
 
 # OpenCV's matcher as a program of somebody else: reads two images, writes a map as .npy.
@@ -351,7 +351,7 @@ def test_memory_of_all_processes_together_is_limited(tmp_path: Path):
 def test_it_ends_with_the_process_that_wanted_it(tmp_path: Path):
     (tmp_path / "program.py").write_text(CHILD + "time.sleep(300)")
     call = (
-        "import sys; from pathlib import Path; from depthcli.methods.stereo.pipeline.command import run_program; "
+        "import sys; from pathlib import Path; from depthcli.methods.stereo.pipeline._process import run_program; "
         "run_program([sys.executable, 'program.py'], Path(sys.argv[1]), 300.0)"
     )
     caller = subprocess.Popen([sys.executable, "-c", call, str(tmp_path)])

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
-import resource
 import shlex
 import shutil
-import signal
 import string
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,10 +21,10 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.core.scene import current_scene
-from depthcli.core.text import one_line, show_bytes
 from depthcli.io.formats.disparity import read_plane
 from depthcli.kernels.jit import n_threads
 from depthcli.methods.stereo.pipeline import StereoPipeline
+from depthcli.methods.stereo.pipeline._process import ProgramError, run_program, scratch_folder
 from depthcli.methods.stereo.volume import StereoResult
 
 _PLACEHOLDERS = ["left", "right", "max_disparity", "min_disparity", "output", "scratch", "name", "threads", "cwd"]
@@ -39,8 +32,6 @@ _SUFFIXES = {"pfm": ".pfm", "kitti": ".png", "npy": ".npy", "tiff": ".tiff", "pn
 _KITTI_SCALE = 256.0  # codes per pixel
 _MAP_BYTES = 200  # of this process, per pixel, while a program runs and its map is read
 _BYTES_PER_CELL = 8  # a guess of what programs that match tiles take
-_LOOK_SECONDS = 0.05  # between two looks at a running program
-_MAX_REASON = 300  # characters of a program's output in a message
 
 
 def _seconds(value: Any) -> Any:
@@ -53,10 +44,6 @@ def _seconds(value: Any) -> Any:
 _Seconds = Annotated[float, BeforeValidator(_seconds)]
 _Integer = Annotated[int, Field(ge=-(10**15), le=10**15)]
 _Number = Annotated[float, Field(ge=-1e300, le=1e300)]
-
-
-class ProgramError(InputError):
-    """A program failed: it cannot be started, was ended, or its result cannot be used."""
 
 
 class Program(StereoPipeline):
@@ -160,24 +147,13 @@ class Program(StereoPipeline):
         """Write the images, run the program, read its map; ProgramError where it failed."""
         clock = Clock()
         clock.start("write")
-        with _scratch_folder() as scratch:
+        with scratch_folder() as scratch:
             left, right = self._image_files(pair, scratch)
             path = scratch / (self.output or f"output{_SUFFIXES[self.format]}")
             values = {"left": left, "right": right, "max_disparity": max_disparity, "min_disparity": 0, "output": path}
             values |= {"scratch": scratch, "name": current_scene().name, "threads": n_threads(), "cwd": os.getcwd()}
-            texts = {
-                name: str(value).lower() if isinstance(value, bool) else str(value)
-                for name, value in (values | self.parameters).items()
-            }
-            first, *others = _words(self.program, self.shell)
-            if self.shell:
-                line = first.format_map({name: shlex.quote(text) for name, text in texts.items()})
-                words = ["/bin/sh", "-c", line]
-            else:
-                others = [os.path.abspath(word) if os.path.isfile(word) else word.format_map(texts) for word in others]
-                words = [os.path.abspath(shutil.which(first) or first), *others]
             clock.start("program")
-            run_program(words, scratch, self.timeout)
+            run_program(self._command_line(values), scratch, self.timeout)
             clock.start("read")
             disparity = self._read_map(path, pair.shape)
             status = np.zeros(pair.shape, np.uint8)
@@ -188,6 +164,18 @@ class Program(StereoPipeline):
                 raise ProgramError(f"no pixel of the program's map has a disparity from 0 to {max_disparity}")
         disparity[status != 0] = np.nan
         return StereoResult(DisparityMap(disparity, status), seconds=clock.seconds)
+
+    def _command_line(self, values: dict[str, Any]) -> list[str]:
+        """Return the program and its arguments, with the values of placeholders, and whole paths of files."""
+        texts = {
+            name: str(value).lower() if isinstance(value, bool) else str(value)
+            for name, value in (values | self.parameters).items()
+        }
+        first, *others = _words(self.program, self.shell)
+        if self.shell:
+            return ["/bin/sh", "-c", first.format_map({name: shlex.quote(text) for name, text in texts.items()})]
+        others = [os.path.abspath(word) if os.path.isfile(word) else word.format_map(texts) for word in others]
+        return [os.path.abspath(shutil.which(first) or first), *others]
 
     def _image_files(self, pair: StereoPair, folder: Path) -> Sequence[Path]:
         """Return the left and the right image as files: the scene's own, or written into ``folder``."""
@@ -231,97 +219,6 @@ class Program(StereoPipeline):
 
     def tile_halo(self) -> int | None:
         return self.halo
-
-
-def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
-    """Run a program in ``folder`` and end its process group; its output goes to files there.
-
-    Processor time and memory are added to those of the current scene. ProgramError, with the end of the program's
-    output, where it fails, runs for more than ``timeout`` seconds, or takes more memory than the scene may.
-    """
-    scene, name = current_scene(), os.path.basename(words[0])
-    logs = [folder / "stderr.txt", folder / "stdout.txt"]
-    until, peak, problem = time.monotonic() + timeout, 0, ""
-    try:
-        with logs[0].open("wb") as errors, logs[1].open("wb") as printed:
-            program = subprocess.Popen(
-                words,
-                cwd=folder,
-                env=os.environ | {"OMP_NUM_THREADS": str(n_threads())},
-                start_new_session=True,
-                stdin=subprocess.DEVNULL,
-                stdout=printed,
-                stderr=errors,
-            )
-    except OSError as error:
-        raise ProgramError(f"{name} cannot be started: {error.strerror or error}") from error
-    with _ended_group(program.pid):
-        # The program stays a zombie until its group has ended, so that no other process gets its number.
-        while os.waitid(os.P_PID, program.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
-            peak = max(peak, _resident_bytes(program.pid))
-            if time.monotonic() > until:
-                problem = f"was ended after {timeout:g} s; see timeout"
-            elif scene.memory is not None and peak > scene.memory:
-                problem = f"was ended: it took more than the {show_bytes(scene.memory)} that may be used; "
-                problem += "see --max-memory, --jobs"
-            if problem:
-                break
-            time.sleep(_LOOK_SECONDS)
-    _, status, used = os.wait4(program.pid, 0)
-    program.returncode = code = os.waitstatus_to_exitcode(status)
-    if not problem and code:
-        names = {int(each): each.name for each in signal.Signals}
-        problem = f"was ended by {names.get(-code, -code)}" if code < 0 else f"ended with exit code {code}"
-    if problem:
-        raise ProgramError(f"{name} {problem}{_end_of(logs)}")
-    scene.used["program_cpu"] = round(scene.used.get("program_cpu", 0.0) + used.ru_utime + used.ru_stime, 6)
-    if used.ru_maxrss > resource.getrusage(resource.RUSAGE_SELF).ru_maxrss:  # what it has from us when it starts counts
-        peak = max(peak, used.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
-    scene.used["program_memory"] = max(scene.used.get("program_memory", 0), peak)
-
-
-@contextlib.contextmanager
-def _ended_group(group: int) -> Iterator[None]:
-    """End a group of processes after the block, also where this process is killed within it."""
-    line = ["/bin/sh", "-c", 'read -r _; kill -s KILL -- "-$0"', str(group)]
-    with subprocess.Popen(line, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True):
-        yield  # then the pipe is closed, as it is where this process ends
-
-
-def _resident_bytes(session: int) -> int:
-    """Return the resident memory of the processes of a session, bytes; 0 where there is no ``/proc``."""
-    pages = 0
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError, IndexError):  # it has ended
-            facts = stat.read_bytes().rpartition(b")")[2].split()
-            pages += int(facts[21]) if int(facts[3]) == session else 0
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def _end_of(logs: Sequence[Path]) -> str:
-    """Return the last lines of the first of these files that has any, as the end of a message."""
-    for log in logs:
-        with log.open("rb") as file:
-            file.seek(max(0, log.stat().st_size - 4 * _MAX_REASON))
-            lines = [line.strip() for line in file.read().decode("utf-8", "backslashreplace").splitlines()]
-        if text := one_line(" | ".join(filter(None, lines))):
-            return f": {text}" if len(text) <= _MAX_REASON else f": ...{text[-_MAX_REASON:]}"
-    return ""
-
-
-@contextlib.contextmanager
-def _scratch_folder() -> Iterator[Path]:
-    """Give an empty folder; it is deleted at the end, but kept where a program fails, whose message then names it."""
-    name = re.sub(r"[^\w.-]", "_", current_scene().name)[:40]
-    folder, kept = Path(tempfile.mkdtemp(prefix=f"depthcli-{name}-")), False
-    try:
-        yield folder
-    except ProgramError as error:
-        kept = True
-        raise ProgramError(f"{error}; its files are in {folder}") from error
-    finally:
-        if not kept:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _words(program: str | tuple[str, ...], shell: bool) -> tuple[str, ...]:

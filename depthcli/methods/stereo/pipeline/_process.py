@@ -1,0 +1,119 @@
+"""Programs of others as processes: started in a scratch folder, watched, and ended with all that they started."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from depthcli.core.errors import InputError
+from depthcli.core.scene import current_scene
+from depthcli.core.text import one_line, show_bytes
+from depthcli.kernels.jit import n_threads
+
+_LOOK_SECONDS = 0.05  # between two looks at a running program
+_MAX_REASON = 300  # characters of a program's output in a message
+
+
+class ProgramError(InputError):
+    """A program failed: it cannot be started, was ended, or its result cannot be used."""
+
+
+@contextlib.contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Give an empty folder; it is deleted at the end, but kept where a program fails, whose message then names it."""
+    name = re.sub(r"[^\w.-]", "_", current_scene().name)[:40]
+    folder, kept = Path(tempfile.mkdtemp(prefix=f"depthcli-{name}-")), False
+    try:
+        yield folder
+    except ProgramError as error:
+        kept = True
+        raise ProgramError(f"{error}; its files are in {folder}") from error
+    finally:
+        if not kept:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
+    """Run a program in ``folder`` and end its process group; its output goes to files there.
+
+    Processor time and memory are added to those of the current scene. ProgramError, with the end of the program's
+    output, where it fails, runs for more than ``timeout`` seconds, or takes more memory than the scene may.
+    """
+    scene, name = current_scene(), os.path.basename(words[0])
+    logs = [folder / "stderr.txt", folder / "stdout.txt"]
+    until, peak, problem = time.monotonic() + timeout, 0, ""
+    try:
+        with logs[0].open("wb") as errors, logs[1].open("wb") as printed:
+            program = subprocess.Popen(
+                words,
+                cwd=folder,
+                env=os.environ | {"OMP_NUM_THREADS": str(n_threads())},
+                start_new_session=True,
+                stdin=subprocess.DEVNULL,
+                stdout=printed,
+                stderr=errors,
+            )
+    except OSError as error:
+        raise ProgramError(f"{name} cannot be started: {error.strerror or error}") from error
+    with _ended_group(program.pid):
+        # The program stays a zombie until its group has ended, so that no other process gets its number.
+        while os.waitid(os.P_PID, program.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+            peak = max(peak, _resident_bytes(program.pid))
+            if time.monotonic() > until:
+                problem = f"was ended after {timeout:g} s; see timeout"
+            elif scene.memory is not None and peak > scene.memory:
+                problem = f"was ended: it took more than the {show_bytes(scene.memory)} that may be used; "
+                problem += "see --max-memory, --jobs"
+            if problem:
+                break
+            time.sleep(_LOOK_SECONDS)
+    _, status, used = os.wait4(program.pid, 0)
+    program.returncode = code = os.waitstatus_to_exitcode(status)
+    if not problem and code:
+        names = {int(each): each.name for each in signal.Signals}
+        problem = f"was ended by {names.get(-code, -code)}" if code < 0 else f"ended with exit code {code}"
+    if problem:
+        raise ProgramError(f"{name} {problem}{_end_of(logs)}")
+    scene.used["program_cpu"] = round(scene.used.get("program_cpu", 0.0) + used.ru_utime + used.ru_stime, 6)
+    if used.ru_maxrss > resource.getrusage(resource.RUSAGE_SELF).ru_maxrss:  # what it has from us when it starts counts
+        peak = max(peak, used.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
+    scene.used["program_memory"] = max(scene.used.get("program_memory", 0), peak)
+
+
+@contextlib.contextmanager
+def _ended_group(group: int) -> Iterator[None]:
+    """End a group of processes after the block, also where this process is killed within it."""
+    line = ["/bin/sh", "-c", 'read -r _; kill -s KILL -- "-$0"', str(group)]
+    with subprocess.Popen(line, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True):
+        yield  # then the pipe is closed, as it is where this process ends
+
+
+def _resident_bytes(session: int) -> int:
+    """Return the resident memory of the processes of a session, bytes; 0 where there is no ``/proc``."""
+    pages = 0
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError, IndexError):  # it has ended
+            facts = stat.read_bytes().rpartition(b")")[2].split()
+            pages += int(facts[21]) if int(facts[3]) == session else 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def _end_of(logs: Sequence[Path]) -> str:
+    """Return the last lines of the first of these files that has any, as the end of a message."""
+    for log in logs:
+        with log.open("rb") as file:
+            file.seek(max(0, log.stat().st_size - 4 * _MAX_REASON))
+            lines = [line.strip() for line in file.read().decode("utf-8", "backslashreplace").splitlines()]
+        if text := one_line(" | ".join(filter(None, lines))):
+            return f": {text}" if len(text) <= _MAX_REASON else f": ...{text[-_MAX_REASON:]}"
+    return ""
