@@ -90,19 +90,20 @@ def coarse_prior(
     result, found = match_by_costs(stages, half, candidates, prior, available, Clock())
     islands = refined_map((LeftRightCheck(), SpeckleFilter(size=_ISLAND_SIZE)), found, half, half_range)
     thin = thin_structures(pair, max_disparity)
+    candidates = _candidates(result.disparity, islands.values, thin, pair.shape, max_disparity)
+    low, high, thin_ends = _likely(result.disparity, islands.values, thin, max_disparity)
     levels = 2 if prior is None else 1 + prior.levels
-    return _prior_of(result.disparity, islands.values, thin, pair.shape, max_disparity, levels)
+    return Prior(result.disparity.values, candidates, low, high, thin_ends, levels)
 
 
-def _prior_of(
+def _candidates(
     half: DisparityMap,
     islands: NDArray[np.float32],
     thin_rows: NDArray[np.float32],
     shape: tuple[int, int],
     max_disparity: int,
-    levels: int,
-) -> Prior:
-    """Return likely disparities of an image of (H, W) ``shape``, from its map at half the size.
+) -> Candidates:
+    """Return which disparities blocks of an image of (H, W) ``shape`` may have, from its map at half the size.
 
     Thin structures may have been removed as speckles at half the size, filled over, or too thin to be matched: the
     ``islands`` that both views agree on and the rows of :func:`thin_structures` stay candidates. Where the views did
@@ -118,8 +119,6 @@ def _prior_of(
         for offset in (-_CANDIDATE_MARGIN, 0, 1 + _CANDIDATE_MARGIN):
             bins[y, x, np.clip(2 * values[valid] + offset, 0, max_disparity).astype(np.int32) // BIN] = True
     y, x = np.nonzero(~np.isnan(thin_rows))
-    thin = np.full(islands.shape, np.nan, np.float32)
-    thin[y * _ROW_STEP // 2, x // 2] = thin_rows[y, x] / 2
     for offset in (-1, 1):
         values = np.clip(thin_rows[y, x] + offset, 0, max_disparity)
         bins[y * _ROW_STEP // BLOCK, x // BLOCK, values.astype(np.int32) // BIN] = True
@@ -129,16 +128,25 @@ def _prior_of(
     around = cv2.dilate(bins.astype(np.uint8), np.ones((5, 5), np.uint8)).reshape(bins.shape) > 0
     bins |= around & (share > _UNSURE_SHARE)[:, :, None]
     bins[~bins.any(axis=2)] = True  # nothing was matched there at all
+    return Candidates(bins, shape, max_disparity)
+
+
+def _likely(
+    half: DisparityMap, islands: NDArray[np.float32], thin_rows: NDArray[np.float32], max_disparity: int
+) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.float32]]:
+    """Return ``low``, ``high`` and ``thin`` of a :class:`Prior`, from what was found around at half the size."""
+    y, x = np.nonzero(~np.isnan(thin_rows))
+    thin = np.full(islands.shape, np.nan, np.float32)
+    thin[y * _ROW_STEP // 2, x // 2] = thin_rows[y, x] / 2
+    unsure = (half.status & Status.MISMATCH) != 0
     ends, thin_ends = [], []
-    for extreme, of, nothing in ((cv2.erode, np.fmin, max_disparity), (cv2.dilate, np.fmax, 0)):
+    for sign, extreme, of, nothing in ((-1, cv2.erode, np.fmin, max_disparity), (1, cv2.dilate, np.fmax, 0)):
         end = np.nan_to_num(of(of(half.values, islands), thin), nan=nothing)
         near, far = (extreme(end, np.ones((size, size), np.uint8)) for size in (5, 17))
-        ends.append(2 * np.where(unsure, far, near))
-        far_away, offset = (_FAR_AWAY, -_LIKELY_MARGIN) if nothing else (-_FAR_AWAY, _LIKELY_MARGIN)
-        known = np.where(np.isnan(thin), far_away, thin)
-        thin_ends.append(2 * extreme(known, np.ones((5, 5), np.uint8)) + np.float32(offset))
-    low, high = (ends[0] - _LIKELY_MARGIN).astype(np.int16), (ends[1] + 1 + _LIKELY_MARGIN).astype(np.int16)
-    return Prior(half.values, Candidates(bins, shape, max_disparity), low, high, np.stack(thin_ends), levels)
+        ends.append(2 * np.where(unsure, far, near) + sign * _LIKELY_MARGIN)
+        known = np.where(np.isnan(thin), -sign * _FAR_AWAY, thin)
+        thin_ends.append(2 * extreme(known, np.ones((5, 5), np.uint8)) + np.float32(sign * _LIKELY_MARGIN))
+    return ends[0].astype(np.int16), (ends[1] + 1).astype(np.int16), np.stack(thin_ends)
 
 
 def thin_structures(pair: StereoPair, max_disparity: int) -> NDArray[np.float32]:
