@@ -1,4 +1,9 @@
-"""Networks in ONNX files, run by onnxruntime: what ``pipeline: onnx`` and ``cost: onnx`` have in common."""
+"""Networks in ONNX files, run by onnxruntime: what ``pipeline: onnx`` and ``cost: onnx`` have in common.
+
+In the order of the data: a :class:`Network` names a file, which its ``session`` opens; :func:`samples` of a pair are
+:func:`normalized` and :func:`padded`, (H, W, C) float32 all the way; :meth:`ImageInput.array` brings them into the
+layout of the network, and :meth:`Session.run` runs it.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +17,11 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, PrivateAttr, Tag, model_validator
+from pydantic import BaseModel, Discriminator, Field, PrivateAttr, Tag, model_validator
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.method import parts_of
+from depthcli.core.method import ConfigModel, Method, parts_of
 from depthcli.kernels.jit import n_threads
 
 _TYPES = {
@@ -31,6 +36,58 @@ _CUDA = "CUDAExecutionProvider"
 _CHANNELS = (1, 2, 3, 6)
 
 
+class Network(Method):
+    """What all methods that run a network have in common: its file, and the device that it runs on."""
+
+    model: str = Field(min_length=1, description="file of the network, .onnx; from the current folder")
+    _device: str = PrivateAttr("cpu")
+
+    @property
+    def session(self) -> Session:
+        """The network, opened once per process and content; InputError where it cannot be run there."""
+        try:
+            changed = os.stat(self.model).st_mtime_ns
+        except OSError as error:
+            raise InputError(f"{self.model}: network cannot be read ({error.strerror})") from error
+        return _open_session(self.model, changed, self._device, n_threads())
+
+    def prepare(self, device: str) -> None:
+        """Choose where the network runs, ``cpu`` or ``cuda:N``, and check it there: InputError where it cannot."""
+        self._device = device
+        self.check()
+
+    def used_files(self) -> dict[str, Path]:
+        """Return role -> file: the network, and weights of large ones in files beside it.
+
+        Their names begin with the network's (``net.onnx.data``, ``net.onnx_data``), or are ``net.data``.
+        """
+        path = Path(self.model)
+        prefixes = (f"{path.name}.", f"{path.name}_")
+        weights = [file for file in path.parent.glob("*") if file.name.startswith(prefixes)]
+        if path.with_suffix(".data").is_file():
+            weights.append(path.with_suffix(".data"))
+        return {"model": path} | {f"model/{file.name}": file for file in sorted(weights)}
+
+    @abstractmethod
+    def check(self) -> None:
+        """Raise InputError where the network cannot be used."""
+
+
+def networks_in(config: BaseModel) -> list[Network]:
+    """Return all networks of a config, whatever they are a part of."""
+    return [part for part in parts_of(config) if isinstance(part, Network)]
+
+
+def network_device(wanted: str) -> str:
+    """Return where networks run, ``cpu`` or ``cuda:N``, for the text of ``--device``; ConfigError for other kinds."""
+    if wanted == "auto":
+        return "cuda:0" if _CUDA in _onnxruntime().get_available_providers() else "cpu"
+    kind, _, number = wanted.partition(":")
+    if wanted != "cpu" and (kind != "cuda" or not (number.isdigit() or wanted == kind)):
+        raise ConfigError(f"--device {wanted}: networks run on cpu, cuda or cuda:N; auto takes cuda if it is there")
+    return f"cuda:{number or 0}" if kind == "cuda" else "cpu"
+
+
 class ImageInput(NamedTuple):
     """An input that takes images of 1, 2, 3 or 6 ``channels`` and (H, W) ``size``; None: any."""
 
@@ -41,12 +98,12 @@ class ImageInput(NamedTuple):
     channels_last: bool
     size: tuple[int | None, int | None]
 
-    def array(self, planes: NDArray[np.float32]) -> NDArray[Any]:
-        """Return (C, H, W) ``planes`` in the layout and type of the input."""
+    def array(self, image: NDArray[np.float32]) -> NDArray[Any]:
+        """Return an (H, W, C) image in the layout and type of the input."""
         if np.issubdtype(self.dtype, np.integer):
-            planes = np.clip(np.rint(planes), 0, 255)
-        planes = planes[0] if self.n_axes == 2 else planes.transpose(1, 2, 0) if self.channels_last else planes
-        return np.ascontiguousarray(planes[None] if self.n_axes == 4 else planes, self.dtype)
+            image = np.clip(np.rint(image), 0, 255)
+        image = image[..., 0] if self.n_axes == 2 else image if self.channels_last else image.transpose(2, 0, 1)
+        return np.ascontiguousarray(image[None] if self.n_axes == 4 else image, self.dtype)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +116,15 @@ class Session:
     inference: Any
 
     def run(self, values: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Return output's name -> array, in the order of the network; InputError where it fails."""
+        """Return output's name -> array without a batch of one, in the network's order; InputError where it fails."""
         names = [output.name for output in self.inference.get_outputs()]
         try:
-            return dict(zip(names, self.inference.run(names, dict(values)), strict=True))
+            arrays = self.inference.run(names, dict(values))
         except Exception as error:  # onnxruntime has an exception of its own for each code of its C interface
             shapes = ", ".join(f"{name} {value.shape}" for name, value in values.items())
             raise InputError(f"{self.model}: the network fails for {shapes}: {_first_line(error)}") from error
+        arrays = [array[0] if array.ndim == 4 and len(array) == 1 else array for array in arrays]
+        return dict(zip(names, arrays, strict=True))
 
 
 @lru_cache(maxsize=4)
@@ -130,68 +189,12 @@ def _first_line(error: Exception) -> str:
     return (str(error).strip() or type(error).__name__).splitlines()[0][:300]
 
 
-class Network(BaseModel):
-    """What all methods that run a network have in common: its file, and the device that it runs on."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    model: str = Field(min_length=1, description="file of the network, .onnx; from the current folder")
-    _device: str = PrivateAttr("cpu")
-
-    @property
-    def session(self) -> Session:
-        """The network, opened once per process and content; InputError where it cannot be run there."""
-        try:
-            changed = os.stat(self.model).st_mtime_ns
-        except OSError as error:
-            raise InputError(f"{self.model}: network cannot be read ({error.strerror})") from error
-        return _open_session(self.model, changed, self._device, n_threads())
-
-    def prepare(self, device: str) -> None:
-        """Choose where the network runs, ``cpu`` or ``cuda:N``, and check it there: InputError where it cannot."""
-        self._device = device
-        self.check()
-
-    def used_files(self) -> dict[str, Path]:
-        """Return role -> file: the network, and weights of large ones in files beside it.
-
-        Their names begin with the network's (``net.onnx.data``, ``net.onnx_data``), or are ``net.data``.
-        """
-        path = Path(self.model)
-        prefixes = (f"{path.name}.", f"{path.name}_")
-        weights = [file for file in path.parent.glob("*") if file.name.startswith(prefixes)]
-        if path.with_suffix(".data").is_file():
-            weights.append(path.with_suffix(".data"))
-        return {"model": path} | {f"model/{file.name}": file for file in sorted(weights)}
-
-    @abstractmethod
-    def check(self) -> None:
-        """Raise InputError where the network cannot be used."""
-
-
-def networks_in(config: BaseModel) -> list[Network]:
-    """Return all networks of a config, whatever they are a part of."""
-    return [part for part in parts_of(config) if isinstance(part, Network)]
-
-
-def network_device(wanted: str) -> str:
-    """Return where networks run, ``cpu`` or ``cuda:N``, for the text of ``--device``; ConfigError for other kinds."""
-    if wanted == "auto":
-        return "cuda:0" if _CUDA in _onnxruntime().get_available_providers() else "cpu"
-    kind, _, number = wanted.partition(":")
-    if wanted != "cpu" and (kind != "cuda" or not (number.isdigit() or wanted == kind)):
-        raise ConfigError(f"--device {wanted}: networks run on cpu, cuda or cuda:N; auto takes cuda if it is there")
-    return f"cuda:{number or 0}" if kind == "cuda" else "cpu"
-
-
 ColorOrder = Literal["rgb", "bgr"]
 _Moment = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
-class MeanDeviation(BaseModel):
+class MeanDeviation(ConfigModel):
     """Values ``(v - mean) / deviation`` of samples v in [0, 1], with one number for all channels or three, in RGB."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     mean: tuple[_Moment, ...] = Field(min_length=1, max_length=3, description="of all channels, or of red, green, blue")
     deviation: tuple[_Moment, ...] = Field(min_length=1, max_length=3, description="standard deviations, as mean")
@@ -215,34 +218,27 @@ _MOMENTS = {
 }
 
 
-def samples(pair: StereoPair, channels: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return both images as (H, W, 1) luma or (H, W, 3) RGB float32 from 0 to 255; grey ones are repeated for 3."""
+def samples(pair: StereoPair, view: int, channels: int) -> NDArray[np.float32]:
+    """Return the left (0) or right (1) image as (H, W, 1) luma or (H, W, 3) RGB from 0 to 255; grey is repeated."""
+    image, top = (pair.clamped if channels == 3 else pair.grey)[view], pair.top
     if channels == 1:
-        images, axes = pair.grey, 1
-        top = float(np.iinfo(images[0].dtype).max)
-    else:
-        top, images, axes = float(pair.top), pair.clamped, 3
-    left, right = (np.repeat(image[..., None], axes, axis=2) if image.ndim == 2 else image for image in images)
-    factor = np.float32(255.0 / top)
-    return left.astype(np.float32) * factor, right.astype(np.float32) * factor
+        top = int(np.iinfo(image.dtype).max)
+    levels = np.repeat(image[..., None], channels, axis=2) if image.ndim == 2 else image
+    return levels.astype(np.float32) * np.float32(255.0 / top)
 
 
-def planes(image: NDArray[np.float32], normalization: Normalization, order: ColorOrder) -> NDArray[np.float32]:
-    """Return an (H, W, C) RGB image with values from 0 to 255 as (C, H, W), normalized, in the given order."""
+def normalized(image: NDArray[np.float32], normalization: Normalization, order: ColorOrder) -> NDArray[np.float32]:
+    """Return an (H, W, C) RGB image with values from 0 to 255 normalized, its channels in the given order."""
     if normalization == "image":
         deviation = float(image.std(dtype=np.float64))
-        values = (image - np.float32(image.mean(dtype=np.float64))) / np.float32(deviation or 1.0)
-    elif normalization == "0-255":
-        values = image
-    else:
+        image = (image - np.float32(image.mean(dtype=np.float64))) / np.float32(deviation or 1.0)
+    elif normalization != "0-255":
         moments = _MOMENTS[normalization] if isinstance(normalization, str) else normalization
-        mean, deviation_of = (np.array(m, np.float32) for m in (moments.mean, moments.deviation))
+        mean, deviations = (np.array(m, np.float32) for m in (moments.mean, moments.deviation))
         if image.shape[2] == 1:
-            mean, deviation_of = mean.mean(keepdims=True), deviation_of.mean(keepdims=True)
-        values = (image / np.float32(255) - mean) / deviation_of
-    if order == "bgr":
-        values = values[..., ::-1]
-    return np.ascontiguousarray(values.transpose(2, 0, 1), np.float32)
+            mean, deviations = mean.mean(keepdims=True), deviations.mean(keepdims=True)
+        image = (image / np.float32(255) - mean) / deviations
+    return image[..., ::-1] if order == "bgr" else image
 
 
 def padded(image: NDArray[np.float32], multiple: int, margin: int = 0) -> NDArray[np.float32]:

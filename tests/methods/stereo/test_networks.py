@@ -12,7 +12,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.method import used_files
 from depthcli.methods.stereo.cost.onnx import NetworkCost
-from depthcli.methods.stereo.networks import MeanDeviation, networks_in, planes, samples
+from depthcli.methods.stereo.networks import MeanDeviation, networks_in, normalized, samples
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.pipeline.onnx import NetworkPipeline
 from tests.methods.stereo._networks import Graph, block_matcher, has_onnx, local_features
@@ -132,20 +132,21 @@ def test_networks_and_their_files_are_found_in_any_part_of_a_config(tmp_path: Pa
 
 def test_values_that_networks_take():
     image = np.random.default_rng(0).integers(0, 256, (5, 6, 3)).astype(np.float32)
-    first = image.transpose(2, 0, 1)
-    np.testing.assert_allclose(planes(image, "0-255", "rgb"), first)
-    np.testing.assert_allclose(planes(image, "0-255", "bgr"), first[::-1])
-    np.testing.assert_allclose(planes(image, "0-1", "rgb"), first / 255, rtol=1e-6)
-    mean, deviation = np.array([[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]])[..., None, None]
-    np.testing.assert_allclose(planes(image, "imagenet", "rgb"), (first / 255 - mean) / deviation, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(normalized(image, "0-255", "rgb"), image)
+    np.testing.assert_allclose(normalized(image, "0-255", "bgr"), image[..., ::-1])
+    np.testing.assert_allclose(normalized(image, "0-1", "rgb"), image / 255, rtol=1e-6)
+    expected = (image / 255 - (0.485, 0.456, 0.406)) / (0.229, 0.224, 0.225)
+    np.testing.assert_allclose(normalized(image, "imagenet", "rgb"), expected, rtol=1e-4, atol=1e-5)
     moments = MeanDeviation(mean=(0.5,), deviation=(0.25,))
-    np.testing.assert_allclose(planes(image, moments, "rgb"), first / 255 * 4 - 2, rtol=1e-4, atol=1e-5)
-    whole = planes(image, "image", "rgb")
+    np.testing.assert_allclose(normalized(image, moments, "rgb"), image / 255 * 4 - 2, rtol=1e-4, atol=1e-5)
+    whole = normalized(image, "image", "rgb")
     assert abs(whole.mean()) < 1e-5
     assert abs(whole.std() - 1) < 1e-5
-    assert not planes(np.full((3, 3, 1), 7, np.float32), "image", "rgb").any()
+    assert not normalized(np.full((3, 3, 1), 7, np.float32), "image", "rgb").any()
     wide = StereoPair(*[np.full((4, 4), 1023, np.uint16)] * 2, bits=10)
-    assert all((view == 255).all() and view.shape == (4, 4, n) for n in (1, 3) for view in samples(wide, n))
+    for view, n in ((0, 1), (1, 3)):
+        image = samples(wide, view, n)
+        assert (image == 255).all() and image.shape == (4, 4, n)
     with pytest.raises(ValueError, match="deviations are above 0"):
         MeanDeviation(mean=(0.5,), deviation=(0.0,))
 
@@ -161,7 +162,7 @@ def test_costs_are_distances_of_features(tmp_path: Path, distance: str, channels
     pair, count = shifted_pair(12, 40, 3, noise=30), 9
     volume = cost(pair, count)
     views = []
-    for image in samples(pair, channels or 1):
+    for image in (samples(pair, view, channels or 1) for view in (0, 1)):
         edge = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="constant" if pads else "edge").astype(np.float64)
         views.append(
             np.stack([edge[y : y + 12, x : x + 40] for y in range(3) for x in range(3)], axis=2).reshape(12, 40, -1)

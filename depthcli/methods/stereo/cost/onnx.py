@@ -20,8 +20,8 @@ from depthcli.methods.stereo.networks import (
     Network,
     Normalization,
     Session,
+    normalized,
     padded,
-    planes,
     samples,
 )
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
@@ -59,10 +59,9 @@ class NetworkCost(Network, CostMeasure):
         target, margin = _input_of(session, self.multiple)
         height, width = pair.shape
         views = []
-        for image in samples(pair, target.channels or 3):
-            normal = planes(image, self.normalization, self.color_order).transpose(1, 2, 0)
-            given = padded(normal, self.multiple, margin).transpose(2, 0, 1)
-            features = _features(session, target, given)[:, :height, :width]
+        for view in (0, 1):
+            image = normalized(samples(pair, view, target.channels or 3), self.normalization, self.color_order)
+            features = _features(session, target, padded(image, self.multiple, margin))[:, :height, :width]
             if features.shape[1:] != (height, width) or not np.isfinite(features).all():
                 raise InputError(f"{session.model}: no finite features of {width} x {height} pixels; see multiple")
             # Scaled so that sums over the channels, a multiple of 4, are the dot product or the mean.
@@ -91,7 +90,7 @@ def _input_of(session: Session, multiple: int) -> tuple[ImageInput, int]:
     if target.size != (None, None):
         raise InputError(f"{session.model}: takes images of one size; want a network that gives features at any size")
     side = -(-_PROBE // multiple) * multiple
-    features = _features(session, target, np.zeros((target.channels or 3, side, side), np.float32))
+    features = _features(session, target, np.zeros((side, side, target.channels or 3), np.float32))
     missing = side - features.shape[1]
     if features.shape[1] != features.shape[2] or missing % 2 or not 0 <= missing < side // 2:
         shown = f"{features.shape[2]} x {features.shape[1]} for an image of {side} x {side}"
@@ -99,11 +98,9 @@ def _input_of(session: Session, multiple: int) -> tuple[ImageInput, int]:
     return target, missing // 2
 
 
-def _features(session: Session, target: ImageInput, given: NDArray[np.float32]) -> NDArray[np.float32]:
-    # (C, H, W), of a (C, H, W) image.
-    output = next(iter(session.run({target.name: target.array(given)}).values()))
-    if output.ndim == 4 and output.shape[0] == 1:
-        output = output[0]
+def _features(session: Session, target: ImageInput, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    # (C, H, W), of an (H, W, 1 or 3) image.
+    output = next(iter(session.run({target.name: target.array(image)}).values()))
     if output.ndim != 3:
         raise InputError(f"{session.model}: its first output has shape {output.shape}; want channels, rows, columns")
     return np.asarray(output.transpose(2, 0, 1) if target.channels_last else output, np.float32)

@@ -21,8 +21,8 @@ from depthcli.methods.stereo.networks import (
     Network,
     Normalization,
     Session,
+    normalized,
     padded,
-    planes,
     samples,
 )
 from depthcli.methods.stereo.pipeline import StereoPipeline
@@ -109,24 +109,17 @@ class NetworkPipeline(Network, StereoPipeline):
         """Match the whole pair; disparities beyond 0 .. ``max_disparity`` are out of range. InputError if it fails."""
         clock = Clock()
         clock.start("network")
-        values, status = self.left_map(pair), np.zeros(pair.shape, np.uint8)
+        values = self.left_map(pair)
         if not self.left_right_check:
-            return StereoResult(_in_range(values, status, max_disparity), seconds=clock.seconds)
+            disparity = _in_range(values, np.zeros(pair.shape, np.uint8), max_disparity)
+            return StereoResult(disparity, seconds=clock.seconds)
         first, second = (cast(Image, np.ascontiguousarray(image[:, ::-1])) for image in (pair.right, pair.left))
         right = self.left_map(StereoPair(first, second, pair.bits))[:, ::-1]
         clock.start("left_right_check")
-        known, known_right = (np.nan_to_num(np.maximum(view, 0), nan=0, posinf=0) for view in (values, right))
-        difference = left_right_difference(known, known_right)
+        difference, hit = _compared(values, right)
         failed = difference > self.tolerance
-        # Whether a pixel of the right view, or one beside it, is matched to a pixel of the left view.
-        width = pair.shape[1]
-        rows, columns = np.indices(pair.shape)
-        columns += np.minimum(np.rint(known_right), width).astype(np.int64)
-        hit = np.zeros(pair.shape, np.uint8)
-        hit[rows[columns < width], columns[columns < width]] = 1
-        hit = np.asarray(cv2.dilate(hit, np.ones((1, 3), np.uint8)))
-        status[failed] = np.where(hit[failed], Status.MISMATCH, Status.OCCLUDED) | Status.FILLED
-        disparity = _in_range(values, status, max_disparity)
+        status = np.where(hit, Status.MISMATCH, Status.OCCLUDED) | Status.FILLED
+        disparity = _in_range(values, np.where(failed, status, 0).astype(np.uint8), max_disparity)
         if not self.fill:
             disparity.values[failed] = np.nan
             disparity.status[failed] &= ~np.uint8(Status.FILLED)
@@ -141,37 +134,29 @@ class NetworkPipeline(Network, StereoPipeline):
 
     def left_map(self, pair: StereoPair) -> NDArray[np.float32]:
         """Return (H, W) float32 disparities of the left view, pixels, whatever range and sign they turn out to have."""
-        base = Profile() if self.profile is None else PROFILES[self.profile]
-        own = {name: getattr(self, name) for name in Profile._fields}
-        conventions = base._replace(**{name: value for name, value in own.items() if value is not None})
+        given = {name: value for name in Profile._fields if (value := getattr(self, name)) is not None}
+        conventions = (Profile() if self.profile is None else PROFILES[self.profile])._replace(**given)
         session = self.session
         feeds, fixed = self._plan()
-        views = {}
-        for channels in {feed.channels for feed in feeds}:
-            for view, image in zip(("left", "right"), samples(pair, channels), strict=True):
-                given = padded(image, conventions.multiple) if fixed is None else _resized(image, fixed)
-                views[view, channels] = given
-        size = next(iter(views.values())).shape[:2]
+        sides = [-(-side // conventions.multiple) * conventions.multiple for side in pair.shape]
+        height, width = size = fixed or (sides[0], sides[1])
+
+        def image(feed: _Feed, view: int) -> NDArray[np.float32]:
+            full = samples(pair, view, feed.channels)
+            full = padded(full, conventions.multiple) if fixed is None else _resized(full, size)
+            if feed.half:
+                rows, columns = feed.target.size
+                full = _resized(full, (rows or height // 2, columns or width // 2))
+            return normalized(full, conventions.normalization, conventions.color_order)
+
         values = {name: np.full_like(one, self.iterations or 1) for name, one in session.counts.items()}
         for feed in feeds:
-            images = [views[view, feed.channels] for view in feed.views]
-            if feed.half:
-                height, width = feed.target.size
-                images = [_resized(image, (height or size[0] // 2, width or size[1] // 2)) for image in images]
-            normal = [planes(image, conventions.normalization, conventions.color_order) for image in images]
-            values[feed.target.name] = feed.target.array(np.concatenate(normal))
-        outputs = session.run(values)
-        maps = {name: plane for name, array in outputs.items() if (plane := _first_channel(array, size)).shape == size}
-        if not maps:
-            shown = ", ".join(f"{name} {array.shape}" for name, array in outputs.items())
-            raise InputError(f"{self.model}: no output is a map of {size[1]} x {size[0]} pixels; there are {shown}")
-        named = [name for name in maps if "disp" in name.lower()]
-        disparity = np.ascontiguousarray(maps[(named or list(maps))[-1]], np.float32)
-        height, width = pair.shape
+            values[feed.target.name] = feed.target.array(np.dstack([image(feed, view) for view in feed.views]))
+        disparity = _disparity_of(session.run(values), size, self.model)
         if fixed is None:
-            disparity = disparity[:height, :width]
+            disparity = disparity[: pair.shape[0], : pair.shape[1]]
         elif size != pair.shape:
-            disparity = _resized(disparity, pair.shape) * np.float32(width / size[1])
+            disparity = _resized(disparity, pair.shape) * np.float32(pair.shape[1] / width)
         return -disparity if conventions.sign == "negative" else disparity
 
     def _plan(self) -> tuple[list[_Feed], tuple[int, int] | None]:
@@ -190,6 +175,20 @@ class NetworkPipeline(Network, StereoPipeline):
         return feeds, (height, width)
 
 
+def _compared(left: NDArray[np.float32], right: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return how much the views' maps differ at each pixel of the left one, pixels, and whether the right one hits it.
+
+    That is, whether a pixel of the right view, or one beside it, is matched to it.
+    """
+    known, known_right = (np.nan_to_num(np.maximum(view, 0), nan=0, posinf=0) for view in (left, right))
+    height, width = left.shape
+    rows, columns = np.indices((height, width))
+    columns += np.minimum(np.rint(known_right), width).astype(np.int64)
+    hit = np.zeros(left.shape, np.uint8)
+    hit[rows[columns < width], columns[columns < width]] = 1
+    return left_right_difference(known, known_right), np.asarray(cv2.dilate(hit, np.ones((1, 3), np.uint8))) > 0
+
+
 def _in_range(values: NDArray[np.float32], status: NDArray[np.uint8], max_disparity: int) -> DisparityMap:
     # Half a pixel beyond an end is the end.
     status[(values < -0.5) | (values > max_disparity + 0.5)] = Status.OUT_OF_RANGE
@@ -203,7 +202,7 @@ class _Feed(NamedTuple):
     # What an input gets: one view, or both, one after the other along the channels; at full or at half size.
 
     target: ImageInput
-    views: tuple[Literal["left", "right"], ...]
+    views: tuple[int, ...]  # 0: left, 1: right
     half: bool = False
 
     @property
@@ -214,9 +213,9 @@ class _Feed(NamedTuple):
 
 def _feeds(session: Session) -> list[_Feed]:
     """Return which views the images of a network are; InputError where their number and channels do not say it."""
-    images, channels = session.images, {image.channels for image in session.images}
+    images, channels = [*session.images], {image.channels for image in session.images}
     if len(images) == 1 and channels <= {2, 6}:
-        return [_Feed(images[0], ("left", "right"))]
+        return [_Feed(images[0], (0, 1))]
     if len(images) not in (2, 4) or not channels <= {None, 1, 3}:
         shown = ", ".join(f"{image.name} ({image.channels or '?'} channels)" for image in images)
         # CREStereo is also exported in two files, of which the second takes two images and the flow of the first.
@@ -225,27 +224,30 @@ def _feeds(session: Session) -> list[_Feed]:
             f"{session.model}: want one input of 2 or 6 channels, two images, or four with two at half size; "
             f"it has {shown}{part}"
         )
-    order = list(images)
     if len(images) == 4:  # the smaller ones, or those whose names say so, are at half size
-        order = sorted(
-            images, key=lambda image: ((image.size[0] or 0) * (image.size[1] or 0), "init" not in image.name.lower())
-        )
+        images = sorted(images, key=lambda i: ((i.size[0] or 0) * (i.size[1] or 0), "init" not in i.name.lower()))
     feeds = []
-    for k in range(0, len(order), 2):
-        first, second = order[k : k + 2]  # in the order of the network, unless their names say the reverse
+    for k in range(0, len(images), 2):
+        first, second = images[k : k + 2]  # in the order of the network, unless their names say the reverse
         if "right" in first.name.lower() and "left" in second.name.lower():
             first, second = second, first
-        feeds += [_Feed(first, ("left",), k + 2 < len(order)), _Feed(second, ("right",), k + 2 < len(order))]
+        feeds += [_Feed(first, (0,), k + 2 < len(images)), _Feed(second, (1,), k + 2 < len(images))]
     return feeds
 
 
-def _first_channel(array: NDArray[Any], size: tuple[int, ...]) -> NDArray[Any]:
-    # A second one is the disparity along y.
-    if array.ndim == 4 and array.shape[0] == 1:
-        array = array[0]
-    if array.ndim == 3:
-        array = array[0] if array.shape[1:] == size and array.shape[0] <= 2 else array[..., 0]
-    return array
+def _disparity_of(outputs: dict[str, NDArray[Any]], size: tuple[int, int], model: str) -> NDArray[np.float32]:
+    """Return the output that is the map, (H, W) of ``size``: the last one, with "disp" in its name if there is one."""
+    maps = {}
+    for name, array in outputs.items():
+        if array.ndim == 3:  # of two channels in front the second one is the disparity along y
+            array = array[0] if array.shape[1:] == size and len(array) <= 2 else array[..., 0]
+        if array.shape == size:
+            maps[name] = array
+    if not maps:
+        shown = ", ".join(f"{name} {array.shape}" for name, array in outputs.items())
+        raise InputError(f"{model}: no output is a map of {size[1]} x {size[0]} pixels; there are {shown}")
+    named = [name for name in maps if "disp" in name.lower()]
+    return np.ascontiguousarray(maps[(named or list(maps))[-1]], np.float32)
 
 
 def _resized(image: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
