@@ -15,8 +15,6 @@ of each output, ``needs=opencl`` runs it only where such a device works. An imag
 wrote is taken from the folder.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -25,8 +23,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
+
+from depthcli.device import devices, why_no_device
 
 BLOCK = re.compile(
     r"^(?P<fence>```+)(?P<head>[a-z]\w*)(?P<settings>[^\n`]*)\n(?P<text>.*?)^(?P=fence)[ ]*$", re.M | re.S
@@ -47,18 +46,6 @@ for line in sys.stdin:
             traceback.print_exc()
     print(json.dumps([failed, printed.getvalue()]), flush=True)
 """
-
-
-@cache
-def why_missing(kind: str) -> str:
-    """Return why no device of this kind (opencl, cuda) works here, or ''."""
-    from depthcli.device import DeviceError, find_device
-
-    try:
-        find_device(kind)
-    except DeviceError as error:
-        return str(error)
-    return ""
 
 
 class ExampleError(Exception):
@@ -103,8 +90,8 @@ class Page:
             shown = f"```{{code-block}} {language}\n:caption: {settings['file']}\n\n{text}```"
         elif language in SHOWN_ONLY:
             return found[0]
-        elif "needs" in settings and (why := why_missing(settings["needs"])):
-            print(f"  {self._place(found)}: not run, {why}", file=sys.stderr)
+        elif "needs" in settings and not any(info.address.startswith(settings["needs"]) for info in devices()):
+            print(f"  {self._place(found)}: not run, {why_no_device()}", file=sys.stderr)
             shown = f"```{language}\n{text}```"
         elif language == "console":
             lines = "".join(self._console(found, text, settings))
@@ -133,9 +120,8 @@ class Page:
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, errors="replace", check=False,
         )  # fmt: skip
         if done.returncode != wanted:
-            raise ExampleError(
-                f"{self._place(found)}: exit code {done.returncode}, not {wanted}:\n{text}\n{done.stdout}"
-            )
+            problem = f"exit code {done.returncode}, not {wanted}:\n{text}\n{done.stdout}"
+            raise ExampleError(f"{self._place(found)}: {problem}")
         return done.stdout
 
     def _python(self, found: re.Match[str], text: str) -> str:
@@ -144,7 +130,6 @@ class Page:
                 [sys.executable, "-c", _INTERPRETER], cwd=self.folder, env=self._environment(), text=True,
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             )  # fmt: skip
-        assert self._interpreter.stdin is not None and self._interpreter.stdout is not None
         self._interpreter.stdin.write(json.dumps(text) + "\n")
         self._interpreter.stdin.flush()
         answer = self._interpreter.stdout.readline()

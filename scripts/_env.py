@@ -4,14 +4,13 @@ Every script in Python imports this module before anything that is not in the st
 the one that ``scripts/demo`` and ``scripts/test`` use; where there is none it is made first, which takes a minute.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,29 +32,39 @@ def main() -> None:
     os.execv(python, [str(python), *sys.argv])
 
 
-def add_list(
-    parser: argparse.ArgumentParser,
-    flag: str,
-    default: Sequence[Any],
-    *,
-    kind: Callable[[str], Any] = str,
-    choices: Sequence[str] = (),
-    help: str = "",
-) -> None:
-    """Add an option whose value is a list with commas, ``--only speed,accuracy``, each of ``kind`` and of ``choices``.
+def options(about: str | None, *paths: str, **defaults: Any) -> argparse.Namespace:
+    """Return the options on the command line of a script, whose docstring is its help.
 
-    It takes one word, so that a positional argument after it is not taken for another value, as by ``nargs="+"``.
+    ``paths`` are given in order; ``[data]``, the folder of data sets, has a default. Each other option, ``--name``, has
+    the type of its default: False, a flag; None, a path; a list, words or numbers with commas, ``--windows 3,11``,
+    of a tuple only those that it holds. A list takes one word, so that a path after it is none of its values.
     """
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in paths:
+        optional = {"nargs": "?", "default": ROOT.parent / "shared" / "data"} if name[0] == "[" else {}
+        parser.add_argument(name.strip("[]"), type=Path, **optional)
+    for name, default in defaults.items():
+        how: dict[str, Any] = {"type": Path if isinstance(default, Path) else type(default)}
+        if default is False:
+            how = {"action": "store_true"}
+        elif default is None:
+            how = {"type": Path}
+        elif isinstance(default, list | tuple):
+            how = {"type": partial(_words, default), "metavar": "A,B", "help": f"default: {str(default)[1:-1]}"}
+        parser.add_argument(f"--{name.replace('_', '-')}", default=default, **how)
+    return parser.parse_args()
 
-    def values(text: str) -> list[Any]:
-        found = [kind(word.strip()) for word in text.split(",")]
-        if wrong := [value for value in found if choices and value not in choices]:
-            raise argparse.ArgumentTypeError(f"{wrong[0]!r} is none of {', '.join(choices)}")
-        return found
 
-    name = "N" if kind is int else "NAME"
-    text = "; ".join(filter(None, [help, f"of {', '.join(choices)}" if choices else ""]))
-    parser.add_argument(flag, type=values, default=default, metavar=f"{name},{name}", help=text or None)
+def depthcli(*words: object) -> list[str]:
+    """Return the command line of a quiet depthcli in a process of its own."""
+    return [sys.executable, "-m", "depthcli", *map(str, words), "--quiet"]
+
+
+def _words(known: Sequence[Any], text: str) -> list[Any]:
+    found = [type(known[0])(word.strip()) for word in text.split(",")]
+    if isinstance(known, tuple) and (wrong := set(found) - set(known)):
+        raise argparse.ArgumentTypeError(f"{wrong.pop()!r} is none of {', '.join(known)}")
+    return found
 
 
 main()

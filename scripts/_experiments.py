@@ -1,10 +1,9 @@
 """What the scripts that measure share: presets, scenes of the groups, times in turns, tables."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import _env
@@ -15,7 +14,7 @@ from depthcli.api.stereo import with_network
 from depthcli.commands import config_model
 from depthcli.core.config_file import load_config
 from depthcli.evaluation.render import Table
-from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.walk import discover_scenes
 from depthcli.run.presets import find_config
 
@@ -34,11 +33,22 @@ def matcher(name: str) -> Callable[[Any, int], Any]:
     return config_of("stereo", name).pipeline  # type: ignore[no-any-return]
 
 
+def scenes_in(folder: Path, *names: str) -> list[Any]:
+    """Return the stereo scenes of a folder, or those of these names."""
+    return discover_scenes(folder, PAIRS, patterns=names or ("*",))
+
+
 def real_scenes(data: Any, group: str) -> Iterator[tuple[str, Any]]:
     """Yield folder and scene of a group of ``stereo_groups.yaml``, as far as they are in the data."""
     for folder, names in GROUPS[group].items():
         if folder != "generated" and (data / folder).is_dir():
-            yield from ((folder, scene) for scene in discover_scenes(data / folder, ALL_KINDS, patterns=names))
+            yield from ((folder, scene) for scene in scenes_in(data / folder, *names))
+
+
+def middlebury_scenes(data: Path) -> list[Any]:
+    """Return the scenes of Middlebury 2001 to 2006, the four of v2 first."""
+    folders = [data / f"middlebury_{name}" for name in ("v2", "2001", "2005", "2006")]
+    return [scene for folder in folders for scene in scenes_in(folder)]
 
 
 def generated_scenes(group: str) -> Iterator[tuple[str, str, int, dict[str, float]]]:
@@ -58,6 +68,18 @@ def seconds_in_turns(jobs: Mapping[str, Callable[[], object]], repeats: int, war
             if turn >= warm:
                 taken[name].append(time.perf_counter() - begun)
     return {name: sorted(found) for name, found in taken.items()}
+
+
+def kept(folder: Path | None, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Return the arrays in ``name.npz`` of a folder, or those that ``make`` returns, which are kept there."""
+    file = None if folder is None else folder / f"{name}.npz"
+    if file is not None and file.exists():
+        return dict(np.load(file))
+    arrays = make()
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(file, **arrays)
+    return arrays
 
 
 def mean_known(values: Iterable[float] | np.ndarray) -> float:

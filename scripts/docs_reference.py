@@ -1,20 +1,19 @@
 #!/usr/bin/env python3
 """Write the reference of the documentation from the code itself: commands, presets, methods, data, outputs, Python.
 
-    scripts/docs_reference.py FOLDER
+    scripts/docs_reference.py --output FOLDER
     scripts/docs_reference.py --readme
 
 ``scripts/docs`` calls it. ``--readme`` renews the README's table of commands instead.
 """
 
-from __future__ import annotations
-
-import argparse
 import inspect
 import json
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -85,19 +84,21 @@ COLUMNS = {
 }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="where the pages are written")
-    parser.add_argument("--readme", action="store_true", help="write the README's table of commands")
-    options = parser.parse_args(arguments)
+def main() -> None:
+    options = _env.options(__doc__, output=None, readme=False)
     if options.readme:
         readme = _env.ROOT / "README.md"
         readme.write_text(with_commands(readme.read_text("utf-8")), "utf-8")
-    for name, text in pages().items() if options.folder else ():
-        file = options.folder / f"{name}.md"
+    if options.output:
+        write_pages(options.output)
+
+
+def write_pages(folder: Path) -> None:
+    """Write all pages into a folder."""
+    for name, text in pages().items():
+        file = folder / f"{name}.md"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n", "utf-8")
-    return 0
 
 
 def with_commands(readme: str) -> str:
@@ -154,14 +155,12 @@ def presets() -> str:
         "# Presets\n\n`depthcli presets show COMMAND/NAME` prints one with all values filled in; a file of your own "
         "begins with `base: NAME`.\n"
     ]
-    shown = ""
-    for command, name, about in list_presets():
-        if command != shown:
-            parts.append(f"## `{command}`\n")
-            shown = command
-        text = find_config(command, name).read_text("utf-8").rstrip()
-        details = f"<details><summary>The file</summary>\n\n```yaml\n{text}\n```\n\n</details>"
-        parts.append(f"### `{command} {name}`\n\n{_markdown(about)}\n\n{details}\n")
+    for command, found in groupby(list_presets(), key=itemgetter(0)):
+        parts.append(f"## `{command}`\n")
+        for _, name, about in found:
+            text = find_config(command, name).read_text("utf-8").rstrip()
+            details = f"<details><summary>The file</summary>\n\n```yaml\n{text}\n```\n\n</details>"
+            parts.append(f"### `{command} {name}`\n\n{_markdown(about)}\n\n{details}\n")
     return "\n".join(parts)
 
 
@@ -193,8 +192,7 @@ def family_page(package: str) -> str:
 
 
 def _family_name(package: str) -> str:
-    words = package.removeprefix("depthcli.").replace("methods.", "").replace("algorithms.", "").split(".")
-    return "_".join(words)
+    return re.sub(r"^depthcli\.(methods|algorithms)\.", "", package).replace(".", "_")
 
 
 def _fields(model: Any) -> str:
@@ -211,10 +209,8 @@ def _kind(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     """The type of a value with its bounds, in a few words."""
     if "$ref" in field:
         name = field["$ref"].rpartition("/")[2]
-        inside = definitions.get(name, {}).get("properties")
-        return (
-            f"mapping of {', '.join(f'`{key}`' for key in inside)}" if inside else _kind(definitions[name], definitions)
-        )
+        inside = ", ".join(f"`{key}`" for key in definitions[name].get("properties", ()))
+        return f"mapping of {inside}" if inside else _kind(definitions[name], definitions)
     if "anyOf" in field or "oneOf" in field:
         return " or ".join(dict.fromkeys(_kind(each, definitions) for each in field.get("anyOf", field.get("oneOf"))))
     if "enum" in field or "const" in field:
@@ -224,22 +220,18 @@ def _kind(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
         for key, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
         if key in field
     ]
-    kind = {"integer": "integer", "number": "number", "string": "text", "boolean": "true or false", "null": "null"}.get(
-        field.get("type", ""), field.get("type", "a method")
-    )
+    kind = str(field.get("type", "a method"))
     if kind == "array":
         inside = field.get("prefixItems")
-        items = (
-            [_kind(each, definitions) for each in inside] if inside else [_kind(field.get("items", {}), definitions)]
-        )
+        items = [_kind(each, definitions) for each in inside or [field.get("items", {})]]
         return f"{len(items)} × {items[0]}" if inside and len(set(items)) == 1 else f"list of {' and '.join(items)}"
-    return " ".join((kind, ", ".join(bounds))).strip() if bounds else str(kind)
+    return " ".join([{"string": "text", "boolean": "true or false"}.get(kind, kind), ", ".join(bounds)]).strip()
 
 
 def data() -> str:
     """Return the page of layouts and file formats."""
     rows = [(f"`{each.name}`", each.wants) for each in ALL_KINDS.with_plugins().rows]
-    others = {end: _markdown(_first(type(of))) for end, of in map_formats().items()}
+    others = {end: _about(type(of)) for end, of in map_formats().items()}
     maps: dict[str, list[str]] = {}
     for name in protocols.names():
         maps.setdefault(" ".join(protocols.load(name).files.endings), []).append(name)
@@ -289,10 +281,6 @@ def _sections(sections: Mapping[str, Mapping[str, str]]) -> str:
     return "\n".join(parts)
 
 
-def _first(thing: Any) -> str:
-    return inspect.cleandoc(thing.__doc__ or "").split("\n\n")[0]
-
-
 def _about(thing: Any, whole: bool = False) -> str:
     """The first paragraph of a docstring, or all of it up to its first section, as Markdown."""
     text = inspect.cleandoc(thing.__doc__ or "")
@@ -311,4 +299,4 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

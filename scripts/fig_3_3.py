@@ -13,21 +13,15 @@ gradient 2, 4, 8, 16). CROSS chooses its own support, in one pass over the inter
 value, drawn as a line.
 """
 
-from __future__ import annotations
-
-import argparse
-from pathlib import Path
-
 import _env  # first: continues in the checkout's environment
 import numpy as np
+from _experiments import scenes_in
 
 from depthcli.evaluation.plots import Line, line_plot
 from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number, Table
-from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
@@ -40,11 +34,7 @@ LAMBDAS = {"gradient": 2.0, "rank": 30.0, "census": 30.0}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("data", type=Path, help="folder of scenes with ground truth")
-    parser.add_argument("out", type=Path, help="folder for the tables and the plot")
-    _env.add_list(parser, "--windows", list(range(3, 34, 2)), kind=int, help="sides, pixels")
-    options = parser.parse_args()
+    options = _env.options(__doc__, "data", "out", windows=list(range(3, 34, 2)))
     windows, base = options.windows, {"cost": "absolute_difference", "lambda": 10.0}
     costs = {f"AD+{name}": Combined.model_validate({"parts": [base, {"cost": name, "lambda": value}]})
              for name, value in LAMBDAS.items()}  # fmt: skip
@@ -56,7 +46,7 @@ def main() -> None:
         **{("AW", w): AdaptiveWeight(window=w) for w in windows},
     }
     rates: dict[tuple[str, str, int, str], list[float]] = {}
-    scenes, judge = discover_scenes(options.data, ALL_KINDS), MiddleburyV2Protocol()
+    scenes, judge = scenes_in(options.data), MiddleburyV2Protocol()
     for scene in scenes:
         pair, truth = load_pair(scene), judge.truth(scene)
         for similarity, cost in costs.items():

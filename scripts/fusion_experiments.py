@@ -9,32 +9,25 @@ of Teddy and Cones. ``fusion``: bad > 1 px in non-occluded regions, %, missing c
 scenes better than equal weights; "worst": largest ratio to them.
 """
 
-from __future__ import annotations
-
-import argparse
-from pathlib import Path
 from typing import Any
 
 import _env  # first: continues in the checkout's environment
 import numpy as np
-from _experiments import config_of, show
+from _experiments import config_of, middlebury_scenes, show
 
 from depthcli.api.stereo import with_network
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.protocols import headlines, load
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.statistics import compare
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps, measures
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 
 V2 = "middlebury_v2"
-SETS = (V2, "middlebury_2001", "middlebury_2005", "middlebury_2006")
 ALL = ("absolute_difference", "gradient", "rank", "census")
 NO_VOTES: dict[str, Any] = {"vote_cost": 0}
 EQUAL: dict[str, Any] = {"weights": "equal", "consensus": NO_VOTES}
@@ -53,7 +46,6 @@ def confidences(scenes: list[StereoScene]) -> None:
         found: dict[str, tuple[Any, dict[str, Any]]] = {}  # column -> disparities, and confidences by name
         for cost in ALL:
             volume = Fusion.model_validate({"measures": [cost], **EQUAL, "aggregation": None}).measures[0].cost
-            assert volume is not None
             costs = ConstantWindow(window=11)(volume(pair, top + 1), pair).costs
             found[cost] = winners(costs)[0], confidence_maps(costs, measures())
         final = with_network(Fusion.model_validate(preset("accurate", confidence=[*measures(), "consensus"])))
@@ -101,14 +93,10 @@ def fusion(scenes: list[StereoScene]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path)
     parts = {"confidences": confidences, "fusion": fusion}
-    _env.add_list(parser, "--only", list(parts), choices=list(parts))
-    options = parser.parse_args()
-    scenes = [scene for name in SETS for scene in discover_scenes(options.data / name, PAIRS)]
+    options = _env.options(__doc__, "data", only=tuple(parts))
     for name in options.only:
-        parts[name](scenes)
+        parts[name](middlebury_scenes(options.data))
 
 
 if __name__ == "__main__":

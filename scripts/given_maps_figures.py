@@ -8,18 +8,13 @@ with those of fast and accurate as witnesses, and fused; --maps keeps the maps i
 images' size, missing counts as bad; all, and nonocc in brackets. AUC / optimal: of the mean areas of a set.
 """
 
-from __future__ import annotations
-
-import argparse
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # first: continues in the checkout's environment
 import cv2
 import numpy as np
-from _experiments import matcher, mean_known, real_scenes, seconds_in_turns, show
+from _experiments import kept, matcher, mean_known, real_scenes, scenes_in, seconds_in_turns, show
 from numpy.typing import NDArray
 
 from depthcli.api.maps import networks
@@ -27,9 +22,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.evaluation import protocols
 from depthcli.evaluation.curves import HiddenPixels, reliability, sparsification
-from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.io.walk import discover_scenes
 from depthcli.methods.given_maps import judge
 from depthcli.methods.given_maps.fusion import fuse
 
@@ -39,16 +32,6 @@ WITNESSES = ("fast", "accurate")
 FUSED = ("opencv-sgbm", "fast", "ad-census", "segments")
 LABELS = [label for name in JUDGED for label in (name, f"{name}, witnesses")]
 Map = NDArray[np.float32]
-
-
-def maps_of(pair: StereoPair, largest: int, file: Path | None) -> dict[str, Map]:
-    if file is not None and file.exists():
-        return dict(np.load(file))
-    maps = {name: matcher(name)(pair, largest).disparity.values for name in METHODS}
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(file, **maps)
-    return maps
 
 
 def jobs_of(pair: StereoPair, largest: int, maps: dict[str, Map]) -> dict[str, Callable[[], Any]]:
@@ -124,17 +107,15 @@ class Sums:
         ]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--group", choices=("tuning", "validation"), default="validation")
-    parser.add_argument("--maps", type=Path)
-    options = parser.parse_args()
+def main() -> None:
+    options = _env.options(__doc__, "data", group="validation", maps=None)
     networks()
 
     def maps(folder: str, scene: Any, pair: StereoPair) -> dict[str, Map]:
-        file = None if options.maps is None else options.maps / f"{folder}_{scene.name}.npz"
-        return maps_of(pair, scene.max_disparity, file)
+        def make() -> dict[str, Map]:
+            return {name: matcher(name)(pair, scene.max_disparity).disparity.values for name in METHODS}
+
+        return kept(options.maps, f"{folder}_{scene.name}", make)
 
     sums: dict[str, Sums] = {}
     for folder, scene in real_scenes(options.data, options.group):
@@ -143,19 +124,17 @@ def main() -> int:
             pair = load_pair(scene)
             of_set = sums.setdefault(folder, Sums())
             of_set.add(pair, scene.max_disparity, protocol().truth(scene), maps(folder, scene, pair))
-            print(f"{folder} {scene.name}", file=sys.stderr)
     columns = [f"{label}: AUC / optimal all (nonocc), ECE" for label in LABELS]
     header = ["set", *columns, *(f"{name}: F1 hidden" for name in JUDGED)]
     show("Judgments", header, [[folder, *each.judged()] for folder, each in sums.items()])
     header = ["set", *FUSED, "fused", "fused, surfaces", "SGBM + WLS", "SGBM refined", "over the best", "worst scene"]
     show("Fusions", header, [[folder, *each.fused()] for folder, each in sums.items()])
-    (scene,) = discover_scenes(options.data / "middlebury_v2", ALL_KINDS, patterns=["Teddy"])
+    (scene,) = scenes_in(options.data / "middlebury_v2", "Teddy")
     pair = load_pair(scene)
     jobs = jobs_of(pair, scene.max_disparity, maps("middlebury_v2", scene, pair))
     taken = {name: float(np.median(found)) for name, found in seconds_in_turns(jobs, 7).items()}
     print("time, SGBM = 1: " + ", ".join(f"{name} {seconds / taken['SGBM']:.1f}" for name, seconds in taken.items()))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

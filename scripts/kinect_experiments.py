@@ -12,10 +12,6 @@ with and without the color image; ``speed``: seconds at 640 x 480, paired with `
 process; ``sequence``: generated sequences, along them and frame by frame.
 """
 
-from __future__ import annotations
-
-import argparse
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +21,7 @@ from typing import Any
 import _env  # first: continues in the checkout's environment
 import cv2
 import numpy as np
-from _experiments import config_of, mean_known, seconds_in_turns, show
+from _experiments import config_of, mean_known, scenes_in, seconds_in_turns, show
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import disparity_of_depth
@@ -33,9 +29,7 @@ from depthcli.core.frames import RgbdFrame, color8
 from depthcli.evaluation.render import Number
 from depthcli.io.formats.images import read_image
 from depthcli.io.layouts.depth import FRAMES
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.rgbd_frames import load_frame
-from depthcli.io.scenes import RgbdScene
 from depthcli.io.stereo_pairs import true_disparity
 from depthcli.io.walk import discover_scenes
 from depthcli.run.presets import list_presets
@@ -77,7 +71,7 @@ Map = NDArray[np.float32]
 
 def images(data: Path, folder: str) -> Iterator[tuple[str, NDArray[np.uint8], Map]]:
     """Yield name, color image and true disparity of the scenes of a set."""
-    for scene in discover_scenes(data / folder, PAIRS):
+    for scene in scenes_in(data / folder):
         if scene.has_truth:
             yield scene.name, color8(read_image(scene.left)), true_disparity(scene).disparity
 
@@ -89,17 +83,17 @@ def errors_of(run: Refine | None, made: KinectSample) -> Map:
     return np.abs(found - made.truth)
 
 
-def simulated(data: Path, methods: Mapping[str, Refine | None]) -> None:
+def simulated(data: Path, refinements: Mapping[str, Refine]) -> None:
     """Print a row a method: MAE by set and region, means over scenes."""
+    methods: dict[str, Refine | None] = {"raw": None, **refinements}
     cells: dict[tuple[str, str, str], list[float]] = {}
     for folder in SETS:
-        for scene, color, truth in images(data, folder):
+        for _, color, truth in images(data, folder):
             made = simulate_kinect(color, truth, 0, fattening=FATTENING)
             for name, run in methods.items():
                 error = errors_of(run, made)
                 for region in REGIONS:
                     cells.setdefault((name, folder, region), []).append(mean_known(error[getattr(made, region)]))
-            print(f"{folder}/{scene}", file=sys.stderr)
     columns = [(folder, region) for folder in SETS for region in REGIONS]
     rows = [(name, *(Number(mean_known(cells[name, *column]), 3) for column in columns)) for name in methods]
     header = ("method", *(f"{folder.removeprefix('middlebury_')} {region}" for folder, region in columns))
@@ -131,11 +125,7 @@ def real(data: Path, methods: dict[str, Refine]) -> None:
     frames = _real_frames(data)
     blocks = f"Blocks of 20 to 40 px taken out of real frames: MAE, mm, mean of {PATTERNS} patterns"
     bands = "Bands of 6 px on the near and on the far side of depth edges taken out: MAE, mm, mean of both"
-    for title, patterns, color in (
-        (blocks, PATTERNS, True),
-        (bands, 2, True),
-        (f"{blocks}, no color", PATTERNS, False),
-    ):
+    for title, patterns, color in ((blocks, PATTERNS, 1), (bands, 2, 1), (f"{blocks}, no color", PATTERNS, 0)):
         rows, ratios = [], []
         for number, (scene, frame) in enumerate(frames):
             errors: dict[str, list[float]] = {name: [] for name in methods}
@@ -161,10 +151,9 @@ def _real_frames(data: Path) -> list[tuple[str, RgbdFrame]]:
     frames = []
     for folder in sorted([*data.glob("rgbd_*"), data / "kinect_v1_raw"]):
         for scene in discover_scenes(folder, FRAMES, "sun-rgbd" if folder.name == "rgbd_sun" else None):
-            if isinstance(scene, RgbdScene):
-                if folder.name == "rgbd_tum":
-                    scene = replace(scene, depth_scale=5000.0)
-                frames.append((f"{scene.folder.parent.name}/{scene.name}", load_frame(scene)))
+            if folder.name == "rgbd_tum":
+                scene = replace(scene, depth_scale=5000.0)
+            frames.append((f"{scene.folder.parent.name}/{scene.name}", load_frame(scene)))
     return frames
 
 
@@ -195,7 +184,7 @@ def _blocks(frame: RgbdFrame, seed: int) -> NDArray[np.bool_]:
     return taken & known
 
 
-def speed(methods: dict[str, Refine]) -> None:
+def speed(_: Path, methods: dict[str, Refine]) -> None:
     """Print a row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
     frame = simulate_kinect(*make_kinect_scene("foreground", 0, 640, 480), 0).frame()
     hole = np.isnan(frame.depth).astype(np.uint8)
@@ -209,7 +198,7 @@ def speed(methods: dict[str, Refine]) -> None:
     show("640 x 480, one process, warm", ("method", "seconds", "Telea = 1", "fastest runs"), rows)
 
 
-def sequence(seeds: int) -> None:
+def sequence(*_: Any, seeds: int = 5) -> None:
     """Print a row a kind of sequence: MAE and temporal noise, along it and frame by frame, and MAE of what was hidden.
 
     The temporal noise is the standard deviation over the frames of the error at one surface point, mean of the points
@@ -265,26 +254,14 @@ def same_points(first: KinectSample, other: KinectSample) -> NDArray[np.int64]:
     return result
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path)
-    parts = ("simulated", "variants", "real", "speed", "sequence")
-    _env.add_list(parser, "--only", parts, choices=parts)
+def main() -> None:
     presets = [name for _, name, _ in list_presets("refine-kinect") if name != "sequence"]
-    _env.add_list(parser, "--presets", presets)
-    options = parser.parse_args()
+    parts = {part.__name__: part for part in (simulated, variants, real, speed, sequence)}
+    options = _env.options(__doc__, "data", only=tuple(parts), presets=presets)
     methods = {name: config_of("refine-kinect", name).pipeline for name in options.presets}
-    jobs: dict[str, Callable[[], None]] = {
-        "simulated": lambda: simulated(options.data, {"raw": None, **methods}),
-        "variants": lambda: variants(options.data, methods),
-        "real": lambda: real(options.data, methods),
-        "speed": lambda: speed(methods),
-        "sequence": lambda: sequence(seeds=5),
-    }
-    for part in options.only:
-        jobs[part]()
-    return 0
+    for name in options.only:
+        parts[name](options.data, methods)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

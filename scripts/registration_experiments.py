@@ -10,23 +10,21 @@ every voxel of interest; ``baselines``: local variance and the Jacobian's determ
 million voxels. Everything is seeded.
 """
 
-from __future__ import annotations
-
-import argparse
-import sys
-from collections.abc import Callable, Iterable
-from pathlib import Path
+from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import _env  # (first: continues in the checkout's environment)
 import numpy as np
-from _experiments import config_of, seconds_in_turns
+from _experiments import config_of, seconds_in_turns, show
 from numpy.typing import NDArray
+from register_pairs import displacement_field
 
 from depthcli.algorithms.resampling import gaussian, trilinear
 from depthcli.core.volumes import RegisteredPair
-from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.render import Number
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
+from depthcli.io.formats.fields import in_millimeters, read_field
 from depthcli.io.formats.volumes import simple_itk
 from depthcli.io.layouts.registration import VOLUMES
 from depthcli.io.scenes import VolumePairScene
@@ -41,7 +39,6 @@ from depthcli.simulate.deformed_volumes import smooth_noise
 Values = NDArray[np.floating[Any]]
 
 SEED = 11
-PARTS = ("real", "synthetic", "baselines", "speed")
 HEAD = ("pair", "what", "Spearman", "AUC > 3 mm", "MAE mm", "expected mm", "true mm", "points")
 
 
@@ -62,7 +59,7 @@ def at_points(result: RegistrationResult, values: NDArray[np.float32], places: N
     return trilinear(values, (places - np.array(result.start)) / np.array(result.step))
 
 
-def real(scenes: list[VolumePairScene], presets: Iterable[str]) -> Table:
+def real(scenes: list[VolumePairScene], presets: Iterable[str]) -> None:
     rows = []
     for scene in scenes:
         loaded, truth = load_volumes(scene), true_errors(scene)
@@ -75,7 +72,7 @@ def real(scenes: list[VolumePairScene], presets: Iterable[str]) -> Table:
                     score = (-1 if name in SURER_IF_LARGER else 1) * at_points(result, values, places)
                     rows.append(row(scene.name, f"mind {name}", score, truth.error, name.endswith("shift")))
             rows.append((scene.name, f"{preset}: border", f"{100 * result.figures['border']:.0f} %", *[""] * 5))
-    return Table("Real registrations, at landmarks", HEAD, tuple(rows))
+    show("Real registrations, at landmarks", HEAD, rows)
 
 
 def spline_error(pair: RegisteredPair, largest: float, seed: int) -> NDArray[np.float32]:
@@ -87,10 +84,7 @@ def spline_error(pair: RegisteredPair, largest: float, seed: int) -> NDArray[np.
     spline = sitk.BSplineTransformInitializer(image, mesh, 3)
     rng = np.random.default_rng([SEED, seed])
     spline.SetParameters(rng.standard_normal(len(spline.GetParameters())).tolist())
-    field = sitk.TransformToDisplacementField(
-        spline, sitk.sitkVectorFloat64, image.GetSize(), image.GetOrigin(), image.GetSpacing(), image.GetDirection()
-    )
-    vectors = np.moveaxis(sitk.GetArrayFromImage(field), -1, 0)[::-1]
+    vectors = np.moveaxis(sitk.GetArrayFromImage(displacement_field(spline, image)), -1, 0)[::-1]
     length = np.linalg.norm(vectors, axis=0)
     inside = np.ones(pair.shape, np.bool_) if pair.mask is None else pair.mask
     return np.asarray(vectors * (largest / length[inside].max()), np.float32)
@@ -112,14 +106,12 @@ def misregistered(pair: RegisteredPair, largest: float, seed: int) -> tuple[Regi
     residual = -field
     for _ in range(6):
         residual = -np.stack([moved(part, residual) for part in field])
-    volumes = [
-        (v + noise * rng.standard_normal(v.shape)).astype(np.float32) for v in (fixed, moved(fixed, field))
-    ]  # fmt: skip
+    both = ((v + noise * rng.standard_normal(v.shape)).astype(np.float32) for v in (fixed, moved(fixed, field)))
     error = np.linalg.norm(residual * spacing, axis=0).astype(np.float32)
-    return RegisteredPair(volumes[0], volumes[1], pair.spacing, pair.mask), error
+    return RegisteredPair(*both, pair.spacing, pair.mask), error
 
 
-def synthetic(scenes: list[VolumePairScene]) -> Table:
+def synthetic(scenes: list[VolumePairScene], _: object) -> None:
     rows = []
     methods = {"mind": pipeline("mind"), "intensity": pipeline("intensity"), "cost0": pipeline("mind", "measure=cost0")}
     by_volume = {scene.name.rsplit("_", 1)[0].split("_cyc")[0]: scene for scene in reversed(scenes)}
@@ -133,12 +125,10 @@ def synthetic(scenes: list[VolumePairScene]) -> Table:
             for name, method in methods.items():
                 result = method(made)
                 rows.append(row(f"{base} {largest:g} mm", name, at_points(result, result.expected_error, places), true))
-    return Table("Synthetic B-spline errors, dense truth", HEAD, tuple(rows))
+    show("Synthetic B-spline errors, dense truth", HEAD, rows)
 
 
-def baselines(scenes: list[VolumePairScene]) -> Table:
-    from depthcli.io.formats.fields import in_millimeters, read_field
-
+def baselines(scenes: list[VolumePairScene], _: object) -> None:
     rows = []
     for scene in scenes:
         loaded, truth = load_volumes(scene), true_errors(scene)
@@ -155,42 +145,29 @@ def baselines(scenes: list[VolumePairScene]) -> Table:
             determinant = np.linalg.det(slopes + np.eye(3)).astype(np.float32)
             change = trilinear(np.abs(1 - determinant), places)
             rows.append(row(scene.name, "|1 - Jacobian|", change, truth.error, False))
-    return Table("Baselines without a search", HEAD, tuple(rows))
+    show("Baselines without a search", HEAD, rows)
 
 
-def speed() -> Table:
+def speed(*_: object) -> None:
     rng = np.random.default_rng(SEED)
     volume = smooth_noise(rng, (147, 148, 148), 1.5)
     other = np.ascontiguousarray(np.roll(volume, 2, axis=2))
     channels = Mind()(volume, other)
-    (taken,) = seconds_in_turns({"mind": lambda: Mind()(volume, other)}, 1, warm=0).values()
-    rows = [("6-channel MIND, both volumes", Number(taken[0]))]
     small = tuple(np.ascontiguousarray(c[:, :16, :16, :16]) for c in channels)
     search(*small, 1.0, stride=2)
-    for span in ("cube", "planes", "axes"):
-        job = {span: lambda span=span: search(*channels, 1.0, span=span, stride=2)}
-        rows.append((f"search: {span}", Number(seconds_in_turns(job, 3, warm=0)[span][0])))
-    return Table(f"{volume.size / 1e6:.1f} million voxels, R 5, h 3", ("step", "seconds"), tuple(rows))
+    spans = ("cube", "planes", "axes")
+    jobs = {span: partial(search, *channels, 1.0, span=span, stride=2) for span in spans}
+    rows = [(f"search: {span}", Number(taken[0])) for span, taken in seconds_in_turns(jobs, 3, warm=0).items()]
+    show(f"{volume.size / 1e6:.1f} million voxels, R 5, h 3", ("step", "seconds"), rows)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", metavar="PAIRS", type=Path)
-    _env.add_list(parser, "--only", PARTS, choices=PARTS)
-    _env.add_list(parser, "--presets", ["mind", "cost0", "intensity", "coarse"], help="of `real`")
-    options = parser.parse_args()
-    found = discover_scenes(options.folder, VOLUMES)
-    scenes = [scene for scene in found if isinstance(scene, VolumePairScene) and scene.has_truth]
-    makers: dict[str, Callable[[], Table]] = {
-        "real": lambda: real(scenes, options.presets),
-        "synthetic": lambda: synthetic(scenes),
-        "baselines": lambda: baselines(scenes),
-        "speed": speed,
-    }
-    for part in options.only:
-        print(makers[part]().markdown(), flush=True)
-    return 0
+def main() -> None:
+    parts = {part.__name__: part for part in (real, synthetic, baselines, speed)}
+    options = _env.options(__doc__, "pairs", only=tuple(parts), presets=["mind", "cost0", "intensity", "coarse"])
+    scenes = [scene for scene in discover_scenes(options.pairs, VOLUMES) if scene.has_truth]
+    for name in options.only:
+        parts[name](scenes, options.presets)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

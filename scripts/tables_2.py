@@ -9,22 +9,15 @@ percentage of pixels whose disparity is off by more than 1 px, missing ones incl
 the same parameters for all scenes.
 """
 
-from __future__ import annotations
-
-import argparse
-from pathlib import Path
-
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # first: continues in the checkout's environment
 import numpy as np
-from _experiments import matcher, show
+from _experiments import matcher, scenes_in, show
 
 from depthcli.evaluation.protocols import headlines
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.statistics import average_ranks
-from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.io.walk import discover_scenes
 
 SCENES = ("Tsukuba", "Venus", "Teddy", "Cones")
 MASKS = ("nonocc", "all", "disc")
@@ -45,10 +38,7 @@ THESIS_2_2 = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path, help="folder with the four scenes of Middlebury v2")
-    options = parser.parse_args()
-    scenes = {scene.name: scene for scene in discover_scenes(options.data, ALL_KINDS)}
+    scenes = {scene.name: scene for scene in scenes_in(_env.options(__doc__, "data").data)}
     judge = MiddleburyV2Protocol()
     ours: dict[str, list[float]] = {}
     for row, name in ROWS.items():

@@ -17,9 +17,6 @@ being right, and the negative logarithm of the share (softmax) of the maps that 
 within .5 px it counts twice as much. Pixels are weighted so that nonocc, all and disc count alike.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -28,10 +25,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # first: continues in the checkout's environment
 import cv2
 import numpy as np
-from _experiments import config_of, generated_scenes, real_scenes
+from _experiments import config_of, generated_scenes, kept, real_scenes, scenes_in
 from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
@@ -39,9 +36,7 @@ from depthcli.core.networks import TrainedNetwork
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
 from depthcli.io.formats.networks import write_network
-from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.stereo_pairs import load_pair, true_disparity
-from depthcli.io.walk import discover_scenes
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.choice.network import NetworkInputs, input_names
 from depthcli.methods.fusion.pipeline import Fusion
@@ -81,19 +76,18 @@ def scenes(data: Path) -> Iterator[TrainingScene]:
                 name, step = f"{folder}_{scene.name}_{variant}", 20 if variant else 10
                 yield TrainingScene(name, half, weight, step, partial(real, scene, variant))
     for name, kind, seed, look in generated_scenes("tuning"):
-        yield TrainingScene(
-            f"{name}_{kind}_{seed}", seed // 2 % 2, GENERATED, 20, partial(generated, kind, seed, **look)
-        )
-    for scene in discover_scenes(data / "middlebury_half", ALL_KINDS, patterns=["Cloth3", "Reindeer"]):
+        load = partial(generated, kind, seed, **look)
+        yield TrainingScene(f"{name}_{kind}_{seed}", seed // 2 % 2, GENERATED, 20, load)
+    for scene in scenes_in(data / "middlebury_half", "Cloth3", "Reindeer"):
         yield TrainingScene(f"half_{scene.name}", 1, 0.7, 20, partial(real, scene, ""))
     for k, kind in enumerate(KINDS):
         for look, (contrast, noise, light) in enumerate(LOOKS):
             for more in (0, 100, 200, 300) if kind == "street" else (0,):
                 seed = 200 + len(LOOKS) * k + look + more
-                load = partial(generated, kind, seed, contrast, noise, light=light)
+                load = partial(generated, kind, seed, wall_contrast=contrast, noise=noise, light=light)
                 yield TrainingScene(f"{kind}_{seed}", seed % 2, GENERATED, 20, load)
         for seed in range(400 + 2 * k, 402 + 2 * k):
-            load = partial(generated, kind, seed, (0.6, 0.2)[seed % 2], dark=True)
+            load = partial(generated, kind, seed, wall_contrast=(0.6, 0.2)[seed % 2], dark=True)
             yield TrainingScene(f"{kind}_{seed}_dark", seed % 2, GENERATED, 20, load)
 
 
@@ -121,10 +115,8 @@ def lit(pair: StereoPair, seed: int) -> StereoPair:
     field = cv2.resize(field.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)[:, :, None]
     field = field * rng.uniform(0.95, 1.05, 3)
     changed = 255 * (right / 255.0) ** rng.uniform(0.8, 1.25) * field + rng.uniform(-6, 6)
-    noisy = [
-        image + rng.normal(0, rng.choice(levels), image.shape)
-        for image, levels in ((left, (0, 1.5)), (changed, (0, 1.5, 3)))
-    ]
+    levels = ((left, (0, 1.5)), (changed, (0, 1.5, 3)))
+    noisy = [image + rng.normal(0, rng.choice(some), image.shape) for image, some in levels]
     first, second = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in noisy)
     return StereoPair(first, second)
 
@@ -143,27 +135,16 @@ def darkened(pair: StereoPair, seed: int) -> StereoPair:
     return StereoPair(taken(left), taken(right))
 
 
-def generated(
-    kind: Any,
-    seed: int,
-    wall_contrast: float = 1,
-    noise: float = 0,
-    brightness: float = 1,
-    light: float = 0,
-    dark: bool = False,
-) -> Loaded:
+def generated(kind: Any, seed: int, light: float = 0, dark: bool = False, **look: float) -> Loaded:
     radiometry = Radiometry.of_strength(light) if light else None
     size = (800, 250, 96) if kind == "street" else (400, 300, 48)
-    look = {"wall_contrast": wall_contrast, "noise": noise, "brightness": brightness}
     made = make_scene(kind, seed, *size, radiometry=radiometry, **look)
     masks = {"nonocc": made.nonocc, "all": np.ones_like(made.nonocc), "disc": made.disc}
     left, right = made.left, made.right
     if kind == "street":  # what the sun falls on is saturated, and there is not much color
         burnt = np.random.default_rng(seed).uniform(1, 1.8)
-        left, right = (
-            np.clip(burnt * (0.6 * one.mean(2, keepdims=True) + 0.4 * one), 0, 255).astype(np.uint8)
-            for one in (left, right)
-        )
+        pale = (burnt * (0.6 * one.mean(2, keepdims=True) + 0.4 * one) for one in (left, right))
+        left, right = (np.clip(one, 0, 255).astype(np.uint8) for one in pale)
     pair = StereoPair(left, right)
     return darkened(pair, seed) if dark else pair, made.max_disparity, made.disparity_left, masks
 
@@ -177,7 +158,6 @@ def propose(fusion: Fusion, pair: StereoPair, max_disparity: int) -> Proposals:
             recorded.append(proposals)
             return ChosenMap(proposals.values[0])
 
-    assert fusion.maps is not None
     maps = fusion.maps.model_copy(update={"choice": Recorder(), "refinement": ()})
     fusion.model_copy(update={"maps": maps})(pair, max_disparity)
     return recorded[0]
@@ -194,17 +174,6 @@ def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]
 
 Samples = dict[str, NDArray[Any]]
 """Pixels of a scene: ``inputs`` (P, N, F), ``errors`` (P, N) pixels, ``weights`` (P,)."""
-
-
-def kept(file: Path | None, make: Callable[[], Samples]) -> Samples:
-    """Return the samples in a file, or those that ``make`` returns, which are kept there."""
-    if file is not None and file.exists():
-        return dict(np.load(file))
-    samples = make()
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(file, **samples)
-    return samples
 
 
 def samples_of(scene: TrainingScene, fusion: Fusion) -> Samples:
@@ -293,19 +262,12 @@ def log_odds(network: TrainedNetwork, inputs: NDArray[Any], row: int | slice = s
     return np.asarray((np.maximum(hidden @ w2 + b2, 0) @ w3 + b3)[..., 0])
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--config", default="accurate")
-    parser.add_argument("--samples", type=Path)
-    parser.add_argument("--held-out", action="store_true")
-    options = parser.parse_args()
+def main() -> None:
+    options = _env.options(__doc__, "data", "out", config="accurate", samples=None, held_out=False)
     fusion = config_of("fuse", options.config, "maps.choice=energy", "confidence=[]")
     both = []
     for scene in scenes(options.data):
-        file = options.samples / f"{scene.name}.npz" if options.samples else None
-        both.append((scene, kept(file, partial(samples_of, scene, fusion))))
+        both.append((scene, kept(options.samples, scene.name, partial(samples_of, scene, fusion))))
         print(scene.name, file=sys.stderr)
     kinds, names = fusion.maps.kinds, [scene.name for scene, _ in both]
     for half in (0, 1) if options.held_out else ():
@@ -318,8 +280,7 @@ def main() -> int:
                 print(f"{scene.name}: {100 * share:.2f} % wrong")
     if not options.held_out:
         write_network(options.out, train([(s.weight, one) for s, one in both], kinds, names))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,34 +1,30 @@
 #!/usr/bin/env python3
 """Train the networks that judge disparity maps (confidence, fuse maps): on tuning scenes and generated ones.
 
-    scripts/train_confidence.py DATA OUT [--samples DIR] [--jobs N] [--held-out]
+    scripts/train_confidence.py DATA OUT [--samples DIR] [--jobs N]
 
 DATA is the folder with the test sets; OUT gets map_right.json, map_hidden.json and map_one_view.json. --samples keeps
-the training pixels in a folder, and takes those that are there. --held-out trains on either half of the tuning scenes
-and prints, for the other one, the area under the sparsification curve over the best one.
+the training pixels in a folder, and takes those that are there.
 
 What is judged are maps of several methods and maps that are made wrong on purpose: planes of segments, maps of half
 the size, true maps with shifted regions and blurred edges, segments moved off their surface. Each is judged alone, and
 in groups of two to five.
 """
 
-from __future__ import annotations
-
-import argparse
-import sys
 import zlib
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # first: continues in the checkout's environment
 import cv2
 import numpy as np
-from _experiments import matcher
+from _experiments import kept, matcher
 from numpy.typing import NDArray
-from train_choice import Batch, Loaded, Map, Samples, TrainingScene, fit, kept, log_odds, new_layers, scenes
+from train_choice import Batch, Loaded, Map, Samples, TrainingScene, fit, new_layers, scenes
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
@@ -37,7 +33,6 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
-from depthcli.evaluation.curves import sparsification
 from depthcli.io.formats.networks import write_network
 from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, Judged, judged_maps
 from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS, Evidence
@@ -109,10 +104,9 @@ def made_wrong(
         "planes": planes(maps[rng.choice(["opencv-sgbm", "fast"])], rng.choice([100, 300, 600]), 50, False),
         "planes_measured": planes(maps[rng.choice(["accurate", "fast"])], rng.choice([30, 100, 300]), 20, True),
     }
-    small = StereoPair(
-        *(cv2.resize(one, (width // 2, height // 2), interpolation=cv2.INTER_AREA) for one in pair.color8)
-    )
-    half = matcher("fast")(small, max(largest // 2 + 1, 8)).disparity.values
+    size = (width // 2, height // 2)
+    small = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in pair.color8)
+    half = matcher("fast")(StereoPair(*small), max(largest // 2 + 1, 8)).disparity.values
     made["half"] = cv2.resize(np.nan_to_num(half) * 2, (width, height), interpolation=cv2.INTER_LINEAR)
     changed = without_gaps(np.where(truth > 0, truth, np.float32(np.nan)), largest)
     blur = rng.uniform(0, 3)
@@ -244,39 +238,21 @@ def trained(samples: list[tuple[float, Samples]], names: list[str]) -> dict[str,
     }
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--samples", type=Path)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--held-out", action="store_true")
-    options = parser.parse_args()
+def main() -> None:
+    options = _env.options(__doc__, "data", "out", samples=None, jobs=1)
     found = training_scenes(options.data)
     with ProcessPoolExecutor(options.jobs) as pool:
-        many = len(found)
-        collected = list(pool.map(_collect, [options.data] * many, range(many), [options.samples] * many))
-    both = list(zip(found, collected, strict=True))
-    for half in (0, 1) if options.held_out else ():
-        learned = trained([(s.weight, c) for s, c in both if s.half != half], [])["map_right"]
-        for scene, one in both:
-            if scene.half == half and scene.weight == 1:
-                zero = np.zeros((one["errors"].shape[1], len(OTHERS)), np.float16)
-                for name, alone, errors in zip(METHODS, one["alone"], one["errors"], strict=False):
-                    odds = log_odds(learned, np.concatenate([alone, zero], axis=1), THRESHOLDS.index(1.0))
-                    print(f"{scene.name} {name}: AUC / optimal {sparsification(odds, errors > 1).ratio:.2f}")
-    if not options.held_out:
-        networks = trained([(s.weight, c) for s, c in both], [s.name for s in found])
-        options.out.mkdir(parents=True, exist_ok=True)
-        for name, one in networks.items():
-            write_network(options.out / f"{name}.json", one)
-    return 0
+        collected = list(pool.map(partial(_collect, options.data, options.samples), range(len(found))))
+    networks = trained([(s.weight, c) for s, c in zip(found, collected, strict=True)], [s.name for s in found])
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name, one in networks.items():
+        write_network(options.out / f"{name}.json", one)
 
 
-def _collect(data: Path, number: int, folder: Path | None) -> Samples:
+def _collect(data: Path, folder: Path | None, number: int) -> Samples:
     scene = training_scenes(data)[number]
-    return kept(None if folder is None else folder / f"{scene.name}.npz", lambda: samples_of(scene))
+    return kept(folder, scene.name, lambda: samples_of(scene))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,40 +1,39 @@
 #!/usr/bin/env python3
-"""Tables of ``transparent``: ClearGrasp with emulated sparse stereo; Middlebury pairs with stereo that is done.
+"""Chapter 5: ClearGrasp with emulated sparse stereo; Middlebury pairs with stereo that is done.
 
-The sensor's depth is real, with glass in place; the truth is the depth of the same objects, painted. The sparse
-stereo is emulated from the truth: a share of the pixels, 8 mm of noise, outliers. Scenes are halved in size (nearest
-for depth). Settings were chosen on scene_080 alone; which form the smoothing and the test of a region's pieces got was
-decided with all scenes in view.
+    scripts/transparent_experiments.py DATA [--only glass,cross-modal]
+
+``glass``, the frames in ``transparent/real_d435``: the sensor's depth is real, with glass in place; the truth is the
+depth of the same objects, painted. The sparse stereo is emulated from the truth: a share of the pixels, 8 mm of noise,
+outliers. Scenes are halved in size (nearest for depth). Settings were chosen on scene_080 alone; which form the
+smoothing and the test of a region's pieces got was decided with all scenes in view.
 
 ClearGrasp and TransCG report the same measures, but on other scenes and without a second depth map as input: the
 figures say how far methods here differ from each other, not from theirs.
 
-``--cross-modal`` takes stereo pairs with true disparity: the right view is made infrared, a surface in front is made
+``cross-modal`` takes stereo pairs with true disparity: the right view is made infrared, a surface in front is made
 glass to the sensor (it sees a plane behind, or nothing; .1 pixel of noise). The matcher's settings
 were chosen with all pairs in view, those of the selection and of unreliable regions on Teddy and Art. What the learned
 weights of the channels bring is shown by absolute differences in 11 x 11 windows, and by all measures together.
 """
 
-from __future__ import annotations
-
-import argparse
 from pathlib import Path
 from typing import Any
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # first: continues in the checkout's environment
 import cv2
 import numpy as np
-from _experiments import config_of
+from _experiments import config_of, mean_known, middlebury_scenes, show
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.frames import SparseFrame, StereoPair
 from depthcli.core.result import Clock
+from depthcli.evaluation.render import Number
 from depthcli.io.layouts.depth import FRAMES
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.rgbd_frames import load_frame, true_depth
-from depthcli.io.scenes import RgbdScene, StereoScene
+from depthcli.io.scenes import RgbdScene
 from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
@@ -81,39 +80,32 @@ def errors(estimate: Map, scene: HalvedScene) -> dict[str, float]:
         **{f"d{limit:.2f}": float(100 * np.mean(ratio < limit)) for limit in (1.05, 1.10, 1.25)},
         "outside": float(error[outside].mean() / (1000 * np.abs(sensor - truth)[outside].mean())),
         "outline": float(error[outline].mean()),
-        "coverage": float(100 * np.isfinite(estimate)[np.isfinite(truth) & mask].mean()),
     }
 
 
-def accuracy(folder: Path, presets: list[str]) -> None:
-    """Print a line a preset and kind of samples: the mean over the scenes, then MAE by scene."""
-    scenes = [halved(files) for files in discover_scenes(folder, FRAMES) if isinstance(files, RgbdScene)]
-    for preset in presets:
+def glass(data: Path) -> None:
+    """Print a row a preset and kind of samples: the mean over the scenes."""
+    scenes = [halved(files) for files in discover_scenes(data / "transparent" / "real_d435", FRAMES)]
+    rows = []
+    for preset in PRESETS:
         config = config_of("transparent", preset)
         for case, settings in CASES.items():
-            rows = []
+            found = []
             for scene in scenes:
                 color, sensor, truth, _ = scene
                 sparse = sparse_samples(truth, color, **settings)
-                rows.append(errors(config.pipeline(SparseFrame(color, sensor, sparse=sparse)).depth.values, scene))
-            mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
-            digits = {"REL": 4, "outside": 3}
-            line = "  ".join(f"{key} {value:.{digits.get(key, 1 if key[0] == 'd' else 2)}f}"
-                             for key, value in mean.items())  # fmt: skip
-            each = " ".join(f"{row['MAE']:.2f}" for row in rows)
-            print(f"{preset:16} {case:17} {line}  by scene {each}", flush=True)
+                found.append(errors(config.pipeline(SparseFrame(color, sensor, sparse=sparse)).depth.values, scene))
+            means = (Number(mean_known(one[key] for one in found), 4) for key in found[0])
+            rows.append((preset, case, *means))
+    show(f"Glass, mean of {len(scenes)} scenes", ("preset", "samples", *found[0]), rows)
 
 
-def cross_modal(folders: list[Path]) -> None:
-    """Print a line a pair: the kept matches, then MAE in pixels in the object and outside, by preset."""
-    presets = ("nearest", "joint-bilateral", "textbook", "kinect")
-    configs = {name: config_of("transparent", name) for name in presets}
+def cross_modal(data: Path) -> None:
+    """Print a row a pair: the kept matches, then MAE in pixels in the object and outside, by preset."""
+    configs = {name: config_of("transparent", name) for name in ("nearest", "joint-bilateral", "textbook", "kinect")}
     stereo = configs["kinect"].stereo
-    assert stereo is not None
-    rows = []
-    for files in (files for folder in folders for files in discover_scenes(folder, PAIRS)):
-        if not isinstance(files, StereoScene) or files.right is None or not files.has_truth:
-            continue
+    found: dict[str, dict[str, float]] = {}
+    for files in middlebury_scenes(data):
         pair, truth = load_pair(files), true_disparity(files)
         scene = glass_of_pair(pair.left, pair.right, truth.disparity)
         known = np.isfinite(scene.disparity)
@@ -140,11 +132,10 @@ def cross_modal(folders: list[Path]) -> None:
             error = np.abs(values - scene.disparity)
             row[f"{name} in"], row[f"{name} out"] = float(np.nanmean(error[inside])), float(np.nanmean(error[outside]))
             row[f"{name} outline"] = float(np.nanmean(error[outline]))
-        rows.append(row)
-        print(f"{files.name:12} " + "  ".join(f"{key} {value:.2f}" for key, value in row.items()), flush=True)
-    for name, mean in (("mean", np.mean), ("median", np.median)):
-        figures = {key: float(mean([row[key] for row in rows])) for key in rows[0]}
-        print(f"{name:12} " + "  ".join(f"{key} {value:.2f}" for key, value in figures.items()))
+        found[files.name] = row
+    values = np.array([[*row.values()] for row in found.values()])
+    lines = {**dict(zip(found, values, strict=True)), "mean": values.mean(axis=0), "median": np.median(values, axis=0)}
+    show("Color and infrared: MAE, px", ("pair", *row), [(name, *map(Number, line)) for name, line in lines.items()])
 
 
 def _window(measure: str, pair: StereoPair, top: int) -> NDArray[np.uint16]:
@@ -160,17 +151,10 @@ def _near_outline(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", help="frames with masks named 'transparent'")
-    parser.add_argument("--preset", action="append", help="only this one; repeatable")
-    parser.add_argument("--cross-modal", type=Path, action="append", metavar="FOLDER", help="stereo pairs instead")
-    options = parser.parse_args()
-    if options.cross_modal:
-        cross_modal(options.cross_modal)
-    elif options.folder is None:
-        parser.error("a folder or --cross-modal is required")
-    else:
-        accuracy(options.folder, options.preset or list(PRESETS))
+    parts = {"glass": glass, "cross-modal": cross_modal}
+    options = _env.options(__doc__, "data", only=tuple(parts))
+    for name in options.only:
+        parts[name](options.data)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ class Random(Census):
 
     def __call__(self, pair, n_disparities):
         volume = super().__call__(pair, n_disparities)
-        shuffled = np.random.default_rng().permutation(volume.costs, axis=2)
+        shuffled = np.random.default_rng().permuted(volume.costs, axis=2)
         return type(volume)(np.ascontiguousarray(shuffled), volume.scale)
 
 
