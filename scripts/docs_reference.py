@@ -30,7 +30,7 @@ from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.evaluation import columns as evaluation
 from depthcli.evaluation import protocols
-from depthcli.evaluation.scoring import RESULTS
+from depthcli.evaluation.evaluate import RESULTS
 from depthcli.io.formats.files import RUN_FILE
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats

@@ -7,8 +7,8 @@ from pathlib import Path
 from depthcli.commands._shared_options import TableOptions, parse_bytes
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.evaluate import PAGE_FILE, Viewer
 from depthcli.evaluation.render import FORMATS
-from depthcli.evaluation.scoring import PAGE_FILE, Viewer
 from depthcli.evaluation.tables import check_names, chosen_text, headline_text
 from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.page import Page, RunWithoutTruth

@@ -10,9 +10,9 @@ from depthcli.commands._evaluation import viewers
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import DepthcliError
 from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, evaluate_runs
 from depthcli.evaluation.map_files import run_names
 from depthcli.evaluation.protocols import load
-from depthcli.evaluation.scoring import PAGE_FILE, RESULTS, evaluate_scenes
 from depthcli.io.inputs import local
 from depthcli.io.scenes import Scene, SequenceScene
 from depthcli.report.page import Page, RunWithoutTruth
@@ -43,7 +43,7 @@ def evaluated(
     views = viewers(reporter, output, options.html, without_truth=shown)
     if scored and truth is not None:
         judged = [scene for scene in batch.truth_scenes(scenes) if scene.problem or scene.has_truth]
-        report = evaluate_scenes(
+        report = evaluate_runs(
             [options.output], judged, local(truth), output, reporter=reporter, viewers=views, conditions=conditions,
             rows={str(row["scene"]): row for row in rows},
         )  # fmt: skip

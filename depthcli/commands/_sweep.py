@@ -15,11 +15,11 @@ from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._sweep_axes import Axes, Combination, effects, folder_names, value_text
 from depthcli.core.errors import SOME_FAILED, ConfigError
 from depthcli.evaluation.comparison import Section
-from depthcli.evaluation.evaluate import evaluate_runs
+from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
 from depthcli.evaluation.render import Number, Table
-from depthcli.evaluation.scoring import PAGE_FILE
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.io.formats.files import write_text
+from depthcli.io.inputs import local
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
 from depthcli.run.batch import Batch
@@ -72,13 +72,14 @@ class Sweep:
             reporter.info(f"run {count} of {len(runs)}: {name}")
             failed |= run_batch(run.batch, run.scenes, run.options, source) != 0
         assert source.input is not None
-        found = discover_scenes(source.input, ALL_KINDS, source.layout, source.patterns)
+        truth = local(source.input)
+        found = discover_scenes(truth, ALL_KINDS, source.layout, source.patterns)
         if not any(scene.has_truth for scene in found):
             reporter.info(f"{source.input}: no ground truth there, the runs are not compared")
             return SOME_FAILED if failed else 0
         report = evaluate_runs(
-            [run.options.output for run in runs.values()], source.input, output / "evaluation", source.patterns,
-            source.layout, reporter=reporter, viewers=viewers(reporter, output / "evaluation", html, html_budget),
+            [run.options.output for run in runs.values()], [s for s in found if s.problem or s.has_truth], truth,
+            place := output / "evaluation", reporter=reporter, viewers=viewers(reporter, place, html, html_budget),
         )  # fmt: skip
         tried = {name: run.values for name, run in runs.items()}
         results = [_compared(section, self.axes, tried, own_run) for section in report.sections]

@@ -70,15 +70,19 @@ def evaluate(
     from depthcli.commands._evaluation import check_tables, print_place, print_tables, viewers
     from depthcli.evaluation.evaluate import evaluate_runs
     from depthcli.evaluation.map_files import MapNaming, find_runs, given_naming
-    from depthcli.evaluation.protocols import Settings
+    from depthcli.evaluation.protocols import Settings, load
+    from depthcli.evaluation.truth import scenes_with_truth
+    from depthcli.io.inputs import local
 
     reporter, places = printing.reporter, find_runs(runs)
     of_all, own = given_naming(places, "--maps", maps, scale, invalid)
     check_tables(tables)
+    settings = Settings(of_all.scale, (resolution or "").upper() or None, threshold, _size(resize), of_all.invalid)
+    scored_by = None if protocol is None else load(protocol)(settings)
+    truth = local(truth)
     report = evaluate_runs(
-        runs, truth, output, scenes or ["*"], layout, protocol,
-        Settings(of_all.scale, (resolution or "").upper() or None, threshold, _size(resize), of_all.invalid),
-        reporter,
+        runs, scenes_with_truth(truth, scenes or ["*"], layout, scored_by, settings, reporter), truth, output,
+        scored_by, settings, reporter,
         viewers=viewers(reporter, output, html, html_budget),
         map_options={run: naming.over(MapNaming(of_all.pattern)) for run, naming in own.items()},
         conditions=(conditions := conditions_of(flag, fail_flagged)),

@@ -1,7 +1,6 @@
 """Comparison of runs with ground truth: maps of the runs and scenes with truth in, scores, tables and plots out.
 
-``evaluate.evaluate_runs`` finds the scenes, ``scoring.evaluate_scenes`` does the rest; arrays hold NaN where they have
-no value:
+``truth`` finds the scenes, ``evaluate.evaluate_runs`` does the rest; arrays hold NaN where they have no value:
 
 1. ``map_files`` names the runs, and the places where a run folder may hold the map of a scene.
 2. A protocol (``protocols``, one file per benchmark or kind of truth) reads the scene's truth, once, and the run's map:

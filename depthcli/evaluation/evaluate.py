@@ -1,77 +1,320 @@
-"""Evaluation of finished runs with a folder of ground truth: find its scenes, score the runs' maps of them."""
+"""Scoring of runs against scenes with ground truth: find their maps, score them, write pictures and a report."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
+import contextlib
+import math
+import re
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from depthcli.core.errors import InputError
-from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.map_files import MapNaming
-from depthcli.evaluation.protocols import AnyProtocol, Settings, load
-from depthcli.evaluation.scoring import Viewer, evaluate_scenes
-from depthcli.io.inputs import local
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.scenes import RgbdScene, Scene, StereoScene
-from depthcli.io.walk import discover_scenes, scenes_with_files
-from depthcli.run.console import Reporter
-from depthcli.run.flags import Condition
+from numpy.typing import NDArray
 
-_DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's folder, without --protocol
-_MILLIMETERS = 1000.0  # codes a meter of a depth map that is the truth, if the settings have no scale
+from depthcli.core.errors import DepthcliError, InputError
+from depthcli.core.registry import plugin_of, versions_here
+from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
+from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
+from depthcli.evaluation.plots import curve_plot
+from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
+from depthcli.evaluation.scores import MapResult
+from depthcli.evaluation.tables import report_markdown
+from depthcli.io.formats.files import collected_warnings, short_path, warn, write_text
+from depthcli.io.formats.images import write_png
+from depthcli.io.formats.map_format import format_plugins
+from depthcli.io.formats.pictures import read_status
+from depthcli.io.inputs import origin
+from depthcli.io.layouts import layout_plugins
+from depthcli.io.scenes import Scene
+from depthcli.run.console import Reporter
+from depthcli.run.flags import Condition, flag_rows, plain_name
+from depthcli.run.folder import staging_folder
+from depthcli.run.identity import saved_config
+from depthcli.run.json_csv import Row, to_csv, to_json
+from depthcli.run.report import read_report
+
+PAGE_FILE = "report.html"
+"""The page, in the folder of an evaluation."""
+
+_FILES = ("scores.*", "report.md", PAGE_FILE, "contact_sheet.png")
+RESULTS = (*_FILES, "errors/**/*", "curves/**/*", "points/**/*", "assets/*")
+"""Shell patterns of the files of an evaluation."""
+
+
+class Viewer(typing.Protocol):
+    """Something that shows the maps, such as the page; it gets them while they are scored."""
+
+    file: str
+
+    def begin(self, folder: Path) -> None:
+        """Begin a file in ``folder``."""
+
+    def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
+        """Begin a scene, to which the maps that follow belong; ``truth`` is what ``protocol.truth(scene)`` returned."""
+
+    def add_map(
+        self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, NDArray[Any]]
+    ) -> None:
+        """Add one run's map to the scene: its scores, its file, and what the protocol read."""
+
+    def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
+        """Write the file: the report, all of it as JSON, and run -> its resolved config, or empty."""
 
 
 def evaluate_runs(
     runs: Sequence[Path | str],
-    truth: Path | str,
+    scenes: Sequence[Scene],
+    truth: Path,
     output: Path | str | None,
-    scenes: Sequence[str] = ("*",),
-    layout: str | None = None,
-    protocol: str | None = None,
+    protocol: AnyProtocol | None = None,
     settings: Settings | None = None,
     reporter: Reporter | None = None,
     viewers: Sequence[Viewer] = (),
     map_options: Mapping[str, MapNaming] | None = None,
     conditions: Sequence[Condition] = (),
+    rows: Mapping[str, Row] | None = None,
 ) -> EvaluationReport:
-    """Evaluate runs as :func:`.scoring.evaluate_scenes`, which says what else is given, written and raised.
+    """Evaluate runs side by side and write scores, pictures, curves and a report.
 
-    InputError where ``truth`` holds no scenes with ground truth, or no protocol has that name.
+    Written to ``output``, all at the end: ``scores.csv``, ``scores.json``, ``report.md``,
+    ``errors/<run>/<scene>.png``, ``curves/<run>/<scene>_<region>_<kind>.svg``, ``points/<run>/<scene>.csv``, the files
+    of ``viewers``, and ``record.json``, by which the next evaluation knows which files it may replace.
 
     Parameters
     ----------
-    truth : folder of scenes with ground truth, or one file of it
-    scenes : shell patterns of scene names
-    layout : layout of ``truth``; None recognizes it
-    protocol : its name; None: what every scene names
+    runs : folders of maps; or maps, if there is a single scene; ``NAME=PLACE`` names one
+    scenes : those with ground truth, found in ``truth``, and those that cannot be used
+    output : folder for the results; None: nothing is written, and there are no viewers
+    protocol : what scores all scenes; None: what every scene names
+    map_options : run -> how its maps are named and coded; what is not given is recognized
+    conditions : on scores and on columns of the runs' reports, by which scenes are flagged
+    rows : scene -> row of the report of the only run; None: read from the runs
+
+    Raises
+    ------
+    ConfigError
+        ``output`` holds files that no evaluation wrote under the names of its results; nothing is computed then.
+    InputError
+        No run, or one of which several files may be the maps. A map that is missing or unreadable is no error: it
+        becomes a result with its reason (``report.failed``).
+    OutputError
+        The results cannot be written.
     """
-    reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), local(truth)
-    scored_by = None if protocol is None else load(protocol)(settings)
-    if os.path.isfile(truth):
-        found = [_scene_of_file(truth, scored_by, settings, reporter)]
-    else:
-        tried = ALL_KINDS if scored_by is None else ALL_KINDS.of_kind(scored_by.kind)
-        found = [s for s in discover_scenes(truth, tried, layout, scenes, reporter.info) if s.problem or s.has_truth]
-        if all(scene.problem for scene in found):
-            nothing = f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)"
-            raise InputError(found[0].problem if found else nothing)
-    return evaluate_scenes(runs, found, truth, output, scored_by, settings, reporter, viewers, map_options, conditions)
+    reporter, settings = reporter or Reporter(-1), settings or Settings()
+    places = find_runs(runs)
+    if len(scenes) > 1 and any(place.is_file() for place in places.values()):
+        raise InputError(f"a single map needs a single scene, {truth} has {len(scenes)}: give a file, or --scenes")
+    writing = staging_folder(Path(output), "evaluate", RESULTS, reporter.info) if output is not None else None
+    with writing or contextlib.nullcontext() as folder:
+        shown_by = viewers if folder is not None else ()
+        reports = {run: read_report(place) if rows is None else rows for run, place in places.items()}
+        naming = dict(map_options or {})
+        scoring = _Scoring(places, reports, truth, folder, protocol, settings, shown_by, naming)
+        with reporter:
+            results = scoring.all_results(scenes, reporter)
+        for name, value in vars(settings).items():
+            taken = any(name in each.takes for each in scoring.protocols.values())
+            if value not in (None, False) and scoring.protocols and not taken:
+                reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
+        files = scoring.maps | {value for s in scenes for value in vars(s).values() if isinstance(value, Path)}
+        plugins = layout_plugins(scenes) | format_plugins(files)
+        plugins |= {plugin for each in scoring.protocols.values() if (plugin := plugin_of(type(each))) is not None}
+        hints, used = (*scoring.hints, *scoring.misfits()), versions_here(plugins)
+        report = EvaluationReport(tuple(places), tuple(results), scoring.protocols, origin(truth), hints, used)
+        if conditions:
+            names = {scene.name for scene in scenes}
+            known = {run: {k: row for k, row in of.items() if k in names} for run, of in reports.items()}
+            report = replace(report, flags=flag_rows(conditions, _flag_columns(report, known), reporter))
+        if folder is not None:
+            scores = to_json(report.to_dict())
+            write_text(folder / "scores.csv", to_csv(report.records()))
+            write_text(folder / "scores.json", scores)
+            write_text(folder / "report.md", report_markdown(report))
+            for viewer in shown_by:
+                try:
+                    viewer.write(report, scores, {run: saved_config(place) for run, place in places.items()})
+                except DepthcliError as error:  # the scores are there
+                    reporter.error(f"no {viewer.file}: {error}")
+    for line in report.warning_lines:
+        reporter.info(f"warning: {line}")
+    for result in report.failed:
+        reporter.error(f"{result.run} {result.scene}: {result.error}")
+    return report
 
 
-def _scene_of_file(truth: Path, scored_by: AnyProtocol | None, settings: Settings, reporter: Reporter) -> Scene:
-    """Return the scene whose truth a file is, or one of that map without masks, of the settings' scale."""
-    if holding := scenes_with_files([truth], ALL_KINDS):
-        return holding[truth]
-    if scored_by is None:
-        reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")
-        scored_by = load(_DEFAULT_PROTOCOL)(settings)
-    common: dict[str, Any] = {"name": truth.stem, "folder": truth.parent, "protocol": scored_by.name}
-    if issubclass(scored_by.kind, StereoScene):
-        codes = None if truth.suffix.lower() == ".pfm" else settings.scale
-        return StereoScene(**common, left=truth, disparity_left=truth, disparity_scale=codes)
-    if issubclass(scored_by.kind, RgbdScene):
-        scale = settings.scale or _MILLIMETERS
-        return RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=scale)
-    raise InputError(f"{truth}: {scored_by.name} needs a folder of scenes as the ground truth")
+def _flag_columns(report: EvaluationReport, known: Mapping[str, Mapping[str, Row]]) -> list[Row]:
+    """Return the rows that conditions see: scores, and the runs' own rows, also of scenes that were not scored.
+
+    A metric without a region behind it is that of the protocol's main region; ``bad 2 (0.5)``, whose threshold in
+    pixels of a smaller image stands in brackets, is ``bad 2``, too. ``known``: run -> scene -> row of its report.
+    """
+    rows = {(run, scene): {**row, "run": run} for run, of_run in known.items() for scene, row in of_run.items()}
+    for section in report.sections:
+        for result in section.results:
+            scores: Row = {}
+            for region in reversed(section.regions):
+                here = {score.metric.heading: score.value for score in result.scores if score.region == region}
+                here = {re.sub(r" \([\d.]+\)$", "", heading): value for heading, value in here.items()} | here
+                scores |= {plain_name(f"{heading} {region}"): value for heading, value in here.items()}
+                scores |= {plain_name(heading): value for heading, value in here.items()}
+            row = rows.get((result.run, result.scene), {})
+            rows[result.run, result.scene] = {**row, **scores, "scene": result.scene, "run": result.run}
+    return list(rows.values())
+
+
+@dataclass
+class _Scoring:
+    """An evaluation under way; see ``evaluate_runs`` for the arguments."""
+
+    runs: Mapping[str, Path]
+    reports: Mapping[str, Mapping[str, Row]]  # run -> scene -> row of the run's own report
+    truth: Path
+    output: Path | None
+    protocol: AnyProtocol | None  # of all scenes; None: what every scene names
+    settings: Settings
+    viewers: Sequence[Viewer]
+    naming: dict[str, MapNaming]
+    protocols: dict[str, AnyProtocol] = field(default_factory=dict)  # by name, those that were used
+    hints: list[str] = field(default_factory=list)  # what was assumed, one line each
+    maps: set[Path] = field(default_factory=set)  # files that were read
+    unlike: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # protocol -> scenes that look otherwise
+
+    def all_results(self, scenes: Sequence[Scene], reporter: Reporter) -> list[MapResult]:
+        """Return the results of every scene and run; a line of progress for each scene."""
+        names = names_in_run([scene.name for scene in scenes], self.truth)
+        self._recognize_maps(scenes, names)
+        for viewer in self.viewers:
+            assert self.output is not None
+            viewer.begin(self.output)
+        reporter.start(len(scenes), 0, "evaluate")
+        results = []
+        for scene in scenes:
+            of_scene = self._results(scene, names[scene.name])
+            results += of_scene
+            reporter.step(any(result.error for result in of_scene))
+        return results
+
+    def _recognize_maps(self, scenes: Sequence[Scene], names: Mapping[str, list[str]]) -> None:
+        """Find the pattern of the maps of every run that holds none under a usual name; InputError if several fit."""
+        usable: dict[str, tuple[Scene, AnyProtocol]] = {}
+        for scene in scenes:
+            with contextlib.suppress(DepthcliError):
+                usable[scene.name] = scene, self._protocol_of(scene)
+
+        def fits(name: str, path: Path, options: MapNaming) -> bool:
+            scene, protocol = usable[name]
+            with collected_warnings(), contextlib.suppress(DepthcliError):
+                self._reader(protocol, options).read(path, scene, protocol.truth(scene))
+                return True
+            return False
+
+        files = {name: (protocol.files, names[name]) for name, (_, protocol) in usable.items()}
+        for run, place in self.runs.items():
+            given = self.naming.setdefault(run, MapNaming())
+            if place.is_dir() and not self.reports[run]:
+                self.naming[run] = recognized(run, place, given, files, fits)
+                if self.naming[run] != given:
+                    self.hints.append(f"{run}: taken as its maps: {self.naming[run].pattern} (--maps says otherwise)")
+
+    def _reader(self, protocol: AnyProtocol, options: MapNaming) -> AnyProtocol:
+        """Return the protocol with the settings of one run, by which its maps are read."""
+        own = {name: value for name in ("scale", "invalid") if (value := getattr(options, name)) is not None}
+        return type(protocol)(replace(protocol.settings, **own, any_scale="scale" in own)) if own else protocol
+
+    def _protocol_of(self, scene: Scene) -> AnyProtocol:
+        scene.check()
+        if self.protocol is None and not scene.protocol:
+            raise InputError(f"{scene.folder}: {scene.name} names no protocol; choose one with --protocol")
+        protocol = self.protocol or load(scene.protocol)(self.settings)
+        return self.protocols.setdefault(protocol.name, protocol)
+
+    def _results(self, scene: Scene, names: list[str]) -> list[MapResult]:
+        """Return the results of one scene for every run; ``names``: those that it may have in a run folder."""
+        data_set = scene.name.rpartition("/")[0] or self.truth.resolve().name
+        start = MapResult("", scene.name, data_set, "")
+        try:
+            protocol = self._protocol_of(scene)
+            start = replace(start, protocol=protocol.name)
+            with collected_warnings() as lines:
+                truth: Any = protocol.truth(scene)
+        except DepthcliError as error:
+            return [replace(start, run=run, error=str(error)) for run in self.runs]
+        if self.protocol is None and truth.looks_like:
+            self.unlike.setdefault(protocol.name, []).append((scene.name, truth.looks_like))
+        for viewer in self.viewers:
+            viewer.begin_scene(protocol, scene, truth)
+        results = []
+        for run in self.runs:
+            with collected_warnings() as own:
+                result = self._result(replace(start, run=run), protocol, scene, truth, names)
+            results.append(replace(result, warning="; ".join([*lines, *own])))
+        return results
+
+    def misfits(self) -> list[str]:
+        """Return a line for each protocol that scored scenes that look as if another one was meant."""
+        return [
+            f"{found[0][0]}{f' and {len(found) - 1} more' * (len(found) > 1)}: look like {found[0][1]}, but scored as "
+            f"{protocol}: name the protocol with evaluate --protocol, in meta.json, or by --layout"
+            for protocol, found in self.unlike.items()
+        ]
+
+    def _result(self, start: MapResult, protocol: AnyProtocol, scene: Scene, truth: Any, names: list[str]) -> MapResult:
+        """Find, read, score and draw one run's map; if that fails, return the worst scores with the reason."""
+        place, rows = self.runs[start.run], self.reports[start.run]
+        options = self.naming[start.run]
+        files = options.files(protocol.files)
+        row: Row = next((rows[name] for name in names if name in rows), {})
+        try:
+            path = place if place.is_file() else files.find(place, names)
+            if path is None:
+                reason = f": the run failed there: {row['error']}" if row.get("error") else files.searched(names)
+                raise InputError(f"{place}: no map of scene {scene.name}{reason}")
+            self.maps.add(path)
+            estimate: Any = self._reader(protocol, options).read(path, scene, truth)
+        except DepthcliError as error:
+            missing, dense = missing_scores(protocol, truth), missing_scores(protocol, truth, dense=True)
+            return replace(start, scores=tuple(missing), dense=tuple(dense), error=str(error))
+        confidences: dict[str, NDArray[Any]] = {}
+        for name, file in files.confidences(path).items():
+            with _warned():
+                confidences[name] = protocol.read_confidence(file, truth)
+        hidden: HiddenPixels | None = None
+        if (status := files.status(path)) is not None:
+            with _warned():
+                hidden = hidden_pixels(read_status(status), truth.regions)
+        points, pooling_data = protocol.points(estimate, truth)
+        result = replace(
+            start,
+            source=path.name if path == place else path.relative_to(place).as_posix(),
+            scores=tuple(protocol.scores(estimate, truth)),
+            dense=tuple(protocol.threshold_curve(estimate, truth)),
+            curves=tuple(protocol.curves(estimate, truth, confidences)),
+            hidden=hidden,
+            seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
+            size=truth.size,
+            n_disparities=largest if isinstance(largest := row.get("max_disparity"), int) and largest > 0 else 0,
+            pooling_data=pooling_data,
+        )
+        if self.output is not None:
+            if points:
+                write_text(self.output / short_path(f"points/{result.run}/{result.scene}.csv"), to_csv(points))
+            if (drawn := picture(protocol, estimate, truth)) is not None:
+                write_png(self.output / result.picture, drawn)
+            for (region, of), plot in result.plots.items():
+                lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
+                write_text(self.output / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))
+        for viewer in self.viewers:
+            viewer.add_map(result, path, estimate, truth, confidences)
+        return result
+
+
+@contextlib.contextmanager
+def _warned() -> Iterator[None]:
+    """Turn an error of a file beside a map, which the scores do without, into a warning."""
+    try:
+        yield
+    except DepthcliError as error:
+        warn(str(error))

@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -22,6 +23,7 @@ from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
 from depthcli.evaluation.tables import chosen_text, report_tables
+from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.layouts.all_kinds import ALL_KINDS
@@ -31,6 +33,18 @@ from tests.scenes import true
 
 SHAPE = (24, 32)
 TRUTH = np.linspace(4, 12, SHAPE[1], dtype=np.float32) * np.ones((SHAPE[0], 1), np.float32)
+
+
+def evaluated(
+    runs: Sequence[Path | str],
+    truth: Path,
+    output: Path | None,
+    protocol: str | None = None,
+    settings: Settings | None = None,
+) -> EvaluationReport:
+    scored_by = None if protocol is None else protocols.load(protocol)(settings or Settings())
+    found = scenes_with_truth(truth, protocol=scored_by, settings=settings)
+    return evaluate_runs(runs, found, truth, output, scored_by, settings)
 
 
 @pytest.fixture
@@ -82,7 +96,7 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     half[0, 20] = np.nan
     perfect = run_of(tmp_path / "perfect", {"a": good, "b": good})
     wrong = run_of(tmp_path / "half", {"a": half, "b": half})
-    report = evaluate_runs([perfect, wrong], truth, tmp_path / "out")
+    report = evaluated([perfect, wrong], truth, tmp_path / "out")
     assert report.failed == report.warnings == []
     assert "mean of 6" in text_of(report)
     written = {(r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]): r for r in rows(tmp_path / "out")}
@@ -120,7 +134,7 @@ def test_maps_of_other_programs(tmp_path: Path, truth: Path):
     devkit = tmp_path / "devkit"
     write_disparity_png(devkit / "disp_0" / "a.png", good)
     write_pfm(devkit / "low_res_two_view" / "b.pfm", good)
-    report = evaluate_runs([flat, kit, devkit], truth, tmp_path / "out")
+    report = evaluated([flat, kit, devkit], truth, tmp_path / "out")
     assert report.failed == []
     for result in report.results:
         assert bad(result, "nonocc") == 0, result
@@ -134,7 +148,7 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     (broken / "a" / "disp_left.pfm").write_bytes(b"Pf\n3 3\n-1\nxx")
     told = run_of(tmp_path / "told", {"b": good})
     (told / "report.json").write_text(json.dumps({"scenes": [{"scene": "a", "status": "failed", "error": "too dark"}]}))
-    report = evaluate_runs([run, broken, told], truth, tmp_path / "out")
+    report = evaluated([run, broken, told], truth, tmp_path / "out")
     reasons = {(r.run, r.scene): r.error for r in report.failed}
     words = {("run", "a"): "no map of scene a", ("run", "b"): "32 x 10", ("broken", "a"): "damaged PFM",
              ("told", "a"): "too dark"}  # fmt: skip
@@ -147,16 +161,16 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
 def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     (truth / "a" / "disp_left.png").write_bytes(b"nothing")
-    report = evaluate_runs([run], truth, tmp_path / "out")
+    report = evaluated([run], truth, tmp_path / "out")
     assert [r.scene for r in report.failed] == ["a"]
     assert bad(report.results[1]) == 0
     (truth / "a" / "meta.json").write_text("[]")
-    report = evaluate_runs([run], truth, tmp_path / "out")
+    report = evaluated([run], truth, tmp_path / "out")
     assert "meta.json" in report.failed[0].error
     assert bad(report.results[1]) == 0
     (truth / "b" / "meta.json").write_text("[]")
     with pytest.raises(InputError, match=r"meta\.json"):
-        evaluate_runs([run], truth, tmp_path / "out")
+        evaluated([run], truth, tmp_path / "out")
 
 
 @pytest.mark.slow
@@ -170,7 +184,7 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     write_pfm(run / "a" / "confidence_blind.pfm", np.zeros(SHAPE, np.float32))
     write_pfm(run / "b" / "confidence_small.pfm", np.zeros((3, 3), np.float32))
     np.save(run / "b" / "confidence_levels.npy", np.full(SHAPE, -3, np.int16))
-    report = evaluate_runs([run], truth, tmp_path / "out")
+    report = evaluated([run], truth, tmp_path / "out")
     curves = {(c.region, c.confidence, c.of): c.line for c in report.results[0].curves}
     assert list(curves) == list(itertools.product(("nonocc", "all"), ("blind", "oracle"), ("bad", "error")))
     assert curves["nonocc", "blind", "bad"].auc == pytest.approx(0.25)
@@ -195,7 +209,7 @@ def test_scene_names_match_with_and_without_their_data_set(tmp_path: Path, truth
     over = tmp_path / "over"
     shutil.copytree(truth, over / "set")
     for where in (truth, over):
-        report = evaluate_runs([short, long], where, tmp_path / "out")
+        report = evaluated([short, long], where, tmp_path / "out")
         assert report.failed == []
 
 
@@ -203,7 +217,7 @@ def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
     seen = []
     for _ in range(2):
-        evaluate_runs([run], truth, tmp_path / "out")
+        evaluated([run], truth, tmp_path / "out")
         seen.append({p.relative_to(tmp_path): p.read_bytes() for p in (tmp_path / "out").rglob("*") if p.is_file()})
         shutil.rmtree(tmp_path / "out")
     files = seen[0]
@@ -218,10 +232,10 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
     """Own files under the names of results are refused before a scene is opened; earlier results make room."""
     run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
     out = tmp_path / "out"
-    evaluate_runs([run], truth, out)
+    evaluated([run], truth, out)
     (out / "notes.txt").write_text("mine")
     other = run_of(tmp_path / "other", {"a": exact(truth), "b": exact(truth)})
-    evaluate_runs([other], truth, out)
+    evaluated([other], truth, out)
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == [
         "errors/other/a.png", "errors/other/b.png", "notes.txt", "record.json", "report.md",
         "scores.csv", "scores.json",
@@ -229,11 +243,11 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
     (out / "errors/run").mkdir()
     (out / "errors/run/a.png").write_text("mine")  # beside a record: found when results are moved in
     with pytest.raises(OutputError, match=r"errors/run/a\.png would be replaced"):
-        evaluate_runs([run], truth, out)
+        evaluated([run], truth, out)
     assert (out / "errors/other/a.png").is_file()
     assert not list(out.glob(".partial*"))
 
-    monkeypatch.setattr("depthcli.evaluation.scoring._Scoring.all_results", None)  # nothing is computed from here on
+    monkeypatch.setattr("depthcli.evaluation.evaluate._Scoring.all_results", None)  # nothing is computed from here on
     for name in ("scores.csv", "report.md", "contact_sheet.png", "errors/run/deeper/a.png"):
         place = tmp_path / "mine" / name
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -244,17 +258,17 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
         shutil.rmtree(tmp_path / "mine")
     write_record(run, Record("", "another", {}, {}, {}))
     with pytest.raises(ConfigError, match="holds results of another command"):
-        evaluate_runs([run], truth, run)
+        evaluated([run], truth, run)
 
 
 def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
     for runs, message in (([], "no run"), ([tmp_path / "absent"], "no such folder"), ([truth, truth], "given twice")):
         with pytest.raises(InputError, match=message):
-            evaluate_runs(runs, truth, tmp_path / "out")
+            evaluated(runs, truth, tmp_path / "out")
     for name in ("a", "b"):
         (truth / name / "disp_left.png").unlink()
     with pytest.raises(InputError, match="ground truth"):
-        evaluate_runs([tmp_path], truth, tmp_path / "out")
+        evaluated([tmp_path], truth, tmp_path / "out")
 
 
 @pytest.mark.slow
@@ -270,7 +284,7 @@ def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, trut
         if not issubclass(protocols.load(protocol), DisparityProtocol):
             continue
         for _ in range(12):
-            report = evaluate_runs([run], truth, tmp_path / "out", protocol=protocol)
+            report = evaluated([run], truth, tmp_path / "out", protocol=protocol)
             assert {r.protocol for r in report.results} == {protocol}
             json.loads((tmp_path / "out" / "scores.json").read_text(), parse_constant=pytest.fail)
             broken = bytearray(data[: rng.integers(1, len(data) + 1)] if rng.random() < 0.3 else data)
@@ -286,7 +300,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     poor[:12] += 3
     both = run_of(tmp_path / "both", {"a": good, "b": poor})
     easy = run_of(tmp_path / "easy", {"a": good})
-    report = evaluate_runs([both, easy], truth, tmp_path / "out")
+    report = evaluated([both, easy], truth, tmp_path / "out")
     means = {(m["run"], m["metric"], m["mask"], m["threshold"]): m for m in report.to_dict()["means"]}
     full, lacking = (means[run, "bad", "all", 1.0] for run in ("both", "easy"))
     assert (full["value"], full["scenes"], full["missing"], full["common"], full["value_common"]) == (25, 2, 0, 1, 0)
@@ -315,14 +329,14 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
 def test_the_protocol_is_given_or_named_by_the_scene(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2012"}))
-    both = evaluate_runs([run], truth, None)  # different benchmarks are never averaged or compared with each other
+    both = evaluated([run], truth, None)  # different benchmarks are never averaged or compared with each other
     assert [r.protocol for r in both.results] == ["kitti-2012", "middlebury-v2"]
     assert [(s.protocol.name, s.scenes) for s in both.sections] == [("kitti-2012", ["a"]), ("middlebury-v2", ["b"])]
-    assert [r.protocol for r in evaluate_runs([run], truth, None, protocol="ETH3D").results] == ["eth3d"] * 2
+    assert [r.protocol for r in evaluated([run], truth, None, protocol="ETH3D").results] == ["eth3d"] * 2
     with pytest.raises(InputError, match=r"no protocol called 'kitty'; one of: booster, depth, eth3d, kitti-2012"):
-        evaluate_runs([run], truth, None, protocol="kitty")
+        evaluated([run], truth, None, protocol="kitty")
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitty"}))
-    report = evaluate_runs([run], truth, None)
+    report = evaluated([run], truth, None)
     assert "no protocol called 'kitty'" in report.failed[0].error
     assert bad(report.results[1]) == 0
 
@@ -331,17 +345,17 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
     good = exact(truth)
     write_pfm(tmp_path / "m.pfm", good + 2)
     # The file of a scene brings the scene's masks and scale.
-    report = evaluate_runs([tmp_path / "m.pfm"], truth / "a" / "disp_left.png", None)
+    report = evaluated([tmp_path / "m.pfm"], truth / "a" / "disp_left.png", None)
     assert report.results[0].scores[0].region == "nonocc"
     assert bad(report.results[0]) == 100
     # Any other file stands for itself.
     shutil.copy(truth / "a" / "disp_left.png", tmp_path / "gt.png")
-    plain = evaluate_runs([tmp_path / "m.pfm"], tmp_path / "gt.png", None, settings=Settings(scale=8, threshold=3))
+    plain = evaluated([tmp_path / "m.pfm"], tmp_path / "gt.png", None, settings=Settings(scale=8, threshold=3))
     assert (bad(plain.results[0]), bad(plain.results[0], threshold=3)) == (100, 0)
-    (failed,) = evaluate_runs([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed
+    (failed,) = evaluated([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed
     assert "8-bit disparities need a scale" in failed.error
     with pytest.raises(InputError, match="a single map needs a single scene"):
-        evaluate_runs([tmp_path / "m.pfm"], truth, None)
+        evaluated([tmp_path / "m.pfm"], truth, None)
     single = truth / "a" / "disp_left.png"
     assert main(["evaluate", str(tmp_path / "m.pfm"), "--truth", str(single), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
@@ -489,7 +503,7 @@ def test_no_mean_is_over_several_data_sets(tmp_path: Path, truth: Path):
     good = exact(truth)
     maps = {"one/a": good, "one/b": good + 2, "two/a": good + 2}
     runs = [run_of(tmp_path / "x", maps), run_of(tmp_path / "y", {**maps, "two/a": good})]
-    report = evaluate_runs(runs, tmp_path / "all", tmp_path / "out")
+    report = evaluated(runs, tmp_path / "all", tmp_path / "out")
     (overview,) = [table for table in report_tables(report) if table.name == "overview"]
     assert [(row[0], *row[4:7], row[-1]) for row in overview.rows] == [
         ("one", "x", "2", "50.00", "best"), ("one", "y", "2", "50.00", "too few scenes"),

@@ -1,0 +1,64 @@
+"""The scenes with ground truth that runs are compared on: those of a folder, or the one of a single file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from depthcli.core.errors import InputError
+from depthcli.evaluation.protocols import AnyProtocol, Settings, load
+from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.scenes import RgbdScene, Scene, StereoScene
+from depthcli.io.walk import discover_scenes, scenes_with_files
+from depthcli.run.console import Reporter
+
+_DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's folder, without --protocol
+_MILLIMETERS = 1000.0  # codes a meter of a depth map that is the truth, if the settings have no scale
+
+
+def scenes_with_truth(
+    truth: Path,
+    patterns: Sequence[str] = ("*",),
+    layout: str | None = None,
+    protocol: AnyProtocol | None = None,
+    settings: Settings | None = None,
+    reporter: Reporter | None = None,
+) -> list[Scene]:
+    """Return the scenes of a folder that have ground truth, or cannot be used; or the scene of one file of it.
+
+    InputError where there is no scene with ground truth.
+
+    Parameters
+    ----------
+    patterns : shell patterns of scene names
+    layout : layout of the folder; None recognizes it
+    protocol : by which all are scored, so that it says their kind; None: by what every scene names
+    """
+    settings, reporter = settings or Settings(), reporter or Reporter(-1)
+    if os.path.isfile(truth):
+        return [_scene_of_file(truth, protocol, settings, reporter)]
+    tried = ALL_KINDS if protocol is None else ALL_KINDS.of_kind(protocol.kind)
+    found = [s for s in discover_scenes(truth, tried, layout, patterns, reporter.info) if s.problem or s.has_truth]
+    if all(scene.problem for scene in found):
+        nothing = f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)"
+        raise InputError(found[0].problem if found else nothing)
+    return found
+
+
+def _scene_of_file(truth: Path, protocol: AnyProtocol | None, settings: Settings, reporter: Reporter) -> Scene:
+    """Return the scene whose truth a file is, or one of that map without masks, of the settings' scale."""
+    if holding := scenes_with_files([truth], ALL_KINDS):
+        return holding[truth]
+    if protocol is None:
+        reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")
+        protocol = load(_DEFAULT_PROTOCOL)(settings)
+    common: dict[str, Any] = {"name": truth.stem, "folder": truth.parent, "protocol": protocol.name}
+    if issubclass(protocol.kind, StereoScene):
+        codes = None if truth.suffix.lower() == ".pfm" else settings.scale
+        return StereoScene(**common, left=truth, disparity_left=truth, disparity_scale=codes)
+    if issubclass(protocol.kind, RgbdScene):
+        scale = settings.scale or _MILLIMETERS
+        return RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=scale)
+    raise InputError(f"{truth}: {protocol.name} needs a folder of scenes as the ground truth")
