@@ -1,3 +1,4 @@
+from depthcli.api.depth import RefinedDepth as RefinedDepth
 from depthcli.api.depth import complete_transparent as complete_transparent
 from depthcli.api.depth import refine_depth as refine_depth
 from depthcli.api.inputs import load_config as load_config
@@ -9,7 +10,6 @@ from depthcli.api.registration import registration_confidence as registration_co
 from depthcli.api.results import Depth as Depth
 from depthcli.api.results import Disparity as Disparity
 from depthcli.api.results import PointCloud as PointCloud
-from depthcli.api.results import RefinedDepth as RefinedDepth
 from depthcli.api.scores import Scores as Scores
 from depthcli.api.scores import evaluate as evaluate
 from depthcli.api.stereo import Matcher as Matcher

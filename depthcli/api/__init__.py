@@ -12,6 +12,8 @@ users import are listed in ``depthcli/__init__.pyi``; all others may change.
 | ``registration_preview`` | its picture |
 | ``maps`` | ``map_confidence``, ``fuse_maps``: maps of any program -> ``MapConfidence``, ``Disparity`` |
 | ``scores`` | ``evaluate``: an estimate and the truth -> ``Scores`` |
-| ``results`` | ``Disparity``, ``Depth``, ``RefinedDepth``, ``PointCloud``, and the files that they write |
+| ``results`` | ``Disparity``, and the ``Depth`` and the ``PointCloud`` that it becomes |
+| ``masks`` | which pixels get a depth, or become points |
+| ``saving`` | the files that results write |
 | ``inputs`` | ``load_config``; arrays that users have -> images, maps and volumes as methods take them |
 """

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, overload
 
@@ -11,17 +12,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.inputs import Overrides, as_depth, as_image, as_map, computing, load_config
-from depthcli.api.results import RefinedDepth, chosen_pixels
-from depthcli.core.cameras.camera import Intrinsics
+from depthcli.api.masks import Pixels, chosen_pixels
+from depthcli.api.results import PointCloud, Shown
+from depthcli.api.saving import made, write_depth, write_details
+from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
 from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import RgbdFrame, SparseFrame, color8, infrared_image
-from depthcli.core.maps import DepthStatus
+from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, DepthResult
 from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import MILLIMETERS
+from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import naming, warn
 from depthcli.io.formats.plain_text import numbers
 from depthcli.methods.kinect.config import RefineKinectConfig
@@ -31,6 +35,61 @@ from depthcli.run.resources import available_memory, check_memory
 
 Image = NDArray[Any]
 _Preset = str | Path | RefineKinectConfig
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RefinedDepth(Shown, DepthMap):
+    """The depth map of a sensor, cleaned and completed.
+
+    ``values`` (H, W) are float32, meters, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`DepthStatus`,
+    which ``kept``, ``filled`` and ``corrected`` read.
+    """
+
+    color: NDArray[np.uint8]  # (H, W, 3)
+    camera: Intrinsics | None  # of the color image; None: not known
+    details: DepthResult  # what the method returns beside the map: sigma, confidence, tables, pictures, figures
+    seconds: Mapping[str, float]  # stage -> time
+    scale: float = MILLIMETERS  # codes per meter of depth.png
+    rotate: int = 0  # bits that the codes are rotated left by
+    cloud: NDArray[np.bool_] | None = None  # (H, W), the pixels that ``save`` writes as points.ply
+
+    @property
+    def sigma(self) -> NDArray[np.float32]:
+        """(H, W) float32, meters, NaN = none: standard deviation of the values, as the model estimates it."""
+        return self.details.sigma
+
+    @property
+    def confidence(self) -> Mapping[str, NDArray[np.float32]]:
+        """Name of a measure -> (H, W) float32, higher is surer."""
+        return self.details.confidence
+
+    def to_points(
+        self,
+        mask: Pixels = "all",
+        near: float = 0.0,
+        far: float = math.inf,
+        intrinsics: tuple[float, float, float, float] | None = None,
+    ) -> PointCloud:
+        """Return the colored points of the pixels that ``mask`` chooses, from ``near`` to ``far`` meters.
+
+        The mask is ``all``, ``measured`` (not those that were filled in), or (H, W) bool; ``intrinsics`` are fx, fy,
+        cx, cy, pixels, by default those of ``camera``, or of a typical Kinect where that is not known.
+        """
+        camera = self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
+        camera = camera if intrinsics is None else Intrinsics(*intrinsics)
+        return PointCloud.of(self, camera, self.color, mask, near, far)
+
+    def save(self, folder: str | Path) -> None:
+        """Write the files that ``depthcli refine-kinect`` and ``transparent`` write for a scene, with the same bytes.
+
+        The folder is created where it is missing.
+        """
+        files = made(folder)
+        write_pfm(files / "sigma.pfm", self.sigma)
+        write_depth(self, files, self.scale, self.rotate)
+        if self.cloud is not None:
+            self.to_points(self.cloud).save(files / "points.ply")
+        write_details(self.details, files)
 
 
 @overload

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.inputs import as_image, as_map, as_pair, computing
-from depthcli.api.results import Disparity, made, write_details, write_disparity
+from depthcli.api.results import Disparity
+from depthcli.api.saving import made, write_details, write_disparity
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import Status

@@ -17,7 +17,7 @@ from depthcli.algorithms.body import body_of_volume
 from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.api.inputs import Overrides, as_volume, computing, load_config
 from depthcli.api.registration_preview import registration_preview
-from depthcli.api.results import made
+from depthcli.api.saving import made
 from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
 from depthcli.core.volumes import Grid

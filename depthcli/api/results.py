@@ -1,4 +1,4 @@
-"""Results of the functions for Python, and what they write: disparity, depth of it, refined depth, point clouds."""
+"""What a matched pair becomes: a disparity map, its metric depth, and colored points."""
 
 from __future__ import annotations
 
@@ -10,116 +10,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
+from depthcli.api.masks import Pixels, chosen_pixels
+from depthcli.api.saving import made, write_depth, write_details, write_disparity
+from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
-from depthcli.core.errors import ConfigError, InputError, OutputError
+from depthcli.core.errors import ConfigError
 from depthcli.core.frames import Image, color8
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
-from depthcli.core.result import DepthResult, Result
 from depthcli.io.formats.calibrations import read_geometry, write_geometry
-from depthcli.io.formats.depth import MILLIMETERS, write_depth_png, write_points
-from depthcli.io.formats.disparity import write_disparity_png, write_pfm
-from depthcli.io.formats.files import write_text
+from depthcli.io.formats.depth import MILLIMETERS, write_points
 from depthcli.io.formats.images import png_bytes, write_png
-from depthcli.io.formats.pictures import (
-    DEPTH_STATUS_PALETTE,
-    STATUS_PALETTE,
-    confidence_picture,
-    preview,
-    preview_depth,
-    write_status,
-)
+from depthcli.io.formats.pictures import preview, preview_depth
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
-from depthcli.run.json_csv import to_csv
-
-Pixels = str | NDArray[np.bool_]
-"""Name of a choice of pixels, or (H, W) bool."""
-
-
-def share(pixels: NDArray[np.bool_]) -> float:
-    """Return the share of pixels that are True, as reports hold it."""
-    return round(float(np.mean(pixels)), 6)
-
-
-def made(folder: Path | str) -> Path:
-    """Return the folder, created where it is missing; OutputError where that cannot be."""
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
-    return Path(folder)
-
-
-def write_depth(depth: MatchedMap | DepthMap, folder: Path, scale: float, rotate: int = 0) -> None:
-    """Write ``depth.pfm``, ``depth.png``, ``status.png`` and ``preview.png`` of a map in meters."""
-    write_pfm(folder / "depth.pfm", depth.values)
-    write_depth_png(folder / "depth.png", depth.values, scale, rotate)
-    palette = DEPTH_STATUS_PALETTE if isinstance(depth, DepthMap) else STATUS_PALETTE
-    write_status(folder / "status.png", depth.status, palette)
-    write_png(folder / "preview.png", preview_depth(depth.values))
-
-
-def write_disparity(
-    values: NDArray[np.float32], status: NDArray[np.uint8], picture: NDArray[np.uint8], folder: Path
-) -> None:
-    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png``, and ``picture`` as ``preview.png``."""
-    write_pfm(folder / "disp_left.pfm", values)
-    # The PNG has no code for what is negative: those pixels have no value there.
-    write_disparity_png(folder / "disp_left.png", np.where(values < 0, np.float32(np.nan), values))
-    write_status(folder / "status.png", status, STATUS_PALETTE)
-    write_png(folder / "preview.png", picture)
-
-
-def write_details(result: Result, folder: Path) -> None:
-    """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV, and pictures."""
-    for name, confidence in result.confidence.items():
-        write_pfm(folder / f"confidence_{name}.pfm", confidence)
-        write_png(folder / f"confidence_{name}.png", confidence_picture(confidence))
-    for name, rows in result.tables.items():
-        write_text(folder / f"{name}.csv", to_csv(rows))
-    for name, picture in result.pictures.items():
-        write_png(folder / f"{name}.png", picture)
-
-
-def parse_mask(text: str) -> tuple[str, float, str]:
-    """Return kind, share and name of a mask as :func:`chosen_pixels` takes it; ConfigError for other texts."""
-    kind, _, rest = text.partition(":")
-    share, _, name = rest.partition(":")
-    try:
-        number = float(share or "nan")
-    except ValueError:
-        number = -1.0
-    if (kind in ("measured", "all") and not rest) or (kind == "confident" and 0 < number <= 1):
-        return kind, number, name
-    raise ConfigError(f"mask: must be measured, all, or confident:0.8 (got {text!r})")
-
-
-def chosen_pixels(
-    found: MatchedMap | DepthMap, mask: Pixels, confidence: Mapping[str, NDArray[np.float32]] | None = None
-) -> NDArray[np.bool_]:
-    """Return the pixels of a map that a mask chooses, (H, W) bool.
-
-    ``confident:0.8:NAME`` chooses those of the measured ones at and above the quantile of a confidence; the name may be
-    left out where there is one only. ConfigError for other texts; InputError for an array of another shape or dtype,
-    and where no confidence has that name, or none is named and there are several.
-    """
-    if not isinstance(mask, str):
-        if np.shape(mask) != found.values.shape or np.asarray(mask).dtype != np.bool_:
-            raise InputError(f"mask: expected bool of shape {found.values.shape}, got {np.shape(mask)}")
-        return mask
-    kind, share, name = parse_mask(mask)
-    measured = found.valid & ~found.filled
-    if kind != "confident":
-        return measured if kind == "measured" else found.valid
-    maps = confidence or {}
-    name = name or (next(iter(maps)) if len(maps) == 1 else "")
-    if name not in maps:
-        raise InputError(f"mask {mask}: which confidence map? there are: {', '.join(maps) or 'none'}")
-    measured &= np.isfinite(maps[name])
-    if measured.any():
-        measured &= maps[name] >= np.quantile(maps[name][measured], 1 - share, method="higher")
-    return measured
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,7 +57,7 @@ class PointCloud:
         write_points(path, self.points, self.color)
 
 
-class _Shown:
+class Shown:
     """How a map in meters shows itself, in the console and in notebooks."""
 
     values: NDArray[np.float32]
@@ -175,7 +78,7 @@ class _Shown:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Depth(_Shown, MatchedMap):
+class Depth(Shown, MatchedMap):
     """Metric depth of a disparity map: ``values`` (H, W) float32, meters; ``status``, bits of :class:`Status`."""
 
     camera: Intrinsics  # the left one
@@ -197,7 +100,7 @@ class Depth(_Shown, MatchedMap):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Disparity(_Shown, DisparityMap):
+class Disparity(Shown, DisparityMap):
     """The disparity map of a pair's left view.
 
     ``values`` (H, W) are float32, pixels, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`Status`, which
@@ -288,58 +191,3 @@ class Disparity(_Shown, DisparityMap):
 
     def _range(self) -> str:
         return f"searched {self.search.min_disparity} to {self.search.max_disparity} px"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RefinedDepth(_Shown, DepthMap):
-    """The depth map of a sensor, cleaned and completed.
-
-    ``values`` (H, W) are float32, meters, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`DepthStatus`,
-    which ``kept``, ``filled`` and ``corrected`` read.
-    """
-
-    color: NDArray[np.uint8]  # (H, W, 3)
-    camera: Intrinsics | None  # of the color image; None: not known
-    details: DepthResult  # what the method returns beside the map: sigma, confidence, tables, pictures, figures
-    seconds: Mapping[str, float]  # stage -> time
-    scale: float = MILLIMETERS  # codes per meter of depth.png
-    rotate: int = 0  # bits that the codes are rotated left by
-    cloud: NDArray[np.bool_] | None = None  # (H, W), the pixels that ``save`` writes as points.ply
-
-    @property
-    def sigma(self) -> NDArray[np.float32]:
-        """(H, W) float32, meters, NaN = none: standard deviation of the values, as the model estimates it."""
-        return self.details.sigma
-
-    @property
-    def confidence(self) -> Mapping[str, NDArray[np.float32]]:
-        """Name of a measure -> (H, W) float32, higher is surer."""
-        return self.details.confidence
-
-    def to_points(
-        self,
-        mask: Pixels = "all",
-        near: float = 0.0,
-        far: float = math.inf,
-        intrinsics: tuple[float, float, float, float] | None = None,
-    ) -> PointCloud:
-        """Return the colored points of the pixels that ``mask`` chooses, from ``near`` to ``far`` meters.
-
-        The mask is ``all``, ``measured`` (not those that were filled in), or (H, W) bool; ``intrinsics`` are fx, fy,
-        cx, cy, pixels, by default those of ``camera``, or of a typical Kinect where that is not known.
-        """
-        camera = self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
-        camera = camera if intrinsics is None else Intrinsics(*intrinsics)
-        return PointCloud.of(self, camera, self.color, mask, near, far)
-
-    def save(self, folder: str | Path) -> None:
-        """Write the files that ``depthcli refine-kinect`` and ``transparent`` write for a scene, with the same bytes.
-
-        The folder is created where it is missing.
-        """
-        files = made(folder)
-        write_pfm(files / "sigma.pfm", self.sigma)
-        write_depth(self, files, self.scale, self.rotate)
-        if self.cloud is not None:
-            self.to_points(self.cloud).save(files / "points.ply")
-        write_details(self.details, files)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.inputs import as_map, as_volume
-from depthcli.api.results import Depth, Disparity, RefinedDepth
 from depthcli.core.errors import InputError
+from depthcli.core.maps import DepthMap, MatchedMap
 from depthcli.core.volumes import Grid
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings
@@ -74,7 +74,7 @@ class Scores:
 
 
 def evaluate(
-    estimate: ArrayLike | Disparity | Depth | RefinedDepth,
+    estimate: ArrayLike | MatchedMap | DepthMap,
     truth: ArrayLike,
     protocol: str = "middlebury-v2",
     mask: ArrayLike | Mapping[str, ArrayLike] | None = None,
@@ -112,7 +112,7 @@ def evaluate(
     (5.56, 0.167)
     """
     judge = protocols.load(protocol)(Settings(threshold=threshold))
-    if isinstance(estimate, Disparity | Depth | RefinedDepth):
+    if isinstance(estimate, MatchedMap | DepthMap):
         estimate = estimate.values
     scene: Scene
     stored: Any

@@ -12,7 +12,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.results import PointCloud, chosen_pixels, parse_mask, write_depth
+from depthcli.api.masks import chosen_pixels, parse_mask
+from depthcli.api.results import PointCloud
+from depthcli.api.saving import write_depth
 from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.commands._options import RunOptions
 from depthcli.commands._scenes import scenes_at
@@ -35,7 +37,7 @@ from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_si
 from depthcli.io.walk import matches_any, scenes_with_files
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, Reporter, number, percent
-from depthcli.run.json_csv import Row
+from depthcli.run.json_csv import Row, share
 from depthcli.run.records import is_inside
 from depthcli.run.report import read_report
 
@@ -114,7 +116,7 @@ class ToDepth(Batch[DisparityScene]):
         known = np.isfinite(depth)
         median = round(float(np.median(depth[known])), 6) if known.any() else None
         beyond, beyond_warning = beyond_png(depth, config["depth_scale"])
-        facts: Row = {"width": width, "height": height, "density": round(float(known.mean()), 6)}
+        facts: Row = {"width": width, "height": height, "density": share(known)}
         facts |= {"median_depth": median, "focal": geometry.left.fx, "baseline": geometry.baseline}
         facts |= {"doffs": geometry.offset, "beyond_png": round(beyond, 6)}
         warnings = []

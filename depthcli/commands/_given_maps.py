@@ -39,6 +39,7 @@ from depthcli.methods.given_maps import peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, number, percent
+from depthcli.run.json_csv import share
 from depthcli.run.report import read_report
 
 
@@ -158,8 +159,8 @@ class FuseMaps(_GivenMaps):
             "height": pair.shape[0],
             "max_disparity": found.search.max_disparity,
             "maps": len(maps),
-            "expected_right": round(float(found.confidence["probability"].mean()), 6),
-            "measured": round(float(np.mean(found.measured)), 6),
+            "expected_right": share(found.confidence["probability"]),
+            "measured": share(found.measured),
         }
         absent = [f"no map of {run}: fused without it" for run in scene.absent]
         return Outcome(columns, clock.seconds, [*absent, *found.warnings])
@@ -194,9 +195,9 @@ class Confidence(_GivenMaps):
             "width": found.values.shape[1],
             "height": found.values.shape[0],
             "max_disparity": found.max_disparity,
-            "density": round(float(np.isfinite(found.kept(config["keep"], config["threshold"])).mean()), 6),
-            "expected_right": round(float(found.probability[known].mean()), 6) if known.any() else None,
-            "hidden": round(float(hidden.mean()), 6),
+            "density": share(np.isfinite(found.kept(config["keep"], config["threshold"]))),
+            "expected_right": share(found.probability[known]) if known.any() else None,
+            "hidden": share(hidden),
         }
         absent = [f"no map of {run}: judged without it" for run in scene.absent]
         return Outcome(columns, clock.seconds, [*absent, *found.warnings])

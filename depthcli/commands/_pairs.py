@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from depthcli.api.matching import limits_of, match_pair, partly_used, read_rig
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import SceneOptions
@@ -29,7 +27,7 @@ from depthcli.methods.stereo.matching import host_bytes
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, percent
-from depthcli.run.json_csv import Row
+from depthcli.run.json_csv import Row, share
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
@@ -162,7 +160,7 @@ class MatchPairs(Batch[StereoScene]):
             **facts,
             **key_points,
             "density": round(found.density, 6),
-            "measured": round(float(np.mean(found.measured)), 6),
+            "measured": share(found.measured),
             **({"bits": pair.bits} if partly_used(pair) else {}),
             **{name: float(value) for name, value in found.details.figures.items()},
             **self.device_column(),

@@ -39,7 +39,7 @@ from depthcli.methods.stereo.search_range import range_of_key_points
 from depthcli.methods.stereo.view_matching import Points, match_views
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, number, percent
-from depthcli.run.json_csv import Row
+from depthcli.run.json_csv import Row, share
 
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
 
@@ -121,7 +121,7 @@ class Rectify(Batch[StereoScene]):
         except InputError as error:
             warnings.append(str(error))
         facts: Row = {"width": found.size[0], "height": found.size[1], **rows}
-        facts |= {"overlap": round(float(np.mean(overlap)), 6), **search}
+        facts |= {"overlap": share(overlap), **search}
         if isinstance(found, RectifiedRig):
             facts |= {"focal": found.geometry.left.fx, "baseline": found.geometry.baseline}
             write_geometry(folder / "calib.txt", found.geometry, search.get("max_disparity"))

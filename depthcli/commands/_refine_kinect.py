@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 
 from depthcli.api.depth import refined_frame
-from depthcli.api.results import parse_mask, share
+from depthcli.api.masks import parse_mask
 from depthcli.commands._batch import config_of
 from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.commands._options import RunOptions, SceneOptions
@@ -34,7 +34,7 @@ from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import SequencePipeline, frame_by_frame
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, percent
-from depthcli.run.json_csv import Row
+from depthcli.run.json_csv import Row, share
 from depthcli.run.resources import check_memory
 
 FrameOrSequence: TypeAlias = RgbdScene | SequenceScene

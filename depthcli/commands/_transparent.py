@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from depthcli.api.depth import completed_frame
-from depthcli.api.results import share
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
@@ -27,6 +26,7 @@ from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, percent
+from depthcli.run.json_csv import share
 
 
 def prepare(

@@ -15,6 +15,11 @@ Row: TypeAlias = dict[str, Any]
 """One row of a report: column -> JSON value."""
 
 
+def share(values: Any) -> float:
+    """Return the mean of an array, such as the share of pixels that are True, as reports hold it."""
+    return round(float(values.mean()), 6)
+
+
 def to_json(value: object) -> str:
     """Return ``value`` as indented JSON that ends with a line break; numbers that are not finite become null."""
     plain = _finite(value)
