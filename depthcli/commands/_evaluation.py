@@ -11,32 +11,23 @@ from depthcli.evaluation.evaluate import PAGE_FILE, Viewer
 from depthcli.evaluation.render import FORMATS
 from depthcli.evaluation.tables import check_names, chosen_text, headline_text
 from depthcli.report.contact_sheet import ContactSheet
-from depthcli.report.page import Page, RunWithoutTruth
+from depthcli.report.page import Page
+from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.console import Reporter
 
 
 def viewers(
-    reporter: Reporter,
-    output: Path | None,
-    html: bool,
-    html_budget: str = "50MB",
-    without_truth: RunWithoutTruth | None = None,
+    reporter: Reporter, output: Path | None, html: bool, html_budget: str = "50MB", run: RunWithoutTruth | None = None
 ) -> list[Viewer]:
     """Return what shows the maps of an evaluation: the contact sheet, and the page that ``--html`` requests.
 
-    Raises
-    ------
-    ConfigError
-        There is no folder for the page, or ``html_budget`` is no size.
+    ConfigError where there is no folder for the page, or ``html_budget`` is no size.
     """
     if not html:
         return [ContactSheet()]
     if output is None:
         raise ConfigError("--html wants --output, the folder to write the page into")
-    return [
-        ContactSheet(),
-        Page(reporter.command_line, parse_bytes(html_budget, "--html-budget"), without_truth),
-    ]
+    return [ContactSheet(), Page(reporter.command_line, parse_bytes(html_budget, "--html-budget"), run)]
 
 
 def check_tables(options: TableOptions) -> None:

@@ -10,12 +10,13 @@ from depthcli.commands._evaluation import viewers
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import DepthcliError
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, evaluate_runs
+from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, Choices, evaluate_runs
 from depthcli.evaluation.map_files import run_names
 from depthcli.evaluation.protocols import load
 from depthcli.io.inputs import local
 from depthcli.io.scenes import Scene, SequenceScene
-from depthcli.report.page import Page, RunWithoutTruth
+from depthcli.report.page import Page
+from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.batch import Batch, SceneT
 from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import staging_folder
@@ -40,28 +41,26 @@ def evaluated(
     scored = [scene for scene in scenes if in_folder and scene.has_truth]
     others = [scene for scene in scenes if not (in_folder and scene.has_truth)]
     shown = _without_truth(batch, others, rows, options.output) if options.html and others else None
-    views = viewers(reporter, output, options.html, without_truth=shown)
     if scored and truth is not None:
         judged = [scene for scene in batch.truth_scenes(scenes) if scene.problem or scene.has_truth]
-        report = evaluate_runs(
-            [options.output], judged, local(truth), output, reporter=reporter, viewers=views, conditions=conditions,
-            rows={str(row["scene"]): row for row in rows},
-        )  # fmt: skip
+        by_name, views = {str(row["scene"]): row for row in rows}, viewers(reporter, output, options.html, run=shown)
+        choices = Choices(rows=by_name, conditions=conditions, viewers=views, reporter=reporter)
+        report = evaluate_runs([options.output], judged, local(truth), output, choices)
         return report, output / PAGE_FILE if options.html else None, report.flags
     shows = ": the page shows the maps without scores" if options.html else ", nothing to compare with"
     reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
     flags = flag_rows(conditions, rows, reporter)
-    for page in views:
-        if isinstance(page, Page) and shown is not None:
-            try:
-                with staging_folder(output, "evaluate", RESULTS, reporter.info) as folder:
-                    page.begin(folder)
-                    page.write(None, "{}", {shown.name: saved_config(shown.folder)}, flags)
-            except DepthcliError as error:  # the maps are there
-                reporter.error(f"no {page.file}: {error}")
-            else:
-                return None, output / PAGE_FILE, flags
-    return None, None, flags
+    if shown is None:
+        return None, None, flags
+    page = Page(reporter.command_line, run=shown)
+    try:
+        with staging_folder(output, "evaluate", RESULTS, reporter.info) as folder:
+            page.begin(folder)
+            page.write(None, "{}", {shown.name: saved_config(shown.folder)}, flags)
+    except DepthcliError as error:  # the maps are there
+        reporter.error(f"no {page.file}: {error}")
+        return None, None, flags
+    return None, output / page.file, flags
 
 
 def _without_truth(

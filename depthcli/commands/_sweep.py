@@ -15,7 +15,7 @@ from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._sweep_axes import Axes, Combination, effects, folder_names, value_text
 from depthcli.core.errors import SOME_FAILED, ConfigError
 from depthcli.evaluation.comparison import Section
-from depthcli.evaluation.evaluate import PAGE_FILE, evaluate_runs
+from depthcli.evaluation.evaluate import PAGE_FILE, Choices, evaluate_runs
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.io.formats.files import write_text
@@ -77,10 +77,10 @@ class Sweep:
         if not any(scene.has_truth for scene in found):
             reporter.info(f"{source.input}: no ground truth there, the runs are not compared")
             return SOME_FAILED if failed else 0
-        report = evaluate_runs(
-            [run.options.output for run in runs.values()], [s for s in found if s.problem or s.has_truth], truth,
-            place := output / "evaluation", reporter=reporter, viewers=viewers(reporter, place, html, html_budget),
-        )  # fmt: skip
+        folder, places = output / "evaluation", [run.options.output for run in runs.values()]
+        scored = [scene for scene in found if scene.problem or scene.has_truth]
+        choices = Choices(viewers=viewers(reporter, folder, html, html_budget), reporter=reporter)
+        report = evaluate_runs(places, scored, truth, folder, choices)
         tried = {name: run.values for name, run in runs.items()}
         results = [_compared(section, self.axes, tried, own_run) for section in report.sections]
         document = to_json({"over": dict(self.axes), "results": results})
@@ -92,7 +92,7 @@ class Sweep:
             reporter.data("\n".join(map(_text, report.sections, results)))
         reporter.info(f"runs, evaluation, sweep.csv and sweep.json in {output}")
         if html:
-            reporter.info(f"page to open in a browser: {output / 'evaluation' / PAGE_FILE}")
+            reporter.info(f"page to open in a browser: {folder / PAGE_FILE}")
         return SOME_FAILED if failed or report.failed else 0
 
     def _runs(self) -> tuple[dict[str, _Run], str]:

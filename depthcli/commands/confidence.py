@@ -37,9 +37,9 @@ def confidence(
 ) -> int:
     """Judge the map of every scene; ``--keep SHARE`` and ``--threshold`` leave doubtful pixels out of disp_left."""
     from depthcli.commands._batch import run_batch
-    from depthcli.commands._given_maps import prepare_judgment
+    from depthcli.commands._confidence import prepare
 
-    batch, scenes, run = prepare_judgment(
+    batch, scenes, run = prepare(
         maps, witness or [], right_maps, pairs, coding, run, max_disparity, within, measure or [], threshold
     )
     return run_batch(batch, scenes, run, pairs)

@@ -68,7 +68,7 @@ def evaluate(
 ) -> int:
     """Evaluate, print the tables, and return the exit code."""
     from depthcli.commands._evaluation import check_tables, print_place, print_tables, viewers
-    from depthcli.evaluation.evaluate import evaluate_runs
+    from depthcli.evaluation.evaluate import Choices, evaluate_runs
     from depthcli.evaluation.map_files import MapNaming, find_runs, given_naming
     from depthcli.evaluation.protocols import Settings, load
     from depthcli.evaluation.truth import scenes_with_truth
@@ -80,18 +80,21 @@ def evaluate(
     settings = Settings(of_all.scale, (resolution or "").upper() or None, threshold, _size(resize), of_all.invalid)
     scored_by = None if protocol is None else load(protocol)(settings)
     truth = local(truth)
-    report = evaluate_runs(
-        runs, scenes_with_truth(truth, scenes or ["*"], layout, scored_by, settings, reporter), truth, output,
-        scored_by, settings, reporter,
+    found = scenes_with_truth(truth, scenes or ["*"], layout, scored_by, settings, reporter)
+    choices = Choices(
+        scored_by,
+        settings,
+        {run: naming.over(MapNaming(of_all.pattern)) for run, naming in own.items()},
+        conditions=conditions_of(flag, fail_flagged),
         viewers=viewers(reporter, output, html, html_budget),
-        map_options={run: naming.over(MapNaming(of_all.pattern)) for run, naming in own.items()},
-        conditions=(conditions := conditions_of(flag, fail_flagged)),
-    )  # fmt: skip
+        reporter=reporter,
+    )
+    report = evaluate_runs(runs, found, truth, output, choices)
     if printing.json:
         reporter.data(to_json(report.to_dict()))
     else:
         print_tables(report, reporter, tables, quiet=printing.quiet)
-        if conditions and not printing.quiet:
+        if choices.conditions and not printing.quiet:
             reporter.data(report.flags.text())
     if output is not None:
         print_place(output, reporter)

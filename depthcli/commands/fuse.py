@@ -37,9 +37,9 @@ def fuse(
     from depthcli.commands._batch import run_batch
 
     if config == "maps":
-        from depthcli.commands._given_maps import prepare_fusion
+        from depthcli.commands import _fuse_maps
 
-        return run_batch(*prepare_fusion(maps or [], pairs, coding, run, within, surfaces, set), run, pairs)
+        return run_batch(*_fuse_maps.prepare(maps or [], pairs, coding, run, within, surfaces, set), run, pairs)
     if maps:
         raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
     from depthcli.commands._fuse import prepare

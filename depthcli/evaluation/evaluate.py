@@ -64,18 +64,25 @@ class Viewer(typing.Protocol):
         """Write the file: the report, all of it as JSON, and run -> its resolved config, or empty."""
 
 
+@dataclass(frozen=True)
+class Choices:
+    """How runs are scored and shown."""
+
+    protocol: AnyProtocol | None = None  # that scores all scenes; None: what every scene names
+    settings: Settings = field(default_factory=Settings)
+    naming: Mapping[str, MapNaming] = field(default_factory=dict)  # of a run's maps; what is not given is recognized
+    rows: Mapping[str, Row] | None = None  # scene -> row of the report of the only run; None: read from the runs
+    conditions: Sequence[Condition] = ()  # on scores and on columns of the runs' reports, by which scenes are flagged
+    viewers: Sequence[Viewer] = ()  # which show the maps, if there is a folder for the results
+    reporter: Reporter = field(default_factory=lambda: Reporter(-1))
+
+
 def evaluate_runs(
     runs: Sequence[Path | str],
     scenes: Sequence[Scene],
     truth: Path,
     output: Path | str | None,
-    protocol: AnyProtocol | None = None,
-    settings: Settings | None = None,
-    reporter: Reporter | None = None,
-    viewers: Sequence[Viewer] = (),
-    map_options: Mapping[str, MapNaming] | None = None,
-    conditions: Sequence[Condition] = (),
-    rows: Mapping[str, Row] | None = None,
+    choices: Choices | None = None,
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
@@ -87,11 +94,7 @@ def evaluate_runs(
     ----------
     runs : folders of maps; or maps, if there is a single scene; ``NAME=PLACE`` names one
     scenes : those with ground truth, found in ``truth``, and those that cannot be used
-    output : folder for the results; None: nothing is written, and there are no viewers
-    protocol : what scores all scenes; None: what every scene names
-    map_options : run -> how its maps are named and coded; what is not given is recognized
-    conditions : on scores and on columns of the runs' reports, by which scenes are flagged
-    rows : scene -> row of the report of the only run; None: read from the runs
+    output : folder for the results; None: nothing is written
 
     Raises
     ------
@@ -103,37 +106,24 @@ def evaluate_runs(
     OutputError
         The results cannot be written.
     """
-    reporter, settings = reporter or Reporter(-1), settings or Settings()
-    places = find_runs(runs)
+    choices, places = choices or Choices(), find_runs(runs)
+    choices = choices if output is not None else replace(choices, viewers=())
+    reporter, rows = choices.reporter, choices.rows
     if len(scenes) > 1 and any(place.is_file() for place in places.values()):
         raise InputError(f"a single map needs a single scene, {truth} has {len(scenes)}: give a file, or --scenes")
     writing = staging_folder(Path(output), "evaluate", RESULTS, reporter.info) if output is not None else None
     with writing or contextlib.nullcontext() as folder:
-        shown_by = viewers if folder is not None else ()
         reports = {run: read_report(place) if rows is None else rows for run, place in places.items()}
-        naming = dict(map_options or {})
-        scoring = _Scoring(places, reports, truth, folder, protocol, settings, shown_by, naming)
+        scoring = _Scoring(places, reports, truth, folder, choices)
         with reporter:
-            results = scoring.all_results(scenes, reporter)
-        for name, value in vars(settings).items():
-            taken = any(name in each.takes for each in scoring.protocols.values())
-            if value not in (None, False) and scoring.protocols and not taken:
-                reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
-        files = scoring.maps | {value for s in scenes for value in vars(s).values() if isinstance(value, Path)}
-        plugins = layout_plugins(scenes) | format_plugins(files)
-        plugins |= {plugin for each in scoring.protocols.values() if (plugin := plugin_of(type(each))) is not None}
-        hints, used = (*scoring.hints, *scoring.misfits()), versions_here(plugins)
-        report = EvaluationReport(tuple(places), tuple(results), scoring.protocols, origin(truth), hints, used)
-        if conditions:
-            names = {scene.name for scene in scenes}
-            known = {run: {k: row for k, row in of.items() if k in names} for run, of in reports.items()}
-            report = replace(report, flags=flag_rows(conditions, _flag_columns(report, known), reporter))
+            results = scoring.all_results(scenes)
+        report = scoring.report(scenes, results)
         if folder is not None:
             scores = to_json(report.to_dict())
             write_text(folder / "scores.csv", to_csv(report.records()))
             write_text(folder / "scores.json", scores)
             write_text(folder / "report.md", report_markdown(report))
-            for viewer in shown_by:
+            for viewer in choices.viewers:
                 try:
                     viewer.write(report, scores, {run: saved_config(place) for run, place in places.items()})
                 except DepthcliError as error:  # the scores are there
@@ -167,35 +157,51 @@ def _flag_columns(report: EvaluationReport, known: Mapping[str, Mapping[str, Row
 
 @dataclass
 class _Scoring:
-    """An evaluation under way; see ``evaluate_runs`` for the arguments."""
+    """An evaluation under way."""
 
     runs: Mapping[str, Path]
     reports: Mapping[str, Mapping[str, Row]]  # run -> scene -> row of the run's own report
     truth: Path
     output: Path | None
-    protocol: AnyProtocol | None  # of all scenes; None: what every scene names
-    settings: Settings
-    viewers: Sequence[Viewer]
-    naming: dict[str, MapNaming]
+    choices: Choices
+    naming: dict[str, MapNaming] = field(default_factory=dict)  # of a run's maps
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)  # by name, those that were used
     hints: list[str] = field(default_factory=list)  # what was assumed, one line each
     maps: set[Path] = field(default_factory=set)  # files that were read
     unlike: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # protocol -> scenes that look otherwise
 
-    def all_results(self, scenes: Sequence[Scene], reporter: Reporter) -> list[MapResult]:
+    def all_results(self, scenes: Sequence[Scene]) -> list[MapResult]:
         """Return the results of every scene and run; a line of progress for each scene."""
         names = names_in_run([scene.name for scene in scenes], self.truth)
         self._recognize_maps(scenes, names)
-        for viewer in self.viewers:
+        for viewer in self.choices.viewers:
             assert self.output is not None
             viewer.begin(self.output)
-        reporter.start(len(scenes), 0, "evaluate")
+        self.choices.reporter.start(len(scenes), 0, "evaluate")
         results = []
         for scene in scenes:
             of_scene = self._results(scene, names[scene.name])
             results += of_scene
-            reporter.step(any(result.error for result in of_scene))
+            self.choices.reporter.step(any(result.error for result in of_scene))
         return results
+
+    def report(self, scenes: Sequence[Scene], results: Sequence[MapResult]) -> EvaluationReport:
+        """Return the results as a report, with the plug-ins that took part, what looks wrong, and the flags."""
+        reporter, protocols = self.choices.reporter, self.protocols
+        for name, value in vars(self.choices.settings).items():
+            taken = any(name in protocol.takes for protocol in protocols.values())
+            if value not in (None, False) and protocols and not taken:
+                reporter.info(f"--{name} makes no difference to {', '.join(protocols)}")
+        files = self.maps | {value for scene in scenes for value in vars(scene).values() if isinstance(value, Path)}
+        plugins = layout_plugins(scenes) | format_plugins(files)
+        plugins |= {plugin for each in protocols.values() if (plugin := plugin_of(type(each))) is not None}
+        hints, used = (*self.hints, *self._misfits()), versions_here(plugins)
+        report = EvaluationReport(tuple(self.runs), tuple(results), protocols, origin(self.truth), hints, used)
+        if not self.choices.conditions:
+            return report
+        names = {scene.name for scene in scenes}
+        known = {run: {k: row for k, row in of.items() if k in names} for run, of in self.reports.items()}
+        return replace(report, flags=flag_rows(self.choices.conditions, _flag_columns(report, known), reporter))
 
     def _recognize_maps(self, scenes: Sequence[Scene], names: Mapping[str, list[str]]) -> None:
         """Find the pattern of the maps of every run that holds none under a usual name; InputError if several fit."""
@@ -213,7 +219,7 @@ class _Scoring:
 
         files = {name: (protocol.files, names[name]) for name, (_, protocol) in usable.items()}
         for run, place in self.runs.items():
-            given = self.naming.setdefault(run, MapNaming())
+            given = self.naming[run] = self.choices.naming.get(run, MapNaming())
             if place.is_dir() and not self.reports[run]:
                 self.naming[run] = recognized(run, place, given, files, fits)
                 if self.naming[run] != given:
@@ -226,9 +232,9 @@ class _Scoring:
 
     def _protocol_of(self, scene: Scene) -> AnyProtocol:
         scene.check()
-        if self.protocol is None and not scene.protocol:
+        if self.choices.protocol is None and not scene.protocol:
             raise InputError(f"{scene.folder}: {scene.name} names no protocol; choose one with --protocol")
-        protocol = self.protocol or load(scene.protocol)(self.settings)
+        protocol = self.choices.protocol or load(scene.protocol)(self.choices.settings)
         return self.protocols.setdefault(protocol.name, protocol)
 
     def _results(self, scene: Scene, names: list[str]) -> list[MapResult]:
@@ -242,9 +248,9 @@ class _Scoring:
                 truth: Any = protocol.truth(scene)
         except DepthcliError as error:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
-        if self.protocol is None and truth.looks_like:
+        if self.choices.protocol is None and truth.looks_like:
             self.unlike.setdefault(protocol.name, []).append((scene.name, truth.looks_like))
-        for viewer in self.viewers:
+        for viewer in self.choices.viewers:
             viewer.begin_scene(protocol, scene, truth)
         results = []
         for run in self.runs:
@@ -253,7 +259,7 @@ class _Scoring:
             results.append(replace(result, warning="; ".join([*lines, *own])))
         return results
 
-    def misfits(self) -> list[str]:
+    def _misfits(self) -> list[str]:
         """Return a line for each protocol that scored scenes that look as if another one was meant."""
         return [
             f"{found[0][0]}{f' and {len(found) - 1} more' * (len(found) > 1)}: look like {found[0][1]}, but scored as "
@@ -306,7 +312,7 @@ class _Scoring:
             for (region, of), plot in result.plots.items():
                 lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
                 write_text(self.output / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))
-        for viewer in self.viewers:
+        for viewer in self.choices.viewers:
             viewer.add_map(result, path, estimate, truth, confidences)
         return result
 

@@ -8,9 +8,9 @@ import math
 import os
 import re
 import textwrap
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 from urllib.parse import quote
 
 from depthcli.core.text import csv_cell, one_line
@@ -36,6 +36,15 @@ class Number(str):
         return "" if math.isnan(self.value) else repr(self.value)
 
 
+class TableColumn(NamedTuple):
+    """A column of a table."""
+
+    heading: str
+    cells: Sequence[str]
+    better: bool | None = None  # whether larger numbers are better; None: not ranked
+    scene: str = ""  # full name of the scene that it speaks of, or empty
+
+
 @dataclass(frozen=True)
 class Table:
     """A table of texts and numbers."""
@@ -47,6 +56,12 @@ class Table:
     better: tuple[bool | None, ...] = ()  # of columns, whether larger numbers are better; None: not ranked
     scenes: tuple[str, ...] = ()  # of columns, full name of the scene that one speaks of, or empty
     name: str = ""  # by which it is chosen, and its label in LaTeX
+
+    @classmethod
+    def of_columns(cls, title: str, columns: Iterable[TableColumn], note: str = "", name: str = "") -> Table:
+        """Return the table with these columns."""
+        header, cells, better, scenes = zip(*columns, strict=True)
+        return cls(title, header, list(zip(*cells, strict=True)), note, better, scenes, name)
 
     def only(self, headings: Collection[str]) -> Table:
         """Return the table with its first column and those of the headings."""

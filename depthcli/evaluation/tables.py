@@ -13,7 +13,7 @@ from dataclasses import replace
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.curves import ConfidenceCurve, HiddenPixels, Reliability
-from depthcli.evaluation.render import FORMATS, Number, Table, markdown_code, markdown_link, markdown_text
+from depthcli.evaluation.render import FORMATS, Number, Table, TableColumn, markdown_code, markdown_link, markdown_text
 from depthcli.evaluation.scores import COMMON_MEAN, MEAN, Key
 from depthcli.evaluation.statistics import mean_of_known
 
@@ -83,36 +83,35 @@ def summary(section: Section) -> Table:
 
     The best run is the first. Where maps are missing, a second row of a run has the means over the common scenes.
     """
-    protocol, headline, regions, figures = (
-        section.protocol, section.protocol.headline, section.regions, section.figure_regions,
-    )  # fmt: skip
-    ranks = section.average_rank(section.figure_keys)
-    complete, with_figure, with_tests = len(section.places) == 1, len(figures) > 1, len(section.runs) > 1
-    with_times = any(not math.isnan(result.seconds) for result in section.results)
-    rows = []
-    for run in section.ranking.runs:
-        for place in section.places:
-            cells: list[str] = [_cell(section, run, place, (headline, region)) for region in regions]
-            if with_figure:
-                cells.append(_number(section, run, place, section.overall(run, place).value))
-            if with_tests and place == section.places[-1]:
-                cells += [Number(ranks[run], 1), *_test(section, run)]
-            elif with_tests:
-                cells += [""] * (1 + len(TEST_COLUMNS))
-            cells.append(Number(section.score(run, place, (headline, regions[0])).density, 1))
-            cells += [Number(mean_of_known(r.seconds for r in section.results_of(run, place)))] * with_times
-            rows.append((run, _n_scenes(section, run, place), *cells))
-    values = [_region_heading(section, region) for region in regions]
-    values += [f"mean of {len(section.scenes) * len(figures)}"] * with_figure
-    header = ("run", "scenes", *values, *["avg rank", *TEST_COLUMNS] * with_tests, f"density {regions[0]} %")
-    header += ("seconds",) * with_times
+    protocol, main, figures, places = section.protocol, section.regions[0], section.figure_regions, section.places
+    headline = protocol.headline
+    rows = [(run, place) for run in section.ranking.runs for place in places]
+    complete, with_tests = len(places) == 1, len(section.runs) > 1
+    better = headline.larger_is_better if complete else None
+    columns = [TableColumn("run", [run for run, _ in rows])]
+    columns.append(TableColumn("scenes", [_n_scenes(section, *row) for row in rows]))
+    for region in section.regions:
+        cells = [_cell(section, *row, (headline, region)) for row in rows]
+        columns.append(TableColumn(_region_heading(section, region), cells, better))
+    if len(figures) > 1:
+        cells = [_number(section, *row, section.overall(*row).value) for row in rows]
+        columns.append(TableColumn(f"mean of {len(section.scenes) * len(figures)}", cells, better))
+    if with_tests:  # of the last mean of a run
+        ranks = section.average_rank(section.figure_keys)
+        tests = {run: (Number(ranks[run], 1), *_test(section, run)) for run in section.runs}
+        cells_of_rows = [tests[run] if place == places[-1] else [""] * len(tests[run]) for run, place in rows]
+        columns += map(TableColumn, ("avg rank", *TEST_COLUMNS), zip(*cells_of_rows, strict=True))
+    cells = [Number(section.score(*row, (headline, main)).density, 1) for row in rows]
+    columns.append(TableColumn(f"density {main} %", cells))
+    if any(not math.isnan(result.seconds) for result in section.results):
+        cells = [Number(mean_of_known(r.seconds for r in section.results_of(*row))) for row in rows]
+        columns.append(TableColumn("seconds", cells))
     title = f"{section.data_set} - {protocol.presentation.title} ({headline.heading})"
-    if len(regions) > 1 and with_tests:
-        title += f", ranked by {'the mean of ' * with_figure}{', '.join(figures)}"
+    if len(section.regions) > 1 and with_tests:
+        title += f", ranked by {'the mean of ' * (len(figures) > 1)}{', '.join(figures)}"
     note = "; ".join(filter(None, [protocol.presentation.note, "" if complete else MISSING]))
-    ranked = tuple(headline.larger_is_better if heading in values else None for heading in header)
     note = ". ".join(filter(None, [note, _tests_note(section)]))
-    return Table(title, header, rows, note, ranked if complete else (), (), "headline")
+    return Table.of_columns(title, columns, note, "headline")
 
 
 def _test(section: Section, run: str) -> tuple[str, str, str, str]:
@@ -147,23 +146,24 @@ def overview(report: EvaluationReport) -> list[Table]:
     """Return the single figure of every run in every data set, where there are several; none is over all of them."""
     if len(report.sections) < 2:
         return []
-    rows = []
-    for section in report.sections:
-        for run in section.ranking.runs:
-            figure = _number(section, run, MEAN, section.overall(run).value)
-            n_scenes = _n_scenes(section, run, MEAN, section.figure_regions[0])
-            metric, regions = section.protocol.headline.heading_with_unit, ", ".join(section.figure_regions)
-            test = _test(section, run) if len(report.runs) > 1 else ()
-            rows.append((section.data_set, section.protocol.name, metric, regions, run, n_scenes, figure, *test))
-    header: tuple[str, ...] = ("data set", "protocol", "metric", "mean of", "run", "scenes", "figure")
+    rows = [(section, run) for section in report.sections for run in section.ranking.runs]
+    columns = [
+        TableColumn("data set", [section.data_set for section, _ in rows]),
+        TableColumn("protocol", [section.protocol.name for section, _ in rows]),
+        TableColumn("metric", [section.protocol.headline.heading_with_unit for section, _ in rows]),
+        TableColumn("mean of", [", ".join(section.figure_regions) for section, _ in rows]),
+        TableColumn("run", [run for _, run in rows]),
+        TableColumn("scenes", [_n_scenes(section, run, MEAN, section.figure_regions[0]) for section, run in rows]),
+        TableColumn("figure", [_number(section, run, MEAN, section.overall(run).value) for section, run in rows]),
+    ]
     note = [MISSING] * any(len(section.places) > 1 for section in report.sections)
     if len(report.runs) > 1:
-        header += TEST_COLUMNS
+        columns += map(TableColumn, TEST_COLUMNS, zip(*(_test(*row) for row in rows), strict=True))
         note.append(
             f"{_TESTS_NOTE} the run's figure is better or worse than that of the data set's first, the "
             "best; p: Wilcoxon signed-rank test over the scenes, Holm-corrected within a data set"
         )
-    return [Table("Headline by data set", header, rows, ". ".join(note), name="overview")]
+    return [Table.of_columns("Headline by data set", columns, ". ".join(note), "overview")]
 
 
 def further_tables(report: EvaluationReport) -> list[Table]:
@@ -285,23 +285,14 @@ def _wide(
         ],
     }
     known = {heading: values for heading, values in times.items() if not all(map(math.isnan, values))}
-    rows = [
-        (run, *(_cell(section, run, place, key) for _, place, key in columns),
-         *(Number(values[i], 1) for values in ranks.values()), *(Number(values[i]) for values in known.values()))
-        for i, run in enumerate(section.runs)
-    ]  # fmt: skip
-    headings, places, keys = zip(*columns, strict=True)
-    further = (*ranks, *known)
+    made = [TableColumn("run", section.runs)]
+    for heading, place, key in columns:
+        cells = [_cell(section, run, place, key) for run in section.runs]
+        made.append(TableColumn(heading, cells, key[0].larger_is_better, place if place in section.scenes else ""))
+    made += [TableColumn(heading, [Number(value, 1) for value in values], False) for heading, values in ranks.items()]
+    made += [TableColumn(heading, list(map(Number, values)), False) for heading, values in known.items()]
     note = "*: no map, counted as wholly wrong; means over scenes that all runs have beside"
-    return Table(
-        title,
-        ("run", *headings, *further),
-        rows,
-        note * (len(section.places) > 1),
-        (None, *(metric.larger_is_better for metric, _ in keys), *(False for _ in further)),
-        ("", *(place if place in section.scenes else "" for place in places), *("" for _ in further)),
-        name,
-    )
+    return Table.of_columns(title, made, note * (len(section.places) > 1), name)
 
 
 def headline_text(report: EvaluationReport) -> str:

@@ -1,32 +1,28 @@
-"""Arrays as the page's script reads them, deflated 16-bit codes in base64; the planes that are shown; their colors."""
+"""How the page holds a scene: arrays as deflated 16-bit codes in base64, pictures as data URIs, in a file a scene.
+
+``page.js`` unpacks the arrays.
+"""
 
 from __future__ import annotations
 
 import base64
+import json
 import math
 import zlib
-from dataclasses import dataclass
-from functools import cache
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.io.formats.files import write_text
+
 Packed = dict[str, Any]
 
-NO_VALUE = (90, 90, 90)
-"""RGB of a pixel of a map that has no value; no color of the map's scale."""
-
+_JPEG_QUALITY = 88  # at which artifacts are not visible beneath a map
 _DEFLATE_LEVEL = 4  # of zlib; higher ones take several times as long for a few percent
 _MAX_CODE = 65535
-_MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps its pictures near 10 MB per run
-# By kind of pixel, from a small error to a large one. Blue and orange stay apart for every kind of color blindness,
-# purple is apart from both by lightness too; the darker, the worse.
-_RAMPS = (
-    ("#ffffff", "#ffffff"), ("#c6dff2", "#2f7ab8"), ("#f5b13d", "#8a3000"), ("#dcdcdc", "#9b9b9b"),
-    ("#dba2cf", "#5c1f57"), ("#000000", "#000000"),
-)  # fmt: skip
 
 
 def pack(values: NDArray[np.floating[Any]], low: float, high: float, levels: int = _MAX_CODE) -> Packed:
@@ -87,60 +83,52 @@ def thinned(value: Any, factor: int) -> Any:
     return value | (pack_bytes(values) if value["bits"] == 8 else _packed(values, value["origin"], value["step"]))
 
 
-@dataclass(frozen=True)
-class Slice:
-    """A plane of an array that is shown, ``array[index]``: an image itself, or a slice of a volume."""
-
-    axis: int  # that it is perpendicular to, -1 for an image itself
-    place: int  # number of the slice along that axis, from 0
-    n_places: int
-    index: tuple[Any, ...]
-
-
-def slices(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Slice]:
-    """Return the planes that are shown: an image itself; of a volume (Z, Y, X) slices across every axis.
-
-    The middle slices are among them. Where a volume has more than about ``max_pixels`` in all of them together, every
-    second, third ... slice is taken.
-    """
-    if len(shape) == 2:
-        return [Slice(-1, 0, 1, (...,))]
-    planes = [tuple(n for other, n in enumerate(shape) if other != axis) for axis in range(3)]
-    axes = [axis for axis in range(3) if min(planes[axis]) > 1] or [0]  # an image of one slice has no others
-    step = max(1, math.ceil(len(axes) * math.prod(shape) / max_pixels))
-    made = []
-    for axis in axes:
-        for place in range(shape[axis] // 2 % step, shape[axis], step):
-            index = tuple(place if other == axis else slice(None) for other in range(3))
-            made.append(Slice(axis, place, shape[axis], index))
-    return made
+def smaller(data: dict[str, Any], factor: int) -> dict[str, Any]:
+    """Return the data of a scene with every ``factor``-th pixel."""
+    views = []
+    for view in data["views"]:
+        height, width = (-(-view[side] // factor) for side in ("height", "width"))
+        views.append(thinned(view, factor) | {"height": height, "width": width, "factor": factor})
+        if view["image"] is not None:
+            code = np.frombuffer(base64.b64decode(view["image"].partition(",")[2]), np.uint8)
+            picture = cv2.imdecode(code, cv2.IMREAD_COLOR)
+            assert picture is not None  # it was written here
+            views[-1]["image"] = jpeg(np.asarray(cv2.resize(picture, (width, height))[..., ::-1], np.uint8))
+    return {**data, "views": views}
 
 
-@cache
-def map_colors() -> NDArray[np.uint8]:
-    """Return (256, 3) RGB of the map's scale: viridis, perceptually uniform, readable without color vision."""
-    grey = np.arange(256, dtype=np.uint8)[:, None]
-    table: NDArray[Any] = cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
-    return np.ascontiguousarray(table, np.uint8)
+def jpeg(picture: NDArray[np.uint8]) -> str:
+    """Return an (H, W, 3) RGB picture as the data URI of a JPEG."""
+    code = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
+    return f"data:image/jpeg;base64,{base64.b64encode(code.tobytes()).decode('ascii')}"
 
 
-@cache
-def error_scales() -> NDArray[np.uint8]:
-    """Return (6, 64, 3) RGB by kind of pixel and size of the error, as the page's script indexes them, too."""
-    share = np.linspace(0, 1, 64)[:, None]
-    ends = [[np.array([int(end[k : k + 2], 16) for k in (1, 3, 5)]) for end in ramp] for ramp in _RAMPS]
-    return np.stack([np.rint(first + share * (last - first)) for first, last in ends]).astype(np.uint8)
+def png(picture: NDArray[np.uint8]) -> str:
+    """Return an (H, W, 3) RGB picture as the data URI of a PNG."""
+    code = cv2.imencode(".png", picture[..., ::-1])[1]
+    return f"data:image/png;base64,{base64.b64encode(code.tobytes()).decode('ascii')}"
 
 
-def map_picture(values: NDArray[np.floating[Any]], low: float, high: float) -> NDArray[np.uint8]:
-    """Return (H, W) numbers as (H, W, 3) RGB of the scale over [low, high]."""
-    picture = map_colors()[step_of(values, low, high, 256)]
-    picture[np.isnan(values)] = NO_VALUE
-    return picture
+class PackedScene(NamedTuple):
+    """The data of a scene in a script, which the page loads where they do not fit into it."""
+
+    file: Path
+    size: int  # characters
+
+    @classmethod
+    def write(cls, file: Path, data: dict[str, Any]) -> PackedScene:
+        """Write the data."""
+        text = f'depthcli("{file.stem}", {script_json(json.dumps(data))});\n'
+        write_text(file, text)
+        return cls(file, len(text))
+
+    def embedded(self, factor: int) -> str:
+        """Return the data with every ``factor``-th pixel, as JSON for a script element."""
+        text = self.file.read_text("utf-8")
+        data = text[text.index("{") : text.rindex("}") + 1]
+        return data if factor == 1 else script_json(json.dumps(smaller(json.loads(data), factor)))
 
 
-def step_of(values: NDArray[np.floating[Any]], low: float, high: float, steps: int) -> NDArray[np.intp]:
-    """Return the index of numbers, NaN the lowest, among equal steps over [low, high]."""
-    known = np.clip(np.nan_to_num(values.astype(np.float64), nan=low), low, max(high, low))
-    index: NDArray[np.intp] = np.clip(((known - low) / max(high - low, 1e-9) * steps).astype(np.intp), 0, steps - 1)
-    return index
+def script_json(text: str) -> str:
+    r"""Return JSON that cannot end its script element: ``<``, which strings alone have, is written ``\u003c``."""
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")

@@ -6,11 +6,11 @@ what the run says of it.
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -22,18 +22,57 @@ from depthcli.evaluation.protocols import UNKNOWN, AnyProtocol, ShownMap, SliceA
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import Palette, confidence_picture, read_status, status_color, status_words
 from depthcli.io.scenes import Scene
-from depthcli.report import packing
-from depthcli.report.packing import Slice, pack, pack_bytes
+from depthcli.report.colors import NO_VALUE, error_scales, map_picture, step_of
+from depthcli.report.packing import PackedScene, jpeg, pack, pack_bytes, png
 
 _CONFIDENCE_LEVELS = 4096  # of a packed confidence; noise below them would only fill the page
 _MAX_THUMB = 240  # pixels of a small picture's longer side
 _MARGIN = 0.5  # values up to this share of the truth's range beside it are packed, those beyond as out of range
-_JPEG_QUALITY = 88  # at which artifacts are not visible beneath a map
 _MAX_SHEET = 1056  # pixels, width of the preview of a volume in the page
 _MAX_CONFIDENCES = 4  # with a small picture and a mean; the others are in the viewer
 _QUANTILES = (1, 99)  # percent, of the values that span the colors where nothing else gives their scale
+_MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps its pictures near 10 MB per run
 
 Picture = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A plane of an array that is shown, ``array[index]``: an image itself, or a slice of a volume."""
+
+    axis: int  # that it is perpendicular to, -1 for an image itself
+    place: int  # number of the slice along that axis, from 0
+    n_places: int
+    index: tuple[Any, ...]
+
+
+def slices(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Slice]:
+    """Return the planes that are shown: an image itself; of a volume (Z, Y, X) slices across every axis.
+
+    The middle slices are among them. Where a volume has more than about ``max_pixels`` in all of them together, every
+    second, third ... slice is taken.
+    """
+    if len(shape) == 2:
+        return [Slice(-1, 0, 1, (...,))]
+    sides = [shape[:axis] + shape[axis + 1 :] for axis in range(3)]
+    axes = [axis for axis in range(3) if min(sides[axis]) > 1] or [0]  # an image of one slice has no others
+    step = max(1, math.ceil(len(axes) * math.prod(shape) / max_pixels))
+    made = []
+    for axis in axes:
+        for place in range(shape[axis] // 2 % step, shape[axis], step):
+            index = tuple(place if other == axis else slice(None) for other in range(3))
+            made.append(Slice(axis, place, shape[axis], index))
+    return made
+
+
+class _Errors(NamedTuple):
+    """What the small picture of a run's errors is drawn from, once their scale is known."""
+
+    kind: Picture  # of pixel
+    error: NDArray[np.floating[Any]]
+    high: float  # 90 % quantile over wrong pixels, NaN: there are none
 
 
 class SceneView:
@@ -43,7 +82,7 @@ class SceneView:
     ----------
     protocol : by which it is scored, or its map is shown
     known, hidden : pixels with known truth, and those of them that are occluded; of the shape of the maps
-    true : the truth, of that shape; None: it is not known
+    true : the truth, of that shape, NaN where it is not known; None: everywhere
     axes : of a volume
     scale : lowest and highest value of the colors
     palette : colors and words of the status maps
@@ -62,17 +101,18 @@ class SceneView:
     mean_confidence : without truth: heading -> mean of a confidence map
     legend : without truth: words -> CSS color of the statuses in the small picture
     sheet : data URI of a volume's preview, instead of small pictures; or None
+    packed : the data in a file, where they are once the view is closed
     """
 
     def __init__(
         self,
         scene: Scene,
         protocol: AnyProtocol,
-        known: NDArray[np.bool_],
-        hidden: NDArray[np.bool_],
+        known: Mask,
+        hidden: Mask,
         true: NDArray[Any] | None,
         axes: tuple[SliceAxis, ...],
-        scale: tuple[float, float],
+        scale: Range,
         palette: Palette,
     ) -> None:
         self.scene, self.protocol, self.known, self.hidden, self.palette = scene, protocol, known, hidden, palette
@@ -84,9 +124,9 @@ class SceneView:
         self.legend: dict[str, str] = {}
         self.note = ""
         self.sheet: str | None = None
-        # What small error pictures are drawn from, once the scale is known: run -> kinds of pixel, errors, quantile.
-        self._errors: dict[str, tuple[Picture, NDArray[np.floating[Any]], float]] = {}
-        self._cuts = packing.slices(known.shape)
+        self.packed: PackedScene
+        self._errors: dict[str, _Errors] = {}
+        self._cuts = slices(known.shape)
         # The first view is of the first axis the slice with most known pixels, of such ones the most central.
         first = [number for number, cut in enumerate(self._cuts) if cut.axis == self._cuts[0].axis]
         n_known = {n: int(np.count_nonzero(known[self._cuts[n].index])) for n in first}
@@ -113,19 +153,16 @@ class SceneView:
                 "name": name, "axis": cut.axis, "plane": plane_name, "axes": [columns, rows],
                 "tall": abs(rows.step / columns.step) if rows and columns else 1.0,
                 "width": plane.shape[1], "height": plane.shape[0], "factor": 1,
-                "image": None if picture is None else _jpeg(picture),
-                "truth": None if true is None else pack(self._true(true, cut), *_with_margin(low, high)),
+                "image": None if picture is None else jpeg(picture),
+                "truth": None if true is None else pack(true[cut.index], *_with_margin(low, high)),
                 "region": pack_bytes(plane + 2 * hidden[cut.index].astype(np.uint8)), "runs": {},
             })  # fmt: skip
         if self.image is not None:
             flat = self.image if self._start.axis < 0 else np.stack([self.image[self._start.index]] * 3, axis=-1)
             step = _step(flat.shape[:2])
-            self.thumbs[""] = {"image": _jpeg(_shrunk(flat, flat.shape[1] // step, flat.shape[0] // step))}
+            self.thumbs[""] = {"image": jpeg(_shrunk(flat, flat.shape[1] // step, flat.shape[0] // step))}
         if true is not None:
-            self.thumbs.setdefault("", {})["truth"] = self._map_thumb(self._true(true, self._start))
-
-    def _true(self, true: NDArray[Any], cut: Slice) -> NDArray[Any]:
-        return np.where(self.known[cut.index], true[cut.index], np.nan)
+            self.thumbs.setdefault("", {})["truth"] = self._map_thumb(true[self._start.index])
 
     def add(
         self,
@@ -143,27 +180,26 @@ class SceneView:
         wrong = on_grid(protocol.wrong(estimate, truth), truth) & known
         values, true = (on_grid(each, truth) for each in (protocol.values(estimate, truth), truth.values))
         planes: dict[str, Any] = {name: on_grid(plane, truth) for name, plane in confidences.items()}
-        packed_range = _with_margin(self.data["low"], self.data["high"])
+        limits = _with_margin(self.data["low"], self.data["high"])
         if dense is not None and dense.values.shape == known.shape:
-            values, planes, packed_range = dense.values, dense.confidence, range_of(dense.values)
+            values, planes, limits = dense.values, dense.confidence, range_of(dense.values)
         # The script takes the difference of values and truth where that is the error.
         is_difference = np.allclose(error[known], np.abs(values - true)[known], rtol=1e-4, atol=1e-4, equal_nan=True)
-        packed_error = None if is_difference else (error, range_of(error)[1])
-        self._pack(run, (values, packed_range), packed_error, wrong, self._status(path), planes)
+        shown = ShownMap(values, planes, None if is_difference else error)
+        self._pack(run, shown, limits, range_of(error)[1], self._status(path), wrong)
         kind = pixel_kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
         worst = error[wrong & ~np.isnan(error)]
         high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
-        self._errors[run] = (_small(kind), _small(error[cut]), high)
+        self._errors[run] = _Errors(_small(kind), _small(error[cut]), high)
         self.thumbs.setdefault(run, {})["map"] = self._map_thumb(values[cut])
 
     def add_shown(self, run: str, path: Path, shown: ShownMap) -> None:
         """Add the map of a run without truth: map, status, confidence and expected error."""
         status, error = self._status(path), shown.expected_error
         words, cut = self.protocol.presentation, self._start.index
-        top = self.data["top"] = 1.0 if error is None else float(f"{scale_of(error)[1]:.2g}")
+        top = self.data["top"] = 1.0 if error is None else _significant(scale_of(error)[1], 2)
         confidence = {n: plane for n, plane in shown.confidence.items() if plane.shape == shown.values.shape}
-        packed_error = None if error is None else (error, top)
-        self._pack(run, (shown.values, range_of(shown.values)), packed_error, None, status, confidence)
+        self._pack(run, replace(shown, confidence=confidence), range_of(shown.values), top, status)
         for view in self.data["views"]:
             view["region"] = None
         self.figures, self.note = dict(shown.figures), shown.note
@@ -177,54 +213,52 @@ class SceneView:
         if shown.axes and (preview := _preview(path.with_name("preview.png"))):  # three slices say more than one
             self.sheet, self.thumbs = preview, {}
             return
-        low, high = (f"{float(f'{self.data[end]:.4g}'):g}" for end in ("low", "high"))
-        thumbs = {f"{words.quantity}, {low} to {high} {words.unit}": self._map_thumb(shown.values[cut])}
+        low, high = (_significant(self.data[end], 4) for end in ("low", "high"))
+        thumbs = {f"{words.quantity}, {low:g} to {high:g} {words.unit}": self._map_thumb(shown.values[cut])}
         if error is not None:
-            picture = packing.map_picture(_small(error[cut]), 0.0, top)
-            thumbs[f"expected error, 0 to {top:g} {words.unit}"] = _png(picture)
+            thumbs[f"expected error, 0 to {top:g} {words.unit}"] = png(map_picture(_small(error[cut]), 0.0, top))
         if status is not None:
-            table = np.full((256, 3), packing.NO_VALUE, np.uint8)
+            table = np.full((256, 3), NO_VALUE, np.uint8)
             for value, entry in self.data["status"].items():
                 table[int(value)] = entry["color"]
                 color = "rgb({},{},{})".format(*entry["color"])
                 if color not in self.legend.values():
                     self.legend[entry["words"].removesuffix(", smoothed")] = color
-            thumbs["status"] = _png(table[_small(status[cut])])
+            thumbs["status"] = png(table[_small(status[cut])])
         for said, plane in chosen.items():
             grey = confidence_picture(_small(plane[cut]))
-            thumbs[f"{said}, dark: unsure"] = _png(np.repeat(grey[..., None], 3, axis=2))
+            thumbs[f"{said}, dark: unsure"] = png(np.repeat(grey[..., None], 3, axis=2))
         self.thumbs[run] = thumbs
 
-    def close(self) -> None:
-        """Scale the errors by the median of the runs' 90 % quantiles over wrong pixels, and draw their pictures."""
+    def close(self, file: Path) -> None:
+        """Draw the pictures of errors, and move the data from memory to ``file``.
+
+        The scale of the errors ends at the median of the runs' 90 % quantiles over wrong pixels.
+        """
         if self._errors or "top" not in self.data:
-            highs = [high for _, _, high in self._errors.values() if not math.isnan(high)]
-            self.data["top"] = float(f"{float(np.median(highs)) if highs else 1.0:.2g}") or 1.0
+            highs = [each.high for each in self._errors.values() if not math.isnan(each.high)]
+            self.data["top"] = _significant(float(np.median(highs)) if highs else 1.0, 2) or 1.0
         for run, (kind, error, _) in self._errors.items():
-            shaded = packing.error_scales()[kind, packing.step_of(error, 0.0, self.data["top"], 64)]
+            shaded = error_scales()[kind, step_of(error, 0.0, self.data["top"], 64)]
             self.thumbs.setdefault(run, {})["error"] = self._blended(shaded, kind == UNKNOWN)
-        self._errors, self.image = {}, None
+        self.packed = PackedScene.write(file, self.data)
+        self._errors, self.image, self.data = {}, None, {}
 
     def _pack(
-        self,
-        run: str,
-        values: tuple[NDArray[Any], tuple[float, float]],
-        error: tuple[NDArray[Any], float] | None,
-        wrong: NDArray[np.bool_] | None,
-        status: Picture | None,
-        confidence: Mapping[str, NDArray[Any]],
+        self, run: str, shown: ShownMap, limits: Range, top: float, status: Picture | None, wrong: Mask | None = None
     ) -> None:
-        """Pack the maps of a run, cut by cut; ``values`` and ``error`` with the range, or top, that is packed."""
+        """Pack the maps of a run, cut by cut: values between ``limits``, the expected or true error up to ``top``."""
+        error = shown.expected_error
         for view, cut in zip(self.data["views"], (each.index for each in self._cuts), strict=True):
             planes = {}
-            for name, plane in confidence.items():
+            for name, plane in shown.confidence.items():
                 numbers = plane[cut].astype(np.float64)
                 finite = numbers[np.isfinite(numbers)]
-                shown = np.percentile(finite, _QUANTILES).tolist() if finite.size else [0.0, 1.0]
-                planes[name] = {**pack(numbers, *range_of(numbers), _CONFIDENCE_LEVELS), "shown": shown}
+                ends = np.percentile(finite, _QUANTILES).tolist() if finite.size else [0.0, 1.0]
+                planes[name] = {**pack(numbers, *range_of(numbers), _CONFIDENCE_LEVELS), "shown": ends}
             view["runs"][run] = {
-                "values": pack(values[0][cut], *values[1]),
-                "error": None if error is None else pack(error[0][cut], 0.0, error[1]),
+                "values": pack(shown.values[cut], *limits),
+                "error": None if error is None else pack(error[cut], 0.0, top),
                 "wrong": None if wrong is None else pack_bytes(wrong[cut]),
                 "status": None if status is None else pack_bytes(status[cut]),
                 "confidence": planes,
@@ -232,16 +266,16 @@ class SceneView:
 
     def _map_thumb(self, plane: NDArray[np.floating[Any]]) -> str:
         small = _small(plane)
-        return self._blended(packing.map_picture(small, self.data["low"], self.data["high"]), np.isnan(small))
+        return self._blended(map_picture(small, self.data["low"], self.data["high"]), np.isnan(small))
 
-    def _blended(self, small: Picture, nothing: NDArray[np.bool_]) -> str:
+    def _blended(self, small: Picture, nothing: Mask) -> str:
         """Return a small picture over the image of the first cut, which is alone at ``nothing``."""
         image, opacity = self._image_of(self._start), self.protocol.presentation.opacity
         if image is not None and opacity < 1:
             beneath = _small(image)
             mixed = np.rint(opacity * small + (1 - opacity) * beneath).astype(np.uint8)
             small = np.where(nothing[..., None], beneath, mixed)
-        return _png(small)
+        return png(small)
 
     def _image_of(self, cut: Slice) -> Picture | None:
         """Return the (H, W, 3) RGB image beneath a cut of the maps, at their size; None if its shape does not fit."""
@@ -277,28 +311,15 @@ def view_with_truth(protocol: AnyProtocol, scene: Scene, truth: Any) -> SceneVie
         return None
     true = shown.on_grid(truth.values, truth)
     scale = range_of(None if true is None else true[known])
+    true = None if true is None else np.where(known, true, np.nan)
     return SceneView(scene, protocol, known, hidden, true, shown.axes(truth), scale, shown.palette)
 
 
-def smaller(data: dict[str, Any], factor: int) -> dict[str, Any]:
-    """Return a scene's data with every ``factor``-th pixel."""
-    views = []
-    for view in data["views"]:
-        height, width = (-(-view[side] // factor) for side in ("height", "width"))
-        views.append(packing.thinned(view, factor) | {"height": height, "width": width, "factor": factor})
-        if view["image"] is not None:
-            code = np.frombuffer(base64.b64decode(view["image"].partition(",")[2]), np.uint8)
-            picture = cv2.imdecode(code, cv2.IMREAD_COLOR)
-            assert picture is not None  # it was written here
-            views[-1]["image"] = _jpeg(np.asarray(cv2.resize(picture, (width, height))[..., ::-1], np.uint8))
-    return {**data, "views": views}
-
-
-def _with_margin(low: float, high: float) -> tuple[float, float]:
+def _with_margin(low: float, high: float) -> Range:
     return low - _MARGIN * (high - low), high + _MARGIN * (high - low)
 
 
-def range_of(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:
+def range_of(values: NDArray[np.floating[Any]] | None) -> Range:
     """Return the lowest and highest finite value, never the same; (0, 1) if there is none."""
     finite = np.array([]) if values is None else values[np.isfinite(values)]
     if finite.size == 0:
@@ -307,11 +328,15 @@ def range_of(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:
     return low, max(high, low + 1e-3)
 
 
-def scale_of(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
+def scale_of(values: NDArray[np.floating[Any]]) -> Range:
     """Return quantiles of the finite values, never the same; (0, 1) if there is none."""
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, _QUANTILES).tolist() if finite.size else (0.0, 1.0)
     return low, max(high, low + 1e-3)
+
+
+def _significant(value: float, digits: int) -> float:
+    return float(f"{value:.{digits}g}")
 
 
 def _step(shape: tuple[int, ...]) -> int:
@@ -336,14 +361,4 @@ def _preview(file: Path) -> str | None:
         return None
     height, width = picture.shape[:2]
     share = min(1.0, _MAX_SHEET / width)
-    return _jpeg(_shrunk(picture, min(width, _MAX_SHEET), round(height * share)))
-
-
-def _jpeg(picture: Picture) -> str:
-    code = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
-    return f"data:image/jpeg;base64,{base64.b64encode(code.tobytes()).decode('ascii')}"
-
-
-def _png(picture: Picture) -> str:
-    code = cv2.imencode(".png", picture[..., ::-1])[1]
-    return f"data:image/png;base64,{base64.b64encode(code.tobytes()).decode('ascii')}"
+    return jpeg(_shrunk(picture, min(width, _MAX_SHEET), round(height * share)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import sys
 import time
@@ -178,18 +179,18 @@ def number(key: str, form: str, title: str = "") -> Column:
     return Column(title or key.replace("_", " "), lambda row: "-" if row.get(key) is None else form.format(row[key]))
 
 
+SECONDS = Column("seconds", lambda row: f"{s:.2f}" if (s := math.fsum(row.get("seconds", {}).values())) else "-")
 SIZE = Column("size", lambda row: f"{row['width']}x{row['height']}" if "width" in row else "-")
 
 
 def run_table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
     """Return the table of a run: one line per scene, or for a long run its failed scenes and a summary."""
     shown = [row for row in rows if len(rows) <= _MAX_ROWS or row["status"] != "done"]
-    lines = [("scene", "status", *(column.title for column in columns), "seconds", "memory")]
+    lines = [("scene", "status", *(column.title for column in (*columns, SECONDS)), "memory")]
     for row in shown:
-        seconds, peak = sum(row["seconds"].values()), row["peak_memory"]
         cells = (column.text(row) if row["status"] == "done" else "-" for column in columns)
-        memory = f"{peak / 2**20:.0f} MiB" if peak else "-"
-        lines.append((str(row["scene"]), str(row["status"]), *cells, f"{seconds:.2f}" if seconds else "-", memory))
+        memory = f"{row['peak_memory'] / 2**20:.0f} MiB" if row["peak_memory"] else "-"
+        lines.append((str(row["scene"]), str(row["status"]), *cells, SECONDS.text(row), memory))
     if len(shown) < len(rows):
         seconds = sum(sum(row["seconds"].values()) for row in rows)
         blank = ("-",) * len(columns)

@@ -18,7 +18,7 @@ from depthcli.cli import main
 from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import evaluate_runs
+from depthcli.evaluation.evaluate import Choices, evaluate_runs
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
@@ -44,7 +44,7 @@ def evaluated(
 ) -> EvaluationReport:
     scored_by = None if protocol is None else protocols.load(protocol)(settings or Settings())
     found = scenes_with_truth(truth, protocol=scored_by, settings=settings)
-    return evaluate_runs(runs, found, truth, output, scored_by, settings)
+    return evaluate_runs(runs, found, truth, output, Choices(scored_by, settings or Settings()))
 
 
 @pytest.fixture

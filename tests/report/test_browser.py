@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.evaluation.evaluate import evaluate_runs
+from depthcli.evaluation.evaluate import Choices, evaluate_runs
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import read_disparity, read_plane
 from depthcli.report.packing import unpack
@@ -187,7 +187,7 @@ def test_it_fits_a_phone_and_loads_nothing_from_a_network(browser: Any, made: Pa
 
 
 def test_full_size_comes_from_the_assets(browser: Any, tmp_path: Path, scenes: Path, runs: list[Path]):
-    evaluate_runs(runs, scenes_with_truth(scenes), scenes, tmp_path, viewers=[Page(budget=2000)])
+    evaluate_runs(runs, scenes_with_truth(scenes), scenes, tmp_path, Choices(viewers=[Page(budget=2000)]))
     visit = Visit(browser, tmp_path / "report.html")
     number = number_of(visit, "plain")
     visit.page.evaluate(f"location.hash = '#scene-{number}/1'")

@@ -14,8 +14,8 @@ from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.images import read_image
 from depthcli.io.scenes import StereoScene
+from depthcli.report.colors import map_colors
 from depthcli.report.contact_sheet import ContactSheet
-from depthcli.report.packing import map_colors
 
 TRUTH = np.tile(np.linspace(1, 3, 40, dtype=np.float32), (30, 1))
 

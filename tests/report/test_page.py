@@ -19,7 +19,7 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import evaluate_runs
+from depthcli.evaluation.evaluate import Choices, evaluate_runs
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.scores import MapResult
 from depthcli.evaluation.truth import scenes_with_truth
@@ -27,8 +27,9 @@ from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene
 from depthcli.io.volume_pairs import RegistrationTruth
-from depthcli.report.packing import pack, pack_bytes, slices, thinned, unpack
+from depthcli.report.packing import pack, pack_bytes, thinned, unpack
 from depthcli.report.page import Page
+from depthcli.report.scene_view import slices
 from tests.report.conftest import ODD, SHAPE
 
 
@@ -148,7 +149,7 @@ def test_maps_come_back_as_they_were(made: Path, runs: list[Path]):
 @pytest.mark.slow
 def test_beyond_the_budget_pictures_shrink_and_full_ones_lie_beside(tmp_path: Path, scenes: Path, runs: list[Path]):
     output = tmp_path / "out"
-    evaluate_runs(runs, scenes_with_truth(scenes), scenes, output, viewers=[Page(budget=2000)])
+    evaluate_runs(runs, scenes_with_truth(scenes), scenes, output, Choices(viewers=[Page(budget=2000)]))
     page = read(output)
     assert "of their size" in page.text
     view = json.loads(page.scripts["data-1"])["views"][0]
@@ -161,7 +162,7 @@ def test_beyond_the_budget_pictures_shrink_and_full_ones_lie_beside(tmp_path: Pa
     for name in ("good", 'bad "<b>"'):
         small, large = (unpack(v["runs"][name]["values"]) for v in (view, data))
         assert np.array_equal(small, large[::factor, ::factor], equal_nan=True)
-    evaluate_runs(runs, scenes_with_truth(scenes), scenes, output, viewers=[Page()])
+    evaluate_runs(runs, scenes_with_truth(scenes), scenes, output, Choices(viewers=[Page()]))
     assert not (output / "assets").exists()
 
 
@@ -170,11 +171,11 @@ def test_a_missing_map_and_a_single_run(tmp_path: Path, scenes: Path, runs: list
     output, less = tmp_path / "out", tmp_path / "less"
     shutil.copytree(runs[1], less)
     (less / "plain" / "disp_left.pfm").unlink()
-    evaluate_runs([runs[0], less], scenes_with_truth(scenes), scenes, output, viewers=[Page()])
+    evaluate_runs([runs[0], less], scenes_with_truth(scenes), scenes, output, Choices(viewers=[Page()]))
     page = read(output)
     assert "1 map missing" in page.text
     assert any(cell == "100.00*" for table in page.tables for row in table for cell in row)
-    evaluate_runs(runs[:1], scenes_with_truth(scenes), scenes, output, viewers=[Page()])
+    evaluate_runs(runs[:1], scenes_with_truth(scenes), scenes, output, Choices(viewers=[Page()]))
     assert "has the best mean" not in read(output).text
 
 

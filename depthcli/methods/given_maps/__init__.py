@@ -10,7 +10,7 @@ small network weigh them (``algorithms.pixel_network``). Single planes are measu
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -54,7 +54,7 @@ class Judged:
     others: NDArray[np.float32]
 
     def plane(self, name: str) -> Plane:
-        """Return one of the planes."""
+        """Return one of the planes, (H, W)."""
         plane: Plane = self.alone[ALONE.index(name)] if name in ALONE else self.others[OTHERS.index(name)]
         return plane
 
@@ -97,26 +97,41 @@ def _agreement(judged: Judged, evidence: Evidence, right: Plane | None) -> Plane
     return np.asarray(1 - judged.plane(disagreeing), np.float32)
 
 
-MEASURES: dict[str, tuple[str, Callable[[Judged, Evidence, Plane | None], Plane] | tuple[str, int]]] = {
-    "left_right": (
+@dataclass(frozen=True)
+class Measure:
+    """A measure of confidence of its own: a plane, or a function of a map, its evidence and the right view's map."""
+
+    about: str  # what it measures; larger is surer
+    source: str | Callable[[Judged, Evidence, Plane | None], Plane]  # name of the plane, or the function
+    sign: int = 1  # of the plane
+
+    def of(self, judged: Judged, evidence: Evidence, right: Plane | None) -> Plane:
+        """Return the measure of a map, (H, W); ``right`` is the map of the right view by the same program."""
+        if callable(self.source):
+            return self.source(judged, evidence, right)
+        return self.sign * judged.plane(self.source)
+
+
+MEASURES = {
+    "left_right": Measure(
         "-|difference from the map of the right view at the match|, pixels; without such a map, from that of the costs",
         _left_right,
     ),
-    "census": ("-mean census difference over pixels of similar color, 1 from 30 of 48 on", ("cost_narrow", -1)),
-    "zncc": ("-(1 - correlation of 7 x 7 pixels with the warped right image)", ("decorrelation", -1)),
-    "gradient": ("-|difference of the gradients along the row|, grey levels", _gradient),
-    "rank": ("-share of the disparities whose costs, with smoothness, are smaller", ("rank", -1)),
-    "margin": ("log(smallest cost elsewhere / cost), with smoothness", ("margin", 1)),
-    "smoothness": ("-standard deviation of the map in 11 x 11 pixels", ("deviation_of_map_11", -1)),
-    "texture": ("standard deviation of 5 x 5 pixels of the left image, at most 40 levels", ("deviation_5", 1)),
-    "discontinuity": ("distance to the next step of the map, at most 30 pixels", ("edge_distance", 1)),
-    "border": ("distance to the border of the image, at most 20 pixels", ("border_distance", 1)),
-    "agreement": (
+    "census": Measure("-mean census difference over pixels of similar color, 1 from 30 of 48 on", "cost_narrow", -1),
+    "zncc": Measure("-(1 - correlation of 7 x 7 pixels with the warped right image)", "decorrelation", -1),
+    "gradient": Measure("-|difference of the gradients along the row|, grey levels", _gradient),
+    "rank": Measure("-share of the disparities whose costs, with smoothness, are smaller", "rank", -1),
+    "margin": Measure("log(smallest cost elsewhere / cost), with smoothness", "margin"),
+    "smoothness": Measure("-standard deviation of the map in 11 x 11 pixels", "deviation_of_map_11", -1),
+    "texture": Measure("standard deviation of 5 x 5 pixels of the left image, at most 40 levels", "deviation_5"),
+    "discontinuity": Measure("distance to the next step of the map, at most 30 pixels", "edge_distance"),
+    "border": Measure("distance to the border of the image, at most 20 pixels", "border_distance"),
+    "agreement": Measure(
         "share of the witnesses that agree, over pixels of similar color; without any, agreement with stereo fast",
         _agreement,
     ),
 }
-"""Name -> (description, function or plane and sign); those with a plane of ``ONE_VIEW`` need no right image."""
+"""By name; those with a plane of ``ONE_VIEW`` need no right image."""
 
 
 def judge(
@@ -142,11 +157,7 @@ def judge(
     probability = _likely(odds_of(networks, judged, within), judged.missing)
     hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], judged.alone, judged.others[:0]) > 0
     status = with_reasons(judged.values, judged.missing, probability, hidden)
-    confidence = {}
-    for name in measures:
-        source = MEASURES[name][1]
-        plane = source(judged, evidence, right) if callable(source) else source[1] * judged.plane(source[0])
-        confidence[name] = np.where(judged.missing, np.float32(np.nan), plane).astype(np.float32)
+    confidence = {name: _known(MEASURES[name].of(judged, evidence, right), judged.missing) for name in measures}
     return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
 
 
@@ -173,10 +184,8 @@ def judge_by_one_view(
     probability = _likely(log_odds(network, offsets(network, within), planes, planes[:0]), missing)
     confidence = {}
     for name in measures:
-        source = MEASURES[name][1]
-        if not callable(source) and source[0] in ONE_VIEW:
-            plane = source[1] * planes[ONE_VIEW.index(source[0])]
-            confidence[name] = np.where(missing, np.float32(np.nan), plane).astype(np.float32)
+        if (measure := MEASURES[name]).source in ONE_VIEW:
+            confidence[name] = _known(measure.sign * planes[ONE_VIEW.index(measure.source)], missing)
     status = with_reasons(whole, missing, probability)
     return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
 
@@ -196,14 +205,14 @@ def judged_maps(evidence: Evidence, maps: Sequence[Plane], known: Sequence[Judge
     shape, largest = evidence.pair.shape, evidence.volume.n_disparities - 1
     if not (maps or known) or any(one.shape != shape for one in maps):
         raise ValueError(f"expected maps of the images' size {shape}, got {[one.shape for one in maps]}")
-    parts = [(one.values, one.missing, one.alone) for one in known]
-    shared = _planes.pixel_planes(evidence)
+    judged, shared = list(known), _planes.pixel_planes(evidence)
     for one in maps:
         whole, missing = without_gaps(one, largest)
-        parts.append((whole, missing, _planes.alone_planes(whole, missing, evidence, shared)))
-    values, _, alone = zip(*parts, strict=True)
-    others = _planes.other_planes(np.stack(values), alone, evidence)
-    return [Judged(*part, other) for part, other in zip(parts, others, strict=True)]
+        alone = _planes.alone_planes(whole, missing, evidence, shared)
+        judged.append(Judged(whole, missing, alone, others=alone[:0]))
+    values = np.stack([one.values for one in judged])
+    others = _planes.other_planes(values, [one.alone for one in judged], evidence)
+    return [replace(one, others=planes) for one, planes in zip(judged, others, strict=True)]
 
 
 def without_gaps(values: Plane, max_disparity: int) -> tuple[Plane, NDArray[np.bool_]]:
@@ -236,6 +245,10 @@ def with_reasons(
         outside = np.arange(values.shape[1], dtype=np.float32) - values < -0.5
         status = np.where(outside, Status.OUT_OF_RANGE, np.where(hidden, Status.OCCLUDED, status))
     return np.where(missing, Status.NO_DATA, status).astype(np.uint8)
+
+
+def _known(plane: Plane, missing: NDArray[np.bool_]) -> Plane:
+    return np.where(missing, np.float32(np.nan), plane).astype(np.float32)
 
 
 def _likely(odds: Plane, missing: NDArray[np.bool_]) -> Plane:

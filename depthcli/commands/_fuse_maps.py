@@ -1,0 +1,70 @@
+"""What ``fuse maps`` computes: the best of several disparity maps made before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from depthcli.api.maps import fused
+from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
+from depthcli.commands._options import CodingOptions, RangeOptions, RunOptions
+from depthcli.core.errors import ConfigError
+from depthcli.core.result import Clock
+from depthcli.io.scenes import MapsScene
+from depthcli.io.stereo_pairs import load_pair
+from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
+from depthcli.run.batch import Outcome
+from depthcli.run.console import SIZE, number, percent
+from depthcli.run.json_csv import share
+
+
+def prepare(
+    maps: Sequence[str],
+    pairs: RangeOptions,
+    coding: CodingOptions,
+    run: RunOptions,
+    within: float,
+    surfaces: bool,
+    settings: Sequence[str] | None,
+) -> tuple[FuseMaps, list[MapsScene]]:
+    """Return the batch of ``fuse maps``, and the pairs with their maps."""
+    if not 1 <= len(maps) <= MAX_MAPS:
+        raise ConfigError(f"--maps: give 1 to {MAX_MAPS} runs or maps (got {len(maps)})")
+    unused = [name for name in ("calibration", "unit", "min_disparity") if getattr(pairs, name) is not None]
+    if unused or settings:
+        raise ConfigError(f"--{(unused or ['set'])[0].replace('_', '-')} does not go with fuse maps")
+    config = {"max_disparity": largest(pairs.max_disparity), "within": within, "surfaces": surfaces}
+    return FuseMaps(config), find_maps(pairs, coding, run, maps)
+
+
+@dataclass(frozen=True)
+class FuseMaps(GivenMaps):
+    """Fuses the maps of scenes."""
+
+    command = "fuse-maps"
+    n_added = N_ADDED
+    columns = (SIZE, number("maps", "{}"), *map(percent, ("expected_right", "measured")))
+
+    def compute(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
+        """Load a pair and its maps, fuse them, save."""
+        clock = Clock()
+        clock.start("load")
+        pair = load_pair(scene)
+        maps = {one.run: loaded(one, pair.shape) for one in scene.maps}
+        clock.start("other")
+        config = self.config
+        found = fused(pair, maps, self.max_disparity(scene), config["within"], config["surfaces"], memory)
+        clock.include(found.seconds)
+        clock.start("save")
+        found.save(folder)
+        columns = {
+            "width": pair.shape[1],
+            "height": pair.shape[0],
+            "max_disparity": found.search.max_disparity,
+            "maps": len(maps),
+            "expected_right": share(found.confidence["probability"]),
+            "measured": share(found.measured),
+        }
+        absent = [f"no map of {run}: fused without it" for run in scene.absent]
+        return Outcome(columns, clock.seconds, [*absent, *found.warnings])

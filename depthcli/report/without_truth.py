@@ -1,0 +1,110 @@
+"""Scenes without truth as the page shows them: with what the run says of its own maps, the worst first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from depthcli.core.errors import InputError
+from depthcli.evaluation.protocols import AnyProtocol
+from depthcli.evaluation.render import Number, Table, TableColumn
+from depthcli.io.formats.files import collected_warnings
+from depthcli.io.formats.pictures import Palette
+from depthcli.io.scenes import Scene
+from depthcli.report.scene_view import SceneView, scale_of
+from depthcli.run.console import SECONDS, Column
+from depthcli.run.json_csv import Row
+
+_MAX_SHOWN = 300  # scenes without truth with pictures; more would make the page slow
+_DOUBTS = {"inside_mean": 1, "mean_error": 1, "measured": -1, "density": -1}
+"""Columns of reports by which the scenes with pictures are chosen where there are too many; 1: larger is worse."""
+
+
+class RunWithoutTruth(NamedTuple):
+    """Scenes of a run without truth, with what the run says of them."""
+
+    name: str
+    folder: Path
+    protocol: AnyProtocol  # says where maps lie and how they are shown; it scores nothing here
+    palette: Palette | None  # colors and words of the status maps; None: the protocol's
+    scenes: Sequence[Scene]
+    rows: Mapping[str, Row]  # scene -> its row of the run's report
+    columns: Sequence[Column]  # further columns of the table, made from the rows
+
+
+@dataclass(frozen=True)
+class ScenesWithoutTruth:
+    """What the page shows of a run's scenes: a table, and the views of those with pictures, in its order."""
+
+    run: str
+    table: Table  # a row a scene; its note explains the figures
+    by: str  # heading of the figure by which the scenes are ordered; or empty
+    n_failed: int  # scenes that failed, which come first and have the reason in their second cell
+    n_left_out: int  # scenes without pictures, which come last
+    views: list[SceneView]
+
+
+def scenes_without_truth(run: RunWithoutTruth, save: Callable[[SceneView], None]) -> ScenesWithoutTruth:
+    """Return the scenes of a run, the worst first; ``save`` gets every view as soon as it is complete."""
+    rows = {scene.name: run.rows.get(scene.name, {}) for scene in run.scenes}
+    reasons = {name: str(row.get("error") or "failed") for name, row in rows.items() if row.get("status") == "failed"}
+    done = [scene for scene in run.scenes if scene.name not in reasons]
+    done.sort(key=lambda scene: _doubt(rows[scene.name]))
+    views: dict[str, SceneView] = {}
+    for scene in done[:_MAX_SHOWN]:
+        try:
+            views[scene.name] = _view(run, scene)
+        except InputError as error:
+            reasons[scene.name] = str(error)
+        else:
+            save(views[scene.name])
+    figures = {name: view.figures | view.mean_confidence for name, view in views.items()}
+    keys = list(dict.fromkeys(key for each in figures.values() for key in each))
+    worst = {name: [math.inf if math.isnan(v) else -v for v in view.figures.values()] for name, view in views.items()}
+    ordered, left_out = sorted(views, key=lambda name: (worst[name], name)), [scene.name for scene in done[_MAX_SHOWN:]]
+    names = [*sorted(reasons), *ordered, *left_out]
+    columns = [
+        TableColumn("scene", names),
+        TableColumn("status", [reasons.get(name) or str(rows[name].get("status") or "done") for name in names]),
+    ]
+    for key in keys:
+        columns.append(TableColumn(key, [Number(figures.get(name, {}).get(key, math.nan)) for name in names]))
+    for column in (*run.columns, SECONDS):
+        cells = ["-" if name in reasons or not rows[name] else column.text(rows[name]) for name in names]
+        columns.append(TableColumn(column.title, cells))
+    columns = [column for column in columns if any(cell != "-" for cell in column.cells)]
+    note = "; ".join(dict.fromkeys(view.note for view in views.values() if view.note))
+    return ScenesWithoutTruth(
+        run.name,
+        Table.of_columns("", columns, note),
+        by=keys[0] if keys else "",
+        n_failed=len(reasons),
+        n_left_out=len(left_out),
+        views=[views[name] for name in ordered],
+    )
+
+
+def _view(run: RunWithoutTruth, scene: Scene) -> SceneView:
+    """Return the view of a scene without truth; InputError where its map cannot be read."""
+    protocol, presentation = run.protocol, run.protocol.presentation
+    path = protocol.files.find(run.folder, [scene.name])
+    if path is None:
+        raise InputError(f"no map there{protocol.files.searched([scene.name])}")
+    with collected_warnings():
+        shown = presentation.show(path, scene, protocol.files)
+        nothing, scale = np.zeros(shown.values.shape, np.bool_), presentation.scale or scale_of(shown.values)
+        palette = presentation.palette if run.palette is None else run.palette
+        view = SceneView(scene, protocol, nothing, nothing, None, shown.axes, scale, palette)
+        view.add_shown(run.name, path, shown)
+    return view
+
+
+def _doubt(row: Row) -> tuple[float, ...]:
+    """Return a key of a row of the report: the worse its scene is, the smaller."""
+    values = ((row.get(key), sign) for key, sign in _DOUBTS.items())
+    return tuple(-sign * value if isinstance(value, int | float) else math.inf for value, sign in values)
