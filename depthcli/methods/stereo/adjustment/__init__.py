@@ -21,6 +21,7 @@ from depthcli.methods.stereo.adjustment.noise import denoised
 from depthcli.methods.stereo.adjustment.right_view import (
     BLOCK,
     IDENTITY,
+    Correction,
     estimate_gains,
     estimate_row_shift,
     light_trust,
@@ -75,38 +76,12 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
         pair = denoised(pair)
     if "rows" not in what and "light" not in what:
         return pair
-    factor, n_pixels = 2, pair.shape[0] * pair.shape[1]
-    while n_pixels > _MAX_PIXELS * factor**2 or n_pixels * max_disparity > _MAX_COSTS * factor**3:
-        factor *= 2
-    height, width = (-(-side // factor) for side in pair.shape)
-    left, right = (
-        cast(Image, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)) for image in pair.clamped
-    )
-    reduced = StereoPair(*StereoPair(left, right, pair.bits).color8)
-    correction = previous = IDENTITY
-    disparity = None
-    max_matches = 0
-    for _ in range(_MAX_PASSES):
-        new_disparity = _matched(correction.apply(reduced, 1), -(-max_disparity // factor))
-        n_matches = 0 if new_disparity is None else int(np.count_nonzero(~np.isnan(new_disparity)))
-        if new_disparity is None or n_matches < _MIN_SHARE_OF_MATCHES * max_matches:
-            correction = previous
-            break
-        disparity, previous, max_matches = new_disparity, correction, max(max_matches, n_matches)
-        if "light" in what:
-            right = replace(correction, gains=IDENTITY.gains).apply(reduced, 1).right
-            correction = replace(correction, gains=estimate_gains(disparity, reduced.left, right))
-        if "rows" in what:
-            right = replace(correction, row_shift=IDENTITY.row_shift).apply(reduced, 1).right
-            row_shift = estimate_row_shift(disparity, reduced.left, right, correction.row_shift)
-            correction = replace(correction, row_shift=row_shift)
-        if np.abs(correction.row_shift - previous.row_shift).sum() <= _REMATCH_THRESHOLD:
-            break
+    reduced, factor = _reduced(pair, max_disparity)
+    correction, disparity = _estimated(reduced, -(-max_disparity // factor), what)
     pair = correction.apply(pair, factor)
     if "light" in what and disparity is not None:
         right = correction.apply(reduced, 1).right
-        trust = light_trust(disparity, reduced.left, right, factor, pair.shape)
-        pair = replace(pair, light_trust=trust)
+        pair = replace(pair, light_trust=light_trust(disparity, reduced.left, right, factor, pair.shape))
     return pair
 
 
@@ -118,6 +93,40 @@ class AdjustingMatcher(PairMatcher, BaseModel):
     def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, Self]:
         """Return the pair adjusted, and the matcher without this step."""
         return adjusted(pair, max_disparity, self.adjust, clock), self.model_copy(update={"adjust": ()})
+
+
+def _reduced(pair: StereoPair, max_disparity: int) -> tuple[StereoPair, int]:
+    # The pair at the size at which it is matched, 8 bits in color, and by what factor its sides are smaller.
+    factor, n_pixels = 2, pair.shape[0] * pair.shape[1]
+    while n_pixels > _MAX_PIXELS * factor**2 or n_pixels * max_disparity > _MAX_COSTS * factor**3:
+        factor *= 2
+    height, width = (-(-side // factor) for side in pair.shape)
+    left, right = (
+        cast(Image, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)) for image in pair.clamped
+    )
+    return StereoPair(*StereoPair(left, right, pair.bits).color8), factor
+
+
+def _estimated(reduced: StereoPair, max_disparity: int, what: Adjust) -> tuple[Correction, NDArray[np.float32] | None]:
+    """Return the correction of a reduced pair's right image, and the disparities that it was estimated from."""
+    correction = previous = IDENTITY
+    disparity, max_matches = None, 0
+    for _ in range(_MAX_PASSES):
+        found = _matched(correction.apply(reduced, 1), max_disparity)
+        n_matches = 0 if found is None else int(np.count_nonzero(~np.isnan(found)))
+        if found is None or n_matches < _MIN_SHARE_OF_MATCHES * max_matches:
+            return previous, disparity
+        disparity, previous, max_matches = found, correction, max(max_matches, n_matches)
+        if "light" in what:
+            right = replace(correction, gains=IDENTITY.gains).apply(reduced, 1).right
+            correction = replace(correction, gains=estimate_gains(disparity, reduced.left, right))
+        if "rows" in what:
+            right = replace(correction, row_shift=IDENTITY.row_shift).apply(reduced, 1).right
+            row_shift = estimate_row_shift(disparity, reduced.left, right, correction.row_shift)
+            correction = replace(correction, row_shift=row_shift)
+        if np.abs(correction.row_shift - previous.row_shift).sum() <= _REMATCH_THRESHOLD:
+            break
+    return correction, disparity
 
 
 def _matched(pair: StereoPair, max_disparity: int) -> NDArray[np.float32] | None:
