@@ -1,8 +1,7 @@
 """Networks in ONNX files, run by onnxruntime: what ``pipeline: onnx`` and ``cost: onnx`` have in common.
 
-In the order of the data: a :class:`Network` names a file, which its ``session`` opens; :func:`samples` of a pair are
-:func:`normalized` and :func:`padded`, (H, W, C) float32 all the way; :meth:`ImageInput.array` brings them into the
-layout of the network, and :meth:`Session.run` runs it.
+A :class:`Network` names a file, which its ``session`` opens. The :func:`samples` of a pair are :func:`normalized` and
+:func:`padded` as (H, W, C); :meth:`ImageInput.array` gives them the network's layout, :meth:`Session.run` runs it.
 """
 
 from __future__ import annotations

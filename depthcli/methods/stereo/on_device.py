@@ -174,10 +174,7 @@ def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, in
 
 
 def device_implementation_of(method: object) -> Any | None:
-    """Return the function that does on a device what ``method`` does; None where the method has none.
-
-    It lies in the package ``_device`` of the method's family and has the method's name.
-    """
+    """Return the function that does on a device what ``method`` does; None where the method has none."""
     family, _, name = type(method).__module__.rpartition(".")
     return getattr(_device_package(family), name, None)
 

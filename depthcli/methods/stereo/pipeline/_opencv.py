@@ -47,6 +47,10 @@ class OpencvMatcher(StereoPipeline):
         The matchers give no value in the first ``opencv_disparities`` columns, so the pair is padded on the left by
         repeating its border, by ``margin`` pixels more on every side, and the result is cropped.
         """
+        matcher.setUniquenessRatio(self.uniqueness)
+        matcher.setDisp12MaxDiff(self.left_right)
+        matcher.setSpeckleWindowSize(self.speckle_size)
+        matcher.setSpeckleRange(self.speckle_range)
         height, width = left.shape[:2]
         lead = opencv_disparities(max_disparity) + margin
         clock = Clock()

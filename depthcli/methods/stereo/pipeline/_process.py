@@ -52,16 +52,11 @@ def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
     scene, name = current_scene(), os.path.basename(words[0])
     logs = [folder / "stderr.txt", folder / "stdout.txt"]
     until, peak, problem = time.monotonic() + timeout, 0, ""
+    env = os.environ | {"OMP_NUM_THREADS": str(n_threads())}
     try:
-        with logs[0].open("wb") as errors, logs[1].open("wb") as printed:
+        with logs[0].open("wb") as err, logs[1].open("wb") as out:
             program = subprocess.Popen(
-                words,
-                cwd=folder,
-                env=os.environ | {"OMP_NUM_THREADS": str(n_threads())},
-                start_new_session=True,
-                stdin=subprocess.DEVNULL,
-                stdout=printed,
-                stderr=errors,
+                words, cwd=folder, env=env, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
             )
     except OSError as error:
         raise ProgramError(f"{name} cannot be started: {error.strerror or error}") from error

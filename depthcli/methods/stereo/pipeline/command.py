@@ -157,9 +157,8 @@ class Program(StereoPipeline):
             clock.start("read")
             disparity = self._read_map(path, pair.shape)
             status = np.zeros(pair.shape, np.uint8)
-            with np.errstate(invalid="ignore"):
-                status[~(disparity >= 0)] = Status.MISMATCH
-                status[disparity >= max_disparity + 1] = Status.OUT_OF_RANGE
+            status[~(disparity >= 0)] = Status.MISMATCH
+            status[disparity >= max_disparity + 1] = Status.OUT_OF_RANGE
             if status.all():
                 raise ProgramError(f"no pixel of the program's map has a disparity from 0 to {max_disparity}")
         disparity[status != 0] = np.nan

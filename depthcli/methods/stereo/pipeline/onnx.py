@@ -176,16 +176,12 @@ class NetworkPipeline(Network, StereoPipeline):
 
 
 def _compared(left: NDArray[np.float32], right: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return how much the views' maps differ at each pixel of the left one, pixels, and whether the right one hits it.
-
-    That is, whether a pixel of the right view, or one beside it, is matched to it.
-    """
+    """Return the difference of the maps at each pixel of the left one, and whether the right one is matched to it."""
     known, known_right = (np.nan_to_num(np.maximum(view, 0), nan=0, posinf=0) for view in (left, right))
-    height, width = left.shape
-    rows, columns = np.indices((height, width))
-    columns += np.minimum(np.rint(known_right), width).astype(np.int64)
-    hit = np.zeros(left.shape, np.uint8)
-    hit[rows[columns < width], columns[columns < width]] = 1
+    width, hit = left.shape[1], np.zeros(left.shape, np.uint8)
+    columns = np.arange(width) + np.minimum(np.rint(known_right), width).astype(np.int64)
+    y, x = np.nonzero(columns < width)
+    hit[y, columns[y, x]] = 1
     return left_right_difference(known, known_right), np.asarray(cv2.dilate(hit, np.ones((1, 3), np.uint8))) > 0
 
 

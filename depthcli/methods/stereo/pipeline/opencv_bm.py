@@ -29,10 +29,6 @@ class OpencvBm(OpencvMatcher):
         matcher.setPreFilterType(cv2.STEREO_BM_PREFILTER_XSOBEL)
         matcher.setPreFilterCap(self.pre_filter_cap)
         matcher.setTextureThreshold(self.texture)
-        matcher.setUniquenessRatio(self.uniqueness)
-        matcher.setDisp12MaxDiff(self.left_right)
-        matcher.setSpeckleWindowSize(self.speckle_size)
-        matcher.setSpeckleRange(self.speckle_range)
         left, right = pair.grey8
         # Blocks must fit into the image, and no answer is given where they reach beyond it.
         return self.matched(matcher, left, right, max_disparity, self.block // 2 + 1)

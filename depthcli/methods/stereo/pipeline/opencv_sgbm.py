@@ -50,11 +50,7 @@ class OpencvSgbm(OpencvMatcher):
             blockSize=self.block,
             P1=p1,
             P2=max(p1 + 1, 32 * area) if self.p2 is None else self.p2,
-            disp12MaxDiff=self.left_right,
             preFilterCap=self.pre_filter_cap,
-            uniquenessRatio=self.uniqueness,
-            speckleWindowSize=self.speckle_size,
-            speckleRange=self.speckle_range,
             mode=_MODES[self.mode],
         )
         # OpenCV refuses images no wider than half a block.
@@ -65,8 +61,5 @@ class OpencvSgbm(OpencvMatcher):
         """Estimate the bytes of the maps and of int16 costs and sums: volumes in modes hh and hh4, else a few rows."""
         height, width = shape
         n_disparities = opencv_disparities(max_disparity)
-        pixels = height * (width + n_disparities)
-        volumes = (
-            4 * pixels * n_disparities if self.mode in ("hh", "hh4") else 16 * (width + n_disparities) * n_disparities
-        )
-        return volumes + pixels * (60 if self.wls else 30)
+        rows, columns = height if self.mode in ("hh", "hh4") else 4, width + n_disparities
+        return 4 * rows * columns * n_disparities + height * columns * (60 if self.wls else 30)

@@ -37,9 +37,7 @@ class Segments(SegmentSteps, AdjustingMatcher, StereoPipeline):
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate: raw costs (1 byte per cell), the window's means and two sums of path costs (2 bytes each)."""
-        pixels = shape[0] * shape[1]
-        bytes_a_cell = 2 + (2 if self.window_radius else 0)
-        bytes_a_cell += 0 if isinstance(self.optimization, WinnerTakesAll) else 4
-        return (
-            pixels * (max_disparity + 1) * max(bytes_a_cell, 3) + (300 + self.cost.pixel_bytes()) * pixels + (64 << 20)
-        )
+        optimized = not isinstance(self.optimization, WinnerTakesAll)
+        per_cell = max(3, 2 + (2 if self.window_radius else 0) + (4 if optimized else 0))
+        per_pixel = (max_disparity + 1) * per_cell + 300 + self.cost.pixel_bytes()
+        return shape[0] * shape[1] * per_pixel + (64 << 20)

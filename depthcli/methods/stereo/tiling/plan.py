@@ -125,17 +125,13 @@ class Candidates:
                 cost = float(height * width * (tile.n_disparities + _PIXEL_OVERHEAD) + _TILE_OVERHEAD)
             n_min = _MIN_TILE_BLOCKS if cost < float("inf") else 1
             chosen: tuple[tuple[int, int, int, int], ...] = ((y0, y1, x0, x1),)
-            cuts = []
-            if y1 - y0 >= 2 * n_min:
-                middle = (y0 + y1) // 2
-                cuts.append(((y0, middle, x0, x1), (middle, y1, x0, x1)))
-            if x1 - x0 >= 2 * n_min:
-                middle = (x0 + x1) // 2
-                cuts.append(((y0, y1, x0, middle), (y0, y1, middle, x1)))
-            for one, other in cuts:
-                (first, parts), (second, rest) = best(*one), best(*other)
-                if first + second < cost:
-                    cost, chosen = first + second, parts + rest
+            y, x = (y0 + y1) // 2, (x0 + x1) // 2
+            halves = (y0, y, x0, x1), (y, y1, x0, x1), (y0, y1, x0, x), (y0, y1, x, x1)
+            for length, one, other in ((y1 - y0, *halves[:2]), (x1 - x0, *halves[2:])):
+                if length >= 2 * n_min:
+                    (first, parts), (second, rest) = best(*one), best(*other)
+                    if first + second < cost:
+                        cost, chosen = first + second, parts + rest
             return cost, chosen
 
         cost, chosen = best(0, rows, 0, columns)
