@@ -1,7 +1,5 @@
 """Alpha-expansion against brute force on small graphs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

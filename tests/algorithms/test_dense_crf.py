@@ -1,13 +1,11 @@
 """Mean field against all pairs of points; the lattice against a point-by-point reference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
 from depthcli.algorithms.dense_crf.permutohedral import Lattice
-from tests.methods.stereo._pairs import assert_pure
+from depthcli.testing.inputs import assert_pure
 from tests.naive import dense_crf as naive
 
 

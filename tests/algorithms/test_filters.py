@@ -1,7 +1,5 @@
 """OpenCV's threads while a filter needs one thread alone."""
 
-from __future__ import annotations
-
 import contextlib
 
 import cv2

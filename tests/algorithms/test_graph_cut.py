@@ -1,7 +1,5 @@
 """One minimum cut on a grid, against all labellings."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Matching along epipolar lines, against a naive reference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -30,9 +28,8 @@ def test_agrees_with_the_naive_matcher(counts, ratio):
     left, right = _points(rng, counts[0]), _points(rng, counts[1])
     settings = dict(max_row_difference=0.5, ratio=ratio, max_distance=0.9, max_scale_ratio=1.1)
     found = match_rectified(left, right, 20, **settings)
-    assert set(zip(found.left.tolist(), found.right.tolist(), strict=True)) == naive.matches(
-        left, right, 20, **settings
-    )
+    pairs = set(zip(found.left.tolist(), found.right.tolist(), strict=True))
+    assert pairs == naive.matches(left, right, 20, **settings)
     assert np.array_equal(found.disparity, left.x[found.left] - right.x[found.right])
 
 

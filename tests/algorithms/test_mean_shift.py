@@ -1,7 +1,5 @@
 """Regions: connected components, merging, the region graph, and mean shift as a whole."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Polynomials over segments: what is left of a plane that lies in many more pixels than are used."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

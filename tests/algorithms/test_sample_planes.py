@@ -1,12 +1,10 @@
 """The robust fit and its search for neighbors against their references, and on planes with outliers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
-from tests.methods.stereo._pairs import assert_pure, texture
+from depthcli.testing.inputs import assert_pure, texture
 from tests.naive import transparent as naive
 
 

@@ -1,7 +1,5 @@
 """Statistical region merging against its definition, and what depth does to it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What every member of a family promises: a function a promise, beside those of ``depthcli.testing``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,18 +1,33 @@
 """Small inputs that methods are tested on: volumes, pictures of blobs, frames with gaps and with glass, proposals."""
 
-from __future__ import annotations
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.commands import config_model
+from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, SparseFrame
 from depthcli.methods.fusion.choice import Proposals
+from depthcli.methods.stereo.volume import StereoResult
+from depthcli.run.presets import find_config
+from depthcli.simulate.stereo_scenes import SyntheticScene
 from depthcli.testing.inputs import blocky_pair, random_volume
 
 KINDS = ("median", "own", "local", "felzenszwalb")
 NOISE = 0.004
 """Standard deviation of the samples of :func:`glass`, meters."""
+
+
+def preset(command: str, name: str, *settings: str) -> Any:
+    """Return the config of a preset of a command, with settings such as ``max_age=3``."""
+    return load_config(config_model(command), find_config(command, name), settings)
+
+
+def wrong(found: StereoResult, scene: SyntheticScene) -> float:
+    """Return the share of the visible pixels of a generated scene that are off by more than a pixel."""
+    return float(np.mean(~(np.abs(found.disparity.values - scene.disparity_left) <= 1)[scene.nonocc]))
 
 
 def soft_volume(seed: int, shape: tuple[int, int, int] = (20, 20, 20)) -> NDArray[np.float32]:

@@ -1,7 +1,5 @@
 """What every layout promises."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from depthcli.io.layouts import Folder, Layout

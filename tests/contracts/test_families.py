@@ -1,7 +1,5 @@
 """What every member of a family promises, over the files of its folder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,20 +1,16 @@
 """Device implementations against the methods themselves; run by ``test_devices.py`` in a process of its own."""
 
-from __future__ import annotations
-
 import importlib
 
 import numpy as np
 import pytest
 
-from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Family
 from depthcli.device import Kernels, open_device
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.aggregation.cross import Cross
-from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.cost.combined import Combined
@@ -31,10 +27,11 @@ from depthcli.methods.stereo.refinement.median import Median
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
-from depthcli.run.presets import find_config, find_preset
 from depthcli.simulate.stereo_scenes import make_scene
+from depthcli.testing.inputs import TINY, blocky_pair, random_volume, texture
 from depthcli.testing.refinement import noisy_case
-from tests.methods.stereo._pairs import TINY, blocky_pair, methods, random_volume, texture
+from tests.contracts.inputs import preset
+from tests.methods.stereo._pairs import methods
 
 SIZES = [*TINY, (37, 61, 70)]
 FEW = [(1, 1, 5), (9, 1, 4), (3, 2, 17), (8, 40, 64), (37, 61, 70)]
@@ -164,15 +161,6 @@ def test_directional_fills_are_the_same_map(device, size):
         np.testing.assert_array_equal(found.status, disparity.status)
 
 
-@pytest.mark.parametrize("preset", ["fast", "thesis/cross", "ad-census", "accurate"])
-def test_presets_run_wholly_on_the_device(device, preset):
-    _same_preset(device, preset, 200, 150)
-
-
-def test_adaptive_weights_run_wholly_on_the_device(device):
-    _same_preset(device, "thesis/adaptive-weight", 140, 100)
-
-
 def on_device(method, pair, max_disparity, device):
     return match(method, pair, max_disparity, Limits(1 << 40, device=device))
 
@@ -182,18 +170,18 @@ def _pair(width, height, top):
     return StereoPair(scene.left, scene.right)
 
 
-def _same_preset(device, preset, width, height):
-    config = load_config(StereoConfig, find_config("stereo", preset), [], lambda name: find_preset("stereo", name))
-    pair = _pair(width, height, 24)
-    expected = config.pipeline(pair, 24)
-    runs = [on_device(config.pipeline, pair, 24, device) for _ in range(2)]
+@pytest.mark.parametrize("name", ["fast", "thesis/cross", "ad-census", "accurate", "thesis/adaptive-weight"])
+def test_presets_run_wholly_on_the_device(device, name):
+    width, height = (140, 100) if name == "thesis/adaptive-weight" else (200, 150)
+    pipeline, pair = preset("stereo", name).pipeline, _pair(width, height, 24)
+    expected = pipeline(pair, 24)
+    runs = [on_device(pipeline, pair, 24, device) for _ in range(2)]
     assert runs[0].figures["stages_on_cpu"] == 0
     assert runs[0].disparity.values.tobytes() == runs[1].disparity.values.tobytes()
     apart = np.abs(runs[0].disparity.values - expected.disparity.values)
     assert np.mean(apart > 0.125) <= 0.0005
-    assert (
-        np.mean(apart > 0.1) <= 0.002
-    )  # medians between two steps of 1/8 pixel, whose halves are equal but for rounding
+    # Medians between two steps of 1/8 pixel, whose halves are equal but for rounding.
+    assert np.mean(apart > 0.1) <= 0.002
     assert np.mean(runs[0].disparity.status != expected.disparity.status) <= 0.0005
 
 

@@ -1,7 +1,5 @@
 """NVIDIA's run-time compiler, which needs no device: does it take the kernels' text?"""
 
-from __future__ import annotations
-
 import ctypes
 import glob
 import importlib.util

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -39,9 +37,8 @@ def test_hidden_pixels_by_hand():
     found = HiddenPixels.of(np.array([1, 1, 1, 0, 0], bool), np.array([1, 0, 0, 1, 0], bool))
     assert found == HiddenPixels(both=1, said=3, true=2, pixels=5)
     shares = found.shares()
-    assert [round(shares[name], 2) for name in ("precision", "recall", "F1", "said", "true")] == [
-        33.33, 50, 40, 60, 40
-    ]  # fmt: skip
+    expected = {"precision": 33.33, "recall": 50, "F1": 40, "said": 60, "true": 40}
+    assert {name: round(shares[name], 2) for name in expected} == expected
     assert HiddenPixels.pooled([found, found]).said == 6
     assert math.isnan(HiddenPixels(0, 0, 0, 4).shares()["precision"])
 

@@ -1,7 +1,5 @@
 """Plots as SVG: well formed, escaped, the same bytes again, and the numbers that the tables have."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree

@@ -1,10 +1,7 @@
 """The protocols against closed forms, naive references, and what the benchmarks' own programs print."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,9 +50,6 @@ def random_maps(seed: int, shape: tuple[int, int] = (13, 17)):
         estimate[rng.integers(shape[0])] = np.nan
     estimate[rng.random(shape) < 0.05] = rng.choice([-4, 200, 1e6])
     return estimate, truth, rng.random(shape) < 0.7
-
-
-# Every protocol
 
 
 def test_names_and_unknown_names():
@@ -118,9 +112,6 @@ def test_a_users_threshold_is_the_headlines(name, threshold):
     assert judge.wrong(truth.values + np.float32(2), truth).all() == (threshold == 1)
 
 
-# Middlebury v2
-
-
 @given(st.integers(0, 10**6))
 @settings(max_examples=40, deadline=None)
 def test_v2_agrees_with_the_naive_one(seed):
@@ -155,9 +146,6 @@ def test_masks_that_are_not_given_follow_from_both_views():
     assert set(judge.masks(StereoTruth(left))) == {"all"}
 
 
-# Middlebury v3
-
-
 @given(st.integers(0, 10**6), st.sampled_from([1, 2, 4]), st.booleans(), st.sampled_from("FHQ"))
 @settings(max_examples=40, deadline=None)
 def test_v3_agrees_with_the_naive_one(seed, factor, rounded, size):
@@ -182,17 +170,13 @@ def test_v3_clips_minus_infinity_and_ignores_bytes_behind_the_values_as_the_sdk(
     values = np.array([[-np.inf, np.inf, np.nan], [2, 2, 2]], np.float32)
     data = b"Pf\n3 2\n-1\n" + values[::-1].astype("<f4").tobytes()
     (tmp_path / "map.pfm").write_bytes(data + b"more")
-    judge = make("middlebury-v3")
+    judge, scene = make("middlebury-v3"), StereoScene(name="s", folder=tmp_path, left=tmp_path / "left.png")
     with collected_warnings() as lines:
-        scores = judge.scores(judge.read(tmp_path / "map.pfm", single(tmp_path), truth), truth)
+        scores = judge.scores(judge.read(tmp_path / "map.pfm", scene, truth), truth)
     assert ["4 bytes more" in line for line in lines] == [True]
     assert pick(scores, "invalid").wrong == 2
     assert pick(scores, "bad", 1.0).wrong == 1
     assert pick(scores, "avgerr").value == 0.5
-
-
-def single(folder: Path) -> StereoScene:
-    return StereoScene(name="s", folder=folder, left=folder / "left.png")
 
 
 def test_quantiles_are_errors_that_occur():
@@ -241,9 +225,6 @@ def test_v3_means_weigh_the_hard_scenes_half():
     assert mean.value == pytest.approx((10 + 20) / 1.5)
 
 
-# ETH3D
-
-
 @given(st.integers(0, 10**6))
 @settings(max_examples=40, deadline=None)
 def test_eth3d_agrees_with_the_naive_one(seed):
@@ -257,9 +238,6 @@ def test_eth3d_agrees_with_the_naive_one(seed):
     assert pick(scores, "A50").value == pytest.approx(median, rel=1e-5, nan_ok=True)
 
 
-# KITTI
-
-
 @given(st.integers(0, 10**6), st.lists(st.sampled_from(["map", "empty", "empty row"]), min_size=1, max_size=4))
 @settings(max_examples=60, deadline=None)
 def test_kitti_agrees_with_the_kits_formulas(seed, kinds):
@@ -270,9 +248,8 @@ def test_kitti_agrees_with_the_kits_formulas(seed, kinds):
         estimate[{"map": slice(0), "empty": slice(None), "empty row": slice(2, 3)}[kind]] = np.nan
         mask[0, 0], truth[0, 0] = True, 9  # a frame without truth is an error of the kits
         frames.append((naive.submitted(estimate), truth, mask))
-        np.testing.assert_array_equal(
-            interpolate_background(frames[-1][0]), naive.interpolate_background(frames[-1][0])
-        )
+        given = frames[-1][0]
+        np.testing.assert_array_equal(interpolate_background(given), naive.interpolate_background(given))
     for name, formulas, rules in (
         ("kitti-2012", naive.kitti_2012, [("out", t) for t in (2.0, 3.0, 4.0, 5.0)]),
         ("kitti-2015", naive.kitti_2015, [("D1", 3.0), ("out", 3.0)]),
@@ -287,15 +264,10 @@ def test_kitti_agrees_with_the_kits_formulas(seed, kinds):
                 wrong, _, pixels = naive.kitti_frame(*frame, rule)
                 both = [pick(scores, metric, t, c) for c in (INTERPOLATED, ESTIMATED_ONLY)]
                 assert [(s.wrong, s.pixels) for s in both] == list(zip(wrong, pixels, strict=True))
-            for convention, (share, average) in zip(
-                (INTERPOLATED, ESTIMATED_ONLY), (expected[:2], expected[2:4]), strict=True
-            ):
-                score = pick(mean, metric, t, convention)
-                assert score.value == pytest.approx(share, rel=1e-5)
-                assert score.density == pytest.approx(expected[4], rel=1e-6)
-                average_score = pick(mean, "avgerr", None, convention)
-                assert average_score.value == pytest.approx(average, rel=1e-5)
-                assert average_score.density == pytest.approx(expected[4], rel=1e-6)
+            for k, convention in enumerate((INTERPOLATED, ESTIMATED_ONLY)):
+                both = (pick(mean, metric, t, convention), pick(mean, "avgerr", None, convention))
+                assert [s.value for s in both] == pytest.approx(expected[2 * k : 2 * k + 2], rel=1e-5)
+                assert [s.density for s in both] == pytest.approx([expected[4]] * 2, rel=1e-6)
 
 
 def test_d1_needs_both_conditions_and_exactly_five_percent_is_wrong():
@@ -345,9 +317,6 @@ def test_kitti_regions():
     assert find_score(scores, "avgerr", "occ", None, INTERPOLATED).value == 0
 
 
-# Warnings
-
-
 @pytest.mark.parametrize("name", STEREO)
 @pytest.mark.parametrize("factor", [16, 4, 256, 0.5, 1 / 16, -1])
 def test_wrong_scale_is_noticed(name, factor):
@@ -371,9 +340,6 @@ def test_constants_that_stand_for_no_value_are_recognized(mark):
     estimate[:, 3:20] = np.float32(mark) + rng.uniform(0, 1, (50, 17)).astype(np.float32)
     assert invalid_value(estimate, truth) is None  # the end of a range
     assert invalid_value(np.full_like(truth, mark), truth) is None
-
-
-# What the benchmarks' own programs print for maps that anybody can make again
 
 
 def disturbed(truth: np.ndarray, holes: bool) -> np.ndarray:
@@ -480,9 +446,8 @@ def _kitti_frames(judge: Any, holes: bool) -> list[MapResult]:
         objects = (np.indices(occ.shape)[1] // 100) % 3 == 1
         stored = StereoTruth(occ, None, read_disparity(DATA / folder / noc), objects)
         truth = DisparityTruth(occ, judge.masks(stored), stored.noc)
-        results.append(
-            MapResult("r", folder, "d", judge.name, scores=tuple(judge.scores(disturbed(occ, holes), truth)))
-        )
+        scores = judge.scores(disturbed(occ, holes), truth)
+        results.append(MapResult("r", folder, "d", judge.name, scores=tuple(scores)))
     return results
 
 
@@ -499,9 +464,6 @@ def test_figures_of_the_kitti_pairs(pair, d1, three, end_point):
     assert pick(scores, "D1", 3.0, ESTIMATED_ONLY).value == pytest.approx(d1, abs=0.005)
     assert pick(scores, "out", 3.0, ESTIMATED_ONLY).value == pytest.approx(three, abs=0.005)
     assert pick(scores, "avgerr", None, ESTIMATED_ONLY).value == pytest.approx(end_point, abs=0.0005)
-
-
-# The Scene Flow datasets
 
 
 def test_scene_flow_evaluates_disparities_below_192():

@@ -1,7 +1,5 @@
 """Figures of registration confidence against closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -51,9 +49,8 @@ def result(scene: str, expected: np.ndarray | None, true: np.ndarray, run: str =
     if expected is None:
         return replace(start, scores=tuple(missing_scores(PROTOCOL, truth)), error="no map")
     estimate = expected.astype(np.float32).ravel()
-    return replace(
-        start, scores=tuple(PROTOCOL.scores(estimate, truth)), pooling_data=PROTOCOL.points(estimate, truth)[1]
-    )
+    pooled = PROTOCOL.points(estimate, truth)[1]
+    return replace(start, scores=tuple(PROTOCOL.scores(estimate, truth)), pooling_data=pooled)
 
 
 def errors_along_x(seed: int, shape: tuple[int, int, int] = WIDE) -> tuple[np.ndarray, np.ndarray]:

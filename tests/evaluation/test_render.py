@@ -1,7 +1,5 @@
 """Tables: alignment, places and shades of ranked numbers, and the five formats."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -36,12 +34,8 @@ def test_places(values: tuple[float, ...], larger: bool | None, places: list[int
 
 
 def test_a_number_keeps_its_value():
-    assert (Number(1.234), Number(1.234, 1), Number(2, mark="*"), Number(NAN, mark="*")) == (
-        "1.23",
-        "1.2",
-        "2.00*",
-        "-",
-    )
+    numbers = (Number(1.234), Number(1.234, 1), Number(2, mark="*"), Number(NAN, mark="*"))
+    assert numbers == ("1.23", "1.2", "2.00*", "-")
     assert Number(1.234).value == 1.234
 
 

@@ -1,7 +1,5 @@
 """Where compiled kernels go, and that nothing is compiled twice."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re
@@ -87,9 +85,8 @@ def test_without_a_home_that_can_be_written_a_temporary_folder_serves(tmp_path: 
 @pytest.mark.slow
 @pytest.mark.parametrize("variable", ["NUMBA_CACHE_DIR", "TMPDIR"])
 def test_where_no_folder_can_be_written_kernels_are_compiled_in_memory_and_that_is_said_once(tmp_path, variable):
-    nowhere = NOWHERE
     before = "import tempfile; tempfile._candidate_tempdir_list = lambda: ['/proc/none']\n"
-    kernels, _, _, folder, messages = use(tmp_path, before, HOME=nowhere, XDG_CACHE_HOME=nowhere, **{variable: nowhere})
+    kernels, _, _, folder, messages = use(tmp_path, before, HOME=NOWHERE, XDG_CACHE_HOME=NOWHERE, **{variable: NOWHERE})
     assert (kernels, folder) == (2, "None")
     assert messages.count("no folder for compiled kernels can be written") == len(messages.splitlines()) == 1
     assert not list((tmp_path / "source").rglob("*.nb*"))
@@ -103,8 +100,8 @@ def flip(data: bytes) -> bytes:
 def test_damaged_files_are_compiled_again_and_that_is_said_once(tmp_path: Path):
     mine = str(tmp_path / "mine")
     use(tmp_path, NUMBA_CACHE_DIR=mine)
-    for kind, damage in (("nbc", lambda data: b""), ("nbc", flip), ("nbi", lambda data: data[:-9])):
-        for file in (tmp_path / "mine").rglob(f"*.{kind}"):
+    for kind, *damages in (("nbc", lambda data: b"", flip), ("nbi", *[lambda data: data[:-9]] * 2)):
+        for file, damage in zip(sorted((tmp_path / "mine").rglob(f"*.{kind}")), damages, strict=True):
             file.write_bytes(damage(file.read_bytes()))
         kernels, _, _, _, messages = use(tmp_path, NUMBA_CACHE_DIR=mine)
         assert kernels == 2

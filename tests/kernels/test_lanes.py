@@ -1,43 +1,22 @@
 """Sixteen floats or 32 short integers as one value in kernels, against numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from depthcli.kernels import lanes
 from depthcli.kernels.jit import jit
-from depthcli.kernels.lanes import (
-    absolute_difference,
-    as_bytes,
-    exp_minus,
-    halves,
-    lane_exp_minus_16,
-    lane_max,
-    lane_min,
-    lane_sum,
-    load,
-    load_like,
-    load_shorts,
-    maximum,
-    minimum,
-    shifted_right,
-    splat,
-    store,
-    where_at_most,
-)
 
 
 @jit
 def _compute(a, b, factor, out):
-    x, y = load(a, 1), load(b, 0)
-    store(out, 0, x + y)
-    store(out, 16, x - y)
-    store(out, 32, x * splat(factor))
-    store(out, 48, minimum(x, y))
-    store(out, 64, exp_minus(x * x))
+    x, y = lanes.load(a, 1), lanes.load(b, 0)
+    lanes.store(out, 0, x + y)
+    lanes.store(out, 16, x - y)
+    lanes.store(out, 32, x * lanes.splat(factor))
+    lanes.store(out, 48, lanes.minimum(x, y))
+    lanes.store(out, 64, lanes.exp_minus(x * x))
     y += x
-    store(out, 80, y)
-    return lane_sum(x), lane_min(x)
+    lanes.store(out, 80, y)
+    return lanes.lane_sum(x), lanes.lane_min(x)
 
 
 def test_lanes_compute_as_numpy_does():
@@ -66,23 +45,23 @@ def test_exponentials_of_large_numbers_are_as_good_as_zero():
 
 @jit
 def _exponentials(a, out):
-    store(out, 0, exp_minus(load(a, 1)))
+    lanes.store(out, 0, lanes.exp_minus(lanes.load(a, 1)))
 
 
 @jit
 def _compute_more(a, b, levels, out, bytes_out):
-    x, y, z = load(a, 0), load(b, 0), load(levels, 1)
-    store(out, 0, x / y)
-    store(out, 16, maximum(x, y))
-    store(out, 32, where_at_most(x, y, x + y, z))
-    share = as_bytes(where_at_most(x, y, z, splat(np.float32(200.7))))
-    store(bytes_out, 18, load_like(share, levels, 1) + share)
-    store(bytes_out, 34, load_like(share, levels, 1) - share)
-    store(bytes_out, 50, absolute_difference(load_like(share, levels, 1), share))
-    store(bytes_out, 66, minimum(load_like(share, levels, 1), share))
-    store(out, 48, lane_exp_minus_16(x * x))
-    store(bytes_out, 1, z + splat(np.float32(0.9)))
-    return lane_max(x)
+    x, y, z = lanes.load(a, 0), lanes.load(b, 0), lanes.load(levels, 1)
+    lanes.store(out, 0, x / y)
+    lanes.store(out, 16, lanes.maximum(x, y))
+    lanes.store(out, 32, lanes.where_at_most(x, y, x + y, z))
+    share = lanes.as_bytes(lanes.where_at_most(x, y, z, lanes.splat(np.float32(200.7))))
+    lanes.store(bytes_out, 18, lanes.load_like(share, levels, 1) + share)
+    lanes.store(bytes_out, 34, lanes.load_like(share, levels, 1) - share)
+    lanes.store(bytes_out, 50, lanes.absolute_difference(lanes.load_like(share, levels, 1), share))
+    lanes.store(bytes_out, 66, lanes.minimum(lanes.load_like(share, levels, 1), share))
+    lanes.store(out, 48, lanes.lane_exp_minus_16(x * x))
+    lanes.store(bytes_out, 1, z + lanes.splat(np.float32(0.9)))
+    return lanes.lane_max(x)
 
 
 def test_more_operations_on_floats_and_bytes():
@@ -105,18 +84,18 @@ def test_more_operations_on_floats_and_bytes():
 
 @jit
 def _compute_shorts(a, levels, out, bytes_out, floats):
-    x, y = load_shorts(a, 1), load_shorts(levels, 2)
-    store(out, 0, x + y)
-    store(out, 32, x - y)
-    store(out, 64, minimum(x, y))
-    store(out, 96, maximum(x, y))
-    store(out, 128, absolute_difference(x, y))
-    store(out, 160, shifted_right(y, np.int16(3)))
-    store(out, 192, splat(np.int16(-7)))
-    store(bytes_out, 0, y)
-    low, high = halves(x)
-    store(floats, 0, low)
-    store(floats, 16, high)
+    x, y = lanes.load_shorts(a, 1), lanes.load_shorts(levels, 2)
+    lanes.store(out, 0, x + y)
+    lanes.store(out, 32, x - y)
+    lanes.store(out, 64, lanes.minimum(x, y))
+    lanes.store(out, 96, lanes.maximum(x, y))
+    lanes.store(out, 128, lanes.absolute_difference(x, y))
+    lanes.store(out, 160, lanes.shifted_right(y, np.int16(3)))
+    lanes.store(out, 192, lanes.splat(np.int16(-7)))
+    lanes.store(bytes_out, 0, y)
+    low, high = lanes.halves(x)
+    lanes.store(floats, 0, low)
+    lanes.store(floats, 16, high)
 
 
 def test_short_integers_compute_as_numpy_does():

@@ -1,7 +1,5 @@
 """Slow references for the adjustment of a right image. Never imports depthcli."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

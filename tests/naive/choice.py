@@ -1,12 +1,6 @@
 """Slow references of the choice among maps. Never imports depthcli."""
 
-from __future__ import annotations
-
 import numpy as np
-
-
-def clip(value, low, high):
-    return min(max(value, low), high)
 
 
 def curve(costs, value):
@@ -26,19 +20,19 @@ def pointwise(maps, costs, scale, right, left_image, right_image):
     for n, y, x in np.ndindex(maps.shape):
         d = float(maps[n, y, x])
         planes["excess_cost"][n, y, x] = (curve(costs[y, x], d) - costs[y, x].min()) / scale
-        planes["match_column"][n, y, x] = clip(x - d, -20, 20)
+        planes["match_column"][n, y, x] = np.clip(x - d, -20, 20)
         u = int(np.floor(np.float32(x) - maps[n, y, x] + np.float32(0.5)))
         if u < 0:
             planes["right_view_difference"][n, y, x] = -6
         else:
-            planes["right_view_difference"][n, y, x] = clip(d - float(right[y, u]), -5, 5)
+            planes["right_view_difference"][n, y, x] = np.clip(d - float(right[y, u]), -5, 5)
             nearest = [
                 float(maps[n, y, v])
                 for v in range(width)
                 if int(np.floor(np.float32(v) - maps[n, y, v] + np.float32(0.5))) == u
             ]
             planes["self_occlusion"][n, y, x] = min(max(nearest) - d, 6)
-        at = clip(x - d, 0, width - 1)
+        at = np.clip(x - d, 0, width - 1)
         low, high = int(at), min(int(at) + 1, width - 1)
         warped = right_image[y, low] + (at - int(at)) * (right_image[y, high].astype(float) - right_image[y, low])
         planes["color_difference"][n, y, x] = min(np.abs(left_image[y, x] - warped).max(), 40)

@@ -1,10 +1,10 @@
 """Slow, obvious references of the confidence measures, curve by curve. Never imports depthcli."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
+
+from tests.naive.stereo import winners
 
 
 def curve(costs, n, deviation, eps):
@@ -62,15 +62,9 @@ def spread(costs, valid):
 
 def right_view(costs):
     """(H, W) disparity and cost of the right view's winners; the smaller disparity wins ties."""
-    height, width, n_disparities = costs.shape
-    chosen = np.zeros((height, width), int)
-    cheapest = np.full((height, width), math.inf)
-    for y in range(height):
-        for x in range(width):
-            for d in range(n_disparities):
-                if x + d < width and costs[y, x + d, d] < cheapest[y, x]:
-                    cheapest[y, x], chosen[y, x] = costs[y, x + d, d], d
-    return chosen, cheapest
+    chosen = winners(costs)[1]
+    rows, columns = np.indices(chosen.shape)
+    return chosen, costs[rows, columns + chosen, chosen].astype(float)
 
 
 def left_right(costs, eps):
@@ -78,37 +72,24 @@ def left_right(costs, eps):
     height, width, n_disparities = costs.shape
     chosen, cheapest = right_view(costs)
     lrc, lrd = np.zeros((height, width)), np.zeros((height, width))
-    for y in range(height):
-        for x in range(width):
-            c = [float(v) for v in costs[y, x, : min(n_disparities, x + 1)]]
-            d = c.index(min(c))
-            others = c[:d] + c[d + 1 :]
-            margin = (min(others) if others else c[d]) - c[d]
-            lrc[y, x] = -abs(d - chosen[y, x - d])
-            lrd[y, x] = margin / (c[d] - cheapest[y, x - d] + eps)
+    for y, x in np.ndindex(height, width):
+        c = [float(v) for v in costs[y, x, : min(n_disparities, x + 1)]]
+        d = c.index(min(c))
+        others = c[:d] + c[d + 1 :]
+        margin = (min(others) if others else c[d]) - c[d]
+        lrc[y, x] = -abs(d - chosen[y, x - d])
+        lrd[y, x] = margin / (c[d] - cheapest[y, x - d] + eps)
     return lrc, lrd
 
 
-def agreement(winner, radius):
-    """Share of the window within 1 of the center."""
-    height, width = winner.shape
-    out = np.zeros((height, width))
-    for y in range(height):
-        for x in range(width):
-            window = winner[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
-            out[y, x] = np.mean(np.abs(window.astype(int) - int(winner[y, x])) <= 1)
-    return out
-
-
-def mutual_agreement(winner, right, radius):
-    """Share of the right view's window around the match within 1 of the disparity."""
-    height, width = winner.shape
-    out = np.zeros((height, width))
-    for y in range(height):
-        for x in range(width):
-            u = x - winner[y, x]
-            window = right[max(0, y - radius) : y + radius + 1, max(0, u - radius) : u + radius + 1]
-            out[y, x] = np.mean(np.abs(window.astype(int) - int(winner[y, x])) <= 1)
+def agreement(winner, radius, right=None):
+    """Share of the window within 1 of the center; of the right view's window around the match, if that is given."""
+    out = np.zeros(winner.shape)
+    for y, x in np.ndindex(winner.shape):
+        u = x if right is None else x - winner[y, x]
+        view = winner if right is None else right
+        window = view[max(0, y - radius) : y + radius + 1, max(0, u - radius) : u + radius + 1]
+        out[y, x] = np.mean(np.abs(window.astype(int) - int(winner[y, x])) <= 1)
     return out
 
 
@@ -116,16 +97,15 @@ def average_peak_ratio(costs, winner, second, eps, radius):
     """Mean peak ratio of the window at the center's two disparities; 1 without a second minimum."""
     height, width, _ = costs.shape
     out = np.ones((height, width))
-    for y in range(height):
-        for x in range(width):
-            a, b = winner[y, x], second[y, x]
-            if b < 0:
-                continue
-            ratios = [
-                (float(costs[q, p, b]) + eps) / (float(costs[q, p, a]) + eps)
-                for q in range(max(0, y - radius), min(height, y + radius + 1))
-                for p in range(max(0, x - radius), min(width, x + radius + 1))
-                if max(a, b) <= p
-            ]
-            out[y, x] = np.mean(ratios)
+    for y, x in np.ndindex(height, width):
+        a, b = winner[y, x], second[y, x]
+        if b < 0:
+            continue
+        ratios = [
+            (float(costs[q, p, b]) + eps) / (float(costs[q, p, a]) + eps)
+            for q in range(max(0, y - radius), min(height, y + radius + 1))
+            for p in range(max(0, x - radius), min(width, x + radius + 1))
+            if max(a, b) <= p
+        ]
+        out[y, x] = np.mean(ratios)
     return out

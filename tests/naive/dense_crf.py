@@ -1,7 +1,5 @@
 """Mean field by all pairs of points, and the permutohedral lattice point by point; numpy only."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """Slow, obvious references of fusion. Never imports depthcli."""
 
-from __future__ import annotations
-
 import numpy as np
 
 
@@ -43,15 +41,6 @@ def cast_votes(disparities, weights, n_disparities, tolerance, fading):
     return votes
 
 
-def window_shares(votes, window):
-    """Mean of the votes in a window clipped at the border."""
-    r = window // 2
-    out = np.zeros_like(votes)
-    for y, x in np.ndindex(votes.shape[:2]):
-        out[y, x] = votes[max(0, y - r) : y + r + 1, max(0, x - r) : x + r + 1].mean(axis=(0, 1))
-    return out
-
-
 def color_shares(votes, image, reach, softness):
     """Votes filtered forwards and backwards along rows, then columns, over the same of ones."""
     across, down = (_decay(image, axis, reach, softness) for axis in (1, 0))
@@ -75,12 +64,6 @@ def _recurse(values, decay, axis):
     for i in range(len(out) - 2, -1, -1):
         out[i] += steps[i] * out[i + 1]
     return np.moveaxis(out, 0, axis)
-
-
-def ranks(confidence):
-    """Mid-ranks among all values, in [0, 1]."""
-    flat = confidence.ravel()
-    return np.array([((flat < v).sum() + (flat <= v).sum()) / 2 / flat.size for v in flat]).reshape(confidence.shape)
 
 
 def consensus_weights(shares, exponent):

@@ -1,7 +1,5 @@
 """Slow and obvious references of the kernels of refine-kinect; numpy only."""
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Slow, obvious versions of the kernels behind plane_votes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """Slow, obvious versions of the metrics, pixel by pixel, from the benchmarks' definitions. Never imports depthcli."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -163,17 +161,3 @@ def sparsification_area(confidence, error, steps=4000):
     """Integral over the share of the surest pixels of their mean error, by many small steps."""
     shares = [100 * (k + 0.5) / steps for k in range(steps)]
     return sum(expected_sparsification(confidence, error, shares)) / steps
-
-
-def mean_rank(values):
-    """Average rank of each row, columns by themselves; equal values share the mean of their places."""
-    rows, columns = len(values), len(values[0])
-    result = []
-    for i in range(rows):
-        places = []
-        for c in range(columns):
-            ordered = sorted(values[r][c] for r in range(rows))
-            where = [k + 1 for k, v in enumerate(ordered) if v == values[i][c]]
-            places.append(sum(where) / len(where))
-        result.append(sum(places) / columns)
-    return result

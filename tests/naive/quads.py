@@ -1,7 +1,5 @@
 """Slow and obvious reference of the kernel that draws quadrilaterals; numpy only."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

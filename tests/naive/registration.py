@@ -1,7 +1,5 @@
 """Slow twins of the registration confidence, numpy only."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

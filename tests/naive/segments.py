@@ -1,7 +1,5 @@
 """Slow and obvious references for the segment pipeline's kernels; numpy only."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -47,10 +45,9 @@ def components(color, max_distance):
 def segment_window(costs, labels, radius):
     height, width, _ = costs.shape
     out = np.empty(costs.shape, np.float64)
-    for y in range(height):
-        for x in range(width):
-            window = slice(max(0, y - radius), y + radius + 1), slice(max(0, x - radius), x + radius + 1)
-            out[y, x] = costs[window][labels[window] == labels[y, x]].mean(axis=0)
+    for y, x in np.ndindex(height, width):
+        window = slice(max(0, y - radius), y + radius + 1), slice(max(0, x - radius), x + radius + 1)
+        out[y, x] = costs[window][labels[window] == labels[y, x]].mean(axis=0)
     return out
 
 

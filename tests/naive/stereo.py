@@ -3,20 +3,19 @@
 Disparities run along the last axis; left (y, x) matches right (y, x - d).
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
+
+from tests.naive.segments import components
 
 
 def volume(shape, disparities, cost, outside):
     """``cost(y, x, d)`` for every match inside the right image, ``outside`` elsewhere."""
     out = np.full((*shape, disparities), outside, float)
-    for y in range(shape[0]):
-        for x in range(shape[1]):
-            for d in range(min(disparities, x + 1)):
-                out[y, x, d] = cost(y, x, d)
+    for y, x in np.ndindex(shape):
+        for d in range(min(disparities, x + 1)):
+            out[y, x, d] = cost(y, x, d)
     return out
 
 
@@ -53,35 +52,21 @@ def tolerant_difference(left, right, disparities, truncation, outside, divisor=1
     return volume(left.shape[:2], disparities, cost, outside)
 
 
-def _patch(image, y, x, ry, rx):
-    padded = np.pad(image, ((ry, ry), (rx, rx)), mode="edge")
-    return padded[y : y + 2 * ry + 1, x : x + 2 * rx + 1]
+def windows(image, width, height):
+    """Return (H, W, height, width): the pixels around each one, the border repeated."""
+    padded = np.pad(image, ((height // 2,) * 2, (width // 2,) * 2), mode="edge")
+    return np.lib.stride_tricks.sliding_window_view(padded, (height, width))
 
 
 def census(left, right, disparities, window, outside):
     """Eq. 3.5: number of neighbors that are brighter than the center in one view only."""
-    rx, ry = window[0] // 2, window[1] // 2
-    bits = [
-        np.array(
-            [[_patch(image, y, x, ry, rx) > image[y, x] for x in range(image.shape[1])] for y in range(image.shape[0])]
-        )
-        for image in (left, right)
-    ]
+    bits = [windows(image, *window) > image[:, :, None, None] for image in (left, right)]
     return volume(left.shape, disparities, lambda y, x, d: np.sum(bits[0][y, x] != bits[1][y, x - d]), outside)
 
 
 def rank(left, right, disparities, window, outside):
     """Eq. 3.3-3.4."""
-    rx, ry = window[0] // 2, window[1] // 2
-    ranks = [
-        np.array(
-            [
-                [np.sum(_patch(image, y, x, ry, rx) < image[y, x]) for x in range(image.shape[1])]
-                for y in range(image.shape[0])
-            ]
-        )
-        for image in (left, right)
-    ]
+    ranks = [(windows(image, *window) < image[:, :, None, None]).sum(axis=(2, 3)) for image in (left, right)]
     return volume(left.shape, disparities, lambda y, x, d: abs(ranks[0][y, x] - ranks[1][y, x - d]), outside)
 
 
@@ -93,11 +78,8 @@ def gradient(left, right, disparities, truncation, outside):
     smooth, slope = smooth / smooth.sum(), slope / np.sum(offsets * slope)
 
     def derivatives(image):
-        height, width = image.shape
-        patches = [[_patch(image.astype(float), y, x, 2, 2) for x in range(width)] for y in range(height)]
-        along_x = [[smooth @ patch @ slope for patch in row] for row in patches]
-        along_y = [[slope @ patch @ smooth for patch in row] for row in patches]
-        return np.array([along_x, along_y])
+        around = windows(image.astype(float), 5, 5)
+        return np.array([around @ slope @ smooth, around @ smooth @ slope])
 
     a, b = derivatives(left), derivatives(right)
     return volume(
@@ -106,10 +88,10 @@ def gradient(left, right, disparities, truncation, outside):
 
 
 def zncc(left, right, disparities, window, noise, outside):
-    ry, rx = window[1] // 2, window[0] // 2
+    around = [windows(image.astype(float), *window) for image in (left, right)]
 
     def cost(y, x, d):
-        a, b = (_patch(i.astype(float), y, z, ry, rx) for i, z in ((left, x), (right, x - d)))
+        a, b = around[0][y, x], around[1][y, x - d]
         a, b = a - a.mean(), b - b.mean()
         floor = noise**2
         correlation = ((a * b).mean() + floor) / np.sqrt(((a * a).mean() + floor) * ((b * b).mean() + floor))
@@ -131,9 +113,8 @@ def constant_window(costs, window):
     """Mean over the window, clipped at the border."""
     r = window // 2
     out = np.empty(costs.shape)
-    for y in range(costs.shape[0]):
-        for x in range(costs.shape[1]):
-            out[y, x] = costs[max(0, y - r) : y + r + 1, max(0, x - r) : x + r + 1].mean(axis=(0, 1))
+    for y, x in np.ndindex(costs.shape[:2]):
+        out[y, x] = costs[max(0, y - r) : y + r + 1, max(0, x - r) : x + r + 1].mean(axis=(0, 1))
     return out
 
 
@@ -142,22 +123,21 @@ def cross_arms(image, length, threshold, inner_length, inner_threshold):
     image = image.astype(int)
     height, width = image.shape[:2]
     arms = np.zeros((4, height, width), int)
-    for y in range(height):
-        for x in range(width):
-            for side, (dy, dx) in enumerate(((0, -1), (0, 1), (-1, 0), (1, 0))):
-                for n in range(1, length + 1):
-                    v, u = y + n * dy, x + n * dx
-                    if not (0 <= v < height and 0 <= u < width):
-                        break
-                    far = np.abs(image[v, u] - image[y, x]).max()
-                    jump = np.abs(image[v, u] - image[v - dy, u - dx]).max()
-                    limit = threshold if n <= inner_length else inner_threshold
-                    if n > 1 and (far > limit or jump > threshold):
-                        break
-                    if n == 1 and far > limit:
-                        arms[side, y, x] = 1
-                        break
-                    arms[side, y, x] = n
+    for y, x in np.ndindex(height, width):
+        for side, (dy, dx) in enumerate(((0, -1), (0, 1), (-1, 0), (1, 0))):
+            for n in range(1, length + 1):
+                v, u = y + n * dy, x + n * dx
+                if not (0 <= v < height and 0 <= u < width):
+                    break
+                far = np.abs(image[v, u] - image[y, x]).max()
+                jump = np.abs(image[v, u] - image[v - dy, u - dx]).max()
+                limit = threshold if n <= inner_length else inner_threshold
+                if n > 1 and (far > limit or jump > threshold):
+                    break
+                if n == 1 and far > limit:
+                    arms[side, y, x] = 1
+                    break
+                arms[side, y, x] = n
     return arms
 
 
@@ -174,16 +154,15 @@ def cross(costs, arms, horizontal_first, target=None):
         if target is not None and d < width:
             cut[:, :, d:] = np.minimum(cut[:, :, d:], target[:, :, : width - d])
         left, right, up, down = cut
-        for y in range(height):
-            for x in range(width):
-                support = []
-                if horizontal_first:
-                    for v in range(y - up[y, x], y + down[y, x] + 1):
-                        support += [costs[v, u, d] for u in range(x - left[v, x], x + right[v, x] + 1)]
-                else:
-                    for u in range(x - left[y, x], x + right[y, x] + 1):
-                        support += [costs[v, u, d] for v in range(y - up[y, u], y + down[y, u] + 1)]
-                out[y, x, d] = np.mean(support)
+        for y, x in np.ndindex(height, width):
+            support = []
+            if horizontal_first:
+                for v in range(y - up[y, x], y + down[y, x] + 1):
+                    support += [costs[v, u, d] for u in range(x - left[v, x], x + right[v, x] + 1)]
+            else:
+                for u in range(x - left[y, x], x + right[y, x] + 1):
+                    support += [costs[v, u, d] for v in range(y - up[y, u], y + down[y, u] + 1)]
+            out[y, x, d] = np.mean(support)
     return out
 
 
@@ -194,21 +173,20 @@ def adaptive_weight(costs, left, right, radius, gamma_color, gamma_space, square
     """
     height, width, disparities = costs.shape
     out = costs.astype(float)
-    for y in range(height):
-        for x in range(width):
-            for d in range(min(disparities, x + 1)):
-                num = den = 0.0
-                for yq in range(max(0, y - radius), min(height, y + radius + 1)):
-                    for xq in range(max(0, x - radius, d), min(width, x + radius + 1)):
-                        color_l = np.sum((left[y, x] - left[yq, xq]) ** 2)
-                        color_r = np.sum((right[y, x - d] - right[yq, xq - d]) ** 2)
-                        space = (y - yq) ** 2 + (x - xq) ** 2
-                        if not squared:
-                            color_l, color_r, space = np.sqrt([color_l, color_r, space])
-                        weight = np.exp(-((color_l + color_r) / gamma_color + 2 * space / gamma_space))
-                        num += weight * costs[yq, xq, d]
-                        den += weight
-                out[y, x, d] = num / den
+    for y, x in np.ndindex(height, width):
+        for d in range(min(disparities, x + 1)):
+            num = den = 0.0
+            for yq in range(max(0, y - radius), min(height, y + radius + 1)):
+                for xq in range(max(0, x - radius, d), min(width, x + radius + 1)):
+                    color_l = np.sum((left[y, x] - left[yq, xq]) ** 2)
+                    color_r = np.sum((right[y, x - d] - right[yq, xq - d]) ** 2)
+                    space = (y - yq) ** 2 + (x - xq) ** 2
+                    if not squared:
+                        color_l, color_r, space = np.sqrt([color_l, color_r, space])
+                    weight = np.exp(-((color_l + color_r) / gamma_color + 2 * space / gamma_space))
+                    num += weight * costs[yq, xq, d]
+                    den += weight
+            out[y, x, d] = num / den
     return out
 
 
@@ -247,30 +225,23 @@ def scanline(costs, image, p1, p2, paths, edge_threshold, edge_divisor):
 
 def winners(costs):
     """Cheapest disparities of the left and the right view; the smaller one wins ties."""
-    height, width, disparities = costs.shape
-    left, right = np.zeros((height, width), int), np.zeros((height, width), int)
-    for y in range(height):
-        for x in range(width):
-            left[y, x] = np.argmin(costs[y, x, : x + 1])
-            right[y, x] = np.argmin([costs[y, x + d, d] for d in range(min(disparities, width - x))])
-    return left, right
+    return gathered_winners(costs, np.ones(costs.shape, bool))[:2]
 
 
 def left_right_check(values, right, disparities, tolerance):
     """(kept values, occluded, mismatch): a removed pixel is occluded if no right pixel points to it."""
     values = values.copy()
     occluded, mismatch = np.zeros(values.shape, bool), np.zeros(values.shape, bool)
-    for y in range(values.shape[0]):
-        for x in range(values.shape[1]):
-            d = values[y, x]
-            if np.isnan(d):
-                continue
-            u = x - int(np.floor(d + 0.5))
-            if u >= 0 and abs(d - right[y, u]) <= tolerance:
-                continue
-            points_back = any(right[y, x - other] == other for other in range(min(disparities, x + 1)))
-            (mismatch if points_back else occluded)[y, x] = True
-            values[y, x] = np.nan
+    for y, x in np.ndindex(values.shape):
+        d = values[y, x]
+        if np.isnan(d):
+            continue
+        u = x - int(np.floor(d + 0.5))
+        if u >= 0 and abs(d - right[y, u]) <= tolerance:
+            continue
+        points_back = any(right[y, x - other] == other for other in range(min(disparities, x + 1)))
+        (mismatch if points_back else occluded)[y, x] = True
+        values[y, x] = np.nan
     return values, occluded, mismatch
 
 
@@ -294,27 +265,20 @@ def background_fill(values):
 
 def median(values, window):
     """Median where the whole window (border repeated) has values; elsewhere the value itself."""
-    r = window // 2
-    out = values.copy()
-    for y in range(values.shape[0]):
-        for x in range(values.shape[1]):
-            patch = _patch(values, y, x, r, r)
-            if not np.isnan(patch).any():
-                out[y, x] = np.median(patch)
-    return out
+    medians = np.median(windows(values, window, window), axis=(2, 3))
+    return np.where(np.isnan(medians), values, medians)
 
 
 def subpixel(costs, values):
     """Minimum of the parabola through three costs, where the middle one is a local minimum inside the range."""
     costs, out = costs.astype(float), values.copy()
-    for y in range(values.shape[0]):
-        for x in range(values.shape[1]):
-            d = values[y, x]
-            if np.isnan(d) or d != int(d) or not 1 <= d < min(costs.shape[2], x + 1) - 1:
-                continue
-            below, here, above = costs[y, x, int(d) - 1 : int(d) + 2]
-            if below >= here <= above and below + above > 2 * here:
-                out[y, x] = d + 0.5 * (below - above) / (below + above - 2 * here)
+    for y, x in np.ndindex(values.shape):
+        d = values[y, x]
+        if np.isnan(d) or d != int(d) or not 1 <= d < min(costs.shape[2], x + 1) - 1:
+            continue
+        below, here, above = costs[y, x, int(d) - 1 : int(d) + 2]
+        if below >= here <= above and below + above > 2 * here:
+            out[y, x] = d + 0.5 * (below - above) / (below + above - 2 * here)
     return out
 
 
@@ -423,33 +387,23 @@ def weighted_median(values, trust, image, radius, color_scale, distance_scale):
         color = np.abs(image[window] - image[y, x]).mean(axis=2)
         weight = np.exp(-color / color_scale) * np.exp(-np.hypot(v - y, u - x) / distance_scale) * trust[window]
         known = ~np.isnan(values[window]) & (weight > 0)
-        if not known.any():
-            continue
-        steps = np.floor(values[window][known] * 8 + 0.5) / 8
-        order = np.argsort(steps, kind="stable")
-        share = np.cumsum(weight[known][order]) / weight[known].sum()
-        low[y, x] = steps[order][np.searchsorted(share, 0.5 - 1e-5)]
-        high[y, x] = steps[order][np.searchsorted(share, 0.5 + 1e-5)]
+        if known.any():
+            steps = np.floor(values[window][known] * 8 + 0.5) / 8
+            low[y, x], high[y, x] = middle(steps, weight[known], 1e-5)
     return low, high
+
+
+def middle(values, weights, slack):
+    """Lowest and highest value that may have half of the weight below it."""
+    order = np.argsort(values, kind="stable")
+    share = np.cumsum(weights[order]) / weights.sum()
+    return values[order][np.searchsorted(share, [0.5 - slack, 0.5 + slack])]
 
 
 def speckle_filter(values, size, step):
     """Empty what belongs to a 4-connected region of at most ``size`` pixels; neighbors differ by at most ``step``."""
-    out = values.copy()
-    unseen = {(int(y), int(x)) for y, x in np.argwhere(~np.isnan(values))}
-    while unseen:
-        region, border = [], [unseen.pop()]
-        while border:
-            y, x = border.pop()
-            region.append((y, x))
-            for v, u in ((y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
-                if (v, u) in unseen and abs(values[v, u] - values[y, x]) <= step:
-                    unseen.remove((v, u))
-                    border.append((v, u))
-        if len(region) <= size:
-            for y, x in region:
-                out[y, x] = np.nan
-    return out
+    labels = components(values[..., None], step)
+    return np.where(np.bincount(labels.ravel())[labels] <= size, np.nan, values)
 
 
 def surface_fill(values, rows, reach, support, largest):
@@ -559,10 +513,7 @@ def slanted_median(values, gradient, image, radius, color_scale, distance_scale)
         weight = np.exp(-np.minimum(color / color_scale + np.hypot(v - y, u - x) / distance_scale, 16))
         votes = values[window] + gradient[0][window] * (x - u) + gradient[1][window] * (y - v)
         known = ~np.isnan(votes)
-        order = np.argsort(votes[known], kind="stable")
-        share = np.cumsum(weight[known][order]) / weight[known].sum()
-        low[y, x] = votes[known][order][np.searchsorted(share, 0.5 - 1e-3)]
-        high[y, x] = votes[known][order][np.searchsorted(share, 0.5 + 1e-3)]
+        low[y, x], high[y, x] = middle(votes[known], weight[known], 1e-3)
     return low, high
 
 

@@ -1,7 +1,5 @@
 """Slow and obvious references of the kernels of transparent; numpy only."""
 
-from __future__ import annotations
-
 import numpy as np
 
 
@@ -48,12 +46,11 @@ def faded_costs(costs, left, right):
     """Costs drawn towards the pixel's mean by the smaller share of the two pixels they compare; rounded half up."""
     height, width, n_disparities = costs.shape
     out = np.zeros(costs.shape, np.uint16)
-    for y in range(height):
-        for x in range(width):
-            mean = costs[y, x].astype(float).mean()
-            for d in range(n_disparities):
-                share = min(left[y, x], right[y, x - d]) if d <= x else left[y, x]
-                out[y, x, d] = int(np.floor(mean + share * (costs[y, x, d] - mean) + 0.5))
+    for y, x in np.ndindex(height, width):
+        mean = costs[y, x].astype(float).mean()
+        for d in range(n_disparities):
+            share = min(left[y, x], right[y, x - d]) if d <= x else left[y, x]
+            out[y, x, d] = int(np.floor(mean + share * (costs[y, x, d] - mean) + 0.5))
     return out
 
 
@@ -61,12 +58,11 @@ def smoothed(values, image, wanted, radius, color_scale):
     """Where wanted, the mean of the known values in a square, weighted by exp(-|dRGB|^2 / (2 scale^2))."""
     height, width = values.shape
     out = values.copy()
-    for y in range(height):
-        for x in range(width):
-            if not wanted[y, x] or np.isnan(values[y, x]):
-                continue
-            window = np.s_[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
-            color = ((image[window].astype(float) - image[y, x].astype(float)) ** 2).sum(axis=2)
-            weights = np.exp(-color / (2 * color_scale**2)) * np.isfinite(values[window])
-            out[y, x] = (weights * np.nan_to_num(values[window])).sum() / weights.sum()
+    for y, x in np.ndindex(height, width):
+        if not wanted[y, x] or np.isnan(values[y, x]):
+            continue
+        window = np.s_[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
+        color = ((image[window].astype(float) - image[y, x].astype(float)) ** 2).sum(axis=2)
+        weights = np.exp(-color / (2 * color_scale**2)) * np.isfinite(values[window])
+        out[y, x] = (weights * np.nan_to_num(values[window])).sum() / weights.sum()
     return out

@@ -1,7 +1,5 @@
 """Simulated Kinect measurements."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

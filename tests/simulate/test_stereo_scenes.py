@@ -1,7 +1,5 @@
 """Generated scenes: the truth must be what the pictures show."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -14,15 +12,11 @@ from depthcli.simulate.stereo_scenes import KINDS, Radiometry, SyntheticScene, m
 CASES = [(kind, seed) for kind in KINDS for seed in (0, 3)]
 
 
-def mirror_nothing(patch: pytest.MonkeyPatch) -> None:
-    drawn = textures.surroundings
-    patch.setattr(textures, "surroundings", lambda *arguments: 0 * drawn(*arguments))
-
-
 @pytest.fixture(scope="module")
 def scenes() -> dict[tuple[str, int], SyntheticScene]:
     with pytest.MonkeyPatch.context() as patch:  # what is mirrored is not where the truth says
-        mirror_nothing(patch)
+        drawn = textures.surroundings
+        patch.setattr(textures, "surroundings", lambda *arguments: 0 * drawn(*arguments))
         return {(kind, seed): make_scene(kind, seed, 200, 150, 24) for kind, seed in CASES}
 
 
@@ -55,15 +49,11 @@ def test_occlusion_is_what_a_left_right_check_finds(scenes, case):
     scene = scenes[case]
     height, width = scene.nonocc.shape
     found = np.zeros((height, width), bool)
-    for y in range(height):
-        for x in range(width):
-            d = scene.disparity_left[y, x]
-            if x - d < 0:
-                continue
-            low = int(np.floor(x - d))
-            neighbors = scene.disparity_right[y, low : low + 2]
-            # Visible where the right view's surface is no nearer than this point is.
-            found[y, x] = neighbors.min() <= d + 0.6
+    for y, x in np.ndindex(height, width):
+        d = scene.disparity_left[y, x]
+        low = int(np.floor(x - d))
+        # Visible where the right view's surface is no nearer than this point is.
+        found[y, x] = low >= 0 and scene.disparity_right[y, low : low + 2].min() <= d + 0.6
     # The check sees the right view at whole pixels only, so it may differ at outlines.
     assert np.mean(found != scene.nonocc) < (0.016 if case[0] == "street" else 0.012)  # poles are all outline
     edges = (cv2.morphologyEx((~mask).astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3))) > 0
@@ -76,7 +66,7 @@ def test_occlusion_is_what_a_left_right_check_finds(scenes, case):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("width", "height", "top"), [(96, 72, 12), (16, 16, 8), (120, 40, 60), (40, 90, 4)])
 def test_every_pixel_has_a_disparity_in_range(kind, width, height, top):
-    for seed in range(3):
+    for seed in range(2):
         scene = make_scene(kind, seed, width, height, top, supersampling=1)
         for disparity in (scene.disparity_left, scene.disparity_right):
             assert disparity.shape == (height, width)

@@ -1,7 +1,5 @@
 """Generated glass, infrared-like pictures, and emulated sparse stereo."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -64,7 +62,7 @@ def test_measures_that_look_at_other_pixels_agree_with_their_references(dtype, w
     apkr = naive.average_peak_ratio(costs, curves.winner, curves.second_winner, curves.eps, 2)
     np.testing.assert_allclose(maps["apkr"], apkr, rtol=1e-3)
     right, _ = naive.right_view(costs)
-    joint = naive.agreement(curves.winner, 6) * naive.mutual_agreement(curves.winner, right, 6)
+    joint = naive.agreement(curves.winner, 6) * naive.agreement(curves.winner, 6, right)
     joint *= np.sqrt(np.maximum(1 - 1 / apkr, 0))
     np.testing.assert_allclose(maps["dap"], joint, rtol=1e-2, atol=1e-3)
 

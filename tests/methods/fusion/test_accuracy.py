@@ -1,20 +1,16 @@
 """Fusion and confidences on real scenes: the figures must not get worse."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from depthcli.api.stereo import with_network
-from depthcli.core.config_file import load_config
 from depthcli.evaluation.curves import sparsification
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.fusion import Fusion
-from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.cost.census import Census
-from depthcli.run.presets import find_config
+from tests.contracts.inputs import preset
 from tests.scenes import rates, real_scenes
 
 MEASURES = ["absolute_difference", "gradient", "rank", "census"]
@@ -59,7 +55,7 @@ def test_disparity_agreement_and_peak_sorts_out_errors_best(name, max_area):
 def test_mixed_maps_are_right_with_a_lamp_in_one_view_and_in_a_sunny_street(folder, protocol, name, region, max_rate):
     """The network was trained on neither."""
     pair, truth, top = real_scenes(folder, protocol)[name]
-    result = with_network(load_config(FuseConfig, find_config("fuse", "accurate")))(pair, top)
+    result = with_network(preset("fuse", "accurate"))(pair, top)
     assert rates(result.disparity.values, truth, protocol)[region] <= max_rate
 
 
@@ -71,7 +67,7 @@ def test_mixed_maps_are_right_with_a_lamp_in_one_view_and_in_a_sunny_street(fold
 def test_mixed_maps_keep_their_accuracy_and_their_probability_sorts_out_errors(folder, name, max_rate):
     """The network was trained on Teddy and Venus, not on Dolls."""
     pair, truth, top = real_scenes(folder)[name]
-    result = with_network(load_config(FuseConfig, find_config("fuse", "accurate")))(pair, top)
+    result = with_network(preset("fuse", "accurate"))(pair, top)
     assert rates(result.disparity.values, truth)["nonocc"] <= max_rate
     visible = truth.masks["nonocc"]
     wrong = ~(np.abs(result.disparity.values - truth.values) <= 1)[visible]

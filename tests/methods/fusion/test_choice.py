@@ -1,7 +1,5 @@
 """Choice among maps by a network: inputs and kernel against slow references, files, and accuracy."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -13,21 +11,13 @@ from depthcli.api.stereo import with_network
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.networks import TrainedNetwork
 from depthcli.io.formats.networks import read_network, write_network
-from depthcli.methods.fusion.choice.network import (
-    PIXEL_PLANES,
-    PROPOSAL_PLANES,
-    RELATIVE,
-    NetworkChoice,
-    NetworkInputs,
-    input_names,
-    log_odds_of,
-)
+from depthcli.methods.fusion.choice import network
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.map_costs import matching_costs
 from depthcli.methods.fusion.votes import ColorSupport
+from depthcli.testing.inputs import assert_pure, texture
 from tests.contracts.checks import CHECKS
 from tests.contracts.inputs import KINDS, random_proposals
-from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import choice as naive
 
 
@@ -37,29 +27,28 @@ def random_network(kinds, units=(8, 4), seed=0):
     def some(*shape):
         return rng.normal(size=shape).astype(np.float32)
 
-    size, count = len(input_names(kinds)), len(kinds)
+    size, count = len(network.input_names(kinds)), len(kinds)
     layers = (
         (some(size, units[0]) / 3, some(count, units[0])),
         (some(*units) / 3, some(units[1])),
         (some(units[1], 1), some(1)),
     )
-    return TrainedNetwork(kinds, input_names(kinds), some(size), np.abs(some(size)), layers)
+    return TrainedNetwork(kinds, network.input_names(kinds), some(size), np.abs(some(size)), layers)
 
 
 @pytest.mark.parametrize("check", CHECKS["methods.fusion.choice"], ids=lambda check: check.__name__)
 def test_contract(check):
-    check(NetworkChoice().with_network(random_network(KINDS), KINDS))
+    check(network.NetworkChoice().with_network(random_network(KINDS), KINDS))
 
 
 def test_inputs_agree_with_the_reference():
     given = random_proposals()
     count, height, width = given.values.shape
-    inputs = NetworkInputs.of(given)
-    own = dict(zip(PROPOSAL_PLANES, inputs.own.reshape(len(PROPOSAL_PLANES), count, height, width), strict=True))
+    inputs = network.NetworkInputs.of(given)
+    own = dict(zip(network.PROPOSAL_PLANES, inputs.own.reshape(-1, count, height, width), strict=True))
     left, right = given.pair.color8
-    expected = naive.pointwise(
-        given.values, given.volume.costs, given.volume.scale, given.right, left.astype(float), right
-    )
+    volume = given.volume
+    expected = naive.pointwise(given.values, volume.costs, volume.scale, given.right, left.astype(float), right)
     for name, plane in expected.items():
         np.testing.assert_allclose(own[name], plane, atol=2e-3, err_msg=name)
     for k, values in enumerate(given.values):
@@ -67,32 +56,32 @@ def test_inputs_agree_with_the_reference():
     far = matching_costs(given.values, given.volume, 0.7, ColorSupport(left, 8.0, 15.0))
     np.testing.assert_array_equal(own["cost_wide"], far)
     np.testing.assert_array_equal(own["filled"], given.filled)
-    shared = dict(zip(PIXEL_PLANES, inputs.shared.reshape(len(PIXEL_PLANES), height, width), strict=True))
+    shared = dict(zip(network.PIXEL_PLANES, inputs.shared.reshape(-1, height, width), strict=True))
     np.testing.assert_allclose(shared["min_cost"], given.volume.costs.min(axis=2) / given.volume.scale, rtol=1e-5)
     np.testing.assert_allclose(shared["filled_share"], (given.filled > 0).mean(axis=0))
     assert (shared["light_trust"] == 1).all()
     trust = texture((height, width), 5)
-    dim = NetworkInputs.of(replace(given, pair=replace(given.pair, light_trust=trust)))
-    np.testing.assert_allclose(dim.shared[PIXEL_PLANES.index("light_trust")], trust.ravel() / 255, rtol=1e-6)
+    dim = network.NetworkInputs.of(replace(given, pair=replace(given.pair, light_trust=trust)))
+    np.testing.assert_allclose(dim.shared[network.PIXEL_PLANES.index("light_trust")], trust.ravel() / 255, rtol=1e-6)
 
 
 def test_rows_hold_the_planes_in_the_order_of_their_names():
     given = random_proposals()
-    inputs = NetworkInputs.of(given)
-    names = input_names(given.kinds)
+    inputs = network.NetworkInputs.of(given)
+    names = network.input_names(given.kinds)
     pixels = np.array([0, 5, 188], np.int64)
     rows = inputs.rows(pixels)
     assert rows.shape == (3, 4, len(names))
     column = {name: rows[:, :, k] for k, name in enumerate(names)}
-    for k, name in enumerate(PROPOSAL_PLANES):
+    for k, name in enumerate(network.PROPOSAL_PLANES):
         np.testing.assert_array_equal(column[name], inputs.own[k][:, pixels].T)
-    for name in RELATIVE:
-        plane = inputs.own[PROPOSAL_PLANES.index(name)][:, pixels].T
+    for name in network.RELATIVE:
+        plane = inputs.own[network.PROPOSAL_PLANES.index(name)][:, pixels].T
         np.testing.assert_allclose(column[f"{name}_relative"], plane - plane.min(axis=1, keepdims=True), atol=1e-6)
     flat = given.values.reshape(4, -1)[:, pixels].T
     for k, kind in enumerate(given.kinds):
         np.testing.assert_array_equal(column[f"distance_{k}_{kind}"], np.minimum(np.abs(flat - flat[:, k : k + 1]), 4))
-    for k, name in enumerate(PIXEL_PLANES):
+    for k, name in enumerate(network.PIXEL_PLANES):
         np.testing.assert_array_equal(column[name], np.repeat(inputs.shared[k, pixels][:, None], 4, axis=1))
 
 
@@ -100,21 +89,21 @@ def test_rows_hold_the_planes_in_the_order_of_their_names():
 def test_log_odds_agree_with_the_reference(height, width, count):
     given = random_proposals(height, width, 12, count)
     weights = random_network(given.kinds)
-    inputs = NetworkInputs.of(given)
+    inputs = network.NetworkInputs.of(given)
     rows = inputs.rows(np.arange(height * width, dtype=np.int64))
     expected = naive.log_odds(rows.astype(float), weights.mean, weights.scale, weights.layers)
-    np.testing.assert_allclose(log_odds_of(weights, inputs), expected.T, atol=1e-3)
+    np.testing.assert_allclose(network.log_odds_of(weights, inputs), expected.T, atol=1e-3)
 
 
 def test_the_likeliest_proposal_is_taken_with_its_probability():
     given = random_proposals()
     trained = random_network(given.kinds)
-    method = NetworkChoice().with_network(trained, given.kinds)
+    method = network.NetworkChoice().with_network(trained, given.kinds)
     chosen = method(given)
     assert chosen.probability is not None
     picked = chosen.values[None] == given.values
     assert picked.any(axis=0).all()
-    odds = log_odds_of(trained, NetworkInputs.of(given)).reshape(given.values.shape)
+    odds = network.log_odds_of(trained, network.NetworkInputs.of(given)).reshape(given.values.shape)
     at = picked.argmax(axis=0)[None]
     expected = 1 / (1 + np.exp(-np.take_along_axis(odds, at, axis=0)[0]))
     single = picked.sum(axis=0) == 1
@@ -123,18 +112,15 @@ def test_the_likeliest_proposal_is_taken_with_its_probability():
     share = np.exp(odds - odds.max(axis=0))
     alone = share.argmax(axis=0)
     assert (alone == at[0]).mean() > 0.5  # the others were outvoted by pixels around them
-    assert_pure(
-        lambda: np.stack([method(given).values, method(given).probability]),
-        given.values,
-    )
+    assert_pure(lambda: np.stack([method(given).values, method(given).probability]), given.values)
 
 
 def test_files_of_networks_keep_four_digits(tmp_path):
-    network = random_network(KINDS)
-    write_network(tmp_path / "a.json", network)
+    trained = random_network(KINDS)
+    write_network(tmp_path / "a.json", trained)
     stored = read_network(tmp_path / "a.json")
-    assert stored.maps == KINDS and stored.inputs == network.inputs
-    for (w, b), (v, c) in zip(network.layers, stored.layers, strict=True):
+    assert stored.maps == KINDS and stored.inputs == trained.inputs
+    for (w, b), (v, c) in zip(trained.layers, stored.layers, strict=True):
         np.testing.assert_allclose(v, w, rtol=1e-3)
         np.testing.assert_allclose(c, b, rtol=1e-3)
 
@@ -152,7 +138,7 @@ def test_a_network_takes_only_the_inputs_and_maps_it_was_trained_for():
     trained = random_network(KINDS)
     for other in (replace(trained, inputs=("cost", *trained.inputs[1:])), random_network(KINDS, units=(6, 4))):
         with pytest.raises(InputError, match="another version"):
-            NetworkChoice().with_network(other, KINDS)
+            network.NetworkChoice().with_network(other, KINDS)
     maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
     with pytest.raises(ConfigError, match="trained for the maps median, own, segments, local"):
         with_network(FuseConfig.model_validate({"measures": ["census"], "maps": maps}))

@@ -1,9 +1,8 @@
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.stats import rankdata
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
@@ -12,8 +11,9 @@ from depthcli.methods.fusion.blend import add_weighted, blend, measure_weights, 
 from depthcli.methods.fusion.votes import Ballot, ColorSupport, WindowSupport
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.volume import CostVolume
-from tests.methods.stereo._pairs import assert_pure
+from depthcli.testing.inputs import assert_pure, texture
 from tests.naive import fusion as naive
+from tests.naive.stereo import constant_window
 
 MEASURES = ["absolute_difference", "gradient", "rank", "census"]
 
@@ -22,11 +22,10 @@ def fusion(**fields):
     return Fusion.model_validate({"measures": MEASURES, **fields})
 
 
-def shifted_pair(shape=(40, 70), d=7, seed=0):
-    rng = np.random.default_rng(seed)
-    wide = rng.integers(0, 256, (shape[0], shape[1] + d, 3)).astype(np.uint8)
-    wide = cv2.GaussianBlur(wide, (0, 0), 1.0)
-    return StereoPair(np.ascontiguousarray(wide[:, : shape[1]]), np.ascontiguousarray(wide[:, d:]))
+def soft_pair(height=40, width=70):
+    """A soft texture at disparity 7."""
+    wide = cv2.GaussianBlur(texture((height, width + 7, 3)), (0, 0), 1.0)
+    return StereoPair(np.ascontiguousarray(wide[:, :width]), np.ascontiguousarray(wide[:, 7:]))
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
@@ -65,19 +64,17 @@ def test_votes_agree_with_the_reference(shape, n_disparities, tolerance):
     disparities = rng.integers(0, n_disparities, (3, *shape)).astype(np.int32)
     weights = rng.random((3, *shape)).astype(np.float32)
     image = cv2.medianBlur(rng.integers(0, 256, (*shape, 3)).astype(np.uint8), 3)
-    votes, fading = (
-        naive.cast_votes(disparities, weights, n_disparities, tolerance, fading) for fading in (False, True)
-    )
+    votes, fading = (naive.cast_votes(disparities, weights, n_disparities, tolerance, each) for each in (False, True))
     smooth = cv2.medianBlur(image, 3)
     for support, spread in (
-        (WindowSupport(shape, 5), lambda v: naive.window_shares(v, 5)),
+        (WindowSupport(shape, 5), lambda v: constant_window(v, 5)),
         (ColorSupport(image, 6.0, 20.0), lambda v: naive.color_shares(v, smooth, 6.0, 20.0)),
     ):
         ballot = Ballot(disparities, weights, n_disparities, tolerance, support)
         shares = ballot.shares(disparities)
-        expected = np.take_along_axis(spread(votes)[None], disparities[..., None], 3)[..., 0]
-        np.testing.assert_allclose(shares, expected, atol=1e-5)
         want = spread(votes)
+        expected = np.take_along_axis(want[None], disparities[..., None], 3)[..., 0]
+        np.testing.assert_allclose(shares, expected, atol=1e-5)
         base = CostVolume(rng.integers(0, 4081, (*shape, n_disparities)).astype(np.uint16), 4080.0)
         added = ballot.costs(base, 0.5, 4080)
         expected = (base.costs / 4080 + 0.5 * (1 - want)) / 1.5 * 4080
@@ -88,7 +85,8 @@ def test_votes_agree_with_the_reference(shape, n_disparities, tolerance):
 
 def test_confidences_become_comparable_by_their_ranks_and_lrc_by_its_pixels():
     values = np.random.default_rng(0).integers(0, 9, (2, 5, 6)).astype(np.float32)
-    np.testing.assert_allclose(normalize_confidences(values, "pkr"), naive.ranks(values), rtol=1e-6)
+    expected = (rankdata(values).reshape(values.shape) - 0.5) / 60
+    np.testing.assert_allclose(normalize_confidences(values, "pkr"), expected, rtol=1e-6)
     np.testing.assert_allclose(normalize_confidences(-values, "lrc"), 1 / (1 + values), rtol=1e-6)
 
 
@@ -110,7 +108,7 @@ def test_weights_sum_to_one(mode):
 @pytest.mark.parametrize("support", ["color", "window"])
 @pytest.mark.parametrize("blend_when", ["before", "after"])
 def test_the_true_shift_is_found_in_every_mode(weights, support, blend_when):
-    pair = shifted_pair()
+    pair = soft_pair()
     consensus = {"support": support, "window": 9, "rounds": 1}
     result = fusion(weights=weights, consensus=consensus, blend=blend_when, confidence=["pkr", "consensus"])(pair, 15)
     assert np.mean(result.disparity.values[:, 14:] == 7) > 0.99
@@ -123,7 +121,7 @@ def test_the_true_shift_is_found_in_every_mode(weights, support, blend_when):
 
 
 def test_equal_weights_without_votes_are_the_plain_mean():
-    pair = shifted_pair()
+    pair = soft_pair()
     fused = fusion(weights="equal", consensus={"vote_cost": 0}, aggregation=None).fuse(pair, 11)
     parts = [normalize_costs(m.cost(pair, 12), None).costs.astype(int) for m in fusion().measures]
     np.testing.assert_array_equal(fused.volume.costs, 16 * ((64 * sum(parts) + 128) >> 8))
@@ -139,7 +137,7 @@ def test_tiny_images_and_ranges_wider_than_the_image(shape):
 
 
 def test_same_bytes_at_any_thread_count_and_inputs_untouched():
-    pair = shifted_pair((45, 61))
+    pair = soft_pair(45, 61)
     make = fusion(consensus={"rounds": 1}, confidence=["consensus"])
 
     def run():
@@ -150,7 +148,7 @@ def test_same_bytes_at_any_thread_count_and_inputs_untouched():
 
 
 def test_a_volume_made_elsewhere_counts_as_a_measure():
-    pair = shifted_pair()
+    pair = soft_pair()
     census = Census()(pair, 16)
     mixed = fusion(measures=["census", {"volume": "learned.npy"}])
     ours = fusion(measures=["census", "census"])(pair, 11).disparity.values
@@ -170,11 +168,11 @@ def test_a_volume_made_elsewhere_counts_as_a_measure():
 )
 def test_a_volume_that_does_not_fit_is_refused(volumes, message):
     with pytest.raises(InputError, match=message):
-        fusion(measures=["census", {"volume": "learned.npy"}]).with_volumes(lambda: volumes)(shifted_pair(), 11)
+        fusion(measures=["census", {"volume": "learned.npy"}]).with_volumes(lambda: volumes)(soft_pair(), 11)
 
 
 def test_the_segment_pipeline_works_on_fused_costs():
-    pair = shifted_pair()
+    pair = soft_pair()
     make = fusion(aggregation=None, segments={"window_radius": 2, "planes": {"min_size": 20}})
     result = make(pair, 15)
     assert np.nanmean(np.abs(result.disparity.values[:, 14:] - 7) < 0.6) > 0.9

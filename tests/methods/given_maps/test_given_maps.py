@@ -1,7 +1,5 @@
 """Planes of maps against loops over single pixels, the network against numpy, and what the judgment is worth."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,35 +7,14 @@ import pytest
 
 from depthcli.algorithms.pixel_network import TILE
 from depthcli.api.maps import networks
-from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
-from depthcli.methods.given_maps import (
-    HIDDEN,
-    MEASURES,
-    RIGHT_NAMES,
-    judge,
-    judge_by_one_view,
-    judged_maps,
-    odds_of,
-    offsets,
-)
-from depthcli.methods.given_maps._planes import (
-    _COST,
-    _OPTIMIZATION,
-    _REFINEMENT,
-    ALONE,
-    INPUTS,
-    ONE_VIEW,
-    OTHERS,
-    Evidence,
-)
+from depthcli.methods import given_maps
+from depthcli.methods.given_maps import _planes
 from depthcli.methods.given_maps.fusion import fuse
-from depthcli.methods.stereo.config import StereoConfig
-from depthcli.methods.stereo.pipeline.local import Local
-from depthcli.run.presets import find_config
 from depthcli.simulate.stereo_scenes import SyntheticScene, make_scene
+from tests.contracts.inputs import preset
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +37,8 @@ def broken(scene: SyntheticScene) -> np.ndarray:
 
 
 def test_planes_are_those_of_single_pixels(pair: StereoPair, broken: np.ndarray):
-    evidence = Evidence.of(pair, 32, Clock())
-    (judged,) = judged_maps(evidence, [broken])
+    evidence = _planes.Evidence.of(pair, 32, Clock())
+    (judged,) = given_maps.judged_maps(evidence, [broken])
     values, costs = judged.values, evidence.optimized.costs / evidence.optimized.scale
     rng = np.random.default_rng(0)
     for y, x in zip(rng.integers(0, 120, 60), rng.integers(0, 160, 60), strict=True):
@@ -81,43 +58,42 @@ def test_planes_are_those_of_single_pixels(pair: StereoPair, broken: np.ndarray)
 
 
 def test_the_kernel_is_the_network(pair: StereoPair, broken: np.ndarray):
-    evidence, known = Evidence.of(pair, 32, Clock()), networks()
-    judged = judged_maps(evidence, [broken, broken + 1])[0]
+    evidence, known = _planes.Evidence.of(pair, 32, Clock()), networks()
+    judged = given_maps.judged_maps(evidence, [broken, broken + 1])[0]
     (w1, _), (w2, b2), (w3, b3) = known.right.layers
     inputs = np.concatenate([judged.alone, judged.others]).reshape(len(known.right.mean), -1).T
     scaled = np.clip((inputs - known.right.mean) * known.right.scale, -4, 4)
-    want = np.maximum(np.maximum(scaled @ w1 + offsets(known.right, 1.0), 0) @ w2 + b2, 0) @ w3 + b3
-    np.testing.assert_allclose(odds_of(known, judged, 1.0).ravel(), want[:, 0], rtol=1e-3, atol=2e-3)
+    want = np.maximum(np.maximum(scaled @ w1 + given_maps.offsets(known.right, 1.0), 0) @ w2 + b2, 0) @ w3 + b3
+    np.testing.assert_allclose(given_maps.odds_of(known, judged, 1.0).ravel(), want[:, 0], rtol=1e-3, atol=2e-3)
 
 
 def test_offsets_lie_between_those_of_the_thresholds():
     network = networks().right
     rows = network.layers[0][1]
-    np.testing.assert_array_equal(offsets(network, 1.0), rows[1])
-    np.testing.assert_allclose(offsets(network, math.sqrt(2)), (rows[1] + rows[2]) / 2, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(offsets(network, 8.0), rows[-1], rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(given_maps.offsets(network, 1.0), rows[1])
+    np.testing.assert_allclose(given_maps.offsets(network, math.sqrt(2)), (rows[1] + rows[2]) / 2, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(given_maps.offsets(network, 8.0), rows[-1], rtol=1e-5, atol=1e-7)
 
 
 def test_the_costs_are_those_of_the_preset_fast():
-    fast = load_config(StereoConfig, find_config("stereo", "fast")).pipeline
-    assert isinstance(fast, Local)
-    assert (fast.cost, fast.optimization, fast.refinement) == (_COST, _OPTIMIZATION, _REFINEMENT)
+    fast, own = preset("stereo", "fast").pipeline, (_planes._COST, _planes._OPTIMIZATION, _planes._REFINEMENT)
+    assert (fast.cost, fast.optimization, fast.refinement) == own
 
 
 def test_one_map_has_no_relation_to_others(pair: StereoPair, broken: np.ndarray):
-    evidence = Evidence.of(pair, 32, Clock())
-    (judged,) = judged_maps(evidence, [broken])
+    evidence = _planes.Evidence.of(pair, 32, Clock())
+    (judged,) = given_maps.judged_maps(evidence, [broken])
     assert not judged.others.any()
-    first, second = judged_maps(evidence, [broken, np.where(np.isnan(broken), broken, broken + 3)])
+    first, second = given_maps.judged_maps(evidence, [broken, np.where(np.isnan(broken), broken, broken + 3)])
     assert first.plane("nearest_map")[10, 80] == pytest.approx(3)
     assert second.plane("above_middle")[10, 80] == pytest.approx(3)
-    assert len(first.others) == len(OTHERS)
+    assert len(first.others) == len(_planes.OTHERS)
     with pytest.raises(ValueError, match="size"):
-        judged_maps(evidence, [broken[:, 1:]])
+        given_maps.judged_maps(evidence, [broken[:, 1:]])
 
 
 def test_wrong_pixels_are_doubted_and_hidden_ones_found(pair: StereoPair, scene: SyntheticScene, broken: np.ndarray):
-    judgment = judge(networks(), pair, [broken], 32, measures=MEASURES)
+    judgment = given_maps.judge(networks(), pair, [broken], 32, measures=given_maps.MEASURES)
     wrong = np.zeros(broken.shape, bool)
     wrong[42:68, 62:98] = True
     right = scene.nonocc & ~wrong & np.isfinite(broken)
@@ -128,7 +104,7 @@ def test_wrong_pixels_are_doubted_and_hidden_ones_found(pair: StereoPair, scene:
     hidden = (judgment.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
     both = np.count_nonzero(hidden & ~scene.nonocc)
     assert 2 * both / (hidden.sum() + np.count_nonzero(~scene.nonocc)) > 0.7
-    assert set(judgment.confidence) == set(MEASURES)
+    assert set(judgment.confidence) == set(given_maps.MEASURES)
     for values in judgment.confidence.values():
         assert values.shape == broken.shape
         assert np.isfinite(values[np.isfinite(broken)]).all()
@@ -150,15 +126,15 @@ def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: Sy
     values = scene.disparity_left.copy()
     values[40:60, 60:90] += np.random.default_rng(0).normal(0, 4, (20, 30)).astype(np.float32)
     measures = ["smoothness", "census"]
-    found = judge_by_one_view(networks(), pair.left, np.clip(values, 0, 32), 32, measures=measures)
+    found = given_maps.judge_by_one_view(networks(), pair.left, np.clip(values, 0, 32), 32, measures=measures)
     assert found.probability[42:58, 62:88].mean() < found.probability[80:110, 20:140].mean() - 0.3
     assert set(found.confidence) == {"smoothness"}
     with pytest.raises(ValueError, match="size"):
-        judge_by_one_view(networks(), pair.left, values[1:], 32)
+        given_maps.judge_by_one_view(networks(), pair.left, values[1:], 32)
 
 
 def test_the_networks_were_trained_for_these_planes():
     right, hidden, one_view = networks()
-    assert (right.inputs, hidden.inputs, one_view.inputs) == (INPUTS, ALONE, ONE_VIEW)
-    assert right.maps == one_view.maps == RIGHT_NAMES and hidden.maps == (HIDDEN,)
+    assert (right.inputs, hidden.inputs, one_view.inputs) == (_planes.INPUTS, _planes.ALONE, _planes.ONE_VIEW)
+    assert right.maps == one_view.maps == given_maps.RIGHT_NAMES and hidden.maps == (given_maps.HIDDEN,)
     assert not any(weights.shape[1] % TILE for one in networks() for weights, _ in one.layers[:2])

@@ -1,7 +1,5 @@
 """The band beside depth edges, and the noise of a disparity map."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

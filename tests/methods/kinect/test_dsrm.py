@@ -1,33 +1,23 @@
 """Depth-guided segments as a whole: contract, status, accuracy on simulated frames."""
 
-from __future__ import annotations
-
 import functools
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.core.method import Family
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.simulate.depth_sensor import KinectSample, simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene
-
-PRESETS = Path(__file__).parents[3] / "configs" / "refine-kinect"
+from tests.contracts.checks import assert_depth
+from tests.contracts.inputs import preset
 
 
 @functools.cache
 def sample(kind="foreground", seed=1, width=240, height=180) -> KinectSample:
     color, truth = make_kinect_scene(kind, seed, width, height, 40)
     return simulate_kinect(color, truth, seed)
-
-
-def preset(name: str, **fields):
-    config = yaml.safe_load((PRESETS / f"{name}.yaml").read_text())
-    return Family.of("depthcli.methods.kinect.pipeline").parse(config | fields)
 
 
 def errors(result, kinect: KinectSample) -> dict[str, float]:
@@ -37,7 +27,9 @@ def errors(result, kinect: KinectSample) -> dict[str, float]:
 
 def test_leaving_out_unreliable_pixels_is_better_than_the_plain_method():
     kinect = sample()
-    best, plain = (errors(preset(name)(kinect.frame()), kinect) for name in ("dsrm", "dsrm-plain"))
+    best, plain = (
+        errors(preset("refine-kinect", name).pipeline(kinect.frame()), kinect) for name in ("dsrm", "dsrm-plain")
+    )
     assert best["gap"] < plain["gap"] and best["mismatch"] < plain["mismatch"]
 
 
@@ -52,17 +44,16 @@ def test_depth_guidance_separates_near_and_far_of_one_color():
 
 
 def test_the_preset_is_the_default():
-    assert preset("dsrm") == Dsrm()
+    assert preset("refine-kinect", "dsrm").pipeline == Dsrm()
 
 
 @pytest.mark.parametrize("name", ["dsrm", "dsrm-plain"])
 def test_status_says_what_was_done(name):
     frame = sample().frame()
-    result = preset(name)(frame)
+    result = preset("refine-kinect", name).pipeline(frame)
     depth, status = result.depth.values, result.depth.status
     known = ~np.isnan(frame.depth)
-    filled = (status & (DepthStatus.GAP_FILLED | DepthStatus.FALLBACK)) != 0
-    np.testing.assert_array_equal(filled, ~known)
+    assert_depth(result, frame)
     kept = status == DepthStatus.KEPT
     np.testing.assert_array_equal(depth[kept], frame.depth[kept])
     assert (status[known] & ~(DepthStatus.CORRECTED | DepthStatus.SMOOTHED) == 0).all()

@@ -1,7 +1,5 @@
 """Gaps filled along the cheapest paths."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Library filters for comparison, and the preset fast."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

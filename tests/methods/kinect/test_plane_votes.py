@@ -1,7 +1,5 @@
 """The pipeline plane_votes, and the kernels behind it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

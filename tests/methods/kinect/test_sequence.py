@@ -1,7 +1,5 @@
 """The state that a sequence carries from frame to frame."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 
@@ -9,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.frames import RgbdFrame
 from depthcli.methods.kinect.camera_motion import displacement, view_after
@@ -19,10 +16,14 @@ from depthcli.methods.kinect.pipeline.sequence import carried_labels, still_pixe
 from depthcli.simulate.depth_sensor import KinectSample
 from depthcli.simulate.kinect_scenes import make_kinect_sequence
 from tests.algorithms.test_statistical_region_merging import blocks
-from tests.methods.kinect.test_dsrm import preset
-from tests.methods.kinect.test_surfaces import labels_of, noisy
+from tests.contracts.inputs import preset
+from tests.methods.kinect.test_surfaces import labels_of, noisy, random_planes
 from tests.naive import kinect as naive
 from tests.simulate.test_kinect_scenes import same_points
+
+
+def sequence(*settings):
+    return preset("refine-kinect", "sequence", *settings).pipeline
 
 
 @functools.cache
@@ -46,7 +47,7 @@ def off(result, sample):
 def both_ways(kind: str, seed: int):
     """The frames, refined along the sequence and each by itself."""
     samples = make_kinect_sequence(kind, 8, seed, 320, 240, 40)
-    pipeline = preset("sequence")
+    pipeline = sequence()
     along, state = run(pipeline, samples)
     assert state.age == len(samples) - 1  # segments were computed once
     return samples, along, [pipeline(sample.frame()) for sample in samples]
@@ -66,7 +67,7 @@ def test_as_good_as_frame_by_frame(kind):
 @pytest.mark.parametrize(("known", "motion"), [(True, "pose"), (False, "estimated")])
 def test_a_moving_camera_is_followed_with_less_error_and_less_noise_than_frame_by_frame(known, motion):
     errors, noise = np.zeros(2), np.zeros(2)
-    pipeline = preset("sequence")
+    pipeline = sequence()
     for seed in (0, 1):
         samples = make_kinect_sequence("camera", 6, seed, 320, 240, 40)
         given = [replace(sample, pose=sample.pose if known else None) for sample in samples]
@@ -89,9 +90,9 @@ def test_a_moving_camera_is_followed_with_less_error_and_less_noise_than_frame_b
 @pytest.mark.parametrize("kind", ["static", "moving"])
 def test_a_still_camera_has_the_same_bytes_with_and_without_poses(kind):
     samples = frames(kind)[:4]
-    results, _ = run(preset("sequence"), samples)
+    results, _ = run(sequence(), samples)
     assert [result.words["motion"] for result in results] == ["new", "still", "still", "still"]
-    posed, _ = run(preset("sequence"), [replace(sample, pose=np.eye(4)) for sample in samples])
+    posed, _ = run(sequence(), [replace(sample, pose=np.eye(4)) for sample in samples])
     for one, other in zip(results, posed, strict=True):
         assert one.depth.values.tobytes() == other.depth.values.tobytes()
         assert other.words["motion"] == one.words["motion"]
@@ -124,10 +125,10 @@ def test_the_view_after_a_motion_shows_a_slanted_plane_where_it_is(turn):
 def test_segments_are_new_after_max_age_and_much_change():
     samples, state, ages = frames("static"), None, []
     for sample in samples:
-        _, state = preset("sequence", max_age=3).step(sample.frame(), state)
+        _, state = sequence("max_age=3").step(sample.frame(), state)
         ages.append(state.age)
     assert ages == [0, 1, 2, 0, 1, 2, 0, 1]
-    first, pipeline = samples[0].frame(), preset("sequence")
+    first, pipeline = samples[0].frame(), sequence()
     other = RgbdFrame(255 - first.color, first.depth)
     result, state = pipeline.step(other, pipeline.step(first, None)[1])
     assert state.age == 0
@@ -152,24 +153,14 @@ def test_carried_labels(shape, share):
     labels = labels_of(*shape)
     count = labels.max() + 1
     labels[rng.random(shape) < 0.1] = -1
-    surfaces = Surfaces(
-        np.zeros((count, 6)), np.zeros((count, 2)), np.full((count, 2), (0, 99), np.float32),
-        rng.uniform(0.2, 0.6, count).astype(np.float32), 50.0,
-    )  # fmt: skip
-    surfaces.coefficients[:, :3] = rng.integers(18, 28, (count, 3))
+    scale = rng.uniform(0.2, 0.6, count).astype(np.float32)
+    surfaces, value_at = random_planes(rng.integers(18, 28, (count, 3)), scale)
     limit = np.where(rng.random(shape) < 0.3, rng.uniform(10, 40, shape), np.inf).astype(np.float32)
     reliable, still, own = noisy(*shape), rng.random(shape) < share, rng.random(shape) < 0.5
     color = blocks(*shape)
     frame = RgbdFrame(color, np.full(shape, 2, np.float32))
     measurement = replace(Measurement.of(frame, 5.0, 0.0, False, 0.3), reliable=reliable, limit=limit)
-
-    def value_at(s, y, x):
-        b = surfaces.coefficients[s]
-        return b[0] + b[1] * x / 50 + b[2] * y / 50
-
     found = carried_labels(Layer(labels, surfaces, own), still, color, measurement)
-    expected = naive.carried_labels(
-        labels, own, still, color, reliable, limit, value_at, surfaces.scale, 1.5, 0.3
-    )  # fmt: skip
+    expected = naive.carried_labels(labels, own, still, color, reliable, limit, value_at, scale, 1.5, 0.3)
     np.testing.assert_array_equal(found[0], expected[0])
     np.testing.assert_array_equal(found[1], expected[1])

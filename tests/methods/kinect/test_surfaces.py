@@ -1,7 +1,5 @@
 """The model of a segment, its detail, and segments that join others."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -25,6 +23,16 @@ def noisy(height, width, seed=0, unknown=0.3):
     values = (20 + 5 * rng.random((height, width))).astype(np.float32)
     values[rng.random((height, width)) < unknown] = np.nan
     return values
+
+
+def random_planes(coefficients, scale):
+    """Surfaces of 1, x / 50, y / 50, and their value (surface, y, x)."""
+    count = len(scale)
+    surfaces = Surfaces(
+        np.zeros((count, 6)), np.zeros((count, 2)), np.full((count, 2), (0, 99), np.float32), scale, 50.0
+    )
+    surfaces.coefficients[:, :3] = coefficients
+    return surfaces, lambda s, y, x: float(coefficients[s] @ [1, x / 50, y / 50])
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -102,20 +110,8 @@ def test_segments_join(shape, share, seed):
     labels = labels_of(*shape)
     count = labels.max() + 1
     modelled = rng.random(count) < share
-    surfaces = Surfaces(
-        np.zeros((count, 6)),
-        np.zeros((count, 2)),
-        np.full((count, 2), (0, 99), np.float32),
-        np.ones(count, np.float32),
-        50.0,
-    )
-    surfaces.coefficients[:, :3] = rng.uniform(10, 20, (count, 3))
+    surfaces, value_at = random_planes(rng.uniform(10, 20, (count, 3)), np.ones(count, np.float32))
     limit = np.where(rng.random(shape) < 0.5, rng.uniform(10, 40, shape), np.inf).astype(np.float32)
     color = blocks(*shape, seed)
-
-    def value_at(s, y, x):
-        b = surfaces.coefficients[s]
-        return b[0] + b[1] * x / 50 + b[2] * y / 50
-
     found = join_segments(labels, modelled, surfaces, color, limit)
     np.testing.assert_array_equal(found, naive.owners(labels, modelled, color, value_at, limit))

@@ -1,7 +1,5 @@
 """Figures on a real pair: liver MR at exhale and inhale (dataset19, cycle 1), landmarks of an expert."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole method on volumes whose error is known, and the combination of measures."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

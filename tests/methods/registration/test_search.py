@@ -1,14 +1,14 @@
 """The search against a naive reference, and properties that hold for any volume."""
 
-from __future__ import annotations
+import itertools
 
-import numba
 import numpy as np
 import pytest
 
 from depthcli.methods.confidence import CostCurves, measure
 from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE
 from depthcli.methods.registration.search import displacements, search
+from depthcli.testing.inputs import threads
 from tests.naive import registration as naive
 
 
@@ -49,17 +49,12 @@ def test_stereo_measures_of_a_line_equal_those_of_a_stereo_pair():
 def test_same_bytes_at_any_tile_and_thread_count():
     fixed, warped = channels(2, (9, 13, 17), 6), channels(3, (9, 13, 17), 6)
     whole = search(fixed, warped, 1.0, 2, 2, costly=True)
-    threads = numba.get_num_threads()
-    for count in (1, threads):
-        numba.set_num_threads(count)
-        try:
-            for tile in ((9, 13, 17), (4, 5, 7), (1, 1, 3)):
-                parts = search(fixed, warped, 1.0, 2, 2, costly=True, tile=tile)
-                assert all(np.array_equal(parts.maps[name], whole.maps[name]) for name in whole.maps)
-                assert np.array_equal(parts.displacement, whole.displacement)
-                assert np.array_equal(parts.border, whole.border)
-        finally:
-            numba.set_num_threads(threads)
+    for count, tile in itertools.product((1, 2), ((9, 13, 17), (4, 5, 7), (1, 1, 3))):
+        with threads(count):
+            parts = search(fixed, warped, 1.0, 2, 2, costly=True, tile=tile)
+        assert all(np.array_equal(parts.maps[name], whole.maps[name]) for name in whole.maps)
+        assert np.array_equal(parts.displacement, whole.displacement)
+        assert np.array_equal(parts.border, whole.border)
 
 
 @pytest.mark.parametrize("stride", [2, 3, 5])
@@ -80,9 +75,8 @@ def test_expected_displacement_of_a_shifted_volume_is_the_shift(offset):
     wide = channels(4, (18, 18, 18), 3)
     inner = tuple(slice(3, 15) for _ in range(3))
     moved = tuple(slice(3 - d, 15 - d) for d in offset)
-    found = search(
-        np.ascontiguousarray(wide[(slice(None), *inner)]), np.ascontiguousarray(wide[(slice(None), *moved)]), 2.0, 3, 1
-    )
+    views = (np.ascontiguousarray(wide[(slice(None), *part)]) for part in (inner, moved))
+    found = search(*views, 2.0, 3, 1)
     middle = (slice(4, 8),) * 3
     for axis in range(3):
         assert np.allclose(found.displacement[(axis, *middle)], 2.0 * offset[axis], atol=0.05)

@@ -1,7 +1,5 @@
 """Small networks that tests make themselves: a block matcher and local features, as ONNX graphs."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Sequence
 from pathlib import Path

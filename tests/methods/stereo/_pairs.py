@@ -1,6 +1,4 @@
-"""Methods that the stereo tests share, and the inputs of ``depthcli.testing``."""
-
-from __future__ import annotations
+"""Methods that the stereo tests share."""
 
 import tempfile
 from pathlib import Path
@@ -9,21 +7,7 @@ from typing import Any
 import pytest
 
 from depthcli.core.method import Family
-from depthcli.testing.inputs import (
-    TINY,
-    assert_pure,
-    blocky_pair,
-    inside,
-    random_volume,
-    shifted_pair,
-    texture,
-    threads,
-)
 from tests.methods.stereo._networks import has_onnx, local_features
-
-__all__ = [
-    "TINY", "assert_pure", "blocky_pair", "inside", "methods", "random_volume", "shifted_pair", "texture", "threads",
-]  # fmt: skip
 
 # Parameters of methods that have no default for everything.
 PARAMETERS: dict[str, dict[str, Any]] = {

@@ -1,7 +1,5 @@
 """Adjusting the right image: kernels against naive references, what is recovered, and what stays as it is."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -9,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.core.config_file import load_config
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.methods.fusion.pipeline import Fusion
@@ -18,9 +15,10 @@ from depthcli.methods.stereo.adjustment.right_view import BLOCK, CELL, resample
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES
-from depthcli.run.presets import find_config
 from depthcli.simulate.stereo_scenes import make_scene
-from tests.methods.stereo._pairs import PARAMETERS, texture, threads
+from depthcli.testing.inputs import texture, threads
+from tests.contracts.inputs import preset, wrong
+from tests.methods.stereo._pairs import PARAMETERS
 from tests.naive import adjustment as naive
 
 BOTH = ("rows", "light")
@@ -47,13 +45,12 @@ def scene():
     return make_scene("planes", seed=3, height=260, width=360, max_disparity=40)
 
 
-def wrong(pipeline, scene, right):
-    values = pipeline(StereoPair(scene.left, right), scene.max_disparity).disparity.values
-    return float(np.mean(~(np.abs(values - scene.disparity_left) <= 1)[scene.nonocc]))
+def error(pipeline, scene, right):
+    return wrong(pipeline(StereoPair(scene.left, right), scene.max_disparity), scene)
 
 
 def accurate():
-    return load_config(StereoConfig, find_config("stereo", "accurate")).pipeline
+    return preset("stereo", "accurate").pipeline
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 9, 3), (11, 1, 3), (17, 23, 1), (20, 31, 3)])
@@ -97,9 +94,9 @@ def test_shifted_rows_are_aligned(scene):
     """Offsets of up to three rows."""
     pipeline = accurate()
     askew = shifted(scene.right, TILTED)
-    straight = wrong(pipeline, scene, scene.right)
-    assert wrong(pipeline.model_copy(update={"adjust": ()}), scene, askew) > straight + 0.1
-    assert wrong(pipeline, scene, askew) < straight + 0.02
+    straight = error(pipeline, scene, scene.right)
+    assert error(pipeline.model_copy(update={"adjust": ()}), scene, askew) > straight + 0.1
+    assert error(pipeline, scene, askew) < straight + 0.02
     aligned = adjusted(StereoPair(scene.left, askew), scene.max_disparity, BOTH).right.astype(int)
     inside = (slice(8, -8), slice(8, -60))  # what lies in both views
     before, after = (np.abs(one.astype(int) - scene.right)[inside].mean() for one in (askew, aligned))
@@ -114,8 +111,8 @@ def test_uneven_light_is_corrected(seed):
     optimization = {"method": "scanline", "p1": 10, "p2": 40}
     pipeline = StereoConfig.model_validate({**config, "optimization": optimization}).pipeline
     other = lit(scene.right, seed)
-    assert wrong(pipeline, scene, other) < wrong(pipeline.model_copy(update={"adjust": ()}), scene, other) / 4
-    assert wrong(accurate(), scene, other) < wrong(accurate(), scene, scene.right) + 0.01
+    assert error(pipeline, scene, other) < error(pipeline.model_copy(update={"adjust": ()}), scene, other) / 4
+    assert error(accurate(), scene, other) < error(accurate(), scene, scene.right) + 0.01
     corrected = adjusted(StereoPair(scene.left, other), scene.max_disparity, ("light",)).right
     ratio = np.median(corrected / np.maximum(scene.right, 1.0), axis=(0, 1))
     np.testing.assert_allclose(ratio, 1, atol=0.06)
@@ -143,7 +140,7 @@ def test_a_correct_pair_hardly_changes(scene):
     right = adjusted(StereoPair(scene.left, scene.right), scene.max_disparity, BOTH).right.astype(int)
     assert np.abs(right - scene.right).mean() < 2
     without = accurate().model_copy(update={"adjust": ()})
-    assert abs(wrong(accurate(), scene, scene.right) - wrong(without, scene, scene.right)) < 0.01
+    assert abs(error(accurate(), scene, scene.right) - error(without, scene, scene.right)) < 0.01
 
 
 def test_grey_and_deep_images_are_adjusted_alike(scene):
@@ -206,5 +203,5 @@ def test_tiles_are_adjusted_as_the_whole(scene):
 def test_fusion_adjusts_too(scene):
     fusion = Fusion.model_validate({"measures": ["absolute_difference", "census"], "adjust": ["rows"]})
     askew = shifted(scene.right, TILTED)
-    assert wrong(fusion, scene, askew) < wrong(fusion.model_copy(update={"adjust": ()}), scene, askew) - 0.1
+    assert error(fusion, scene, askew) < error(fusion.model_copy(update={"adjust": ()}), scene, askew) - 0.1
     assert "adjustment" in fusion(StereoPair(scene.left, askew), 40).seconds

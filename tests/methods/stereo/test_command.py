@@ -1,7 +1,5 @@
 """Programs as methods of ``stereo``: real ones, every failure as a row, resuming, tiles, nothing left running."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -10,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -91,8 +90,8 @@ def program(words: list[str], **fields: object) -> StereoConfig:
 
 @pytest.mark.slow
 def test_a_program_with_opencvs_matcher_is_as_good_as_the_matcher(here: Path, made_scenes: Path):
-    options = ("--scenes", "planes_[01]", "--jobs", "2")
-    assert stereo("sgbm.yaml", made_scenes, "others", *options) == 0
+    options = ("--scenes", "planes_[01]")
+    assert stereo("sgbm.yaml", made_scenes, "others", *options, "--jobs", "2") == 0
     assert stereo("opencv-sgbm", made_scenes, "ours", *options, "--set", "fill=false") == 0
     found = rows(here / "others")["planes_0"]
     assert found["density"] > 0.7
@@ -179,9 +178,7 @@ def test_formats_scales_and_values_that_mean_none(here: Path):
 @pytest.mark.parametrize(("images", "kind"), [("png", (20, 30, 3)), ("pgm", (20, 30)), ("ppm", (20, 30, 3))])
 def test_images_are_written_as_the_program_reads_them(here: Path, images: str, kind: tuple[int, ...]):
     left = np.random.default_rng(1).integers(0, 256, (20, 30, 3), np.uint8)
-    code = (
-        f"import shutil, sys, numpy; shutil.copy(sys.argv[1], r'{here}'); numpy.save('map.npy', numpy.ones((20, 30)))"
-    )
+    code = f"import shutil, sys, numpy as n; shutil.copy(sys.argv[1], r'{here}'); n.save('map.npy', n.ones((20, 30)))"
     preset = program([sys.executable, "-c", code, "{left}"], images=images, format="npy", output="map.npy")
     assert (depthcli.stereo(left, left, preset=preset, max_disparity=15).values == 1).all()
     written = read_image(here / f"left.{images}")
@@ -259,9 +256,6 @@ def test_programs_are_found_beside_the_config_before_the_current_folder(here: Pa
     assert (read_pfm(here / "other" / "planes_0" / "disp_left.pfm") == 7).all()
 
 
-# One program as a process.
-
-
 def run(folder: Path, code: str, timeout: float = 60.0, memory: int = 1 << 40) -> dict[str, float]:
     (folder / "program.py").write_text(textwrap.dedent(code))
     with computing("scene", memory) as scene:
@@ -282,12 +276,13 @@ def running(pid: int) -> bool:
         return False
 
 
+def within_seconds(condition: Callable[[], bool]) -> bool:
+    """Return whether a condition becomes true in the next 60 seconds."""
+    return any(condition() or time.sleep(0.01) for _ in range(6000))
+
+
 def ends(pid: int) -> bool:
-    """Return whether a process ends within the next seconds."""
-    until = time.monotonic() + 20
-    while running(pid) and time.monotonic() < until:
-        time.sleep(0.01)
-    return not running(pid)
+    return within_seconds(lambda: not running(pid))
 
 
 @pytest.mark.parametrize(
@@ -322,12 +317,10 @@ while not Path("child").is_file():
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ["time.sleep(300)", ""], ids=["hangs", "leaves a child"])
 def test_a_program_ends_with_all_its_children(tmp_path: Path, end: str):
-    started = time.monotonic()
     try:
         run(tmp_path, CHILD + end, timeout=1.0)
     except ProgramError as error:
         assert end and "was ended after 1 s; see timeout" in str(error)
-    assert time.monotonic() - started < 20
     assert ends(int((tmp_path / "child").read_text()))
 
 
@@ -355,9 +348,7 @@ def test_it_ends_with_the_process_that_wanted_it(tmp_path: Path):
         "run_program([sys.executable, 'program.py'], Path(sys.argv[1]), 300.0)"
     )
     caller = subprocess.Popen([sys.executable, "-c", call, str(tmp_path)])
-    until = time.monotonic() + 60
-    while not (tmp_path / "child").is_file() and time.monotonic() < until:
-        time.sleep(0.01)
+    assert within_seconds((tmp_path / "child").is_file)
     pid = int((tmp_path / "child").read_text())
     assert running(pid)
     os.kill(caller.pid, signal.SIGKILL)

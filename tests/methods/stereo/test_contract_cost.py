@@ -1,7 +1,5 @@
 """What every cost measure promises: the folder says which there are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What every refinement step promises: the folder says which there are."""
 
-from __future__ import annotations
-
 import pytest
 
 from depthcli.testing import refinement

@@ -1,7 +1,5 @@
 """Filled values that are replaced by those of other directions."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.directional_fill import DirectionalFill
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
-from tests.methods.stereo._pairs import TINY, blocky_pair, random_volume
+from depthcli.testing.inputs import TINY, blocky_pair, random_volume
 from tests.naive import stereo as naive
 
 

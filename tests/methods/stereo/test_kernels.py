@@ -1,7 +1,5 @@
 """Every stereo kernel against its slow, obvious reference."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -33,7 +31,7 @@ from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
-from tests.methods.stereo._pairs import TINY, blocky_pair, random_volume, texture
+from depthcli.testing.inputs import TINY, blocky_pair, random_volume, texture
 from tests.naive import stereo as naive
 
 SMALL = [*TINY, (11, 23, 19)]

@@ -1,7 +1,5 @@
 """Networks as pipelines and as costs; the networks are small ones that the tests make."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +13,8 @@ from depthcli.methods.stereo.cost.onnx import NetworkCost
 from depthcli.methods.stereo.networks import MeanDeviation, networks_in, normalized, samples
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.pipeline.onnx import NetworkPipeline
+from depthcli.testing.inputs import assert_pure, inside, shifted_pair
 from tests.methods.stereo._networks import Graph, block_matcher, has_onnx, local_features
-from tests.methods.stereo._pairs import assert_pure, inside, shifted_pair
 
 needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is not installed")
 FORMS = ("six", "grey", "two", "last", "right-first", "four", "iterations")
@@ -43,10 +41,8 @@ def test_inputs_are_found_from_names_and_shapes(tmp_path: Path, form: str):
     if form == "four":  # noise of single pixels is gone at half the size
         return
     assert np.mean(result.disparity.values[:, 16:] == 6) > 0.98
-    assert set(np.unique(result.disparity.status[:, :6])) <= {
-        Status.OCCLUDED | Status.FILLED,
-        Status.MISMATCH | Status.FILLED,
-    }
+    reasons = (Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED)
+    assert set(np.unique(result.disparity.status[:, :6])) <= set(reasons)
     assert not result.disparity.status[:, 16:-8].any()
     np.testing.assert_array_equal(result.confidence["lrc"] < -1, result.disparity.status != 0)
 
@@ -109,9 +105,8 @@ def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path):
         pipeline(features).prepare("cpu")
     graph = Graph()
     image, flow = (1, 3, 8, 8), (1, 2, 4, 4)
-    parts = graph.save(
-        tmp_path / "part.onnx", {"left": image, "right": image, "flow_init": flow}, graph.add("Abs", "left")
-    )
+    inputs = {"left": image, "right": image, "flow_init": flow}
+    parts = graph.save(tmp_path / "part.onnx", inputs, graph.add("Abs", "left"))
     with pytest.raises(InputError, match=r"flow_init \(2 channels\); is it one part of a network in two files"):
         pipeline(parts).prepare("cpu")
     with pytest.raises(InputError, match="one image as its input"):
@@ -156,17 +151,14 @@ def test_values_that_networks_take():
 @pytest.mark.parametrize(("channels", "pads"), [(None, 0), (3, 0), (1, 1)])
 def test_costs_are_distances_of_features(tmp_path: Path, distance: str, channels: int | None, pads: int):
     file = local_features(tmp_path / "net.onnx", channels, pads)
-    cost = NetworkCost.model_validate(
-        {"model": str(file), "distance": distance, "truncation": 0.8 if distance == "dot" else 90}
-    )
+    cost = NetworkCost(model=str(file), distance=distance, truncation=0.8 if distance == "dot" else 90)
     pair, count = shifted_pair(12, 40, 3, noise=30), 9
     volume = cost(pair, count)
     views = []
     for image in (samples(pair, view, channels or 1) for view in (0, 1)):
         edge = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="constant" if pads else "edge").astype(np.float64)
-        views.append(
-            np.stack([edge[y : y + 12, x : x + 40] for y in range(3) for x in range(3)], axis=2).reshape(12, 40, -1)
-        )
+        parts = [edge[y : y + 12, x : x + 40] for y in range(3) for x in range(3)]
+        views.append(np.stack(parts, axis=2).reshape(12, 40, -1))
     if distance == "dot":
         views = [view / np.linalg.norm(view, axis=2, keepdims=True) for view in views]
     for d in range(count):

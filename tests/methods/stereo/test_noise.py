@@ -1,18 +1,14 @@
 """Noise before matching: how it is measured, when it is averaged away, and what that is worth."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 
-from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.methods.stereo.adjustment import adjusted, noise
-from depthcli.methods.stereo.config import StereoConfig
-from depthcli.run.presets import find_config
 from depthcli.simulate.stereo_scenes import make_scene
-from tests.methods.stereo._pairs import threads
+from depthcli.testing.inputs import threads
+from tests.contracts.inputs import preset, wrong
 from tests.scenes import real_scenes
 
 
@@ -87,17 +83,16 @@ def test_tiny_and_flat_images(shape):
         assert found.left.shape == shape
 
 
-@pytest.mark.parametrize(("preset", "ratio"), [("fast", 0.85), ("accurate", 0.7)])
-def test_scenes_in_the_dark_have_fewer_errors(preset, ratio):
+@pytest.mark.parametrize(("name", "ratio"), [("fast", 0.85), ("accurate", 0.7)])
+def test_scenes_in_the_dark_have_fewer_errors(name, ratio):
     """Of the errors without the step."""
-    pipeline = load_config(StereoConfig, find_config("stereo", preset)).pipeline
+    pipeline = preset("stereo", name).pipeline
     errors = np.zeros(2)
     for seed, kind in enumerate(("planes", "foreground", "curved")):
         scene = dark(10 + seed, kind)
         without = pipeline.model_copy(update={"adjust": tuple(a for a in pipeline.adjust if a != "noise")})
-        for k, one in enumerate((pipeline, without)):
-            values = one(StereoPair(scene.left, scene.right), scene.max_disparity).disparity.values
-            errors[k] += np.mean(~(np.abs(values - scene.disparity_left) <= 1)[scene.nonocc])
+        pair = StereoPair(scene.left, scene.right)
+        errors += [wrong(one(pair, scene.max_disparity), scene) for one in (pipeline, without)]
     assert errors[0] < ratio * errors[1]
 
 

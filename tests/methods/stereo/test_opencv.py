@@ -1,7 +1,5 @@
 """The OpenCV peers: padded, cropped, and brought into our maps."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -10,7 +8,8 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.methods.stereo.pipeline.opencv_bm import OpencvBm
 from depthcli.methods.stereo.pipeline.opencv_sgbm import OpencvSgbm
-from tests.methods.stereo._pairs import TINY, shifted_pair
+from depthcli.testing.inputs import shifted_pair
+from tests.contracts.checks import pairs_of_any_size_have_values_within_the_range_or_a_reason
 
 PEERS = [
     pytest.param(OpencvSgbm(), id="sgbm"),
@@ -41,17 +40,8 @@ def test_a_plane_is_found_up_to_the_left_border(peer, color):
 
 
 @pytest.mark.parametrize("peer", PEERS)
-@pytest.mark.parametrize(("height", "width", "disparities"), TINY)
-def test_tiny_images_and_wide_ranges(peer, height, width, disparities):
-    pair = shifted_pair(height, width, 1)
-    before = pair.left.copy(), pair.right.copy()
-    disparity = peer(pair, disparities - 1).disparity
-    assert disparity.values.shape == (height, width)
-    known = disparity.values[disparity.valid]
-    assert np.all((known >= 0) & (known < disparities))
-    assert np.all(disparity.status[~disparity.valid] != 0)
-    np.testing.assert_array_equal(pair.left, before[0])
-    np.testing.assert_array_equal(pair.right, before[1])
+def test_tiny_images_and_wide_ranges(peer):
+    pairs_of_any_size_have_values_within_the_range_or_a_reason(peer)
 
 
 def test_holes_are_mismatches_and_fills_keep_the_reason():

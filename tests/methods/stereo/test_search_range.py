@@ -1,7 +1,5 @@
 """Search ranges that do not begin at 0, and ranges that key points find."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,31 +1,27 @@
 """The segment-based pipeline: its kernels against naive references; generated and impossible pairs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
 from depthcli.algorithms.regions import RegionPixels, region_graph
-from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
 from depthcli.methods.stereo.segments import planes as energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Split, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.run.presets import find_config
 from depthcli.simulate.stereo_scenes import make_scene
+from tests.contracts.checks import pairs_of_any_size_have_values_within_the_range_or_a_reason
+from tests.contracts.inputs import preset, wrong
 from tests.naive import segments as naive
 
 FIT = SegmentPlaneFit(tolerance=0.5, trials=200, max_slope=1.0, flatness=1.0, seed=0)
 
 
 def _preset(name="segments", **changes):
-    pipeline = load_config(StereoConfig, find_config("stereo", name)).pipeline
-    return pipeline.model_copy(update=changes)
+    return preset("stereo", name).pipeline.model_copy(update=changes)
 
 
 def _labels(seed=0, shape=(9, 12), count=4):
@@ -175,15 +171,10 @@ def test_only_segments_that_are_not_a_plane_are_cut():
     assert np.array_equal(naive.components(cut[..., None], 0).max(), cut.max())
 
 
-def _errors(result, scene):
-    bad = ~(np.abs(result.disparity.values - scene.disparity_left) <= 1)
-    return 100 * bad[scene.nonocc].mean()
-
-
 def test_generated_planes_come_out():
     scene = make_scene("planes", seed=1, height=150, width=200, max_disparity=20)
     result = _preset()(StereoPair(scene.left, scene.right), scene.max_disparity)
-    assert _errors(result, scene) < 2
+    assert wrong(result, scene) < 0.02
     assert result.disparity.density == 1
     assert result.figures["energy"] <= result.figures["energy_before"]
     assert result.figures["planes"] > 0 and result.figures["keypoints"] > 10
@@ -218,11 +209,5 @@ def test_a_uniform_image_has_no_values():
 
 
 @pytest.mark.parametrize("name", ["segments", "segments-kp", "segments-dedc", "segments-baseline"])
-@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (3, 4), (12, 10)])
-def test_tiny_pairs_and_ranges_wider_than_the_image(name, shape):
-    rng = np.random.default_rng(0)
-    left, right = rng.integers(0, 256, (2, *shape, 3)).astype(np.uint8)
-    disparity = _preset(name)(StereoPair(left, right), 17).disparity
-    known = ~np.isnan(disparity.values)
-    assert disparity.values.shape == shape
-    assert np.all((disparity.status & Status.NO_DATA != 0) == ~known)
+def test_tiny_pairs_and_ranges_wider_than_the_image(name):
+    pairs_of_any_size_have_values_within_the_range_or_a_reason(_preset(name))

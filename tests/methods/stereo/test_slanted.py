@@ -1,7 +1,5 @@
 """Slopes and the median along them against their slow references, and their use at color edges."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from depthcli.core.maps import DisparityMap
 from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
-from tests.methods.stereo._pairs import blocky_pair
+from depthcli.testing.inputs import blocky_pair
 from tests.naive import stereo as naive
 
 SIZES = [(1, 1), (1, 9), (9, 1), (14, 63), (10, 64), (12, 65), (3, 130)]

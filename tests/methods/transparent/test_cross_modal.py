@@ -1,7 +1,5 @@
 """Stereo of color and infrared: the rig's geometry, channel weights, which matches are kept, and the whole chain."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -13,13 +11,13 @@ from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
 from depthcli.io.layouts.stereo import PAIRS
-from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.transparent.color_mix import GREY, learned_weights, mix_channels
 from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.methods.transparent.match_selection import MatchSelection
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene
-from tests.methods.stereo._pairs import assert_pure, texture
+from depthcli.testing.inputs import assert_pure, texture
+from tests.contracts.inputs import preset
 from tests.scenes import DATA, load, true
 
 SIZE, SMALL = (200, 150), (160, 130)
@@ -140,26 +138,18 @@ class TestRealScenes:
         folder = DATA / "middlebury_v2"
         if not folder.is_dir():
             pytest.skip("middlebury_v2 is not in ../shared/data")
-        found = {}
+        found = []
         for stereo_scene in discover_scenes(folder, PAIRS, patterns=("Cones", "Teddy", "Venus")):
-            assert isinstance(stereo_scene, StereoScene)
-            pair, truth = load(stereo_scene), true(stereo_scene)
-            found[stereo_scene.name] = (
-                glass_of_pair(pair.left, pair.right, truth.disparity),
-                truth.masks["nonocc"],
-                stereo_scene,
-            )
+            pair = load(stereo_scene)
+            glass = glass_of_pair(pair.left, pair.right, true(stereo_scene).disparity)
+            found.append((glass, stereo_scene.max_disparity))
         return found
 
     @pytest.mark.slow
     def test_the_preset_kinect_replaces_the_object_and_little_else(self, scenes):
-        from depthcli.core.config_file import load_config
-        from depthcli.methods.transparent.config import TransparentConfig
-        from depthcli.run.presets import find_config
-
-        config = load_config(TransparentConfig, find_config("transparent", "kinect"), [])
-        for scene, _, stereo_scene in scenes.values():
-            stereo = config.stereo.model_copy(update={"max_disparity": stereo_scene.max_disparity})
+        config = preset("transparent", "kinect")
+        for scene, top in scenes:
+            stereo = config.stereo.model_copy(update={"max_disparity": top})
             depth = depth_of_disparity(scene.sensor, 24.0)
             frame, _ = stereo(RgbIrFrame(scene.color, scene.infrared, depth, None, 24.0), Clock())
             values = disparity_of_depth(config.pipeline(frame).depth.values, 24.0)

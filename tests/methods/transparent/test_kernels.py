@@ -1,7 +1,5 @@
 """Kernels against their references: costs of flat windows, costs between whole disparities, smoothing by color."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from depthcli.methods.stereo.volume import CostVolume
 from depthcli.methods.transparent.cross_modal import faded_costs
 from depthcli.methods.transparent.match_selection import cost_at, local_deviation
 from depthcli.methods.transparent.pipeline.robust import Smoothing
-from tests.methods.stereo._pairs import assert_pure, texture
+from depthcli.testing.inputs import assert_pure, texture
 from tests.naive import transparent as naive
 
 

@@ -1,7 +1,5 @@
 """Dense depth of frames with glass: what every pipeline promises, what the good ones reach, real scenes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -9,21 +7,17 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
-from depthcli.core.config_file import load_config
 from depthcli.core.frames import SparseFrame
 from depthcli.io.layouts.depth import FRAMES
-from depthcli.io.scenes import RgbdScene
 from depthcli.io.walk import discover_scenes
-from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
-from depthcli.run.presets import find_config
 from depthcli.simulate.transparent_scenes import sparse_samples
-from tests.contracts.inputs import NOISE, glass
+from tests.contracts.inputs import NOISE, glass, preset
 from tests.scenes import DATA, load, true
 
 
 def pipeline(name):
-    return load_config(TransparentConfig, find_config("transparent", name), []).pipeline
+    return preset("transparent", name).pipeline
 
 
 def errors(values, truth, mask, sensor):
@@ -100,7 +94,6 @@ class TestRealScenes:
             pytest.skip("transparent/real_d435 is not in ../shared/data")
         found = {}
         for scene in discover_scenes(folder, FRAMES):
-            assert isinstance(scene, RgbdScene)
             frame, truth = load(scene), true(scene)
             color = cv2.resize(frame.color, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             mask = truth.masks["transparent"][::2, ::2]
