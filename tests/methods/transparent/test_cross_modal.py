@@ -18,7 +18,7 @@ from depthcli.methods.transparent.match_selection import MatchSelection
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene
 from depthcli.testing.inputs import assert_pure, texture
 from tests.contracts.inputs import preset
-from tests.scenes import DATA, load, true
+from tests.scenes import DATA, load, needs_data, true
 
 SIZE, SMALL = (200, 150), (160, 130)
 
@@ -129,31 +129,19 @@ def test_same_bytes_at_any_thread_count_and_inputs_untouched():
     assert_pure(lambda: CrossModal(max_disparity=16).match(*inputs).sparse, *inputs)
 
 
-class TestRealScenes:
+@needs_data
+@pytest.mark.slow
+def test_the_preset_kinect_replaces_the_object_and_little_else():
     """Middlebury pairs whose right view is made infrared and one surface glass."""
-
-    @pytest.fixture(scope="class")
-    @staticmethod
-    def scenes():
-        folder = DATA / "middlebury_v2"
-        if not folder.is_dir():
-            pytest.skip("middlebury_v2 is not in ../shared/data")
-        found = []
-        for stereo_scene in discover_scenes(folder, PAIRS, patterns=("Cones", "Teddy", "Venus")):
-            pair = load(stereo_scene)
-            glass = glass_of_pair(pair.left, pair.right, true(stereo_scene).disparity)
-            found.append((glass, stereo_scene.max_disparity))
-        return found
-
-    @pytest.mark.slow
-    def test_the_preset_kinect_replaces_the_object_and_little_else(self, scenes):
-        config = preset("transparent", "kinect")
-        for scene, top in scenes:
-            stereo = config.stereo.model_copy(update={"max_disparity": top})
-            depth = depth_of_disparity(scene.sensor, 24.0)
-            frame, _ = stereo(RgbIrFrame(scene.color, scene.infrared, depth, None, 24.0), Clock())
-            values = disparity_of_depth(config.pipeline(frame).depth.values, 24.0)
-            error = np.abs(values - scene.disparity)
-            known = np.isfinite(scene.sensor) & ~scene.mask
-            assert np.nanmean(error[scene.mask]) < 0.8
-            assert np.nanmean(error[known]) < 0.2
+    config = preset("transparent", "kinect")
+    for files in discover_scenes(DATA / "middlebury_v2", PAIRS, patterns=("Cones", "Teddy", "Venus")):
+        pair = load(files)
+        scene = glass_of_pair(pair.left, pair.right, true(files).disparity)
+        stereo = config.stereo.model_copy(update={"max_disparity": files.max_disparity})
+        depth = depth_of_disparity(scene.sensor, 24.0)
+        frame, _ = stereo(RgbIrFrame(scene.color, scene.infrared, depth, None, 24.0), Clock())
+        values = disparity_of_depth(config.pipeline(frame).depth.values, 24.0)
+        error = np.abs(values - scene.disparity)
+        known = np.isfinite(scene.sensor) & ~scene.mask
+        assert np.nanmean(error[scene.mask]) < 0.8
+        assert np.nanmean(error[known]) < 0.2

@@ -13,7 +13,7 @@ from depthcli.io.walk import discover_scenes
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 from depthcli.simulate.transparent_scenes import sparse_samples
 from tests.contracts.inputs import NOISE, glass, preset
-from tests.scenes import DATA, load, true
+from tests.scenes import DATA, load, needs_data, true
 
 
 def pipeline(name):
@@ -83,38 +83,26 @@ def test_a_sensor_that_measures_nearer_surfaces_stays():
     assert not (pipeline("sparse")(replace(frame, depth=near)).pictures["unreliable"][mask] > 0).any()
 
 
-class TestRealScenes:
+@needs_data
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("share", "outliers", "max_error"), [(0.02, 0.1, 0.0055), (0.1, 0.1, 0.0036), (0.1, 0.3, 0.0040)]
+)
+def test_sparse_on_every_real_scene(share, outliers, max_error):
     """ClearGrasp at half size, sparse stereo emulated with another seed than the experiments'."""
-
-    @pytest.fixture(scope="class")
-    @staticmethod
-    def scenes():
-        folder = DATA / "transparent" / "real_d435"
-        if not folder.is_dir():
-            pytest.skip("transparent/real_d435 is not in ../shared/data")
-        found = {}
-        for scene in discover_scenes(folder, FRAMES):
-            frame, truth = load(scene), true(scene)
-            color = cv2.resize(frame.color, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-            mask = truth.masks["transparent"][::2, ::2]
-            found[scene.name] = (color, np.ascontiguousarray(frame.depth[::2, ::2]), truth.depth[::2, ::2], mask)
-        return found
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize(
-        ("share", "outliers", "max_error"), [(0.02, 0.1, 0.0055), (0.1, 0.1, 0.0036), (0.1, 0.3, 0.0040)]
-    )
-    def test_sparse_on_every_scene(self, scenes, share, outliers, max_error):
-        assert len(scenes) == 3
-        ratios = []
-        for color, sensor, truth, mask in scenes.values():
-            sparse = sparse_samples(truth, color, share, outliers=outliers, seed=7)
-            frame = SparseFrame(color, sensor, sparse=sparse)
-            ours = errors(pipeline("sparse")(frame).depth.values, truth, mask, sensor)
-            nearest = errors(pipeline("nearest")(frame).depth.values, truth, mask, sensor)
-            _, before = errors(sensor, truth, mask, sensor)
-            assert ours[0] < max_error
-            assert ours[0] < 0.6 * nearest[0]
-            ratios.append(ours[1] / before)
-        assert max(ratios) < 1.04
-        assert np.mean(ratios) < 1.02
+    ratios = []
+    for scene in discover_scenes(DATA / "transparent" / "real_d435", FRAMES):
+        frame, truth = load(scene), true(scene)
+        color = cv2.resize(frame.color, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        sensor, depth = np.ascontiguousarray(frame.depth[::2, ::2]), truth.depth[::2, ::2]
+        mask = truth.masks["transparent"][::2, ::2]
+        given = SparseFrame(color, sensor, sparse=sparse_samples(depth, color, share, outliers=outliers, seed=7))
+        ours, nearest = (
+            errors(pipeline(name)(given).depth.values, depth, mask, sensor) for name in ("sparse", "nearest")
+        )
+        assert ours[0] < max_error
+        assert ours[0] < 0.6 * nearest[0]
+        ratios.append(ours[1] / errors(sensor, depth, mask, sensor)[1])
+    assert len(ratios) == 3
+    assert max(ratios) < 1.04
+    assert np.mean(ratios) < 1.02
