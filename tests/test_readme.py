@@ -21,7 +21,7 @@ from depthcli.cli import app, main
 from depthcli.core.method import Family
 from depthcli.methods.stereo import cost
 from depthcli.run.presets import find_config
-from depthcli.testing.inputs import shifted_pair
+from tests.methods.stereo._pairs import shifted_pair
 
 ROOT = Path(__file__).resolve().parent.parent
 README, CONTRIBUTING = ((ROOT / name).read_text("utf-8") for name in ("README.md", "CONTRIBUTING.md"))

@@ -158,11 +158,11 @@ def cross(costs, arms, horizontal_first, target=None):
             support = []
             if horizontal_first:
                 for v in range(y - up[y, x], y + down[y, x] + 1):
-                    support += [costs[v, u, d] for u in range(x - left[v, x], x + right[v, x] + 1)]
+                    support.append(costs[v, x - left[v, x] : x + right[v, x] + 1, d])
             else:
                 for u in range(x - left[y, x], x + right[y, x] + 1):
-                    support += [costs[v, u, d] for v in range(y - up[y, u], y + down[y, u] + 1)]
-            out[y, x, d] = np.mean(support)
+                    support.append(costs[y - up[y, u] : y + down[y, u] + 1, u, d])
+            out[y, x, d] = np.concatenate(support).mean()
     return out
 
 
@@ -175,18 +175,15 @@ def adaptive_weight(costs, left, right, radius, gamma_color, gamma_space, square
     out = costs.astype(float)
     for y, x in np.ndindex(height, width):
         for d in range(min(disparities, x + 1)):
-            num = den = 0.0
-            for yq in range(max(0, y - radius), min(height, y + radius + 1)):
-                for xq in range(max(0, x - radius, d), min(width, x + radius + 1)):
-                    color_l = np.sum((left[y, x] - left[yq, xq]) ** 2)
-                    color_r = np.sum((right[y, x - d] - right[yq, xq - d]) ** 2)
-                    space = (y - yq) ** 2 + (x - xq) ** 2
-                    if not squared:
-                        color_l, color_r, space = np.sqrt([color_l, color_r, space])
-                    weight = np.exp(-((color_l + color_r) / gamma_color + 2 * space / gamma_space))
-                    num += weight * costs[yq, xq, d]
-                    den += weight
-            out[y, x, d] = num / den
+            rows, columns = slice(max(0, y - radius), y + radius + 1), slice(max(0, x - radius, d), x + radius + 1)
+            v, u = np.arange(height)[rows, None], np.arange(width)[None, columns]
+            color_l = np.sum((left[y, x] - left[v, u]) ** 2, axis=2)
+            color_r = np.sum((right[y, x - d] - right[v, u - d]) ** 2, axis=2)
+            space = (y - v) ** 2 + (x - u) ** 2
+            if not squared:
+                color_l, color_r, space = np.sqrt(color_l), np.sqrt(color_r), np.sqrt(space)
+            weight = np.exp(-((color_l + color_r) / gamma_color + 2 * space / gamma_space))
+            out[y, x, d] = (weight * costs[v, u, d]).sum() / weight.sum()
     return out
 
 

@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from depthcli.core.method import Family
+from depthcli.testing.inputs import shifted_pair
 from tests.methods.stereo._networks import has_onnx, local_features
 
+__all__ = ["PARAMETERS", "methods", "shifted_pair"]
 # Parameters of methods that have no default for everything.
 PARAMETERS: dict[str, dict[str, Any]] = {
     "combined": {
