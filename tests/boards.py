@@ -1,7 +1,5 @@
 """Photos of boards by cameras that are known: what a calibration has to find."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import cv2

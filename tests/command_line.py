@@ -1,16 +1,49 @@
-"""The tool, called in the process of the tests, and what its report says."""
-
-from __future__ import annotations
+"""The tool, called in the process of the tests or in its own, and what it left and said."""
 
 import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from depthcli.cli import main
+from depthcli.core.errors import DepthcliError
+from depthcli.run.folder import REPORT_FILES
+from depthcli.run.records import RECORD_FILE
 
 
 def run(*arguments: str | Path) -> int:
     return main([str(a) for a in arguments])
+
+
+def refused(kind: type[DepthcliError], said: str, call: Callable[..., object], *arguments: Any, **options: Any) -> str:
+    """Assert that the call ends with an error of one line in which the pattern is found; return the line."""
+    with pytest.raises(kind, match=said) as caught:
+        call(*arguments, **options)
+    assert str(caught.value).isprintable()
+    return str(caught.value)
+
+
+def in_threads(works: Sequence[Callable[[], None]]) -> None:
+    """Call the functions side by side, and wait for all of them."""
+    threads = [threading.Thread(target=work) for work in works]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert not any(thread.is_alive() for thread in threads)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file without measured times, hidden ones included."""
+    others = (*REPORT_FILES, RECORD_FILE)
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in others)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
 def rows(output: Path) -> dict[str, dict[str, Any]]:
@@ -21,3 +54,17 @@ def rows(output: Path) -> dict[str, dict[str, Any]]:
 def statuses(output: Path) -> dict[str, str]:
     """Return what became of each scene of a run, by its name."""
     return {name: row["status"] for name, row in rows(output).items()}
+
+
+def start(*arguments: str | Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "depthcli", *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(folder: Path, scenes: int, process: subprocess.Popen[Any]) -> None:
+    """Until so many scenes are done; the run must not be over by then."""
+    end = time.monotonic() + 120
+    while len(list(folder.glob(f"*/{RECORD_FILE}"))) < scenes:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.002)

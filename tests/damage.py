@@ -3,8 +3,6 @@
 Everything is drawn from the generator that is given, so that a case can be repeated.
 """
 
-from __future__ import annotations
-
 import io
 from functools import cache
 

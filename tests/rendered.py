@@ -1,7 +1,5 @@
 """A room of planes as two cameras see it: a wall, the floor, and a slanted board before the wall; exact depth."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

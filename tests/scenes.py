@@ -1,7 +1,5 @@
 """Real scenes with ground truth, where they are present, and errors on them by a protocol."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The documentation's examples run."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

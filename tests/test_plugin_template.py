@@ -1,6 +1,4 @@
-"""The template of a plug-in, installed into an environment of its own: tested, run, evaluated, and changed."""
-
-from __future__ import annotations
+"""The wheel and the template of a plug-in in an environment of their own: tested, run, evaluated, and changed."""
 
 import importlib
 import json
@@ -26,22 +24,23 @@ pytestmark = pytest.mark.system
 
 
 class Environment:
-    """An environment with the template, this checkout, and the libraries of the running one."""
+    """An environment with the wheel, the template, and the libraries of the running one."""
 
     def __init__(self, place: Path) -> None:
         self.place, self.python = place, place / "env" / "bin" / "python"
         subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(place / "env")], check=True)
         (self.packages,) = (place / "env" / "lib").glob("python*/site-packages")
-        (self.packages / "dependencies.pth").write_text(f"{ROOT}\n{sysconfig.get_path('purelib')}\n")
+        (self.packages / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
+        self.install(ROOT)
         shutil.copytree(ROOT / "docs" / "plugin_template", place / "mine")
         write_version(place / "mine", "1.0")
-        self.install()
+        self.install(place / "mine")
 
-    def install(self) -> None:
+    def install(self, project: Path) -> None:
         for old in list(self.packages.glob(f"{PACKAGE}*")):
             shutil.rmtree(old)
         pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
-        done = self.run_program([*pip, "--target", str(self.packages), str(self.place / "mine")])
+        done = self.run_program([*pip, "--target", str(self.packages), str(project)])
         assert done.returncode == 0, done.stderr
 
     def run(self, *words: str | Path, module: str = "depthcli") -> subprocess.CompletedProcess[str]:
@@ -106,17 +105,11 @@ def test_it_runs_is_evaluated_and_is_refused_with_another_version(env: Environme
     compared = env.run("evaluate", "squared", "constant", "--truth", "scenes", "--json")
     assert {result["protocol"] for result in json.loads(compared.stdout)["results"]} == {"eighth-pixel"}
     assert "2 of 2 scenes are done already" in env.run(*stereo).stderr
-    typo = env.run(*stereo[:-1], "cost=squared-differense")
-    assert "did you mean 'squared_difference'?; one of: " in typo.stderr
-    assert "squared_difference (depthcli-example)" in typo.stderr
     assert env.run("stereo", "squared", "-i", "scenes", "-o", "preset").returncode == 0
 
     write_version(env.place / "mine", "1.1")
-    env.install()
+    env.install(env.place / "mine")
     for command in (stereo, constant):
         refused = env.run(*command)
         assert refused.returncode == 2
-        assert (
-            "holds a run made with another config (it says \"depthcli-example: '1.0'\", this run "
-            "\"depthcli-example: '1.1'\"); choose another --output, or --overwrite it" in refused.stderr
-        )
+        assert "'1.0'" in refused.stderr and "'1.1'" in refused.stderr and "--overwrite" in refused.stderr

@@ -1,10 +1,7 @@
 """Every preset that ships: read, shown, run on a small scene."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,32 +16,24 @@ from depthcli.core.yaml_source import parse_config
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.kernels.jit import set_threads
 from depthcli.run.presets import find_config, find_preset, list_presets, preset_folder
+from tests.command_line import contents
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]
 
-_PAIR = ["--width", "96", "--height", "64", "--max-disparity", "12", "-n", "1"]
-MADE = {
+_PAIR, _VOLUMES = ("made_scenes", "--scenes", "planes_0"), ("made_volumes", "--scenes", "pair_0")
+INPUTS = {
     "stereo": _PAIR,
     "fuse": _PAIR,
-    "refine-kinect": ["--kinect", "--frames", "3", "--width", "128", "--height", "96"],
-    "transparent": ["--transparent", "--width", "128", "--height", "96", "--share", "0.1"],
-    "register-confidence": ["--registration", "-n", "1"],
+    "refine-kinect": ("made_kinect",),
+    "transparent": ("made_glass",),
+    "register-confidence": (*_VOLUMES, "--set", "max_voxels=40000"),
 }
-"""Options of ``depthcli sample`` that make a small input of a command."""
-QUICK = {"register-confidence": ["--set", "max_voxels=40000"]}
+"""The fixture with a small input of a command, and options."""
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return what makes the folder of small scenes for a command, once."""
-
-    @cache
-    def make(command: str) -> Path:
-        folder = tmp_path_factory.mktemp(command)
-        assert main(["sample", *MADE[command], "-o", str(folder), "-q"]) == 0
-        return folder
-
-    return make
+def words_of(request: pytest.FixtureRequest, command: str, name: str, output: Path) -> list[str]:
+    fixture, *options = INPUTS[command]
+    return [command, name, "-i", str(request.getfixturevalue(fixture)), "-o", str(output), "-q", *options]
 
 
 def test_there_are_presets():
@@ -78,9 +67,8 @@ def test_shown_with_every_field_it_is_the_same_config(command: str, name: str, c
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("command", "name"), PRESETS)
-def test_it_runs_on_a_toy_scene(made: Callable[[str], Path], tmp_path: Path, command: str, name: str):
-    arguments = [command, name, "-i", str(made(command)), "-o", str(tmp_path / "r"), "-q", *QUICK.get(command, [])]
-    assert main(arguments) == 0
+def test_it_runs_on_a_toy_scene(request: pytest.FixtureRequest, tmp_path: Path, command: str, name: str):
+    assert main(words_of(request, command, name, tmp_path / "r")) == 0
     report = json.loads((tmp_path / "r" / "report.json").read_text())
     assert report["done"] >= 1
     if command in ("stereo", "fuse"):
@@ -91,7 +79,7 @@ def test_it_runs_on_a_toy_scene(made: Callable[[str], Path], tmp_path: Path, com
 
 @pytest.mark.system
 @pytest.mark.parametrize(("command", "name"), PRESETS)
-def test_same_bytes_at_any_number_of_threads(made, tmp_path: Path, monkeypatch, command: str, name: str):
+def test_same_bytes_at_any_number_of_threads(request, tmp_path: Path, monkeypatch, command: str, name: str):
     found = []
     for kernels, opencv in ((2, 1), (1, 8)):
 
@@ -100,11 +88,8 @@ def test_same_bytes_at_any_number_of_threads(made, tmp_path: Path, monkeypatch, 
             cv2.setNumThreads(opencv)
 
         monkeypatch.setattr("depthcli.run.workers.use_threads", use)
-        output = tmp_path / str(opencv)
-        arguments = [command, name, "-i", str(made(command)), "-o", str(output), "-q", *QUICK.get(command, [])]
-        assert main(arguments) == 0
-        files = [path for path in output.rglob("*") if path.is_file() and path.stem not in ("report", "record")]
-        found.append({path.relative_to(output): path.read_bytes() for path in files})
+        assert main(words_of(request, command, name, tmp_path / str(opencv))) == 0
+        found.append(contents(tmp_path / str(opencv)))
     assert len(found[0]) > 2
     assert found[0].keys() == found[1].keys()
     assert [name for name, data in found[0].items() if found[1][name] != data] == []

@@ -1,6 +1,4 @@
-"""Every script starts on a fresh checkout, by a Python that has nothing installed."""
-
-from __future__ import annotations
+"""Every script starts on a fresh checkout, by a Python that has nothing installed; those that test do so."""
 
 import json
 import os
@@ -96,14 +94,35 @@ def test_the_demo_ends_with_the_address_of_its_page(checkout: Path, tmp_path: Pa
         get_command(app).get_command(None, name).make_context(name, rest)  # type: ignore[attr-defined, arg-type]
 
 
+def script(name: str, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "scripts" / name), *words]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, cwd=ROOT)
+
+
+@pytest.mark.system
+def test_killed_runs_end_with_the_same_bytes():
+    done = script("kill_test", "--kills", "30", "--preset", "opencv-sgbm", "--width", "160", "--scenes", "5")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("every re-run gave the bytes") == 11  # commands
+
+
+@pytest.mark.system
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits as Linux has them")
+def test_it_runs_as_in_a_container():
+    done = script("container_test", "--presets", "stereo/opencv-bm", "--width", "160")
+    if done.returncode == 2:
+        pytest.skip(done.stdout)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.system
 @pytest.mark.parametrize(("device", "code"), [("cuda:77", 1), ("opencl", 0)])
 def test_a_gpu_is_measured_section_by_section(tmp_path: Path, device: str, code: int):
     if device == "opencl" and not opencl.find_devices()[0]:
         pytest.skip(opencl.find_devices()[1])
-    command = [sys.executable, str(ROOT / "scripts" / "gpu_check"), str(tmp_path), "--tiny", "--seconds", "500"]
-    done = subprocess.run([*command, "--device", device, "--only", "device,pipelines,video"],
-                          env=os.environ | {"PYTHONPATH": str(ROOT)},
-                          capture_output=True, text=True, check=False)  # fmt: skip
+    words = ("--tiny", "--seconds", "500", "--device", device, "--only", "device,pipelines,video")
+    done = script("gpu_check", str(tmp_path), *words)
     assert done.returncode == code, done.stderr
     found = json.loads((tmp_path / "gpu_check.json").read_text())
     assert {"device", "pipelines", "video"} <= found.keys()

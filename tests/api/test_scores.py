@@ -1,7 +1,5 @@
 """``evaluate`` from Python: the numbers of the command for the same maps, masks, errors."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -16,6 +14,7 @@ from depthcli.cli import main
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import read_grey
 from depthcli.io.formats.volumes import read_volume
+from tests.command_line import refused
 
 Capture = pytest.CaptureFixture[str]
 
@@ -52,21 +51,17 @@ def test_disparities_have_the_scores_of_the_command(tmp_path: Path, made_scenes:
     assert scores._repr_png_() and repr(scores).startswith("Scores(middlebury-v2, bad 1: nonocc ")
 
 
-def test_depths_have_the_scores_of_the_command(tmp_path: Path, capsys: Capture):
-    folder, run = tmp_path / "in", tmp_path / "run"
-    size = ["--width", "96", "--height", "72", "--frames", "0"]
-    assert main(["sample", "--kinect", *size, "-o", str(folder), "-q"]) == 0
-    assert main(["refine-kinect", "nearest", "-i", str(folder), "--scenes", "planes", "-o", str(run), "-q"]) == 0
-    scene = folder / "planes"
+def test_depths_have_the_scores_of_the_command(tmp_path: Path, made_kinect: Path, capsys: Capture):
+    run, scene = tmp_path / "run", made_kinect / "planes"
+    assert main(["refine-kinect", "nearest", "-i", str(made_kinect), "--scenes", "planes", "-o", str(run), "-q"]) == 0
     truth = read_pfm(scene / "depth_true.pfm")
     scores = depthcli.evaluate(read_pfm(run / "planes" / "depth.pfm"), truth, "depth", masks(scene), fb=43.5)
-    assert of_python(scores) == pytest.approx(of_command(capsys, folder, "planes", run), nan_ok=True)
+    assert of_python(scores) == pytest.approx(of_command(capsys, made_kinect, "planes", run), nan_ok=True)
 
 
-def test_registrations_have_the_scores_of_the_command(tmp_path: Path, capsys: Capture):
-    folder, run = tmp_path / "in", tmp_path / "run"
-    assert main(["sample", "--registration", "-n", "1", "-o", str(folder), "-q"]) == 0
-    assert main(["register-confidence", "axes", "-i", str(folder), "-o", str(run), "-q"]) == 0
+def test_registrations_have_the_scores_of_the_command(tmp_path: Path, made_volumes: Path, capsys: Capture):
+    folder, run = made_volumes, tmp_path / "run"
+    assert main(["register-confidence", "axes", "-i", str(folder), "--scenes", "pair_0", "-o", str(run), "-q"]) == 0
     volumes = (run / "pair_0" / "expected_error.nii.gz", folder / "pair_0" / "error_true.nii.gz")
     estimate, truth, mask = (read_volume(file).values for file in (*volumes, folder / "pair_0" / "mask.nii.gz"))
     scores = depthcli.evaluate(estimate, truth, "registration", mask)
@@ -102,8 +97,7 @@ TRUTH = np.ones((4, 5), np.float32)
     ],
 )
 def test_what_cannot_be_compared_is_refused(arguments: tuple[Any, ...], message: str):
-    with pytest.raises(depthcli.InputError, match=message):
-        depthcli.evaluate(*arguments)
+    refused(depthcli.InputError, message, depthcli.evaluate, *arguments)
 
 
 def test_a_score_that_is_not_there_is_named():

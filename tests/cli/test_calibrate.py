@@ -1,7 +1,5 @@
 """``depthcli calibrate``: photos of boards by cameras that are known, and what ``rectify`` makes of the result."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -63,9 +61,7 @@ def check(found: Rig, true: Rig) -> None:
     assert np.quantile(errors, 0.95) < 0.1
 
 
-def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_belong_together(
-    chess: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_fit(chess: Path, tmp_path: Path, capsys) -> None:
     target = tmp_path / "stereo.yml"
     assert run("calibrate", chess, *CHESS, "-o", target) == 0
     out, err = capsys.readouterr()
@@ -95,9 +91,7 @@ def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_belong_togeth
 
 def test_a_charuco_board_may_be_seen_in_part(tmp_path: Path) -> None:
     places = list(boards.poses(12, (9 * SQUARE, 6 * SQUARE), seed=2))
-    shoot(tmp_path / "photos", boards.rig(), boards.charuco(11, 8, 0.018), places, "cam{side}/{k}.png")
-    (tmp_path / "photos" / "camleft").rename(tmp_path / "photos" / "cam0")
-    (tmp_path / "photos" / "camright").rename(tmp_path / "photos" / "cam1")
+    shoot(tmp_path / "photos", boards.rig(), boards.charuco(11, 8, 0.018), places, "{side}/{k}.png")
     board = ("--board", "charuco:11x8", "--square", "2.5cm", "--marker", "18mm")
     assert run("calibrate", tmp_path / "photos", *board, "-o", tmp_path / "c.yml", "-q") == 0
     check(read_rig([tmp_path / "c.yml"]), boards.rig())
@@ -113,9 +107,7 @@ def test_fisheye_lenses(tmp_path: Path) -> None:
     assert abs(found.baseline / rig.baseline - 1) < 0.003
 
 
-def test_one_camera_whose_boards_are_all_parallel_is_doubted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_camera_whose_boards_are_all_parallel_is_doubted(tmp_path: Path, capsys) -> None:
     camera, texture = boards.rig().left, boards.chessboard(9, 6)
     for k, (_, shift) in enumerate(boards.poses(8, EXTENT, tilt=0.0)):
         write_png(tmp_path / "photos" / f"{k}.png", boards.photo(camera, texture, np.eye(3), shift, k))
@@ -162,9 +154,7 @@ def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, capsys:
         ((*CHESS,), "no photos"),
     ],
 )
-def test_wrong_options(
-    tmp_path: Path, arguments: tuple[str, ...], text: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_options(tmp_path: Path, arguments: tuple[str, ...], text: str, capsys) -> None:
     assert run("calibrate", tmp_path, *arguments, "-o", tmp_path / "c.yml") == 2
     err = capsys.readouterr().err
     assert text in err and err.count("\n") == 1

@@ -1,27 +1,32 @@
-from __future__ import annotations
+"""What is around the methods: help, presets, reports, wrong usage, signals."""
 
 import csv
 import io
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import yaml
 
-from depthcli.cli import main
+from depthcli.cli import command_of, main
+from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
+from depthcli.commands._sweep_axes import parse_axes
+from depthcli.core.config_file import load_config
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
-from tests.command_line import run
+from depthcli.run.presets import find_config
+from tests.command_line import run, wait_for
 
 FAST = "opencv-bm"
 """The quickest preset; the tests here are about what is around the matching."""
@@ -72,16 +77,12 @@ def test_json_is_one_document_and_alone_on_stdout(made_scenes, tmp_path, capsys)
     assert (tmp_path / "r" / "evaluation" / "report.md").exists()
 
 
-def test_one_pair(made_scenes: Path, tmp_path: Path, capsys):
+def test_one_pair(made_scenes: Path, tmp_path: Path):
     pair = ("--left", made_scenes / "planes_0/left.png", "--right", made_scenes / "planes_0/right.png")
     assert run("stereo", FAST, *pair, "-o", tmp_path / "r", "--max-disparity", "12") == 0
     assert (tmp_path / "r" / "planes_0" / "disp_left.pfm").exists()  # "left" says nothing: the folder's name
     assert run("stereo", FAST, *pair, "-o", tmp_path / "s", "--max-disparity", "12", "--name", "mine") == 0
     assert (tmp_path / "s" / "mine" / "disp_left.pfm").exists()
-    # Another pair of the same name is not put in its place.
-    other = ("--left", made_scenes / "planes_1/left.png", "--right", made_scenes / "planes_1/right.png")
-    assert run("stereo", FAST, *other, "-o", tmp_path / "s", "--max-disparity", "12", "--name", "mine") == 2
-    assert "another 'mine'" in capsys.readouterr().err
 
 
 def test_a_range_that_nothing_gives_is_taken_from_key_points_with_a_warning(made_scenes: Path, tmp_path: Path, capsys):
@@ -91,14 +92,10 @@ def test_a_range_that_nothing_gives_is_taken_from_key_points_with_a_warning(made
             (scenes / name).mkdir(parents=True, exist_ok=True)
             shutil.copy(made_scenes / name / view, scenes / name / view)
     assert run("stereo", FAST, "-i", scenes, "-o", tmp_path / "r") == 0
-    lines = [line for line in capsys.readouterr().err.splitlines() if "search range" in line]
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "search range" in line]
     rows = json.loads((tmp_path / "r" / "report.json").read_text())["scenes"]
-    ends = sorted(row["max_disparity"] for row in rows)
-    span = f"{ends[0]} to {ends[1]}" if ends[0] < ends[1] else str(ends[0])
-    assert lines == [
-        "warning: the search ranges of 2 scenes are not known: --max-disparity auto was taken, which gives "
-        f"{span} px (max_disparity in report.csv)"
-    ]
+    assert "2 scenes" in line and "--max-disparity auto was taken" in line
+    assert all(f" {row['max_disparity']} " in line for row in rows)
     assert all(row["range_top"] == row["max_disparity"] for row in rows)
     assert run("stereo", FAST, "-i", scenes, "-o", tmp_path / "auto", "--max-disparity", "auto") == 0
     assert "search range" not in capsys.readouterr().err
@@ -109,8 +106,8 @@ def test_a_range_that_nothing_gives_is_taken_from_key_points_with_a_warning(made
         write_png(scenes / "planes_0" / view, np.zeros((48, 64), np.uint8))
     assert run("stereo", FAST, "-i", scenes, "-o", tmp_path / "r") == 3
     err = capsys.readouterr().err
-    assert "planes_0: only 0 key points match, too few to find the search range; say " in err
-    assert "warning: the search range is not known: --max-disparity auto was taken, which gives " in err
+    assert "planes_0: only 0 key points match" in err
+    assert "warning: the search range is not known: --max-disparity auto was taken" in err
 
 
 def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
@@ -139,14 +136,14 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
         (("stereo", FAST, "-i", ".", "--left", "a", "-o", "x"), "--left wants --right"),
         (("stereo", FAST, "-i", ".", "--left", "a", "--right", "b", "-o", "x"), "exclude each other"),
         (("stereo", FAST, "-i", "absent", "-o", "x"), "absent: no such folder"),
-        (("stereo", FAST, "-i", ".", "-o", "x"), "no scenes found"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--set", "blok=3"), "--set blok: no such key (got 3); did you mean"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--max-memory", "lots"), "--max-memory: must be a size such as 2GiB"),
-        (("stereo", FAST, "-i", ".", "-o", "x", "--max-disparity", "0"), "--max-disparity: should be greater"),
         (("stereo", FAST, "-i", "."), "Missing option '--output'"),
         (("sample", "-o", "x", "--count", "0", "--width", "3"), "Invalid value for '--count'"),
         (("sample", "-o", "x", "--speckles", "0.1"), "--speckles has no effect on stereo scenes"),
         (("sample", "-o", "x", "--max-disparity", "300"), "at most width / 2 = 200"),
+        (("sample", "-o", "s3://bucket/out"), "not to URLs"),
+        (("stereo", FAST, "-i", ".", "-o", "https://host/out"), "not to URLs"),
         (("nope",), "No such command 'nope'"),
         (("sterio",), "Did you mean 'stereo'?"),
         (("stereo",), "Missing argument 'CONFIG'"),
@@ -215,9 +212,7 @@ def test_ctrl_c_leaves_a_run_to_go_on_with(made_scenes: Path, tmp_path: Path, jo
         # Tests that run in the background of a shell inherit an ignored SIGINT.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
-    deadline = time.monotonic() + 60
-    while not list((tmp_path / "run").glob("*/record.json")) and time.monotonic() < deadline:
-        time.sleep(0.005)
+    wait_for(tmp_path / "run", 1, process_)
     os.killpg(process_.pid, signal.SIGINT)
     _, err = process_.communicate(timeout=60)
     assert process_.returncode == 130, err
@@ -244,9 +239,48 @@ def test_results_inside_the_input_are_no_scenes(made_scenes: Path, tmp_path: Pat
     assert sorted(scenes.rglob("*")) == before
 
 
-def test_results_are_not_written_to_urls(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    for words in (["sample", "-o", "s3://bucket/out"], ["stereo", "fast", "-i", ".", "-o", "https://host/out"]):
-        assert main(words) == 2
-        assert "results are written to this machine, not to URLs" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
+ROOT = Path(__file__).parents[2]
+
+
+def examples() -> list[str]:
+    """Commands of the help texts, and of README and CONTRIBUTING up to a pipe, but for those with a placeholder."""
+    texts = [text_of(function) for name in own_names() if (function := find(name)) is not None]
+    pages = "".join((ROOT / name).read_text("utf-8") for name in ("README.md", "CONTRIBUTING.md"))
+    lines = [line.strip() for text in (*texts, pages.replace("\\\n", " ")) for line in text.splitlines()]
+    found = [re.split(r" \|\|? | > |  # ", line)[0] for line in lines] + re.findall(r"`(depthcli [^`]+)`", pages)
+    return sorted({line for line in found if re.match(r"depthcli [a-z](?!.*([$]|NAME|squared_difference))", line)})
+
+
+@pytest.mark.parametrize("name", ["", *own_names()])
+@pytest.mark.parametrize("columns", ["80", "200"])
+def test_a_help_text_fits_a_terminal(name: str, columns: str, capsys, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("COLUMNS", columns)
+    assert main([*([name] if name else []), "--help"]) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
+
+
+def test_every_command_is_listed_with_one_line(capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for name in own_names():
+        assert re.search(rf"^  {name} +{re.escape(help_of(name))}$", text, re.M), name
+    assert sorted(name for names in grouped_names().values() for name in names) == list(own_names())
+
+
+@pytest.mark.parametrize("example", examples())
+def test_examples_parse_and_their_configs_load(example: str):
+    _, name, *words = shlex.split(example)
+    command = command_of(name)
+    values: dict[str, Any] = command.make_context(name, words).params
+    if values.get("preset") is not None:
+        assert main([name, *words]) == 0
+    model = config_model(values.get("command", name))
+    if "config" in values and model is not None and values["config"] != "maps":
+        axes = parse_axes(values.get("over") or ())
+        settings = [*(values["set"] or ()), *(f"{key}={value}" for key in axes for value in axes[key])]
+        load_config(model, find_config(values.get("command", name), values["config"]), settings)
+
+
+def test_without_a_command_the_help_is_shown(capsys):
+    assert main([]) == 2
+    assert "Match and refine:" in capsys.readouterr().err

@@ -1,7 +1,5 @@
 """``depthcli refine-kinect``: files, reports, sequences that are killed, bad frames beside good ones."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import asdict
@@ -15,42 +13,19 @@ from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_pfm, read_plane, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
-from tests.command_line import rows, run
-from tests.rendered import (
-    COLOR,
-    COLOR_SHAPE,
-    DEPTH,
-    DEPTH_SHAPE,
-    ROTATION,
-    TRANSLATION,
-    near_edges,
-    noisy,
-    rendered,
-)
-
-
-@pytest.fixture(scope="module")
-def kinect(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Small simulated frames and two sequences; never write into it."""
-    folder = tmp_path_factory.mktemp("kinect")
-    assert run("sample", "--kinect", "-o", folder, "--width", "96", "--height", "72", "--frames", "4", "-q") == 0
-    return folder
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    found = [p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(("report.", "record."))]
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in found}
+from tests.command_line import contents, rows, run
+from tests.rendered import COLOR, COLOR_SHAPE, DEPTH, DEPTH_SHAPE, ROTATION, TRANSLATION, near_edges, noisy, rendered
 
 
 @pytest.mark.slow
-def test_a_frame_gives_depth_status_and_sigma(kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_frame_gives_depth_status_and_sigma(made_kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     output = tmp_path / "r"
-    assert run("refine-kinect", "nearest", "-i", kinect, "--scenes", "planes", "-o", output, "--evaluate") == 0
+    assert run("refine-kinect", "nearest", "-i", made_kinect, "--scenes", "planes", "-o", output, "--evaluate") == 0
     assert "Depth: mean absolute error, mm" in capsys.readouterr().out
     made = output / "planes"
     names = {"depth.pfm", "depth.png", "sigma.pfm", "status.png", "preview.png", "record.json"}
     assert {p.name for p in made.iterdir()} == names
-    values, before = read_pfm(made / "depth.pfm"), read_pfm(kinect / "planes" / "depth.pfm")
+    values, before = read_pfm(made / "depth.pfm"), read_pfm(made_kinect / "planes" / "depth.pfm")
     measured = np.isfinite(before)
     np.testing.assert_array_equal(values[measured], before[measured])
     assert np.isfinite(values).all()
@@ -64,36 +39,35 @@ def test_a_frame_gives_depth_status_and_sigma(kinect: Path, tmp_path: Path, caps
     assert (output / "legend.png").is_file()
 
 
-def test_a_sequence_is_one_item_and_resumes_with_the_same_bytes(kinect: Path, tmp_path: Path):
-    one = ("refine-kinect", "sequence", "-i", kinect, "--scenes", "moving/*", "-q")
+def test_a_sequence_is_one_item_and_resumes_with_the_same_bytes(made_kinect: Path, tmp_path: Path):
+    one = ("refine-kinect", "sequence", "-i", made_kinect, "--scenes", "moving/*", "-q")
     assert run(*one, "-o", tmp_path / "a") == 0
     assert run(*one, "-o", tmp_path / "b", "--threads", "1") == 0
-    whole = files(tmp_path / "a")
-    assert whole == files(tmp_path / "b")
+    whole = contents(tmp_path / "a")
+    assert whole == contents(tmp_path / "b")
     assert {f"moving/0000{k}/depth.pfm" for k in range(4)} < set(whole)
     assert rows(tmp_path / "a")["moving"]["frames"] == 4
-    # A killed run leaves a hidden folder; a lost file of one frame makes the sequence anew.
-    (tmp_path / "b" / ".partial-1" / "0").mkdir(parents=True)
+    # A lost file of one frame makes the sequence anew.
     (tmp_path / "b" / "moving" / "00002" / "depth.pfm").unlink()
     assert run(*one, "-o", tmp_path / "b") == 0
-    assert files(tmp_path / "b") == whole
+    assert contents(tmp_path / "b") == whole
 
 
-def test_single_frames_and_frames_of_sequences_are_evaluated(kinect: Path, tmp_path: Path):
+def test_single_frames_and_frames_of_sequences_are_evaluated(made_kinect: Path, tmp_path: Path):
     scenes = ("--scenes", "planes", "--scenes", "moving/*", "--scenes", "static/*")
-    assert run("refine-kinect", "realsense", "-i", kinect, *scenes, "-o", tmp_path / "r", "--evaluate", "-q") == 0
+    assert run("refine-kinect", "realsense", "-i", made_kinect, *scenes, "-o", tmp_path / "r", "--evaluate", "-q") == 0
     assert set(rows(tmp_path / "r")) == {"moving", "planes", "static"}
     scored = json.loads((tmp_path / "r" / "evaluation" / "scores.json").read_text())["results"]
     frames = {f"{kind}/0000{k}" for kind in ("moving", "static") for k in range(4)}
     assert {row["scene"] for row in scored if not row["missing"]} == frames | {"planes"}
 
 
-def test_frames_of_a_sequence_are_items_for_methods_without_memory(kinect: Path, tmp_path: Path):
-    assert run("refine-kinect", "nearest", "-i", kinect / "static", "-o", tmp_path / "r", "-q") == 0
+def test_frames_of_a_sequence_are_items_for_methods_without_memory(made_kinect: Path, tmp_path: Path):
+    assert run("refine-kinect", "nearest", "-i", made_kinect / "static", "-o", tmp_path / "r", "-q") == 0
     assert set(rows(tmp_path / "r")) == {f"0000{k}" for k in range(4)}
 
 
-def test_bad_frames_beside_good_ones(kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_bad_frames_beside_good_ones(made_kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     color = np.zeros((20, 30, 3), np.uint8)
     depth = np.full((20, 30), 1500, np.uint16)
     for name, bad in {
@@ -101,8 +75,7 @@ def test_bad_frames_beside_good_ones(kinect: Path, tmp_path: Path, capsys: pytes
     }.items():  # fmt: skip
         write_png(tmp_path / "in" / name / "color.png", color)
         write_png(tmp_path / "in" / name / "depth.png", bad)
-    (tmp_path / "in" / "cut").mkdir()
-    shutil.copy(tmp_path / "in" / "good" / "color.png", tmp_path / "in" / "cut" / "color.png")
+    shutil.copytree(tmp_path / "in" / "good", tmp_path / "in" / "cut")
     whole = (tmp_path / "in" / "good" / "depth.png").read_bytes()
     (tmp_path / "in" / "cut" / "depth.png").write_bytes(whole[:-20])
     assert run("refine-kinect", "nearest", "-i", tmp_path / "in", "-o", tmp_path / "r") == 3
@@ -114,17 +87,15 @@ def test_bad_frames_beside_good_ones(kinect: Path, tmp_path: Path, capsys: pytes
     assert "Traceback" not in err
     assert "far: warning: " in err
     assert "the median depth is 7.5 m at 1000 codes per meter; a depth scale of 5000 would fit" in err
-    assert (
-        run("refine-kinect", "nearest", "-i", tmp_path / "in" / "far", "-o", tmp_path / "s", "--depth-scale", "5000")
-        == 0
-    )
+    far = ("-i", tmp_path / "in" / "far", "--depth-scale", "5000")
+    assert run("refine-kinect", "nearest", *far, "-o", tmp_path / "s") == 0
     assert "warning" not in capsys.readouterr().err
     np.testing.assert_array_equal(read_plane(tmp_path / "s" / "far" / "depth.png"), depth * np.uint16(5))
 
 
-def test_points_are_chosen_and_placed_by_options(kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_points_are_chosen_and_placed_by_options(made_kinect: Path, tmp_path: Path):
     def points(name: str, *options: str) -> np.ndarray:
-        one = ("refine-kinect", "joint-bilateral", "-i", kinect, "--scenes", "planes", "--ply", "-q")
+        one = ("refine-kinect", "joint-bilateral", "-i", made_kinect, "--scenes", "planes", "--ply", "-q")
         assert run(*one, "-o", tmp_path / name, *options) == 0
         header, _, data = (tmp_path / name / "planes/points.ply").read_bytes().partition(b"end_header\n")
         vertices = np.frombuffer(data, [("p", "<f4", 3), ("color", "u1", 3)])
@@ -142,12 +113,6 @@ def test_points_are_chosen_and_placed_by_options(kinect: Path, tmp_path: Path, c
     np.testing.assert_array_equal(wide[:, 2], whole[:, 2])
     assert np.abs(wide[:, 0]).max() > 2 * np.abs(whole[:, 0]).max()
     assert rows(tmp_path / "w")["planes"]["intrinsics"] == "of the camera"
-    for options, said in (
-        (("--mask", "confident:2"), "mask"), (("--mask", "some"), "mask"), (("--intrinsics", "1,2"), "intrinsics"),
-    ):  # fmt: skip
-        capsys.readouterr()
-        assert run("refine-kinect", "nearest", "-i", kinect, "-o", tmp_path / "bad", "--ply", *options) == 2
-        assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
@@ -159,10 +124,7 @@ def test_a_warning_of_all_frames_is_printed_once(tmp_path: Path, capsys: pytest.
     assert run(*one, "-o", tmp_path / "r") == 0
     err = capsys.readouterr().err
     assert err.count("the median depth is 7.5 m at 1000 codes per meter") == 2
-    assert (
-        "warning: the median depth is 7.5 m at 1000 codes per meter; a depth scale of 5000 would fit; see "
-        "--depth-scale (3 scenes;" in err
-    )
+    assert "a depth scale of 5000 would fit; see --depth-scale (3 scenes;" in err
     assert err.count("3 of 3 frames have no intrinsics") == 1
     assert {row["intrinsics"] for row in rows(tmp_path / "r").values()} == {"typical"}
     assert run(*one, "-o", tmp_path / "v", "-v") == 0
@@ -252,9 +214,7 @@ def test_cameras_come_from_options_beside_meta_json(phone: Path, tmp_path: Path,
 
 @pytest.mark.parametrize("numbers", ["0,1,2,3", "nan,1,2,3", "1,2,3", "a,b,c,d", "1,-1,2,3", ""])
 @pytest.mark.parametrize("option", ["--intrinsics", "--depth-intrinsics"])
-def test_wrong_cameras_are_refused(
-    phone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, numbers: str
-):
+def test_wrong_cameras_are_refused(phone: Path, tmp_path: Path, capsys, option: str, numbers: str):
     assert run("refine-kinect", "nearest", "-i", phone, option, numbers, "-o", tmp_path / "r") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert f"{option}: expected fx,fy,cx,cy" in line

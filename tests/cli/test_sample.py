@@ -1,10 +1,6 @@
 """``depthcli sample``: generated scenes, through the loop of every other command."""
 
-from __future__ import annotations
-
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +12,7 @@ from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes
 from depthcli.simulate.stereo_scenes import Radiometry, make_scene
+from tests.command_line import contents
 from tests.scenes import load, true
 
 SMALL = ("--width", "64", "--height", "48", "--max-disparity", "10")
@@ -23,11 +20,6 @@ SMALL = ("--width", "64", "--height", "48", "--max-disparity", "10")
 
 def sample(output: Path, *options: str | Path) -> int:
     return main(["sample", "-o", str(output), "-q", *SMALL, *map(str, options)])
-
-
-def _bytes(folder: Path) -> dict[str, bytes]:
-    files = [p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(("report.", "record."))]
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(files)}
 
 
 def scenes(folder: Path) -> dict[str, StereoScene]:
@@ -70,27 +62,11 @@ def test_same_options_same_bytes_and_a_second_run_keeps_them(tmp_path: Path):
     options = ("--cross-modal", "--speckles", "0.02", "--noise", "3")
     for name, jobs in (("a", "1"), ("b", "2")):
         assert sample(tmp_path / name, *options, "--jobs", jobs) == 0
-    assert _bytes(tmp_path / "a") == _bytes(tmp_path / "b")
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
     stamps = {p: p.stat().st_mtime_ns for p in (tmp_path / "a").rglob("*.png")}
     assert sample(tmp_path / "a", *options) == 0
     assert stamps == {p: p.stat().st_mtime_ns for p in (tmp_path / "a").rglob("*.png")}
     assert read_image(tmp_path / "a" / "planes_0" / "left.png").ndim == 2
-
-
-@pytest.mark.slow
-def test_more_scenes_are_added_and_lost_files_made_again(tmp_path: Path):
-    assert sample(tmp_path / "whole") == 0
-    assert sample(tmp_path / "cut", "-n", "2") == 0
-    (tmp_path / "cut" / "planes_0" / "disp_left.pfm").unlink()
-    assert sample(tmp_path / "cut") == 0
-    assert _bytes(tmp_path / "whole") == _bytes(tmp_path / "cut")
-
-
-def test_files_of_others_are_left_alone(tmp_path: Path):
-    (tmp_path / "planes_0").mkdir()
-    (tmp_path / "planes_0" / "holiday.jpg").write_bytes(b"holiday")
-    assert sample(tmp_path, "-n", "1") == 0
-    assert _bytes(tmp_path)["planes_0/holiday.jpg"] == b"holiday"
 
 
 def test_cross_modal_keeps_the_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -106,31 +82,6 @@ def test_cross_modal_keeps_the_truth(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert load(after).right.ndim == 2
     assert sample(tmp_path / "in", "--cross-modal", "--from", tmp_path / "in") == 2
     assert sample(tmp_path / "x", "--cross-modal", "--from", tmp_path / "missing") == 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["meta.json", "record.json"])
-def test_damaged_notes_beside_a_scene_are_made_again(tmp_path: Path, capsys, name: str):
-    assert sample(tmp_path, "-n", "2") == 0
-    wanted = _bytes(tmp_path)
-    for text in ("{}", "[" * 100_000 + "]" * 100_000, '{"width": {}}', "\0"):
-        (tmp_path / "planes_0" / name).write_text(text)
-        assert sample(tmp_path, "-n", "2") == 0
-        assert _bytes(tmp_path) == wanted
-        assert "Traceback" not in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_two_at_once_do_not_mix(tmp_path: Path):
-    command = [sys.executable, "-m", "depthcli", "sample", "-o", str(tmp_path / "a"), "-q", *SMALL, "-n", "4"]
-    started = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]
-    said = [process.communicate()[1].decode() for process in started]
-    for process, text in zip(started, said, strict=True):
-        # Who comes while another writes is told so; who comes after it finds everything done.
-        assert process.returncode == 0 or (process.returncode == 2 and "another depthcli is writing there" in text)
-    assert any(process.returncode == 0 for process in started)
-    assert sample(tmp_path / "b", "-n", "4") == 0
-    assert _bytes(tmp_path / "a") == _bytes(tmp_path / "b")
 
 
 def test_kinect_scenes_that_are_too_narrow_are_refused(tmp_path, capsys):

@@ -1,17 +1,14 @@
 """Closed pipes, full disks, signals, odd names: the computation goes on, the exit code says what happened."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
-from tests.command_line import statuses
+from tests.command_line import start, statuses, wait_for
 
 pytestmark = [
     pytest.mark.slow,
@@ -69,11 +66,8 @@ def test_names_that_no_terminal_shows(made_scenes: Path, tmp_path: Path):
 def test_sigterm_ends_like_ctrl_c(made_scenes: Path, tmp_path: Path):
     for number in range(120):  # enough that the signal comes before the end
         shutil.copytree(made_scenes / "planes_0", tmp_path / "in" / str(number))
-    command = [*COMMAND, "-i", str(tmp_path / "in"), "-o", str(tmp_path / "r")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60
-    while not list((tmp_path / "r").glob("*/record.json")) and time.monotonic() < deadline:
-        time.sleep(0.002)
+    process = start("stereo", "opencv-bm", "-i", tmp_path / "in", "-o", tmp_path / "r")
+    wait_for(tmp_path / "r", 1, process)
     process.terminate()
     _, err = process.communicate(timeout=60)
     assert process.returncode == 143, err

@@ -1,35 +1,30 @@
-"""Sweeps from end to end, and --dry-run."""
-
-from __future__ import annotations
+"""Sweeps from end to end, their combinations and what their figures say, and --dry-run."""
 
 import csv
+import itertools
 import json
+import math
 from pathlib import Path
 
 import pytest
 
 from depthcli.cli import main
+from depthcli.commands._sweep_axes import combinations, effects, folder_names, parse_axes, value_text
+from depthcli.core.errors import ConfigError
 from depthcli.core.yaml_source import read_config
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.run.presets import find_config
+from tests.command_line import refused
 
 
-@pytest.fixture(scope="module")
-def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("sweep") / "set"
-    size = ("--width", "64", "--height", "40", "--max-disparity", "8")
-    assert main(["sample", "-o", str(folder), "-n", "2", *size, "-q"]) == 0
-    return folder
-
-
-def sweep(scenes: Path, output: Path, *more: str) -> int:
-    return main(["sweep", "fast", "-i", str(scenes), "-o", str(output), *more])
+def sweep(two_scenes: Path, output: Path, *more: str) -> int:
+    return main(["sweep", "fast", "-i", str(two_scenes), "-o", str(output), *more])
 
 
 @pytest.mark.slow
-def test_a_sweep_is_resumed_and_says_what_matters(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_sweep_is_resumed_and_says_what_matters(two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     over = ("--over", "optimization.p2=2,8", "--over", "cost.window=[5,5],[9,7]")
-    assert sweep(scenes, tmp_path, *over, "--html") == 0
+    assert sweep(two_scenes, tmp_path, *over, "--html") == 0
     out, err = capsys.readouterr()
     assert err.rstrip().endswith(f": {tmp_path / 'evaluation' / 'report.html'}")
     assert "Sensitivity, the strongest first" in out
@@ -57,48 +52,43 @@ def test_a_sweep_is_resumed_and_says_what_matters(scenes: Path, tmp_path: Path, 
         assert [row["run"] for row in csv.DictReader(file)] == [row["run"] for row in result["runs"]]
     assert (tmp_path / "evaluation" / "report.html").is_file()
     maps = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("disp_left.pfm")}
-    assert sweep(scenes, tmp_path, "--over", "optimization.p2=2,8,4", *over[2:], "--json") == 0
+    assert sweep(two_scenes, tmp_path, "--over", "optimization.p2=2,8,4", *over[2:], "--json") == 0
     captured = capsys.readouterr()
     assert not list(tmp_path.glob(".*"))
     assert len(json.loads(captured.out)["results"][0]["runs"]) == 7
     assert {path: path.stat().st_mtime_ns for path in maps} == maps
 
 
-def test_wrong_keys_are_told_before_anything_is_computed(
-    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    assert sweep(scenes, tmp_path / "a", "--over", "optimization.pp=2,8") == 2
+def test_wrong_keys_are_told_before_anything_is_computed(two_scenes: Path, tmp_path: Path, capsys):
+    assert sweep(two_scenes, tmp_path / "a", "--over", "optimization.pp=2,8") == 2
     assert "depthcli: --over optimization.pp: no such key" in capsys.readouterr().err
-    assert sweep(scenes, tmp_path / "a", "--over", "optimization.p2=2,-8") == 2
+    assert sweep(two_scenes, tmp_path / "a", "--over", "optimization.p2=2,-8") == 2
     assert "depthcli: --over optimization.p2: should be greater than 0 (got -8)" in capsys.readouterr().err
-    assert sweep(scenes, tmp_path / "a", "--over", "optimization.p2=2", "--command", "evaluate") == 2
+    assert sweep(two_scenes, tmp_path / "a", "--over", "optimization.p2=2", "--command", "evaluate") == 2
     assert "--command: must be one of stereo, fuse" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
 
 
-def test_draws_and_dry_runs(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_draws_and_dry_runs(two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     over = ("--over", "optimization.p2=1:9:1", "--over", "optimization.p1=0.1:0.9:0.1", "--random", "3", "--seed", "2")
-    assert sweep(scenes, tmp_path / "a", *over, "--dry-run", "--json") == 0
+    assert sweep(two_scenes, tmp_path / "a", *over, "--dry-run", "--json") == 0
     rows = json.loads(capsys.readouterr().out)["runs"]
     assert [(row["scenes"], row["done"]) for row in rows] == [(2, 0)] * 4
-    assert sweep(scenes, tmp_path / "a", *over, "--dry-run") == 0
+    assert sweep(two_scenes, tmp_path / "a", *over, "--dry-run") == 0
     assert rows[0]["run"] in capsys.readouterr().out
     assert not (tmp_path / "a").exists()
 
 
-def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(
-    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path, tmp_path: Path, capsys):
     output = tmp_path / "run"
-    command = ["stereo", "fast", "-i", str(scenes), "-o", str(output)]
+    command = ["stereo", "fast", "-i", str(two_scenes), "-o", str(output)]
     assert main([*command, "--dry-run"]) == 0
     out = capsys.readouterr().out
     assert "pipeline: local" in out
     assert "2 scenes: 2 to do" in out
     assert "MiB" in out
     assert not output.exists()
-    name = next(path.name for path in sorted(scenes.iterdir()) if path.is_dir())
-    assert main([*command, "--scenes", name, "-q"]) == 0
+    assert main([*command, "--scenes", "foreground_0", "-q"]) == 0
     assert main([*command, "--dry-run", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert [row["status"] for row in document["scenes"]] == ["done, kept", "to do"]
@@ -109,12 +99,12 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(
     assert len(capsys.readouterr().out.split()) == 1
 
 
-def test_dry_runs_of_commands_without_a_config(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_dry_runs_of_commands_without_a_config(two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     output = tmp_path / "out"
     assert main(["sample", "-o", str(output), "--dry-run"]) == 0
     assert "6 to do" in capsys.readouterr().out
     run = tmp_path / "run"
-    assert main(["stereo", "fast", "-i", str(scenes), "-o", str(run), "-q"]) == 0
+    assert main(["stereo", "fast", "-i", str(two_scenes), "-o", str(run), "-q"]) == 0
     assert main(["depth", str(run), "-o", str(output), "--dry-run"]) == 0
     out = capsys.readouterr().out
     assert "2 scenes: 2 cannot be used" in out
@@ -125,7 +115,7 @@ def test_dry_runs_of_commands_without_a_config(scenes: Path, tmp_path: Path, cap
     assert document["config"]["focal"] == 500
     assert [row["status"] for row in document["scenes"]] == ["to do"] * 2
     absent = str(tmp_path / "absent.yml")
-    command = ["rectify", "-i", str(scenes), "-o", str(output), "--dry-run"]
+    command = ["rectify", "-i", str(two_scenes), "-o", str(output), "--dry-run"]
     assert main([*command, "--calibration", absent]) == 0
     assert absent in capsys.readouterr().out
     assert main([*command, "--uncalibrated"]) == 0
@@ -144,15 +134,91 @@ def test_completion(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.slow
-def test_own_values_that_are_tried_anyway_are_marked(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    command = ["sweep", "opencv-bm", "-i", str(scenes), "-o", str(tmp_path), "--set", "block=7"]
+def test_own_values_that_are_tried_anyway_are_marked(two_scenes: Path, tmp_path: Path, capsys):
+    command = ["sweep", "opencv-bm", "-i", str(two_scenes), "-o", str(tmp_path), "--set", "block=7"]
     assert main([*command, "--over", "block=5,7"]) == 0
     out = capsys.readouterr().out
-    assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == ["block=5", "block=7"]
-    assert "block=7 *" in out
-    assert "block=5 *" not in out
+    assert "block=7 *" in out and "block=5 *" not in out
     with (tmp_path / "sweep.csv").open(newline="") as file:
-        assert {row["run"]: row["own_values"] for row in csv.DictReader(file)} == {
-            "block=5": "False",
-            "block=7": "True",
-        }
+        own = {row["run"]: row["own_values"] for row in csv.DictReader(file)}
+    assert own == {"block=5": "False", "block=7": "True"}
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("a.b=2,4,8", ("2", "4", "8")),
+        ("a=20:40:5", ("20", "25", "30", "35", "40")),
+        ("a=0.1:0.3:0.1", ("0.1", "0.2", "0.3")),
+        ("a=3:1:-1", ("3", "2", "1")),
+        ("a=0:1:0.4", ("0", "0.4", "0.8")),
+        ("a=100:300:100", ("100", "200", "300")),
+        ("a=[9,7],[11,9]", ("[9,7]", "[11,9]")),
+        ("a={method: census, window: [9, 7]}, zncc", ("{method: census, window: [9, 7]}", "zncc")),
+        ("a=true", ("true",)),
+    ],
+)
+def test_axes(text: str, values: tuple[str, ...]):
+    assert parse_axes([text]) == {text.partition("=")[0]: list(values)}
+
+
+@pytest.mark.parametrize("text", ["a", "=1", "a=", "a=1,,2", "a=2,2", "a=1:5:0", "a=5:1:1", "a=0:1:1e-9", "b=1"])
+def test_wrong_axes(text: str):
+    refused(ConfigError, "--over", parse_axes, ["b=1", text])
+
+
+AXES = {"x": ["1", "2", "3"], "y": ["a", "b"]}
+
+
+def test_all_combinations_and_draws():
+    every = combinations(AXES)
+    assert every == list(itertools.product("123", "ab"))
+    assert combinations(AXES, 6) == every
+    few, more = combinations(AXES, 2, seed=5), combinations(AXES, 4, seed=5)
+    assert len(set(few)) == 2
+    assert set(few) < set(more) < set(every)
+    assert combinations(AXES, 2, seed=5) == few
+    assert len({tuple(combinations(AXES, 3, seed)) for seed in range(20)}) > 3
+    huge = {name: list(map(str, range(100))) for name in "abcdef"}
+    assert len(set(combinations(huge, 10))) == 10
+    refused(ConfigError, "draw fewer", combinations, huge)
+
+
+def test_names_are_short_and_differ():
+    axes = {"cost.p": ("1", "2"), "optimization.p": ("[9, 7]", "[9 7]"), "a.window": ("x/y",)}
+    names = folder_names(axes, combinations(axes))
+    assert len(set(names)) == 4
+    assert names[0].startswith("cost.p=1,optimization.p=9-7,window=x-y-")
+    assert all(name == name.strip("./") and "/" not in name for name in names)
+    assert folder_names({"a.b": ["4"]}, [("4",)]) == ["b=4"]
+    long = {"k": ("v" * 200, "w" * 200)}
+    assert all(len(name) <= 120 for name in folder_names(long, combinations(long)))
+
+
+def test_effects_against_numpy_free_arithmetic():
+    # figure = 10 x + y exactly: the keys explain 1200/1204 and ... of the variance, together all of it
+    figures = {(x, y): 10.0 * int(x) + (y == "b") for x, y in combinations(AXES)}
+    first, second = effects(AXES, figures)
+    assert (first["key"], first["spread"], second["key"], second["spread"]) == ("x", 20.0, "y", 1.0)
+    means = {"1": (10.5, 10.0), "2": (20.5, 20.0), "3": (30.5, 30.0)}
+    assert {row["value"]: (row["mean"], row["best"]) for row in first["values"]} == means
+    assert [row["runs"] for row in second["values"]] == [3, 3]
+    assert first["share_of_variance"] + second["share_of_variance"] == pytest.approx(1)
+    assert second["share_of_variance"] == pytest.approx(1.5 / (400 + 1.5), rel=1e-6)
+    assert [row["best"] for row in effects(AXES, figures, larger_is_better=True)[0]["values"]] == [11.0, 21.0, 31.0]
+
+
+def test_effects_without_figures():
+    holes = dict.fromkeys(combinations(AXES), math.nan)
+    assert all(math.isnan(effect["spread"]) and not effect["values"] for effect in effects(AXES, holes))
+    holes["1", "a"] = holes["2", "a"] = 3.0
+    first = next(effect for effect in effects(AXES, holes) if effect["key"] == "x")
+    assert ([row["mean"] for row in first["values"]], first["spread"]) == ([3.0, 3.0], 0.0)
+    assert math.isnan(first["share_of_variance"])
+
+
+def test_values_of_a_config_as_texts():
+    config = {"a": {"b": [9, 7], "c": None}, "d": 0.5, "e": "mean", "f": [{"g": True}]}
+    texts = {"a.b": "[9,7]", "a.b.1": "7", "a.c": "null", "d": "0.5", "e": "mean", "f.0.g": "true"}
+    assert {key: value_text(config, key) for key in texts} == texts
+    assert [value_text(config, key) for key in ("x", "a.b.2", "d.y", "a.b.c")] == [""] * 4

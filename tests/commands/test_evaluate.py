@@ -1,7 +1,5 @@
 """The evaluation job: files in, tables, scores, pictures and reasons out."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import json
@@ -29,6 +27,7 @@ from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
 from depthcli.run.records import Record, write_record
+from tests.command_line import contents, refused
 from tests.scenes import true
 
 SHAPE = (24, 32)
@@ -169,8 +168,7 @@ def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
     assert "meta.json" in report.failed[0].error
     assert bad(report.results[1]) == 0
     (truth / "b" / "meta.json").write_text("[]")
-    with pytest.raises(InputError, match=r"meta\.json"):
-        evaluated([run], truth, tmp_path / "out")
+    refused(InputError, r"meta\.json", evaluated, [run], truth, tmp_path / "out")
 
 
 @pytest.mark.slow
@@ -218,14 +216,11 @@ def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path, truth: Path):
     seen = []
     for _ in range(2):
         evaluated([run], truth, tmp_path / "out")
-        seen.append({p.relative_to(tmp_path): p.read_bytes() for p in (tmp_path / "out").rglob("*") if p.is_file()})
+        seen.append(contents(tmp_path / "out") | {"record.json": (tmp_path / "out" / "record.json").read_bytes()})
         shutil.rmtree(tmp_path / "out")
-    files = seen[0]
-    assert files == seen[1]
-    assert {str(p.relative_to("out")) for p in files} == {
-        "record.json", "report.md", "scores.csv", "scores.json", "errors/run/a.png",
-        "errors/run/b.png",
-    }  # fmt: skip
+    assert seen[0] == seen[1]
+    tables = {"record.json", "report.md", "scores.csv", "scores.json"}
+    assert set(seen[0]) == {*tables, "errors/run/a.png", "errors/run/b.png"}
 
 
 def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, truth: Path, monkeypatch, capsys):
@@ -236,14 +231,11 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
     (out / "notes.txt").write_text("mine")
     other = run_of(tmp_path / "other", {"a": exact(truth), "b": exact(truth)})
     evaluated([other], truth, out)
-    assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == [
-        "errors/other/a.png", "errors/other/b.png", "notes.txt", "record.json", "report.md",
-        "scores.csv", "scores.json",
-    ]  # fmt: skip
+    left = {"errors/other/a.png", "errors/other/b.png", "notes.txt", "report.md", "scores.csv", "scores.json"}
+    assert set(contents(out)) == left
     (out / "errors/run").mkdir()
     (out / "errors/run/a.png").write_text("mine")  # beside a record: found when results are moved in
-    with pytest.raises(OutputError, match=r"errors/run/a\.png would be replaced"):
-        evaluated([run], truth, out)
+    refused(OutputError, r"errors/run/a\.png would be replaced", evaluated, [run], truth, out)
     assert (out / "errors/other/a.png").is_file()
     assert not list(out.glob(".partial*"))
 
@@ -254,21 +246,18 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
         place.write_text("mine")
         assert main(["evaluate", str(run), "--truth", str(truth), "-o", str(tmp_path / "mine")]) == 2
         assert f"{name} would be replaced, but no record" in capsys.readouterr().err
-        assert [p.read_text() for p in (tmp_path / "mine").rglob("*") if p.is_file()] == ["mine"]
+        assert contents(tmp_path / "mine") == {name: b"mine"}
         shutil.rmtree(tmp_path / "mine")
     write_record(run, Record("", "another", {}, {}, {}))
-    with pytest.raises(ConfigError, match="holds results of another command"):
-        evaluated([run], truth, run)
+    refused(ConfigError, "holds results of another command", evaluated, [run], truth, run)
 
 
 def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
     for runs, message in (([], "no run"), ([tmp_path / "absent"], "no such folder"), ([truth, truth], "given twice")):
-        with pytest.raises(InputError, match=message):
-            evaluated(runs, truth, tmp_path / "out")
+        refused(InputError, message, evaluated, runs, truth, tmp_path / "out")
     for name in ("a", "b"):
         (truth / name / "disp_left.png").unlink()
-    with pytest.raises(InputError, match="ground truth"):
-        evaluated([tmp_path], truth, tmp_path / "out")
+    refused(InputError, "ground truth", evaluated, [tmp_path], truth, tmp_path / "out")
 
 
 @pytest.mark.slow
@@ -354,8 +343,7 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
     assert (bad(plain.results[0]), bad(plain.results[0], threshold=3)) == (100, 0)
     (failed,) = evaluated([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed
     assert "8-bit disparities need a scale" in failed.error
-    with pytest.raises(InputError, match="a single map needs a single scene"):
-        evaluated([tmp_path / "m.pfm"], truth, None)
+    refused(InputError, "a single map needs a single scene", evaluated, [tmp_path / "m.pfm"], truth, None)
     single = truth / "a" / "disp_left.png"
     assert main(["evaluate", str(tmp_path / "m.pfm"), "--truth", str(single), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
@@ -402,9 +390,7 @@ def others(folder: Path, truth: Path, place: str) -> Path:
         ("{scene}_disp.png", ["--scale", "other=100"]),
     ],
 )
-def test_maps_under_any_name(
-    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str], place: str, options: list[str]
-):
+def test_maps_under_any_name(tmp_path: Path, truth: Path, capsys, place: str, options: list[str]):
     folder = others(tmp_path / "x", truth, place)
     line = ["evaluate", f"other={folder}", "--truth", str(truth), "--protocol", "eth3d", "--json", *options]
 
@@ -437,9 +423,7 @@ def test_each_run_has_its_own_scale_and_invalid_value(tmp_path: Path, truth: Pat
     assert (found["p", "coverage"], found["c", "coverage"]) == (100, 75)
 
 
-def test_a_folder_with_several_kinds_of_maps_is_refused(
-    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_a_folder_with_several_kinds_of_maps_is_refused(tmp_path: Path, truth: Path, capsys):
     folder = others(tmp_path / "x", truth, "{scene}/first.tiff")
     others(folder, truth, "{scene}/confidence.pfm")  # named as something else
     assert main(["evaluate", str(folder), "--truth", str(truth), "-q"]) == 0
@@ -464,9 +448,7 @@ def test_a_folder_with_several_kinds_of_maps_is_refused(
         (["--invalid", "1", "--invalid", "2"], "--invalid: two values for all runs"),
     ],
 )
-def test_wrong_options_of_maps(
-    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
-):
+def test_wrong_options_of_maps(tmp_path: Path, truth: Path, capsys, options: list[str], message: str):
     folder = others(tmp_path / "x", truth, "{scene}.pfm")
     assert main(["evaluate", str(folder), "--truth", str(truth), *options]) == 2
     assert message in capsys.readouterr().err
@@ -513,9 +495,7 @@ def test_no_mean_is_over_several_data_sets(tmp_path: Path, truth: Path):
     assert {h["scenes"] for h in report.to_dict()["headlines"] if h["data_set"] == "one"} == {2}
 
 
-def test_the_terminal_shows_the_headline_within_100_columns(
-    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_the_terminal_shows_the_headline_within_100_columns(tmp_path: Path, truth: Path, capsys):
     rng = np.random.default_rng(0)
     for name in "cdefgh":
         shutil.copytree(truth / "a", truth / name)

@@ -1,7 +1,5 @@
 """Archives for the benchmarks: layouts, contents, and every reason to refuse."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from collections.abc import Callable, Iterable
@@ -125,9 +123,8 @@ def test_eth3d_and_maps_of_other_programs(tmp_path: Path, capsys: pytest.Capture
     for scene in ETH.scenes[TEST]:
         write_pfm(run / "low_res_two_view" / f"{scene}.pfm", np.full((3, 30), 7, np.float32))
     assert export(run, "eth3d", tmp_path / "a.zip") == 2
-    assert (
-        "tunnel_1l: no run time: the run has no report of this scene; say it with --seconds" in capsys.readouterr().err
-    )
+    err = capsys.readouterr().err
+    assert "tunnel_1l: no run time" in err and "--seconds" in err
     assert export(run, "eth3d", tmp_path / "a.zip", "--seconds", "0.5") == 0
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
         assert len(archive.namelist()) == 40

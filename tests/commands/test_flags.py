@@ -1,6 +1,4 @@
-"""``--flag`` and ``--fail-flagged``: tables, JSON, the page, and exit codes."""
-
-from __future__ import annotations
+"""``--flag`` and ``--fail-flagged``: what conditions mean, tables, JSON, the page, and exit codes."""
 
 import json
 import re
@@ -10,21 +8,17 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.core.errors import ConfigError
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.volumes import read_volume, write_array
+from depthcli.run.console import Reporter
+from depthcli.run.flags import conditions_of, flag_rows, plain_name
+from tests.command_line import refused
 
 
-@pytest.fixture(scope="module")
-def scenes(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("flags") / "scenes"
-    size = ["--width", "120", "--height", "90", "--max-disparity", "16", "-q"]
-    assert main(["sample", "-o", str(folder), "-n", "2", *size]) == 0
-    return folder
-
-
-def test_runs_say_which_scenes_are_flagged(scenes, tmp_path, capsys):
-    command = ["stereo", "fast", "-i", str(scenes), "-o", str(tmp_path / "run"), "--flag", "measured<2"]
+def test_runs_say_which_scenes_are_flagged(two_scenes, tmp_path, capsys):
+    command = ["stereo", "fast", "-i", str(two_scenes), "-o", str(tmp_path / "run"), "--flag", "measured<2"]
     assert main([*command, "--fail-flagged"]) == 4
     out = capsys.readouterr().out
     assert "flagged: 2 of 2" in out and re.search(r"planes_0 +measured 0\.\d+ < 2", out)
@@ -37,10 +31,11 @@ def test_runs_say_which_scenes_are_flagged(scenes, tmp_path, capsys):
     assert "flagged: none of 2" in capsys.readouterr().out
 
 
-def test_scores_flag_scenes_in_tables_json_and_page(scenes, tmp_path, capsys):
+def test_scores_flag_scenes_in_tables_json_and_page(two_scenes, tmp_path, capsys):
     run = tmp_path / "run"
-    assert main(["stereo", "fast", "-i", str(scenes), "-o", str(run), "-q"]) == 0
-    command = ["evaluate", f"mine={run}", "--truth", str(scenes), "--flag", "bad 1.0 all>=0", "--flag", "measured<0"]
+    assert main(["stereo", "fast", "-i", str(two_scenes), "-o", str(run), "-q"]) == 0
+    flags = ["--flag", "bad 1.0 all>=0", "--flag", "measured<0"]
+    command = ["evaluate", f"mine={run}", "--truth", str(two_scenes), *flags]
     assert main([*command, "-o", str(tmp_path / "scores"), "--html", "--fail-flagged"]) == 4
     assert re.search(r"planes_0 +mine +bad 1 all \S+ >= 0", capsys.readouterr().out)
     page = (tmp_path / "scores" / "report.html").read_text("utf-8")
@@ -51,7 +46,7 @@ def test_scores_flag_scenes_in_tables_json_and_page(scenes, tmp_path, capsys):
     bad = {r["scene"]: next(s["value"] for s in r["scores"] if s["threshold"] == 1) for r in scores}
     middle = sum(bad.values()) / 2
     for scene in ("foreground_0", "planes_0"):  # the flagged one begins the page
-        words = ["evaluate", str(run), "--truth", str(scenes), "-o", str(tmp_path / scene), "--html", "-q"]
+        words = ["evaluate", str(run), "--truth", str(two_scenes), "-o", str(tmp_path / scene), "--html", "-q"]
         limit = f"{'<' if bad[scene] < middle else '>'}{middle}"
         assert main([*words, "--flag", f"bad 1{limit}"]) == 0
         page = (tmp_path / scene / "report.html").read_text("utf-8")
@@ -61,30 +56,26 @@ def test_scores_flag_scenes_in_tables_json_and_page(scenes, tmp_path, capsys):
     assert "flagged" not in json.loads(capsys.readouterr().out)
 
 
-def test_thresholds_of_smaller_images_are_named_by_those_of_the_full_size(scenes, tmp_path, capsys):
+def test_thresholds_of_smaller_images_are_named_by_those_of_the_full_size(two_scenes, tmp_path, capsys):
     truth = tmp_path / "truth"
     camera = "[100 0 60; 0 100 45; 0 0 1]"
-    calibration = f"cam0={camera}\ncam1={camera}\ndoffs=0\nbaseline=100\nwidth=120\nheight=90\nndisp=16\n"
-    for scene in ("planes_0", "foreground_0"):
-        (truth / scene).mkdir(parents=True)
-        write_pfm(truth / scene / "disp0GT.pfm", np.full((90, 120), 4, np.float32))
+    calibration = f"cam0={camera}\ncam1={camera}\ndoffs=0\nbaseline=100\nwidth=96\nheight=64\nndisp=16\n"
+    for scene, value in (("planes_0", 4), ("foreground_0", 9)):
+        write_pfm(truth / scene / "disp0GT.pfm", np.full((64, 96), 4, np.float32))
         for name, file in (("im0.png", "left.png"), ("im1.png", "right.png")):
-            (truth / scene / name).write_bytes((scenes / scene / file).read_bytes())
+            shutil.copy(two_scenes / scene / file, truth / scene / name)
         (truth / scene / "calib.txt").write_text(calibration)
-        write_pfm(tmp_path / "run" / f"{scene}.pfm", np.full((90, 120), 4 if scene == "planes_0" else 9, np.float32))
-    command = ["evaluate", str(tmp_path / "run"), "--truth", str(truth), "-o", str(tmp_path / "out")]
-    assert (
-        main([*command, "--flag", "bad 2 all>10", "--flag", "totbad 2>10", "--resolution", "H", "--fail-flagged"]) == 4
-    )
+        write_pfm(tmp_path / "run" / f"{scene}.pfm", np.full((64, 96), value, np.float32))
+    command = ["evaluate", str(tmp_path / "run"), "--truth", str(truth), "-o", str(tmp_path / "out"), "--fail-flagged"]
+    assert main([*command, "--flag", "bad 2 all>10", "--flag", "totbad 2>10", "--resolution", "H"]) == 4
     out = capsys.readouterr().out
     assert re.search(r"foreground_0 +run +bad 2 all 100 > 10; totbad 2 100 > 10", out)
     assert "bad 2 (1)" in (tmp_path / "out" / "report.md").read_text()
 
 
 @pytest.fixture
-def pairs(tmp_path):
-    assert main(["sample", "--registration", "-o", str(tmp_path / "in"), "-n", "2", "-q"]) == 0
-    return tmp_path / "in"
+def pairs(made_volumes, tmp_path):
+    return shutil.copytree(made_volumes, tmp_path / "in")
 
 
 def measure(pairs, *words):
@@ -155,15 +146,72 @@ def test_wrong_conditions_are_refused_before_anything_is_read(tmp_path, capsys, 
     assert err.count("\n") == 1 and "--flag" in err and not (tmp_path / "run").exists()
 
 
-def test_a_condition_without_any_value_does_not_pass(scenes, tmp_path, capsys):
-    command = ["stereo", "fast", "-i", str(scenes), "-o", str(tmp_path / "run"), "-q", "--flag", "measred<5"]
+def test_a_condition_without_any_value_does_not_pass(two_scenes, tmp_path, capsys):
+    command = ["stereo", "fast", "-i", str(two_scenes), "-o", str(tmp_path / "run"), "-q", "--flag", "measred<5"]
     assert main(command) == 0
     assert main([*command, "--fail-flagged"]) == 4
     assert capsys.readouterr().err.count("did you mean 'measured'") == 2
 
 
-def test_failed_scenes_come_before_flagged_ones_in_the_exit_code(scenes, tmp_path):
-    shutil.copytree(scenes, tmp_path / "in")
+def test_failed_scenes_come_before_flagged_ones_in_the_exit_code(two_scenes, tmp_path):
+    shutil.copytree(two_scenes, tmp_path / "in")
     (tmp_path / "in" / "planes_0" / "left.png").write_bytes(b"no image")
     command = ["stereo", "fast", "-i", str(tmp_path / "in"), "-o", str(tmp_path / "run"), "--flag", "measured<2"]
     assert main([*command, "--fail-flagged"]) == 3
+
+
+ROWS = [
+    {"scene": "a", "measured": 0.4, "status": "done", "bad 1": 3.0, "bad 1 all": 9.0, "seconds": {"x": 1.0, "y": 2.0}},
+    {"scene": "b", "measured": 0.6, "status": "failed", "bad 1": 5.0, "peak_memory": 7},
+    {"scene": "c", "measured": float("nan"), "status": "done"},
+]
+
+
+def flagged(*texts):
+    flags = flag_rows(conditions_of(texts, False), ROWS, Reporter())
+    return [(each.scene, list(each.reasons)) for each in flags.flagged]
+
+
+@pytest.mark.parametrize(
+    ("text", "scenes"),
+    [
+        ("measured<0.6", ["a"]),
+        (" measured <= .6", ["a", "b"]),
+        ("measured>0.5", ["b"]),
+        ("measured = 0.6", ["b"]),
+        ("measured!=0.6", ["a"]),
+        ("bad 1.0>3", ["b"]),
+        ("bad  1 all>=9", ["a"]),
+        ("memory>5", ["b"]),
+        ("seconds>2.5", ["a"]),
+        ("measured<-1e3", []),
+    ],
+)
+def test_a_condition_flags_the_rows_that_it_holds_for(text, scenes):
+    assert [scene for scene, _ in flagged(text)] == scenes
+
+
+def test_rows_with_more_reasons_come_first_then_those_farthest_beyond_the_limit():
+    assert flagged("measured<1", "bad 1>4") == [("b", ["measured 0.6 < 1", "bad 1 5 > 4"]), ("a", ["measured 0.4 < 1"])]
+    assert [scene for scene, _ in flagged("measured<1")] == ["a", "b"]
+
+
+def test_rows_without_a_value_are_not_flagged_but_counted(capsys):
+    assert [scene for scene, _ in flagged("measured<1", "bad 2>0")] == ["a", "b"]
+    err = capsys.readouterr().err
+    assert "1 of 3 rows" in err and "no row has a value for 'bad 2'; did you mean 'bad 1'?" in err
+
+
+@pytest.mark.parametrize("text", ["measured", "measured<", "", "measured<much", "measured=>0.5", "measured<nan"])
+def test_wrong_conditions_are_refused_in_one_line(text):
+    refused(ConfigError, "--flag", conditions_of, [text], False)
+
+
+def test_table_and_json():
+    rows = [{"scene": "a", "run": "x", "bad 1": 3.0}, {"scene": "b", "run": "long", "bad 1": 2.5}]
+    flags = flag_rows(conditions_of(["bad 1>2"], False), rows, Reporter())
+    assert flags.text().splitlines()[1:3] == ["flagged: 2 of 2", "scene  run   why"]
+    assert [each["run"] for each in flags.to_dict()["flagged"]] == ["x", "long"]
+    nothing = flag_rows([], rows, Reporter())
+    assert nothing.to_dict() == {} and "none of 2" in nothing.text()
+    assert plain_name(" bad  1.0  nonocc ") == "bad 1 nonocc"

@@ -8,8 +8,9 @@ from depthcli.io.scenes import Scene
 from tests.scenes import load
 
 
-def check_layout(layout: Layout, folder: Path) -> None:
-    """Assert that a layout finds usable scenes in a folder of its own, or in those in it, and no other layout does."""
+def check_layout(name: str, folder: Path) -> None:
+    """Assert that the layout, and no other, finds usable scenes in a folder of its own, or in those in it."""
+    (layout,) = (each for each in ALL_KINDS.rows if each.name == name)
     holding = [each for each in (folder, *sorted(folder.iterdir())) if each.is_dir() and _scenes(layout, each)]
     found = [scene for each in holding for scene in _scenes(layout, each)]
     assert found and len({scene.name for scene in found}) == len(found)

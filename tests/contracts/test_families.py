@@ -36,7 +36,7 @@ def test_methods(package: str, name: str, check: Callable[[Any], None]):
 
 
 def test_layout_of_our_own_scenes(made_scenes: Path):
-    check_layout(next(each for each in ALL_KINDS.rows if each.name == "scenes"), made_scenes)
+    check_layout("scenes", made_scenes)
 
 
 @pytest.mark.parametrize("name", ["stereo", "kinect", "cross_modal", "registration"])

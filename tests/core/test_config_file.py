@@ -1,21 +1,22 @@
-"""Configs: where each mistake stands, ``--set``, a config over another one, and the text of a resolved one."""
+"""Configs: where each mistake stands, ``--set``, a config over another one, the text of a resolved one, bounds."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError
+from depthcli.core.method import Family
 from depthcli.core.root_config import RootConfig
 from depthcli.core.yaml_source import parse_config, read_config
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.config import StereoConfig
+from tests.command_line import refused
 from tests.core.toys import AnyToy
 
 
@@ -94,8 +95,7 @@ def test_files_that_are_no_text(data: bytes | None, tmp_path: Path):
     file = tmp_path / "c.yaml"
     if data is not None:
         file.write_bytes(data)
-    with pytest.raises(ConfigError, match=r"c\.yaml(:1)?: (not UTF-8|larger than 1 MiB|cannot be read)"):
-        read_config(file)
+    refused(ConfigError, r"c\.yaml(:1)?: (not UTF-8|larger than 1 MiB|cannot be read)", read_config, file)
 
 
 def test_anchors_merge_keys_and_numbers_without_a_dot():
@@ -216,3 +216,28 @@ def test_the_field_s_abbreviations_are_names(tmp_path: Path):
     assert [step["method"] for step in dumped["refinement"]] == ["left_right_check", "median"]
     assert dumped["confidence"] == ["pkr", "lrc"]
     assert load_config(StereoConfig, tmp_path / "b.yaml").model_dump()["pipeline"] == "opencv_sgbm"
+
+
+STEREO = [f"methods.stereo.{stage}" for stage in ("cost", "aggregation", "optimization", "refinement", "pipeline")]
+FAMILIES = (*STEREO, "algorithms.keypoints", "algorithms.segmentation")
+METHODS = [f.load(n) for f in (Family.of(f"depthcli.{each}") for each in FAMILIES) for n in f.names()]
+MODELS: list[type[BaseModel]] = [*METHODS, FuseConfig, StereoConfig]
+
+
+def unbounded(schema: Any, path: str) -> Iterator[str]:
+    if isinstance(schema, list):
+        for scene in schema:
+            yield from unbounded(scene, path)
+    if not isinstance(schema, dict):
+        return
+    if schema.get("type") in ("integer", "number") and "enum" not in schema and "const" not in schema:
+        low, high = ({"minimum", "exclusiveMinimum"} & set(schema), {"maximum", "exclusiveMaximum"} & set(schema))
+        if not (low and high):
+            yield path
+    for key, value in schema.items():
+        yield from unbounded(value, path if key in ("anyOf", "properties", "$defs", "items") else f"{path}.{key}")
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
+def test_every_number_has_bounds(model: type[BaseModel]):
+    assert not list(unbounded(model.model_json_schema(mode="validation"), model.__name__))

@@ -1,16 +1,15 @@
 """The pool of work arrays: recycled, never shared."""
 
-from __future__ import annotations
-
 import gc
 import itertools
-import threading
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import pytest
 
 from depthcli.core import memory
+from tests.command_line import in_threads
 
 MEBI = 1 << 20
 
@@ -89,9 +88,5 @@ def test_threads_never_get_the_same_memory():
                 if not np.all(array[::4096] == mark + k):
                     wrong.append(mark)
 
-    threads = [threading.Thread(target=work, args=(10 * k,)) for k in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    in_threads([partial(work, 10 * k) for k in range(8)])
     assert not wrong

@@ -1,10 +1,9 @@
 """Plug-ins of files and of installed packages: how they are found, what is said of bad ones, what runs record."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -19,13 +18,14 @@ from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.method import Family, used_plugins
 from depthcli.core.yaml_source import parse_config
+from depthcli.evaluation import protocols
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.run import presets
+from tests.command_line import refused
 
-pytestmark = pytest.mark.usefixtures("forget_plugins")
 COSTS = Family.of("depthcli.methods.stereo.cost")
 
 FILE = '''
@@ -118,6 +118,21 @@ SUBCLASSES = (
 )
 
 
+@pytest.fixture(autouse=True)
+def _forget_plugins(monkeypatch: pytest.MonkeyPatch):
+    """Leave no plug-in behind for other tests."""
+    for name in ("_file_plugins", "_plugin_by_class"):
+        monkeypatch.setattr(registry, name, {})
+    monkeypatch.setenv("DEPTHCLI_PLUGIN_FILES", "")
+    registry._installed.cache_clear()
+    protocols.load.cache_clear()
+    yield
+    protocols.load.cache_clear()
+    registry._installed.cache_clear()
+    for name in [name for name in sys.modules if name.startswith(("depthcli_plugin_", "strange_"))]:
+        del sys.modules[name]
+
+
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     path = tmp_path / "mine.py"
@@ -127,11 +142,9 @@ def file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def scenes(tmp_path: Path) -> Path:
+def scenes(two_scenes: Path, tmp_path: Path) -> Path:
     """Two scenes, the truth of one of them in the plug-in's format."""
-    folder = tmp_path / "scenes"
-    size = ["--width", "64", "--height", "48", "--max-disparity", "12", "-q"]
-    assert main(["sample", "-n", "2", "-o", str(folder), *size]) == 0
+    folder = shutil.copytree(two_scenes, tmp_path / "scenes")
     truth = next(folder.rglob("disp_left.pfm"))
     np.savetxt(truth.with_suffix(".numbers"), read_pfm(truth))
     truth.unlink()
@@ -179,8 +192,7 @@ def test_a_mistake_names_the_plugin_s_keys_and_methods(file: Path):
         ("cost: census\nconfidence: [pkrr]", r"no confidence measure called 'pkrr'; did you mean 'pkrn?'\?; one of: "),
         ("cost: {method: wide_census, windw: 3}", r"cost\.windw: no such key .*did you mean 'window'"),
     ):
-        with pytest.raises(ConfigError, match=said):
-            load_config(StereoConfig, parse_config(f"pipeline: local\n{text}\n", "x"))
+        refused(ConfigError, said, load_config, StereoConfig, parse_config(f"pipeline: local\n{text}\n", "x"))
 
 
 def test_a_command_of_a_file(file: Path, capsys: pytest.CaptureFixture[str]):
@@ -205,8 +217,7 @@ def test_a_file_that_is_no_plugin(text: str | None, said: str, tmp_path: Path):
     path = tmp_path / "mine.py"
     if text is not None:
         path.write_text(text)
-    with pytest.raises(ConfigError, match=said):
-        registry.load_file(path)
+    refused(ConfigError, said, registry.load_file, path)
     assert not os.environ["DEPTHCLI_PLUGIN_FILES"]
     path.write_text(FILE)
     registry.load_file(path)  # mended, in the same process
@@ -234,8 +245,7 @@ def test_a_broken_package_costs_a_warning(
     install(tmp_path, monkeypatch, "strange", entries, "import nowhere_at_all\n")
     with pytest.warns(registry.PluginWarning, match=r"bow of strange 1\.2 cannot be loaded: ModuleNotFound"):
         assert "bow" not in COSTS.names()
-    with pytest.raises(ConfigError, match="bow of strange"):
-        COSTS.parse("bow")
+    refused(ConfigError, "bow of strange", COSTS.parse, "bow")
     with pytest.warns(registry.PluginWarning, match="bow of strange"):
         assert ALL_KINDS.with_plugins() == ALL_KINDS
     assert main(["--help"]) == 0
@@ -276,7 +286,7 @@ def test_a_run_records_its_plugins(file: Path, scenes: Path, tmp_path: Path, cap
     run = ["stereo", str(config), "-i", str(scenes), "-o", str(out), "--layout", "my-layout", "--jobs", "2"]
     run += ["--plugin", str(file)]
     assert main([*run, "--evaluate", "-q"]) == 0
-    assert read_pfm(next(out.rglob("confidence_my_measure.pfm"))).shape == (48, 64)
+    assert read_pfm(next(out.rglob("confidence_my_measure.pfm"))).shape == (64, 96)
     scores = json.loads((out / "evaluation" / "scores.json").read_text())
     assert {result["protocol"] for result in scores["results"]} == {"my-protocol"}
     assert len(scores["plugins"]["mine.py"]) == 12
@@ -299,7 +309,7 @@ def test_layouts_and_formats_are_recorded_where_they_are_used(file: Path, scenes
     assert "\n    mine.py: " in (tmp_path / "other" / "run.yaml").read_text()
     (tmp_path / "numbers").mkdir()
     name = next(path.parent.name for path in scenes.rglob("disp_left.pfm"))
-    np.savetxt(tmp_path / "numbers" / f"{name}.numbers", np.full((48, 64), 5))
+    np.savetxt(tmp_path / "numbers" / f"{name}.numbers", np.full((64, 96), 5))
     out = tmp_path / "scores"
     of = ["evaluate", str(tmp_path / "numbers"), "--truth", str(scenes), "--scenes", name, "-o", str(out)]
     assert main([*of, "-q", "--plugin", str(file)]) == 0
@@ -314,15 +324,13 @@ def test_maps_of_a_format_are_read_everywhere(file: Path, tmp_path: Path):
         np.testing.assert_array_equal(read(path), np.array([[1.5, np.nan], [2, np.nan]], np.float32))
     for text in ("1 2\n3\n", "one"):
         path.write_text(text)
-        with pytest.raises(InputError, match=r"a\.numbers: cannot be read as my_text"):
-            read_plane(path)
+        refused(InputError, r"a\.numbers: cannot be read as my_text", read_plane, path)
 
 
 def test_a_format_cannot_take_an_ending_of_ours(tmp_path: Path):
     path = tmp_path / "bad.py"
     path.write_text(FILE.replace(".numbers", ".png"))
-    with pytest.raises(ConfigError, match=r"bad\.py:\d+: .*\.png is read by depthcli itself"):
-        registry.load_file(path)
+    refused(ConfigError, r"bad\.py:\d+: .*\.png is read by depthcli itself", registry.load_file, path)
 
 
 def test_a_config_names_its_plugins(file: Path, tmp_path: Path):

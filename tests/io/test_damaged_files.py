@@ -1,17 +1,23 @@
-"""Damaged files: pixels or an InputError in one line, and silence on stderr."""
+"""Bad files: pixels or an InputError in one printable line, silence on stderr, and no hang."""
 
-from __future__ import annotations
-
+import os
+import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from depthcli.core.errors import InputError
-from depthcli.io.formats.calibrations import read_rig
-from depthcli.io.formats.disparity import read_plane
-from depthcli.io.formats.images import image_size, read_image
+from depthcli.core.errors import DepthcliError, InputError
+from depthcli.io.formats.calibrations import read_geometry, read_rig
+from depthcli.io.formats.disparity import map_npy, read_plane
+from depthcli.io.formats.files import read_bytes, shown
+from depthcli.io.formats.images import image_size, read_image, write_png
+from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.named_files import scenes_of_table
+from depthcli.io.scenes import StereoScene
+from depthcli.io.walk import chosen_scenes, discover_scenes
 from tests import damage
+from tests.command_line import refused
 
 FILES = {name: data for name, data in damage.originals().items() if not name.endswith((".pfm", ".npy"))}
 ROUNDS = 60
@@ -80,3 +86,118 @@ def test_odd_values_in_calibrations_are_refused_in_a_line(tmp_path: Path, value)
             assert str(path) in str(error)
             assert str(error).isprintable()
             assert len(str(error)) < 600
+
+
+def map_costs(path):
+    """Costs of a volume made elsewhere."""
+    return map_npy(path, 3)
+
+
+READERS = [read_bytes, read_image, map_costs, image_size]
+
+
+def told(read, path) -> str:
+    with pytest.raises(InputError) as caught:
+        read(path)
+    message = str(caught.value)
+    assert message.isprintable()  # and on one line
+    message.encode("utf-8")
+    assert len(message) < 700
+    return message
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_only_regular_files_are_opened(tmp_path: Path, read):
+    os.mkfifo(tmp_path / "pipe.png")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(os.path.relpath(tmp_path / "socket.png"))
+        assert "socket" in told(read, tmp_path / "socket.png")
+    assert "pipe" in told(read, tmp_path / "pipe.png")
+    assert "folder" in told(read, tmp_path)
+    for device in ("/dev/zero", "/dev/full", "/dev/null"):
+        assert "device" in told(read, device)
+    (tmp_path / "link.png").symlink_to("/dev/zero")
+    assert "device" in told(read, tmp_path / "link.png")
+    (tmp_path / "loop.png").symlink_to("loop.png")
+    assert "loop.png" in told(read, tmp_path / "loop.png")
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("name", [
+    os.fsdecode(b"caf\xe9.png"), "\ud800.png", "a\0b.png", "n" * 300, "d/" * 3000, "two\nlines\x1b[31m.png",
+    "\u202ex.png", "",
+])  # fmt: skip
+def test_names_that_cannot_be_are_told_in_printable_words(tmp_path: Path, read, name):
+    told(read, f"{tmp_path}/{name}/x.png")
+
+
+def test_a_name_that_is_not_utf8_is_read(tmp_path: Path):
+    path = tmp_path / os.fsdecode(b"caf\xe9\n.bin")
+    path.write_bytes(b"abc")
+    assert read_bytes(path) == b"abc"
+    assert shown(path) == f"{tmp_path}/caf\\xe9\\n.bin"
+    assert shown("\xfcber/日本.png") == "\xfcber/日本.png"
+    assert str(DepthcliError(f"{path}\n\ud800")) == f"{tmp_path}/caf\\xe9\n.bin\n\\ud800"
+
+
+@pytest.mark.skipif(hasattr(os, "getuid") and os.getuid() == 0, reason="root reads everything")
+def test_what_may_not_be_read(tmp_path: Path):
+    folder = tmp_path / "closed"
+    folder.mkdir(mode=0o000)
+    assert "Permission" in told(read_bytes, folder / "x.png")
+    folder.chmod(0o700)
+
+
+def test_size_is_limited_before_reading(tmp_path: Path):
+    path = tmp_path / "huge.png"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)  # sparse
+    assert "want at most" in told(read_bytes, path)
+    (tmp_path / "small").write_bytes(bytes(11))
+    with pytest.raises(InputError, match="11 bytes, want at most 10"):
+        read_bytes(tmp_path / "small", max_bytes=10)
+    assert len(read_bytes(tmp_path / "small", max_bytes=11)) == 11
+    if Path("/proc/self/pagemap").exists():  # a regular file of size 0 that never ends
+        assert "grew" in told(read_bytes, "/proc/self/pagemap")
+
+
+IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
+HUGE = ["1e305", "1e999", "9" * 400, "9" * 5000]
+CALIB = "cam0=[9 0 4; 0 9 3; 0 0 1]\ncam1=[9 0 4; 0 9 3; 0 0 1]\ndoffs=0\nbaseline=100\n"
+
+
+@pytest.mark.parametrize("number", HUGE)
+def test_calib_txt_with_numbers_too_large(tmp_path: Path, number: str):
+    for name in ("im0", "im1"):
+        write_png(tmp_path / f"{name}.png", IMAGE)
+    (tmp_path / "calib.txt").write_text(f"{CALIB}ndisp={number}\n")
+    refused(InputError, "ndisp", discover_scenes, tmp_path, ALL_KINDS)
+    (tmp_path / "calib.txt").write_text(f"{CALIB}width={number}\nheight=6\n")
+    refused(InputError, "width", read_geometry, tmp_path / "calib.txt")
+
+
+@pytest.mark.parametrize("number", [*HUGE, "-99999999999", "1.5", "nan", "0x10", "1_0"])
+def test_lists_with_numbers_too_large(tmp_path: Path, number: str):
+    (tmp_path / "pairs.csv").write_text(f"left,right,max_disparity\na.png,b.png,{number}\n")
+    (scene,) = scenes_of_table(tmp_path / "pairs.csv")
+    assert "max_disparity" in scene.problem and len(scene.problem) < 400
+
+
+def test_arrays_that_announce_terabytes(tmp_path: Path):
+    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (20000, 20000, 10000), }".ljust(117) + "\n"
+    path = tmp_path / "a.npy"
+    path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(64))
+    refused(InputError, "file size", map_npy, path, 3)
+
+
+def test_names_of_lists_are_unique(tmp_path: Path):
+    table = tmp_path / "pairs.csv"
+    table.write_text("left,right,name\na.png,b.png,2_left\nleft.png,b.png,\nleft.png,c.png,\n")
+    assert [pair.name for pair in scenes_of_table(table)] == ["2_left", "2_left_", "3_left"]
+    table.write_text("left,right,name\na.png,b.png,same\nleft.png,b.png,\nc.png,c.png,same\n")
+    refused(InputError, "'same'", scenes_of_table, table)
+    for columns in ("left,right,right", "left,right,LEFT", "left,right,name,name"):
+        table.write_text(f"{columns}\na.png,b.png,c,d\n")
+        refused(InputError, "two columns", scenes_of_table, table)
+    scenes = [StereoScene(name="a", folder=tmp_path / folder, left=tmp_path) for folder in ("x", "y")]
+    refused(InputError, "two scenes are called 'a'", chosen_scenes, scenes, ["*"], tmp_path)

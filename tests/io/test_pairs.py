@@ -1,7 +1,5 @@
 """Inputs as people have them: patterns, folders, tables, videos, pairs side by side."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -16,7 +14,7 @@ from depthcli.io.named_files import match_patterns, named_scenes, scenes_of_tabl
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_views
 from depthcli.io.walk import discover_scenes
-from tests.command_line import run
+from tests.command_line import refused, run
 from tests.scenes import load
 
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
@@ -63,10 +61,8 @@ def test_names_that_say_the_view(tmp_path: Path):
     }  # fmt: skip
     put(tmp_path / "x", "cat.png")
     put(tmp_path / "y", "dog.png")
-    with pytest.raises(ConfigError, match="no two names belong together"):
-        match_patterns(tmp_path / "x", tmp_path / "y")
-    with pytest.raises(ConfigError, match="matches no image"):
-        match_patterns(tmp_path / "x/*.jpg", tmp_path / "y")
+    refused(ConfigError, "no two names belong together", match_patterns, tmp_path / "x", tmp_path / "y")
+    refused(ConfigError, "matches no image", match_patterns, tmp_path / "x/*.jpg", tmp_path / "y")
 
 
 def test_tables(tmp_path: Path):
@@ -89,8 +85,7 @@ def test_tables(tmp_path: Path):
         ("left,right,name\na,b,x\nc,d,x\n", "two lines are called 'x'"),
     ):  # fmt: skip
         table.write_text(text)
-        with pytest.raises(InputError, match=said):
-            scenes_of_table(table)
+        refused(InputError, said, scenes_of_table, table)
 
 
 def video(path: Path, shift: int, count: int = 5) -> Path:
@@ -163,8 +158,7 @@ def test_what_a_run_or_a_scene_holds_are_no_pairs(tmp_path: Path):
     put(tmp_path / "a", *(f"{start}{view}.png" for start in ("", "mask_all_", "disp_") for view in ("left", "right")))
     assert [scene.layout for scene in find(tmp_path / "a").values()] == ["scenes"]
     put(tmp_path / "b", "disp_left.png", "disp_right.png")
-    with pytest.raises(InputError, match="no scenes found"):
-        find(tmp_path / "b")
+    refused(InputError, "no scenes found", find, tmp_path / "b")
 
 
 @pytest.mark.slow

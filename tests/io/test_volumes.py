@@ -1,10 +1,9 @@
 """Volumes: what is written reads back with SimpleITK, what is broken is one line."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,11 @@ import pytest
 from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair
+from depthcli.io.formats.files_behind import kinect_files, transform_files, volume_files
 from depthcli.io.formats.volumes import read_volume, write_array
+from depthcli.io.scenes import VolumePairScene
 from depthcli.io.volume_pairs import LoadedPair, label_masks
+from tests.command_line import refused
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -106,10 +108,8 @@ def test_maps_of_blocks_lie_where_the_blocks_are():
         )
 
 
-def refused(path, match):
-    with pytest.raises(InputError, match=match) as caught:
-        read_volume(path)
-    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+def unreadable(path, match):
+    assert str(path) in refused(InputError, match, read_volume, path)
 
 
 def test_damaged_files_are_one_line(tmp_path):
@@ -118,26 +118,26 @@ def test_damaged_files_are_one_line(tmp_path):
         write_array(tmp_path / f"a{suffix}", grid, volume())
         data = (tmp_path / f"a{suffix}").read_bytes()
         (tmp_path / f"cut{suffix}").write_bytes(data[: len(data) * 2 // 3])
-        refused(tmp_path / f"cut{suffix}", "cut off|cannot be read")
+        unreadable(tmp_path / f"cut{suffix}", "cut off|cannot be read")
         (tmp_path / f"empty{suffix}").write_bytes(b"")
-        refused(tmp_path / f"empty{suffix}", "cut off|cannot be read|gzip")
-        refused(tmp_path / f"none{suffix}", "no such file|cannot be read")
+        unreadable(tmp_path / f"empty{suffix}", "cut off|cannot be read|gzip")
+        unreadable(tmp_path / f"none{suffix}", "no such file|cannot be read")
 
 
 def test_a_short_payload_in_a_whole_gzip_file(tmp_path):
     write_array(tmp_path / "a.nii", Grid((6, 5, 4), (1.0, 1.0, 1.0)), volume())
     data = (tmp_path / "a.nii").read_bytes()
     (tmp_path / "b.nii.gz").write_bytes(gzip.compress(data[:600]))
-    refused(tmp_path / "b.nii.gz", "cut off: 600 bytes")
+    unreadable(tmp_path / "b.nii.gz", "cut off: 600 bytes")
 
 
 def test_spacing_of_zero_and_long_text(tmp_path):
     write_array(tmp_path / "a.mha", Grid((6, 5, 4), (1.0, 1.0, 1.0)), volume())
     whole = (tmp_path / "a.mha").read_bytes()
     (tmp_path / "a.mha").write_bytes(whole.replace(b"ElementSpacing = 1 1 1", b"ElementSpacing = 1 0 1"))
-    refused(tmp_path / "a.mha", "spacing")
+    unreadable(tmp_path / "a.mha", "spacing")
     (tmp_path / "a.mha").write_bytes(whole.replace(b"NDims = 3", b"NDims = 3\nName = " + b"x" * 300))
-    refused(tmp_path / "a.mha", "characters")  # which ends the process in MetaIO
+    unreadable(tmp_path / "a.mha", "characters")  # which ends the process in MetaIO
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".mha"])
@@ -154,21 +154,21 @@ def test_what_is_no_number_stays_none(tmp_path, suffix, vector):
 def test_four_dimensions_and_vectors(tmp_path):
     series = SimpleITK.JoinSeries([SimpleITK.GetImageFromArray(volume())] * 2)
     SimpleITK.WriteImage(series, str(tmp_path / "four.nii.gz"))
-    refused(tmp_path / "four.nii.gz", "4-D")
+    unreadable(tmp_path / "four.nii.gz", "4-D")
     write_array(tmp_path / "field.mha", Grid((6, 5, 4), (1.0, 1.0, 1.0)), volume(True))
-    refused(tmp_path / "field.mha", "3 values a voxel, want 1")
+    unreadable(tmp_path / "field.mha", "3 values a voxel, want 1")
 
 
 def test_dirlab_raw(tmp_path):
     values = np.arange(24, dtype="<i2").reshape(2, 3, 4)
     (tmp_path / "case.img").write_bytes(values.tobytes())
-    refused(tmp_path / "case.img", '"size" and "spacing"')
+    unreadable(tmp_path / "case.img", '"size" and "spacing"')
     (tmp_path / "meta.json").write_text(json.dumps({"size": [4, 3, 2], "spacing": [0.97, 0.97, 2.5]}))
     read = read_volume(tmp_path / "case.img")
     np.testing.assert_array_equal(read.values, values)
     assert read.grid.spacing == (0.97, 0.97, 2.5)
     (tmp_path / "case.img").write_bytes(values.tobytes()[:-2])
-    refused(tmp_path / "case.img", "46 bytes, want 48")
+    unreadable(tmp_path / "case.img", "46 bytes, want 48")
 
 
 def labels_of(values, regions=()):
@@ -182,13 +182,108 @@ def test_labels_of_a_mask():
     assert labels_of([0, 0.3, 0.5, np.nan]) == {"m": [2]}
     assert labels_of([0, 1, 7], [("liver", 1), ("spleen", 2)]) == {"liver": [1], "spleen": [], "m_7": [2]}
     assert labels_of([0, 0]) == {"m": []}
-    with pytest.raises(InputError, match="2001 values up to 2001: no label map"):
-        labels_of(range(2002))  # a scan
+    refused(InputError, "2001 values up to 2001: no label map", labels_of, range(2002))  # a scan
     assert len(labels_of(range(2001))) == 2000
-    with pytest.raises(InputError, match=r"values up to 1.67772e\+07: no label map"):
-        labels_of([1, 2**24 + 2])
-    with pytest.raises(InputError, match="nearest neighbor"):
-        labels_of([0, 1, 14172.01])  # blurred, though but little in proportion
+    refused(InputError, r"values up to 1.67772e\+07: no label map", labels_of, [1, 2**24 + 2])
+    refused(InputError, "nearest neighbor", labels_of, [0, 1, 14172.01])  # blurred, though but little in proportion
     for values, regions in (([0, 1.4, 2], ()), ([0, 0.4, 1], [("liver", 1)])):
-        with pytest.raises(InputError, match="resample labels by the nearest neighbor"):
-            labels_of(values, regions)
+        refused(InputError, "resample labels by the nearest neighbor", labels_of, values, regions)
+
+
+SIZE = (6, 5, 4)
+VALUES = np.random.default_rng(0).uniform(1, 2, SIZE[::-1]).astype(np.float32)
+META = "ObjectType = Image\nNDims = 3\nDimSize = 6 5 4\nElementType = MET_FLOAT\nElementSpacing = 1 1 1\n"
+NRRD = "NRRD0004\ntype: float\ndimension: 3\nsizes: 6 5 4\nendian: little\nspacings: 1 1 1\n"
+
+
+def put(path: Path, header: str, data: bytes = b"") -> Path:
+    path.write_bytes(header.encode() + data)
+    return path
+
+
+def pointing(folder: Path) -> dict[str, Path]:
+    """A volume of every kind that keeps its values in other files: name of the kind -> header."""
+    data = VALUES.astype("<f4").tobytes()
+    (folder / "v.raw").write_bytes(data)
+    (folder / "v.raw.gz").write_bytes(gzip.compress(data))
+    slices = [f"s{number:02}.raw" for number in range(1, 5)]
+    for name, values in zip(slices, VALUES, strict=True):
+        (folder / name).write_bytes(values.astype("<f4").tobytes())
+    listed = "\n".join(slices)
+    return {
+        "meta": put(folder / "a.mhd", f"{META}ElementDataFile = v.raw\n"),
+        "meta list": put(folder / "b.mhd", f"{META}ElementDataFile = LIST\n{listed}\n"),
+        "meta pattern": put(folder / "c.mhd", f"{META}ElementDataFile = s%02d.raw 1 4 1\n"),
+        "meta .mha": put(folder / "d.mha", f"{META}ElementDataFile = v.raw\n"),
+        "nrrd": put(folder / "e.nhdr", f"{NRRD}encoding: raw\ndata file: v.raw\n"),
+        "nrrd gzip": put(folder / "f.nhdr", f"{NRRD}encoding: gzip\ndata file: v.raw.gz\n"),
+        "nrrd list": put(folder / "g.nhdr", f"{NRRD}encoding: raw\ndata file: LIST\n{listed}\n"),
+        "nrrd pattern": put(folder / "h.nhdr", f"{NRRD}encoding: raw\ndata file: s%02d.raw 1 4 1\n"),
+    }
+
+
+def test_files_with_values_are_inputs(tmp_path: Path):
+    for kind, header in pointing(tmp_path).items():
+        np.testing.assert_array_equal(read_volume(header).values, VALUES, err_msg=kind)
+        behind = volume_files(header)
+        wanted = {"v.raw.gz"} if "gzip" in kind else {"v.raw"}
+        if "list" in kind or "pattern" in kind:
+            wanted = {f"s{number:02}.raw" for number in range(1, 5)}
+        assert {file.name for file in behind} == wanted, kind
+        scene = VolumePairScene(name="a", folder=tmp_path, fixed=header, moving_warped=header)
+        assert set(scene.input_files.values()) == {header, *behind}, kind
+
+
+def test_what_is_read_beside_a_file_is_an_input(tmp_path: Path):
+    (tmp_path / "fixed.img").touch()
+    scene = VolumePairScene(name="a", folder=tmp_path, fixed=tmp_path / "fixed.img")
+    assert tmp_path / "meta.json" in scene.input_files.values()
+    (tmp_path / "transform.txt").write_text(
+        '(Transform "AffineTransform")\n(InitialTransformParametersFileName "/else/where/b.txt")\n'
+    )
+    (tmp_path / "b.txt").write_text('(Transform "A")\n(InitialTransformParameterFileName "./c.txt")\n')
+    (tmp_path / "c.txt").write_text('(Transform "A")\n(InitialTransformParameterFileName "transform.txt")\n')
+    chain = transform_files(tmp_path / "transform.txt")
+    assert [file.name for file in chain] == ["b.txt", "c.txt", "transform.txt"]  # it comes back, and ends
+    (tmp_path / "dc_beta.npy").touch()
+    assert kinect_files(tmp_path / "calib.json") == (tmp_path / "dc_beta.npy",)
+
+
+def test_a_changed_file_behind_a_header_is_computed_again(tmp_path: Path):
+    from depthcli.cli import main
+    from depthcli.simulate.deformed_volumes import smooth_noise
+
+    values = smooth_noise(np.random.default_rng(0), (16, 20, 24), 1.5).astype("<f4")
+    header = META.replace("6 5 4", "24 20 16")
+    (tmp_path / "in").mkdir()
+    for name in ("fixed", "moving_warped"):
+        put(tmp_path / "in" / f"{name}.mhd", f"{header}ElementDataFile = {name}.raw\n")
+        (tmp_path / "in" / f"{name}.raw").write_bytes(values.tobytes())
+    command = ["register-confidence", "coarse", "-i", str(tmp_path / "in"), "-o", str(tmp_path / "out")]
+    assert main(command) == 0
+    record = next((tmp_path / "out").rglob("record.json"))
+    before = record.read_bytes(), record.stat().st_mtime_ns
+    assert main(command) == 0
+    assert (record.read_bytes(), record.stat().st_mtime_ns) == before
+    (tmp_path / "in" / "moving_warped.raw").write_bytes(values[:, :, ::-1].tobytes())
+    assert main(command) == 0
+    assert record.read_bytes() != before[0]
+
+
+def test_values_outside_of_the_folder_are_not_read(tmp_path: Path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "v.raw").write_bytes(VALUES.tobytes())
+    for name in ("../v.raw", str(tmp_path / "v.raw")):
+        for header in (
+            put(tmp_path / "in" / "a.mhd", f"{META}ElementDataFile = {name}\n"),
+            put(tmp_path / "in" / "a.nhdr", f"{NRRD}encoding: raw\ndata file: {name}\n"),
+        ):
+            refused(InputError, "its own folder", read_volume, header)
+
+
+def test_other_kinds_of_volume_are_not_tried(tmp_path: Path):
+    """The library knows tens of formats; what a file's ending does not say is not looked for."""
+    write_array(tmp_path / "a.mha", Grid(SIZE, (1.0, 1.0, 1.0)), VALUES)
+    for name in ("a.dcm", "a.vtk", "a"):
+        (tmp_path / name).write_bytes((tmp_path / "a.mha").read_bytes())
+        refused(InputError, r"want \.nii", read_volume, tmp_path / name)

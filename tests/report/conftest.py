@@ -1,7 +1,5 @@
 """Scenes and runs to make a page of: maps with holes, status, confidence, odd names."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

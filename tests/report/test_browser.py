@@ -1,7 +1,5 @@
 """The page in a real browser: clicks, keys and what the pointer reads, against the arrays themselves."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -12,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from depthcli.cli import main
 from depthcli.evaluation.evaluate import Choices, evaluate_runs
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import read_disparity, read_plane
@@ -179,10 +176,7 @@ def test_it_fits_a_phone_and_loads_nothing_from_a_network(browser: Any, made: Pa
     visit.ready(0)
     assert visit.page.locator("#stage").bounding_box()["height"] > 250
     assert visit.page.evaluate("document.documentElement.scrollWidth") <= 390
-    assert visit.asked == [(made / "report.html").as_uri()] or all(
-        u.startswith(("data:", "file:")) for u in visit.asked
-    )
-    assert not any("http" in url for url in visit.asked)
+    assert all(url.startswith(("data:", "file:")) for url in visit.asked)
     visit.close()
 
 
@@ -254,21 +248,4 @@ def test_slices_are_stepped_through(browser: Any, volumes: Path):
     keys.press("o")
     assert visit.page.locator("#opacity").input_value() == "60"
     assert len({tuple(mixed), tuple(beneath), tuple(visit.color())}) == 3
-    visit.close()
-
-
-def test_flagged_scenes_come_first_and_open(browser: Any, tmp_path: Path, scenes: Path, runs: list[Path]):
-    output = tmp_path / "out"
-    words = ["evaluate", *map(str, runs), "--truth", str(scenes), "--output", str(output), "--html", "-q"]
-    assert main([*words, "--flag", "bad 1 all>20"]) == 0
-    visit = Visit(browser, output / "report.html")
-    rows = visit.page.locator("#flagged tbody tr")
-    cells = [row.locator("th, td").all_inner_texts() for row in rows.all()]
-    assert [row[:2] for row in cells] == [[ODD, 'bad "<b>"'], ["plain", 'bad "<b>"']]  # worst first
-    assert all("bad 1 all" in row[2] and "> 20" in row[2] for row in cells)
-    assert visit.page.locator("section").first.get_attribute("id") == "flagged"
-    assert visit.page.locator("article h3").first.inner_text() == ODD
-    rows.nth(1).locator("a").click()
-    visit.ready(1)
-    assert visit.page.locator("#which option:checked").inner_text() == "plain"
     visit.close()

@@ -1,7 +1,5 @@
 """The page of runs whose scenes have no ground truth, or not all of them."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

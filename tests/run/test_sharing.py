@@ -1,8 +1,5 @@
 """Several processes in one run folder: who does what, who waits for whom, and what is left when one is killed."""
 
-from __future__ import annotations
-
-import shlex
 import signal
 import subprocess
 import sys
@@ -14,8 +11,7 @@ import pytest
 from depthcli.core.errors import ConfigError
 from depthcli.run.batch import shard_of
 from depthcli.run.folder import LOCKS_FILE, FolderLock
-from tests.command_line import run, statuses
-from tests.run.processes import contents, start, wait_for
+from tests.command_line import contents, refused, run, start, statuses, wait_for
 
 FAST = "opencv-bm"
 
@@ -26,20 +22,6 @@ def whole(made_scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole") / "run"
     assert run("stereo", FAST, "-i", made_scenes, "-o", folder, "-q") == 0
     return folder
-
-
-@pytest.mark.slow
-def test_xargs_with_a_scene_each_loses_nothing(made_scenes: Path, whole: Path, tmp_path: Path):
-    """Processes that begin and end at any time, one scene each, fill one folder; the report has all."""
-    out = tmp_path / "run"
-    command = [sys.executable, "-m", "depthcli", "stereo", FAST, "-i", made_scenes, "-o", out, "-q", "--scenes"]
-    names = "\n".join(list(statuses(whole))[:5])
-    line = f"xargs -P3 -n1 {shlex.join(map(str, command))}"
-    done = subprocess.run(line, shell=True, input=names, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert statuses(out) == {name: statuses(whole)[name] for name in names.split()}
-    made = contents(out)
-    assert len(made) > 5 * 4 and made.items() <= contents(whole).items()
 
 
 @pytest.mark.slow
@@ -155,8 +137,7 @@ def test_what_a_shard_is(text: str | None, slurm: str, shard: tuple[int, int] | 
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b"])
 def test_wrong_shards_are_refused(text: str):
-    with pytest.raises(ConfigError, match="--shard"):
-        shard_of(text, {})
+    refused(ConfigError, "--shard", shard_of, text, {})
 
 
 @pytest.mark.slow

@@ -58,4 +58,6 @@ def derive_masks(
         other = right[rows, np.clip(target, 0, left.shape[1] - 1)]
         with np.errstate(invalid="ignore"):
             nonocc = known & (target >= 0) & (np.abs(other - left) <= 1)
-    return {"nonocc": nonocc, "all": known, "disc": discontinuity_mask(filled, nonocc, known)}
+    with np.errstate(over="ignore"):  # damaged truth may hold any number
+        disc = discontinuity_mask(filled, nonocc, known)
+    return {"nonocc": nonocc, "all": known, "disc": disc}

@@ -1,0 +1,173 @@
+"""``refine_depth``, ``complete_transparent`` and ``registration_confidence`` from Python."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import depthcli
+from depthcli.cli import main
+from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.images import read_image
+from depthcli.io.formats.volumes import read_volume
+from tests.command_line import contents, refused
+
+
+def frame(folder: Path, number: str = "") -> tuple[Any, Any]:
+    return read_image(folder / f"color{number}.png"), read_pfm(folder / f"depth{number}.pfm")
+
+
+@pytest.mark.parametrize("preset", ["accurate", "dsrm"])
+def test_refined_files_are_those_of_the_command(tmp_path: Path, made_kinect: Path, preset: str):
+    color, depth = frame(made_kinect / "planes")
+    found = depthcli.refine_depth(color, depth, preset, fb=43.5, ply=True, mask="measured", far=50)
+    found.save(tmp_path / "python")
+    cloud = ["--ply", "--mask", "measured", "--far", "50"]
+    run = str(tmp_path / "run")
+    assert main(["refine-kinect", preset, "-i", str(made_kinect), "--scenes", "planes", *cloud, "-o", run, "-q"]) == 0
+    assert contents(tmp_path / "python") == contents(tmp_path / "run" / "planes")
+    found.to_points("measured", far=50).save(tmp_path / "own.ply")
+    assert (tmp_path / "own.ply").read_bytes() == (tmp_path / "python" / "points.ply").read_bytes()
+
+
+def test_a_sequence_is_refined_as_by_the_command(tmp_path: Path, made_kinect: Path):
+    frames = [frame(made_kinect / "moving", f"_{k:05}") for k in range(4)]
+    colors, depths = zip(*frames, strict=True)
+    for k, found in enumerate(depthcli.refine_depth(list(colors), list(depths), "sequence", fb=43.5)):
+        found.save(tmp_path / "python" / f"{k:05}")
+    run = str(tmp_path / "run")
+    assert main(["refine-kinect", "sequence", "-i", str(made_kinect), "--scenes", "moving*", "-o", run, "-q"]) == 0
+    assert contents(tmp_path / "python") == contents(tmp_path / "run" / "moving")
+
+
+def test_a_result_describes_itself_and_codes_are_depths_by_their_scale(made_kinect: Path):
+    color, depth = frame(made_kinect / "planes")
+    codes = np.where(np.isfinite(depth), np.rint(depth * 5000), 0).clip(0, 65535).astype(np.uint16)
+    by_codes = depthcli.refine_depth(color, codes, "nearest", depth_scale=5000)
+    by_meters = depthcli.refine_depth(color, np.where(codes > 0, codes / 5000, np.nan), "nearest")
+    assert np.array_equal(by_codes.values, by_meters.values, equal_nan=True)
+    found = depthcli.refine_depth(color, depth, "fast", intrinsics=(80, 80, 47.5, 35.5))
+    assert np.array_equal(found.filled | found.kept | found.corrected, found.valid)
+    assert not (found.filled & found.kept).any()
+    assert not np.isfinite(depth[found.filled]).any()
+    assert found.sigma.shape == found.values.shape == (72, 96)
+    assert "other" in found.seconds and repr(found).startswith("RefinedDepth(96 x 72, ")
+    assert found._repr_png_().startswith(b"\x89PNG")
+    points = found.to_points()
+    again = found.to_points(intrinsics=(80, 80, 47.5, 35.5))
+    assert len(points) == found.valid.sum() and np.array_equal(points.points, again.points)
+    assert points.points[:, 2] == pytest.approx(found.values[found.valid])
+
+
+@pytest.mark.parametrize("preset", ["sparse", "kinect"])
+def test_completed_files_are_those_of_the_command(tmp_path: Path, made_glass: Path, preset: str):
+    scene = made_glass / "glass_0"
+    more: dict[str, Any] = {"sparse": read_pfm(scene / "sparse.pfm"), "fb": 24.0}
+    if preset == "kinect":
+        more = {"infrared": read_image(scene / "ir.png"), "calibration": scene / "calib.json"}
+        more["overrides"] = {"stereo.max_disparity": 16}
+    found = depthcli.complete_transparent(*frame(scene), **more)
+    found.save(tmp_path / "python")
+    run = str(tmp_path / "run")
+    limit = ["--set", "stereo.max_disparity=16"] if preset == "kinect" else []
+    assert main(["transparent", preset, "-i", str(made_glass), "--scenes", "glass_0", *limit, "-o", run, "-q"]) == 0
+    assert contents(tmp_path / "python") == contents(tmp_path / "run" / "glass_0")
+    assert ("stereo" in found.confidence) == (preset == "kinect")
+
+
+COLOR, DEPTH = np.full((8, 9, 3), 100, np.uint8), np.ones((8, 9), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((COLOR, np.zeros((8, 9), np.uint16)), "depth: no pixel has a depth"),
+        (([COLOR], DEPTH), "two lists of as many"),
+        (([COLOR, COLOR[:5]], [DEPTH, DEPTH[:5]]), "frame 1: 9 x 5, but frame 0 is 9 x 8"),
+        ((COLOR, DEPTH, {"depth_intrinsics": (1, 2, 3)}), "depth_intrinsics: want 4 finite numbers"),
+        ((COLOR, DEPTH, {"depth_to_color": np.eye(4)}), "depth_to_color: want rotation and translation .got 4 parts"),
+    ],
+)
+def test_wrong_frames_and_cameras_are_refused(arguments: tuple[Any, ...], message: str):
+    color, depth, *cameras = arguments
+    with pytest.raises(depthcli.InputError, match=message):
+        depthcli.refine_depth(color, depth, "nearest", **(cameras[0] if cameras else {}))
+
+
+def test_what_a_preset_needs_is_said():
+    refused(depthcli.InputError, "wants sparse depth", depthcli.complete_transparent, COLOR, DEPTH, preset="sparse")
+    refused(depthcli.InputError, "wants an infrared image", depthcli.complete_transparent, COLOR, DEPTH)
+    with pytest.raises(depthcli.ConfigError, match="either the calibration of both cameras, or fb"):
+        depthcli.complete_transparent(COLOR, DEPTH, infrared=COLOR[..., 0])
+    refused(depthcli.ConfigError, "override depth_scale", depthcli.refine_depth, COLOR, DEPTH, depth_scale=-1)
+
+
+def test_depth_of_its_own_camera_is_registered():
+    color, depth = np.zeros((60, 80, 3), np.uint8), np.full((15, 24), 2.0, np.float32)
+    cameras = {"intrinsics": (80, 80, 39.5, 29.5), "depth_intrinsics": [20, 20, 11.5, 7]}
+    found = depthcli.refine_depth(color, depth, "nearest", **cameras)
+    assert found.values.shape == (60, 80)
+    assert (found.values == 2).all()
+    assert found.kept.all()
+    assert (found.status == depthcli.DepthStatus.SMOOTHED).all()
+    moved = depthcli.refine_depth(color, depth, "nearest", **cameras, depth_to_color=(np.eye(3), [0.5, 0, 0]))
+    # Half of the 24 - 20 columns that the depth camera sees more on either side, and 80 x 0.5 / 2 pixels.
+    assert moved.filled.sum() == (20 - 8) * 60
+
+
+def test_saved_files_are_those_of_the_command(tmp_path: Path, made_volumes: Path):
+    names = ("fixed", "moving_warped", "mask")
+    fixed, warped, mask = (read_volume(made_volumes / "pair_0" / f"{name}.nii.gz") for name in names)
+    spacing = fixed.grid.spacing[::-1]
+    found = depthcli.registration_confidence(
+        fixed.values, warped.values, spacing, mask=mask.values, origin=fixed.grid.origin,
+        direction=np.reshape(fixed.grid.direction, (3, 3)), max_voxels=30000,
+    )  # fmt: skip
+    found.save(tmp_path / "python")
+    run = str(tmp_path / "run")
+    words = ["-i", str(made_volumes), "--scenes", "pair_0", "--set", "max_voxels=30000"]
+    assert main(["register-confidence", "mind", *words, "-o", run, "-q"]) == 0
+    assert contents(tmp_path / "python") == contents(tmp_path / "run" / "pair_0")
+    written = {name: read_volume(tmp_path / "python" / f"{name}.nii.gz") for name in ("expected_error", "confidence")}
+    assert np.array_equal(written["expected_error"].values, found.values)
+    assert np.array_equal(written["confidence"].values, found.confidence)
+    assert found.shift.shape == (*found.values.shape, 3)
+    center = fixed.grid.to_point(np.array([[20.0, 28, 28]]))
+    (row,) = found.at(center)
+    assert row["expected_error"] == pytest.approx(found.values[20, 28, 28], abs=0.1)
+    assert {"search", "other"} <= set(found.seconds)
+    assert found._repr_png_().startswith(b"\x89PNG") and "mm expected" in repr(found)
+
+
+def test_images_of_simple_itk_know_where_they_are(made_volumes: Path):
+    sitk = pytest.importorskip("SimpleITK")
+    images = [sitk.ReadImage(str(made_volumes / "pair_0" / f"{n}.nii.gz")) for n in ("fixed", "moving_warped")]
+    arrays = [sitk.GetArrayFromImage(image) for image in images]
+    found = depthcli.registration_confidence(*images, preset="axes")
+    spacing = images[0].GetSpacing()[::-1]
+    again = depthcli.registration_confidence(*arrays, spacing, preset="axes")
+    assert np.array_equal(found.values, again.values)
+    assert found.grid.spacing == images[0].GetSpacing() and found.grid.origin == images[0].GetOrigin()
+    images[1].SetSpacing((1.0, 1.0, 9.0))
+    with pytest.raises(depthcli.InputError, match=r"warped: another grid than the fixed volume's .spacing"):
+        depthcli.registration_confidence(*images, preset="axes")
+
+
+SHAPE = (6, 8, 9)
+FIXED = np.random.default_rng(0).random(SHAPE, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"spacing": None}, "fixed: an array needs its spacing"),
+        ({"warped": FIXED[:5]}, "warped: another grid .*size 9 x 8 x 5, expected 9 x 8 x 6"),
+        ({"warped": np.where(FIXED > 0.9, np.nan, FIXED)}, r"warped: \d+ voxels are no numbers"),
+        ({"fixed": np.zeros(SHAPE)}, "fixed: all voxels are 0"),
+        ({"mask": np.zeros(SHAPE)}, "mask: no voxel is set"),
+    ],
+)
+def test_wrong_volumes_are_refused(arguments: dict[str, Any], message: str):
+    with pytest.raises(depthcli.InputError, match=message):
+        depthcli.registration_confidence(**{"fixed": FIXED, "warped": FIXED, "spacing": (1, 1, 1), **arguments})

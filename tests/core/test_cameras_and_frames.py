@@ -1,0 +1,122 @@
+"""Cameras, frames and volumes: what is impossible is refused, what is shown is as bright and hangs as it should."""
+
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+
+from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.rig import Rig
+from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
+from depthcli.core.volumes import ENDS, Grid
+from tests.command_line import refused
+
+MATRIX = np.array([[190.0, 0, 98], [0, 192, 77], [0, 0, 1]])
+CAMERA = Camera(MATRIX, (0.05, -0.03, 0.001, -0.001, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "distortion", "fisheye", "said"),
+    [
+        (np.zeros((3, 3)), (0,) * 5, False, "positive focal lengths"),
+        (np.full((3, 3), np.nan), (0,) * 5, False, "finite 3 x 3"),
+        (np.ones((3, 3)), (0,) * 5, False, "singular"),
+        (MATRIX, (0.1, 0.2), False, "4, 5, 8, 12, 14 coefficients"),
+        (MATRIX, (0,) * 5, True, "fisheye lens has 4 coefficients"),
+        (MATRIX, (0, 0, 0, np.inf), False, "coefficients"),
+    ],
+)
+def test_impossible_cameras_are_refused(matrix, distortion, fisheye, said):
+    refused(InputError, said, Camera, matrix, distortion, None, fisheye)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"rotation": 2 * np.eye(3)}, "not a rotation"),
+        ({"rotation": -np.eye(3)}, "not a rotation"),
+        ({"rotation": np.eye(2)}, "want R"),
+        ({"translation": np.zeros(3)}, "at one place"),
+        ({"translation": np.array([np.nan, 0, 0])}, "at one place"),
+        ({"right": Camera(MATRIX, (0,) * 4, None, True)}, "cannot be rectified together"),
+    ],
+)
+def test_impossible_rigs_are_refused(changes, said):
+    values = {"left": CAMERA, "right": CAMERA, "rotation": np.eye(3), "translation": np.array([-0.1, 0, 0])}
+    refused(InputError, said, Rig, **{**values, **changes})
+
+
+def test_a_camera_sees_a_point_on_the_ray_of_its_pixel_and_of_two_the_nearer_one():
+    pixels = np.array([[20.0, 30.0], [150.0, 100.0]])
+    points = np.column_stack([CAMERA.rays(pixels), np.ones(2)])
+    cloud = np.concatenate([points, 2 * points, -points])
+    depth, values = CAMERA.depth_image(cloud, (150, 200), np.arange(6, dtype=np.float32))
+    expected = np.full((150, 200), np.nan, np.float32)
+    expected[[30, 100], [20, 150]] = 1
+    np.testing.assert_array_equal(depth, expected)
+    assert (values[30, 20], values[100, 150]) == (0, 1)
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14, 16, None])
+def test_largest_sample_is_white_whatever_its_bits(bits):
+    top = (1 << (bits or 16)) - 1
+    ramp = np.arange(0, top + 1, dtype=np.uint16)[None]
+    pair = StereoPair(ramp, ramp.copy(), bits)
+    np.testing.assert_array_equal(pair.grey[0], np.rint(ramp * (65535 / top)))
+    wanted = np.rint(ramp * (255 / top))
+    assert np.abs(pair.grey8[0] - wanted).max() <= (0 if bits in (16, None) else 1)
+    assert pair.grey8[0].min() == 0 and pair.grey8[0].max() == 255
+    assert np.all(np.diff(pair.grey8[0].astype(int)) >= 0)
+    np.testing.assert_array_equal(pair.color8[0], np.repeat(pair.grey8[0][..., None], 3, axis=2))
+
+
+def test_both_images_share_one_scale_and_larger_samples_are_white():
+    left, right = np.full((1, 1, 3), 4095, np.uint16), np.full((1, 1, 3), 1000, np.uint16)
+    pair = StereoPair(left, right, 12)
+    assert [int(image[0, 0, 0]) for image in pair.color8] == [255, 62]
+    assert int(StereoPair(left, right, 10).grey8[0][0, 0]) == 255
+
+
+def test_bits_must_fit_the_type():
+    image = np.zeros((2, 2), np.uint8)
+    assert StereoPair(image, image, 8).grey[0] is image
+    for bits in (0, 9):
+        with pytest.raises(ValueError, match="bits"):
+            StereoPair(image, image, bits)
+
+
+WORLD = ((2, 1), (1, -1), (0, -1))
+"""Axis of the LPS frame, and its sign, that is positive towards superior, anterior and right."""
+
+
+def rotation(degrees: float) -> np.ndarray:
+    """A turn about an oblique axis (Rodrigues)."""
+    x, y, z = np.array([1, 2, 3]) / np.sqrt(14)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.radians(degrees)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+@pytest.mark.parametrize("signs", list(product((1, -1), repeat=3)))
+@pytest.mark.parametrize("degrees", [0, 20])
+def test_all_48_orientations_are_shown_alike(order, signs, degrees):
+    direction = np.zeros((3, 3))
+    for column, (row, sign) in enumerate(zip(order, signs, strict=True)):
+        direction[row, column] = sign
+    grid = Grid((4, 5, 6), (1.0, 2.0, 3.0), (7.0, -8.0, 9.0), tuple((rotation(degrees) @ direction).ravel()))
+    places = np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), -1).reshape(-1, 3).astype(float)
+    points = grid.to_point(places).reshape(*grid.shape, 3)
+    for axis, (world, sign) in enumerate(WORLD):
+        towards_first_side = sign * grid.turned(points[..., world])
+        assert (np.diff(towards_first_side, axis=axis) < 0).all()
+        middle = [n // 2 if k != axis else slice(None) for k, n in enumerate(towards_first_side.shape)]
+        first, step = grid.slice_positions(axis)
+        assert step == pytest.approx(np.diff(towards_first_side[tuple(middle)])[0])
+        if degrees == 0:
+            assert first + step * np.arange(towards_first_side.shape[axis]) == pytest.approx(
+                towards_first_side[tuple(middle)]
+            )
+            assert -step == pytest.approx(grid.spacing[2 - grid.anatomical_axes()[0][axis]])
+    assert len(ENDS) == 3
