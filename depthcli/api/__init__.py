@@ -6,7 +6,8 @@ users import are listed in ``depthcli/__init__.pyi``; all others may change.
 | module | holds |
 |---|---|
 | ``stereo`` | ``stereo``, ``fuse`` and ``matcher``: a rectified pair -> ``Disparity`` |
-| ``matching`` | the part of these that the commands that match or rectify pairs call, too |
+| ``matching`` | the part of these that the commands that match pairs call, too |
+| ``rigs`` | calibrations that rectify pairs, read and kept |
 | ``depth`` | ``refine_depth``, ``complete_transparent``: color and a sensor's depth -> ``RefinedDepth`` |
 | ``registration`` | ``registration_confidence``: two volumes on one grid -> ``RegistrationConfidence`` |
 | ``registration_preview`` | its picture |

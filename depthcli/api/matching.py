@@ -1,29 +1,25 @@
-"""Pairs to disparity maps: what the functions for Python share with the commands that match or rectify pairs."""
+"""Pairs to disparity maps: what the functions for Python share with the commands that match pairs."""
 
 from __future__ import annotations
 
-import os
-from functools import lru_cache
-from pathlib import Path
-from typing import Any, TypeVar
+from collections.abc import Mapping
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from depthcli import device
 from depthcli.api.results import Disparity
-from depthcli.core.cameras.rig import RectifiedRig, Rig
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
-from depthcli.io.formats import calibrations
-from depthcli.methods.stereo.config import Calibration, PairConfig, StereoConfig
+from depthcli.methods.stereo.config import PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.networks import network_device, networks_in
-from depthcli.methods.stereo.search_range import KeyPointRange, complete_range
+from depthcli.methods.stereo.search_range import KeyPointRange, SearchRange, complete_range
 from depthcli.methods.stereo.stages import PairMatcher
+from depthcli.methods.stereo.volume import StereoResult
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
@@ -54,6 +50,15 @@ def match_pair(
     matched = match(matcher, search.shift(pair), search.shifted_max_disparity, limits)
     result = search.restore(matched, pair.shape[1])
     clock.include(result.seconds)
+    found, seconds = result.disparity, dict(clock.seconds)
+    warnings = _warnings(pair, search, key_points, result, limits)
+    return Disparity(found.values, found.status, pair.left, search, result, seconds, warnings, key_points)
+
+
+def _warnings(
+    pair: StereoPair, search: SearchRange, key_points: Mapping[str, int], result: StereoResult, limits: Limits
+) -> tuple[str, ...]:
+    """Return a line for each thing that looks wrong with a map."""
     found, warnings = result.disparity, []
     if partly_used(pair):
         warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
@@ -78,8 +83,7 @@ def match_pair(
             f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
             f"{show_bytes(limits.memory)} of memory may be used: with more the map is another one"
         )
-    seconds = dict(clock.seconds)
-    return Disparity(found.values, found.status, pair.left, search, result, seconds, tuple(warnings), key_points)
+    return tuple(warnings)
 
 
 def limits_of(config: PairConfig, memory: int, device: Device | None) -> Limits:
@@ -119,40 +123,6 @@ def with_opened_networks(config: PairConfigT, address: str) -> PairConfigT:
         except InputError as error:
             raise ConfigError(str(error)) from error
     return config
-
-
-def read_rig(calibration: Calibration) -> Rig:
-    """Read the two cameras of a calibration; InputError where it cannot be read."""
-    paths = [Path(file) for file in calibration.files]
-    return calibrations.read_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
-
-
-def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[Any]) -> RectifiedRig:
-    """Return how images of these sizes are rectified; InputError where the calibration is not theirs.
-
-    The latest one is kept, with its maps, for the following images of the same sizes, until the files change.
-    """
-    sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
-    return _rectified_rig(calibration, file_states(*map(Path, calibration.files)), *sizes)
-
-
-@lru_cache(maxsize=1)  # of 12 megapixels the maps take 190 MB
-def _rectified_rig(
-    calibration: Calibration, files: object, size: tuple[int, int], right_size: tuple[int, int]
-) -> RectifiedRig:
-    return read_rig(calibration).rectified(size, right_size, calibration.alpha)
-
-
-def file_states(*files: Path) -> tuple[object, ...]:
-    """Return what changes when the files do: time, size and number of each; nothing of one that is missing."""
-    found = []
-    for file in files:
-        try:
-            state = os.stat(file)
-            found.append((state.st_mtime_ns, state.st_size, state.st_ino))
-        except (OSError, ValueError):  # reading it says why
-            found.append((0, 0, 0))
-    return tuple(found)
 
 
 def partly_used(pair: StereoPair) -> bool:

@@ -24,8 +24,7 @@ from depthcli.core.volumes import Grid
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.volumes import simple_itk, write_volume
-from depthcli.io.scenes import VolumePairScene
-from depthcli.io.volume_pairs import LoadedPair, blocks_of, joined, region_masks, usable
+from depthcli.io.volume_pairs import LoadedPair, blocks_of, joined, usable
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
 from depthcli.run.json_csv import to_csv
@@ -249,38 +248,6 @@ def inside_figures(result: RegistrationResult, loaded: LoadedPair) -> dict[str, 
         place = grid.to_point(first + blocks * center)[0]
         figures |= dict(zip(("above_x", "above_y", "above_z"), map(float, place), strict=True))
     return {name: round(value, 4) for name, value in figures.items()}
-
-
-def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: VolumePairScene) -> dict[str, float | str]:
-    """Return figures of the expected error in the regions of a pair, such as organs.
-
-    They are ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL, alone
-    where a region has no voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
-    """
-    figures: dict[str, float | str] = {}
-    if not scene.regions:
-        return figures
-    error = at_voxels(result.expected_error, result.start, result.step, loaded.pair.shape)
-    voxel = math.prod(loaded.grid.spacing) / 1000
-    for file, _ in scene.regions:
-        try:
-            for name, mask in region_masks(scene, file, loaded.grid):
-                if f"region_volume_{name}" in figures:
-                    twice = f"{scene.folder}: two regions are called {name}: give one of them another name"
-                    figures.setdefault(f"region_error_{file}", twice)
-                    continue
-                chosen = mask
-                if max(loaded.blocks) > 1:  # blocks of which the mask holds half; a small one: those it holds most of
-                    shares = block_means(mask, loaded.blocks)
-                    chosen = (shares > 0) & (shares >= min(0.5, float(shares.max())))
-                known = error[chosen]
-                figures[f"region_volume_{name}"] = round(int(np.count_nonzero(mask)) * voxel, 4)
-                if known.size:
-                    figures[f"region_mean_{name}"] = round(float(known.mean(dtype=np.float64)), 4)
-                    figures[f"region_95_{name}"] = round(float(np.quantile(known, 0.95)), 4)
-        except InputError as problem:
-            figures[f"region_error_{file}"] = str(problem)
-    return figures
 
 
 def _volume(

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from depthcli.api.inputs import Overrides, as_image, computing, load_config, paired
-from depthcli.api.matching import device_of, limits_of, match_pair, rectified_rig, with_address, with_opened_networks
+from depthcli.api.matching import device_of, limits_of, match_pair, with_address, with_opened_networks
 from depthcli.api.results import Disparity
+from depthcli.api.rigs import rectified_rig
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock

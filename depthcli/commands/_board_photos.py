@@ -20,7 +20,7 @@ from depthcli.algorithms.calibration import (
     Size,
     dictionaries,
 )
-from depthcli.commands._single_options import BoardOptions
+from depthcli.commands._options import BoardOptions
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import color8, luma
 from depthcli.io.formats.calibrations import UNITS

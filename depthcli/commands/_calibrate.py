@@ -11,8 +11,8 @@ import numpy as np
 from depthcli.algorithms.calibration import MIN_PHOTOS, Board, fit_camera, fit_rig
 from depthcli.commands._board_photos import OUTLIER, CameraPhotos, board_of, look
 from depthcli.commands._calibration_report import Calibrated, picture_of, print_summary, report_of, table_of
+from depthcli.commands._options import BoardOptions
 from depthcli.commands._shared_options import Printing
-from depthcli.commands._single_options import BoardOptions
 from depthcli.core.errors import SOME_FAILED, ConfigError, InputError
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import write_calibration

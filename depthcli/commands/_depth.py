@@ -16,9 +16,8 @@ from depthcli.api.masks import chosen_pixels, parse_mask
 from depthcli.api.results import PointCloud
 from depthcli.api.saving import write_depth
 from depthcli.commands._clouds import check_limits, empty_cloud
-from depthcli.commands._options import RunOptions
+from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
 from depthcli.commands._scenes import scenes_at
-from depthcli.commands._single_options import CloudOptions, MapOptions
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import ConfigError, InputError

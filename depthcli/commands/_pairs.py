@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from depthcli.api.matching import limits_of, match_pair, partly_used, read_rig
+from depthcli.api.matching import limits_of, match_pair, partly_used
+from depthcli.api.rigs import read_rig
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import SceneOptions
 from depthcli.commands._rectified_pairs import calibration_files, check_unit, rectified_pair, sequence_range

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.matching import file_states, rectified_rig
+from depthcli.api.rigs import file_states, rectified_rig
 from depthcli.core.cameras.rig import RectifiedRig
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair

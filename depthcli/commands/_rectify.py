@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.matching import read_rig, rectified_rig
-from depthcli.commands._options import PairOptions, RunOptions
+from depthcli.api.rigs import read_rig, rectified_rig
+from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
 from depthcli.commands._rectified_pairs import (
     calibration_files,
     calibration_warnings,
@@ -22,7 +22,6 @@ from depthcli.commands._rectified_pairs import (
     sequence_range,
 )
 from depthcli.commands._scenes import find_scenes
-from depthcli.commands._single_options import RectifyOptions
 from depthcli.core.cameras.rig import RectifiedRig
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair

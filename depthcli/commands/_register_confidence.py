@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from depthcli.api.registration import measured_pair, peak_bytes, region_figures
+import numpy as np
+
+from depthcli.algorithms.resampling import block_means
+from depthcli.api.registration import measured_pair, peak_bytes
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
+from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
 from depthcli.io.formats.volumes import written_suffix
 from depthcli.io.layouts.registration import VOLUMES
 from depthcli.io.scenes import VolumePairScene
-from depthcli.io.volume_pairs import landmarks, load_volumes, loaded_size
+from depthcli.io.volume_pairs import LoadedPair, landmarks, load_volumes, loaded_size, region_masks
 from depthcli.methods.registration.config import RegisterConfidenceConfig
+from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import Column, number, percent
 from depthcli.run.json_csv import Row
@@ -84,7 +90,7 @@ class RegisterConfidence(Batch[VolumePairScene]):
         found.save(folder, written_suffix(scene.fixed), points)
         width, height, slices = loaded.grid.size
         facts: Row = {"width": width, "height": height, "slices": slices, **found.details.figures}
-        facts |= region_figures(found.details, loaded, scene)
+        facts |= _region_figures(found.details, loaded, scene)
         return Outcome(facts, clock.seconds, list(found.warnings))
 
     def problems(self, rows: Sequence[Row]) -> list[str]:
@@ -106,3 +112,35 @@ class RegisterConfidence(Batch[VolumePairScene]):
                 what = f"mask_{name} holds one label in {alone[0]}{others}"
                 lines.append(f"{what}: the region {name} there, not {name}_1; name its labels in meta.json")
         return lines
+
+
+def _region_figures(result: RegistrationResult, loaded: LoadedPair, scene: VolumePairScene) -> dict[str, float | str]:
+    """Return figures of the expected error in the regions of a pair, such as organs.
+
+    They are ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL, alone
+    where a region has no voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
+    """
+    figures: dict[str, float | str] = {}
+    if not scene.regions:
+        return figures
+    error = at_voxels(result.expected_error, result.start, result.step, loaded.pair.shape)
+    voxel = math.prod(loaded.grid.spacing) / 1000
+    for file, _ in scene.regions:
+        try:
+            for name, mask in region_masks(scene, file, loaded.grid):
+                if f"region_volume_{name}" in figures:
+                    twice = f"{scene.folder}: two regions are called {name}: give one of them another name"
+                    figures.setdefault(f"region_error_{file}", twice)
+                    continue
+                chosen = mask
+                if max(loaded.blocks) > 1:  # blocks of which the mask holds half; a small one: those it holds most of
+                    shares = block_means(mask, loaded.blocks)
+                    chosen = (shares > 0) & (shares >= min(0.5, float(shares.max())))
+                known = error[chosen]
+                figures[f"region_volume_{name}"] = round(int(np.count_nonzero(mask)) * voxel, 4)
+                if known.size:
+                    figures[f"region_mean_{name}"] = round(float(known.mean(dtype=np.float64)), 4)
+                    figures[f"region_95_{name}"] = round(float(np.quantile(known, 0.95)), 4)
+        except InputError as problem:
+            figures[f"region_error_{file}"] = str(problem)
+    return figures

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from depthcli.commands._single_options import SampleOptions
+from depthcli.commands._options import SampleOptions
 from depthcli.core.errors import ConfigError
 from depthcli.core.result import Clock
 from depthcli.run.batch import Batch, Outcome

@@ -16,8 +16,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from depthcli.commands._options import BoardOptions
 from depthcli.commands._shared_options import Printing
-from depthcli.commands._single_options import BoardOptions
 
 
 def calibrate(

@@ -12,9 +12,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from depthcli.commands._options import RunOptions
+from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
 from depthcli.commands._shared_options import HtmlOption
-from depthcli.commands._single_options import CloudOptions, MapOptions
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,7 @@ Examples:
 
 from __future__ import annotations
 
-from depthcli.commands._options import PairOptions, RunOptions
-from depthcli.commands._single_options import RectifyOptions
+from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
 
 
 def rectify(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> int:

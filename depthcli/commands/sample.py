@@ -9,8 +9,7 @@ Examples:
 
 from __future__ import annotations
 
-from depthcli.commands._options import RunOptions
-from depthcli.commands._single_options import SampleOptions
+from depthcli.commands._options import RunOptions, SampleOptions
 
 
 def sample(run: RunOptions, scenes: SampleOptions) -> int:

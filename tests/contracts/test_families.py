@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from depthcli.commands._single_options import SampleOptions
+from depthcli.commands._options import SampleOptions
 from depthcli.core.method import Family
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes

@@ -1,0 +1,48 @@
+"""Rigs of two cameras, as calibrations tell of them: read, and kept with their maps for the next images."""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.rig import RectifiedRig, Rig
+from depthcli.io.formats import calibrations
+from depthcli.methods.stereo.config import Calibration
+
+
+def read_rig(calibration: Calibration) -> Rig:
+    """Read the two cameras of a calibration; InputError where it cannot be read."""
+    paths = [Path(file) for file in calibration.files]
+    return calibrations.read_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
+
+
+def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[Any]) -> RectifiedRig:
+    """Return how images of these sizes are rectified; InputError where the calibration is not theirs.
+
+    The latest one is kept, with its maps, for the following images of the same sizes, until the files change.
+    """
+    sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
+    return _rectified_rig(calibration, file_states(*map(Path, calibration.files)), *sizes)
+
+
+@lru_cache(maxsize=1)  # of 12 megapixels the maps take 190 MB
+def _rectified_rig(
+    calibration: Calibration, files: object, size: tuple[int, int], right_size: tuple[int, int]
+) -> RectifiedRig:
+    return read_rig(calibration).rectified(size, right_size, calibration.alpha)
+
+
+def file_states(*files: Path) -> tuple[object, ...]:
+    """Return what changes when the files do: time, size and number of each; nothing of one that is missing."""
+    found = []
+    for file in files:
+        try:
+            state = os.stat(file)
+            found.append((state.st_mtime_ns, state.st_size, state.st_ino))
+        except (OSError, ValueError):  # reading it says why
+            found.append((0, 0, 0))
+    return tuple(found)
