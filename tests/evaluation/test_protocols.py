@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings, missing_scores, picture
-from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, invalid_value, scale_warning
+from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, scale_warning
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MapResult, Metric, Score, find_score, in_order
 from depthcli.io.formats.disparity import read_disparity, write_pfm
@@ -328,18 +328,28 @@ def test_wrong_scale_is_noticed(name, factor):
     assert "times the truth" in warning
 
 
-@pytest.mark.parametrize("mark", [-1.0, -16.0, -0.0625, 0.0])
-def test_constants_that_stand_for_no_value_are_recognized(mark):
+@pytest.mark.parametrize("name", STEREO)
+@pytest.mark.parametrize("mark", [-1.0, -16.0, 0.0])
+@pytest.mark.parametrize("share", [0.002, 0.05])
+def test_what_is_no_value_depends_on_the_protocol_and_not_on_the_map(name, mark, share, tmp_path):
+    """0 is a value everywhere; below it only where the program takes it, or the truth has such disparities."""
     rng = np.random.default_rng(0)
-    truth = rng.uniform(5, 60, (50, 50)).astype(np.float32)
+    truth = rng.uniform(5, 60, (50, 80)).astype(np.float32)
     estimate = truth + np.float32(0.3)
-    assert invalid_value(estimate, truth) is None
-    estimate[:, :3] = mark
-    assert invalid_value(estimate, truth) == mark
-    assert invalid_value(estimate, truth + np.float32(mark - 5)) is None  # the truth has it, too
-    estimate[:, 3:20] = np.float32(mark) + rng.uniform(0, 1, (50, 17)).astype(np.float32)
-    assert invalid_value(estimate, truth) is None  # the end of a range
-    assert invalid_value(np.full_like(truth, mark), truth) is None
+    estimate[rng.random(truth.shape) < share] = mark
+    write_pfm(tmp_path / "map.pfm", estimate)
+    judge, of_scene = make(name), everywhere(truth)
+    with collected_warnings() as lines:
+        values = judge.values(judge.read(tmp_path / "map.pfm", None, of_scene), of_scene)
+    counts = mark == 0 or name in ("eth3d", "middlebury-v3")
+    assert np.isnan(values[estimate == mark]).all() != counts
+    assert not np.isnan(values[estimate != mark]).any()
+    assert any(f"--invalid {mark:g}" in line for line in lines) == (counts and share > 0.005)
+    given = make(name, invalid=mark).read(tmp_path / "map.pfm", None, of_scene)
+    assert np.isnan(given).mean() == np.mean(estimate == mark)
+    truth[0, 0] = -3
+    kept = not np.isnan(judge.values(estimate, everywhere(truth))[estimate == mark]).any()
+    assert kept == (not name.startswith("kitti") or mark == 0)
 
 
 def disturbed(truth: np.ndarray, holes: bool) -> np.ndarray:

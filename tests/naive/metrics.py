@@ -11,11 +11,11 @@ def known_pixels(truth, mask):
 
 
 def bad_v2(estimate, truth, mask, t):
-    """(wrong, pixels): wrong if off by more than t or without a value."""
+    """(wrong, pixels): wrong if off by more than t or without a value, as below 0."""
     wrong, pixels = 0, known_pixels(truth, mask)
     for y, x in pixels:
         d = float(estimate[y, x])
-        if math.isnan(d) or abs(d - float(truth[y, x])) > t:
+        if math.isnan(d) or d < 0 or abs(d - float(truth[y, x])) > t:
             wrong += 1
     return wrong, len(pixels)
 

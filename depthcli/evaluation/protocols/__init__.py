@@ -160,7 +160,7 @@ class Settings:
     resolution: str | None = None  # size of the ground truth if a benchmark has several (Middlebury v3: F, H or Q)
     threshold: float | None = None  # of the headline, in the protocol's unit, instead of the benchmark's
     resize: tuple[int, int] | None = None  # (width, height) of depth maps and truth, nearest neighbor (ClearGrasp)
-    invalid: float | None = None  # value of disparity files that is no value, before ``scale``; None: it is recognized
+    invalid: float | None = None  # value of disparity files that is no value, before ``scale``; NaN: there is none
     any_scale: bool = False  # ``scale`` is of all files, not only of those that may hold integer codes
 
     def __post_init__(self) -> None:

@@ -130,8 +130,8 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
         """Return the map in pixels; 8-bit codes have the truth's scale if the settings have none.
 
-        The setting ``invalid``, or else the constant that :func:`invalid_value` recognizes in another program's map,
-        is no value; the latter with a warning, as where the scale looks wrong.
+        The setting ``invalid`` is no value. A constant of another program's map that may be meant so, but counts as a
+        value, is a warning, as is a scale that looks wrong.
         """
         codes = truth.scale if truth.scale is not None and truth.scale < 256 else None
         pixels = path.suffix.lower() == ".pfm" and not self.settings.any_scale
@@ -144,13 +144,14 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         if self.settings.invalid is not None:
             estimate[read_plane(path) == np.float32(self.settings.invalid)] = np.nan
         elif not (path.parent / "record.json").is_file():  # runs of this program mark what has no value
-            invalid = invalid_value(estimate, truth.values)
-            if invalid is not None:
-                marked = estimate == np.float32(invalid)
-                estimate[marked] = np.nan
+            with np.errstate(invalid="ignore"):
+                constant = lone_constant(np.where(estimate < self.lowest(truth), np.float32(np.nan), estimate))
+            if constant is not None:
+                marked = estimate == np.float32(constant)
+                share, code = f"{100 * np.mean(marked):.3g} %", float(read_plane(path)[marked][0])
                 warn(
-                    f"{shown(path)}: {100 * np.mean(marked):.3g} % of the pixels are {invalid:g}, which the truth "
-                    f"never is: taken as no value (evaluate --invalid nan keeps them)"
+                    f"{shown(path)}: {share} of the pixels are {code:g}, which counts as a value "
+                    f"(evaluate --invalid {code:g} if it means none, --invalid nan if not)"
                 )
         if (warning := scale_warning(self.resized(estimate, truth), truth.values)) is not None:
             warn(warning)
@@ -162,9 +163,15 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
             raise ValueError(f"the map is {size(estimate)}, the truth {size(truth.values)}")
         return estimate
 
+    def lowest(self, truth: DisparityTruth) -> float:
+        """Return the smallest number of an estimate that is a value: 0, but any where the truth is negative, too."""
+        return -np.inf if np.nanmin(truth.values, initial=np.float32(0)) < 0 else 0.0
+
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Return the values that are compared, here the estimate as it is."""
-        return self.resized(estimate, truth)
+        """Return the values that are compared, here the estimate without what is below the lowest value."""
+        fitted = self.resized(estimate, truth)
+        with np.errstate(invalid="ignore"):
+            return np.where(fitted < self.lowest(truth), np.float32(np.nan), fitted)
 
     def error(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return (H, W) float32, pixels: single precision, as in the benchmarks' programs."""
@@ -201,15 +208,6 @@ def difference(estimate: Disparity, truth: Disparity) -> Disparity:
 def size(array: NDArray[Any]) -> str:
     """Return the size of an (H, W) array as text: width x height."""
     return f"{array.shape[1]} x {array.shape[0]}"
-
-
-def invalid_value(estimate: Disparity, truth: Disparity) -> float | None:
-    """Return the constant at or below 0 that stands for no value in other programs' maps, such as OpenCV's -1.
-
-    It stands alone, and the truth has nothing as small. None: there is no such constant.
-    """
-    lowest = lone_constant(estimate)
-    return None if lowest is None or float(np.nanmin(truth)) <= lowest + 0.5 else lowest
 
 
 _HINTS = {

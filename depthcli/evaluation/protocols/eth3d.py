@@ -17,8 +17,8 @@ MISSING_NOT_COUNTED = "estimated pixels only; an empty map counts as bad"
 class Eth3dProtocol(DisparityProtocol):
     """Bad pixels among the estimated ones, with the coverage beside them.
 
-    Values are neither clipped nor rounded; one beyond the image's width counts as missing. A map without any
-    value is 100 % bad. The quantile A_q is element floor(q n / 100) of the n sorted errors.
+    Values, negative ones included, are neither clipped nor rounded; one beyond the image's width counts as missing.
+    A map without any value is 100 % bad. The quantile A_q is element floor(q n / 100) of the n sorted errors.
     """
 
     presentation = replace(
@@ -30,11 +30,15 @@ class Eth3dProtocol(DisparityProtocol):
     default_threshold = 1.0
     thresholded_metric = Metric("bad", "%", convention=MISSING_NOT_COUNTED, worst=100.0)
 
+    def lowest(self, truth: DisparityTruth) -> float:
+        """Return the image's width with a minus: negative values count, as in the program."""
+        return -float(truth.values.shape[1])
+
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the estimate without the values, of either sign, that are beyond the image's width."""
-        fitted = self.resized(estimate, truth)
+        fitted = super().values(estimate, truth)
         with np.errstate(invalid="ignore"):
-            return np.where(np.abs(fitted) > fitted.shape[1], np.float32(np.nan), fitted)
+            return np.where(fitted > fitted.shape[1], np.float32(np.nan), fitted)
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute ``bad`` at four thresholds, ``coverage``, ``avgerr``, ``rms`` and quantiles."""

@@ -74,6 +74,10 @@ class Kitti2012Protocol(DisparityProtocol):
         """Return the ground truth, for which there is no better protocol."""
         return replace(super().truth(scene), looks_like="")
 
+    def lowest(self, truth: DisparityTruth) -> float:
+        """Return 0: negative values are missing, as in the kit."""
+        return 0.0
+
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the values that a 16-bit PNG holds: codes 1 to 65535, 256 a pixel."""
         values = self.resized(estimate, truth)

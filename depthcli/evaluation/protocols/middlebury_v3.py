@@ -99,6 +99,10 @@ class MiddleburyV3Protocol(DisparityProtocol):
         with np.errstate(over="ignore"):
             return np.repeat(np.repeat(estimate * np.float32(factor), factor, axis=0), factor, axis=1)
 
+    def lowest(self, truth: DisparityTruth) -> float:
+        """Return that any number is a value: the SDK clips those below the range."""
+        return -math.inf
+
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the estimate scaled up, clipped to the range, and rounded where the truth is."""
         fitted = self.resized(estimate, truth)
