@@ -121,7 +121,8 @@ class RegistrationConfidence:
 
     def __repr__(self) -> str:
         error, size = self.details.figures["mean_error"], " x ".join(map(str, self.grid.size))
-        return f"RegistrationConfidence({size} voxels, {error:.2f} mm expected)"
+        above = "> " * beyond_search(self.details.figures)
+        return f"RegistrationConfidence({size} voxels, {above}{error:.2f} mm expected)"
 
     def _repr_png_(self) -> bytes:
         return png_bytes(self._preview())
@@ -201,12 +202,17 @@ def measured_pair(
     result.figures.update(inside_figures(result, loaded))
     clock.include(result.seconds)
     warnings = []
-    if result.figures.get("border", 0.0) > _MAX_BORDER_SHARE:
+    if beyond_search(result.figures):
         warnings.append(
             f"{100 * result.figures['border']:.0f} % of the best matches lie on the border of the search: the "
             "registration may be off by more than its range; a larger levels, radius or iso searches farther"
         )
     return RegistrationConfidence(loaded, result, dict(clock.seconds), tuple(warnings), config.neurological)
+
+
+def beyond_search(figures: Mapping[str, Any]) -> bool:
+    """Return whether so many of the best matches lie on the border of the search that its errors are lower bounds."""
+    return float(figures.get("border", 0.0)) > _MAX_BORDER_SHARE
 
 
 def peak_bytes(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from depthcli.algorithms.resampling import block_means
-from depthcli.api.registration import measured_pair, peak_bytes
+from depthcli.api.registration import beyond_search, measured_pair, peak_bytes
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
@@ -52,6 +52,12 @@ def _center(row: Row) -> str:
     return " ".join(f"{value:.0f}" for value in place if isinstance(value, int | float)) or "-"
 
 
+def _error(key: str, form: str, title: str) -> Column:
+    """Return the column of an expected error, as ``> 14`` where it stops at the border of the search."""
+    plain = number(key, form, title)
+    return Column(title, lambda row: "> " * (key in row and beyond_search(row)) + plain.text(row))
+
+
 @dataclass(frozen=True)
 class RegisterConfidence(Batch[VolumePairScene]):
     """Computes confidence, expected error and, where matches are searched for, shift of pairs."""
@@ -59,9 +65,9 @@ class RegisterConfidence(Batch[VolumePairScene]):
     command = "register-confidence"
     columns = (
         Column("size", _size),
-        number("inside_mean", "{:.2f}", "mean mm"),
-        number("inside_95", "{:.1f}", "95 % mm"),
-        number("inside_max", "{:.1f}", "largest mm"),
+        _error("inside_mean", "{:.2f}", "mean mm"),
+        _error("inside_95", "{:.1f}", "95 % mm"),
+        _error("inside_max", "{:.1f}", "largest mm"),
         number("above_3mm", "{:.1f}", "above 3 mm, mL"),
         Column("center, LPS", _center),
         percent("border", "at border"),
@@ -92,6 +98,10 @@ class RegisterConfidence(Batch[VolumePairScene]):
         facts: Row = {"width": width, "height": height, "slices": slices, **found.details.figures}
         facts |= _region_figures(found.details, loaded, scene)
         return Outcome(facts, clock.seconds, list(found.warnings))
+
+    def is_lower_bound(self, row: Row) -> bool:
+        """Return whether the search ends before the errors do."""
+        return beyond_search(row)
 
     def problems(self, rows: Sequence[Row]) -> list[str]:
         """Return a line for each region whose mask could not be used."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from depthcli.commands._evaluation import viewers
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import DepthcliError
+from depthcli.core.text import summarized
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, Choices, evaluate_runs
 from depthcli.evaluation.map_files import run_names
@@ -76,6 +77,10 @@ def _without_truth(
         else:
             shown.append(scene)
             row_of[scene.name] = row
-    (name,) = run_names([folder])
+    (run,) = run_names([folder])
     columns = batch.columns if batch.page_columns is None else batch.page_columns
-    return RunWithoutTruth(name, folder, load(batch.shown_as)(), batch.palette, shown, row_of, columns)
+    own = [(scene.name, by_name[scene.name]) for scene in scenes if scene.name in by_name]
+    warnings = summarized((name, line) for name, row in own for line in row.get("warnings") or ())
+    bounds = frozenset(name for name, row in own if batch.is_lower_bound(row))
+    judge = load(batch.shown_as)()
+    return RunWithoutTruth(run, folder, judge, batch.palette, shown, row_of, columns, warnings, bounds)

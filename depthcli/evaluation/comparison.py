@@ -183,16 +183,23 @@ class EvaluationReport:
     @property
     def warnings(self) -> list[str]:
         """What looks wrong with the scenes and maps, one line each."""
-        return [*self.hints, *(f"{r.run}: {r.scene}: {r.warning}" for r in self.results if r.warning)]
+        return [*self.hints, *(f"{run}: {scene}: {line}" for run, scene, line in self._of_maps(with_reports=True))]
 
-    @property
-    def warning_lines(self) -> list[str]:
-        """``warnings``, where those of a run that differ in numbers and scenes alone are one line."""
-        found = list(self.hints)
-        for run in self.runs:
-            lines = summarized((r.scene, r.warning) for r in self.results if r.run == run and r.warning)
-            found += [f"{run}: {line}" for line in lines]
+    def warning_lines(self, with_reports: bool = True) -> list[str]:
+        """Return ``warnings``, one line for those of a run that differ in numbers and scenes alone.
+
+        ``with_reports=False`` leaves out those that the runs' own reports hold.
+        """
+        found, of_maps = list(self.hints), self._of_maps(with_reports)
+        for name in self.runs:
+            lines = summarized((scene, line) for run, scene, line in of_maps if run == name)
+            found += [f"{name}: {line}" for line in lines]
         return found
+
+    def _of_maps(self, with_reports: bool) -> list[tuple[str, str, str]]:
+        """Return run, scene and text of what looks wrong with maps."""
+        both = ((r, (r.warning, *(r.run_warnings if with_reports else ()))) for r in self.results)
+        return [(r.run, r.scene, line) for r, lines in both for line in lines if line]
 
     @property
     def n_scenes(self) -> int:

@@ -128,7 +128,7 @@ def evaluate_runs(
                     viewer.write(report, scores, {run: saved_config(place) for run, place in places.items()})
                 except DepthcliError as error:  # the scores are there
                     reporter.error(f"no {viewer.file}: {error}")
-    for line in report.warning_lines:
+    for line in report.warning_lines(with_reports=rows is None):  # else the run has just printed its own
         reporter.info(f"warning: {line}")
     for result in report.failed:
         reporter.error(f"{result.run} {result.scene}: {result.error}")
@@ -273,6 +273,7 @@ class _Scoring:
         options = self.naming[start.run]
         files = options.files(protocol.files)
         row: Row = next((rows[name] for name in names if name in rows), {})
+        start = replace(start, run_warnings=tuple(row.get("warnings") or ()))
         try:
             path = place if place.is_file() else files.find(place, names)
             if path is None:

@@ -214,6 +214,7 @@ class MapResult:
     size: int = 0  # number of pixels (or voxels) of the scene, with known truth or without; 0 without a map
     n_disparities: int = 0  # that the run searched; 0 where its report does not say
     warning: str = ""  # what looks wrong with the map
+    run_warnings: tuple[str, ...] = ()  # what the run's own report says of it
     error: str = ""  # why there is no map to score
     pooling_data: Any = field(default=None, repr=False, compare=False)  # what the protocol needs to pool scenes
 

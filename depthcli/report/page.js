@@ -7,7 +7,7 @@ document.documentElement.classList.add("js");
 
 // Tables
 
-const amount = (cell) => parseFloat(cell.textContent.trim().replace(/\*$/, ""));
+const amount = (cell) => parseFloat(cell.textContent.trim().replace(/^> |\*$/g, ""));
 
 function sort(table, column, head) {
   const down = head.getAttribute("aria-sort") === "ascending";

@@ -97,6 +97,7 @@ class SceneView:
         packed ``truth`` and ``region`` (1: known, 2: occluded), and ``runs``: name -> packed ``values``, ``error``,
         ``wrong``, ``status``, and ``confidence`` by measure
     thumbs : run (empty: the scene itself) -> what a small picture shows -> data URI
+    above : what stands before the figures: empty, or "> " where they are lower bounds
     figures, note : without truth: heading with unit -> number, by which scenes are ordered, and their explanation
     mean_confidence : without truth: heading -> mean of a confidence map
     legend : without truth: words -> CSS color of the statuses in the small picture
@@ -122,7 +123,7 @@ class SceneView:
         self.figures: dict[str, float] = {}
         self.mean_confidence: dict[str, float] = {}
         self.legend: dict[str, str] = {}
-        self.note = ""
+        self.note = self.above = ""
         self.sheet: str | None = None
         self.packed: PackedScene
         self._errors: dict[str, _Errors] = {}

@@ -35,6 +35,8 @@ class RunWithoutTruth(NamedTuple):
     scenes: Sequence[Scene]
     rows: Mapping[str, Row]  # scene -> its row of the run's report
     columns: Sequence[Column]  # further columns of the table, made from the rows
+    warnings: Sequence[str]  # of the rows, one line a kind
+    lower_bounds: frozenset[str]  # scenes whose figures are lower bounds, shown as ``> 14``
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class ScenesWithoutTruth:
     """What the page shows of a run's scenes: a table, and the views of those with pictures, in its order."""
 
     run: str
+    warnings: Sequence[str]
     table: Table  # a row a scene; its note explains the figures
     by: str  # heading of the figure by which the scenes are ordered; or empty
     n_failed: int  # scenes that failed, which come first and have the reason in their second cell
@@ -73,7 +76,9 @@ def scenes_without_truth(run: RunWithoutTruth, save: Callable[[SceneView], None]
         TableColumn("status", [reasons.get(name) or str(rows[name].get("status") or "done") for name in names]),
     ]
     for key in keys:
-        columns.append(TableColumn(key, [Number(figures.get(name, {}).get(key, math.nan)) for name in names]))
+        above = {name: view.above for name, view in views.items() if key in view.figures}
+        cells = [above.get(name, "") + Number(figures.get(name, {}).get(key, math.nan)) for name in names]
+        columns.append(TableColumn(key, cells))
     for column in (*run.columns, SECONDS):
         cells = ["-" if name in reasons or not rows[name] else column.text(rows[name]) for name in names]
         columns.append(TableColumn(column.title, cells))
@@ -81,6 +86,7 @@ def scenes_without_truth(run: RunWithoutTruth, save: Callable[[SceneView], None]
     note = "; ".join(dict.fromkeys(view.note for view in views.values() if view.note))
     return ScenesWithoutTruth(
         run.name,
+        run.warnings,
         Table.of_columns("", columns, note),
         by=keys[0] if keys else "",
         n_failed=len(reasons),
@@ -101,6 +107,7 @@ def _view(run: RunWithoutTruth, scene: Scene) -> SceneView:
         palette = presentation.palette if run.palette is None else run.palette
         view = SceneView(scene, protocol, nothing, nothing, None, shown.axes, scale, palette)
         view.add_shown(run.name, path, shown)
+        view.above = "> " * (scene.name in run.lower_bounds)
     return view
 
 

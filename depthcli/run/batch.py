@@ -104,6 +104,10 @@ class Batch(ABC, Generic[SceneT]):
         """Return the scenes whose ground truth ``--evaluate`` compares the results with."""
         return scenes
 
+    def is_lower_bound(self, row: Row) -> bool:
+        """Return whether the errors in a row are lower bounds, which tables and the page show as ``> 14``."""
+        return False
+
     def notes(self, scenes: Sequence[SceneT], rows: Sequence[Row]) -> list[str]:
         """Return warnings about a whole run."""
         return []

@@ -38,6 +38,8 @@ def read_report(folder: Path) -> dict[str, Row]:
             seconds, peak = row.get("seconds"), row.get("peak_memory")
             known = isinstance(seconds, dict) and all(isinstance(s, int | float) for s in seconds.values())
             row |= {"seconds": seconds if known else {}, "peak_memory": peak if isinstance(peak, int) else None}
+            lines = row.get("warnings")
+            row["warnings"] = list(map(str, lines)) if isinstance(lines, list) else []
             row |= {key: str(row.get(key) or "") for key in ("status", "error", "source")}
             found[row["scene"]] = row
     return found
