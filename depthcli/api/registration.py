@@ -207,6 +207,8 @@ def measured_pair(
             f"{100 * result.figures['border']:.0f} % of the best matches lie on the border of the search: the "
             "registration may be off by more than its range; a larger levels, radius or iso searches farther"
         )
+    if np.array_equal(loaded.pair.fixed, loaded.pair.warped):
+        warnings.append("fixed and registered volume are the same: is one of them given twice?")
     return RegistrationConfidence(loaded, result, dict(clock.seconds), tuple(warnings), config.neurological)
 
 

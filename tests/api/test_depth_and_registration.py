@@ -171,3 +171,10 @@ FIXED = np.random.default_rng(0).random(SHAPE, np.float32)
 def test_wrong_volumes_are_refused(arguments: dict[str, Any], message: str):
     with pytest.raises(depthcli.InputError, match=message):
         depthcli.registration_confidence(**{"fixed": FIXED, "warped": FIXED, "spacing": (1, 1, 1), **arguments})
+
+
+def test_a_volume_given_twice_is_said():
+    found = depthcli.registration_confidence(FIXED, FIXED.copy(), (1, 1, 1), "axes")
+    assert any("the same" in line for line in found.warnings)
+    moved = depthcli.registration_confidence(FIXED, np.roll(FIXED, 1, axis=2), (1, 1, 1), "axes")
+    assert not any("the same" in line for line in moved.warnings)

@@ -210,8 +210,8 @@ def test_reports_say_how_large_errors_are_in_the_body_and_where(tmp_path, capsys
     assert "above 3 mm, mL" in page and "mean mm" not in page
 
 
-def test_figures_that_stop_at_the_border_of_the_search_are_lower_bounds(pairs, tmp_path, capsys):
-    run, given = tmp_path / "run", pairs / "pair_0"
+def test_figures_that_stop_at_the_border_of_the_search_are_lower_bounds(made_volumes, tmp_path, capsys):
+    run, given = tmp_path / "run", made_volumes / "pair_0"
     command = ["register-confidence", "axes", "--set", "radius=1", "-o", str(run)]
     files = ["--fixed", str(given / "fixed.nii.gz"), "--warped", str(given / "moving_warped.nii.gz"), "--name", "one"]
     assert main([*command, *files, "--html"]) == 0
@@ -222,11 +222,13 @@ def test_figures_that_stop_at_the_border_of_the_search_are_lower_bounds(pairs, t
     assert f"> {row['inside_mean']:.2f}" in shown.out
     page = (run / "evaluation" / "report.html").read_text()
     assert warning in page and f"<td>&gt; {row['inside_max']:.1f}</td>" in page
-    assert main([*command, "-i", str(pairs), "--scenes", "pair_0", "--overwrite", "--evaluate", "--html"]) == 0
+    assert main([*command, "-i", str(made_volumes), "--scenes", "pair_0", "--overwrite", "--evaluate", "--html"]) == 0
     assert capsys.readouterr().err.count("border of the search") == 1
-    assert main([*command, "-i", str(pairs), "--scenes", "pair_0"]) == 0
+    assert main([*command, "-i", str(made_volumes), "--scenes", "pair_0"]) == 0
     assert "border of the search" in capsys.readouterr().err  # of a scene that was done
-    assert main(["evaluate", str(run), "--truth", str(pairs), "--scenes", "pair_0", "-o", str(tmp_path / "e")]) == 0
+    assert (
+        main(["evaluate", str(run), "--truth", str(made_volumes), "--scenes", "pair_0", "-o", str(tmp_path / "e")]) == 0
+    )
     assert "border of the search" in capsys.readouterr().err
     for file in (run / "evaluation" / "report.md", run / "evaluation" / "report.html", tmp_path / "e" / "report.md"):
         assert "border of the search" in file.read_text()

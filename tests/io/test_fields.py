@@ -9,6 +9,7 @@ import pytest
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.fields import in_millimeters, read_field, read_moving_transform
+from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.volumes import itk_image, write_array
 from tests.command_line import refused
 
@@ -207,3 +208,34 @@ def test_displacements_that_are_no_numbers_blame_their_file(tmp_path, kind):
     fixed, moving = volumes()
     with pytest.raises(InputError, match=rf"{kind}: {1 + 20 * 18} of 5760 displacements are no numbers"):
         read_moving_transform(None, path, "auto", fixed, moving)
+
+
+@pytest.mark.parametrize("convention", ["auto", "itk"])
+@pytest.mark.parametrize("way", ["inverted", "negated"])
+def test_a_field_that_fits_better_the_other_way_round_is_said(tmp_path, convention, way):
+    fixed, moving = volumes()
+    field = displacement()
+    if way == "inverted":  # the field of a registration of the moving volume to the fixed one
+        image = SimpleITK.InvertDisplacementField(itk_image(field.astype(np.float64), GRID), 50)
+        field = SimpleITK.GetArrayFromImage(image).astype(np.float32)
+    write_array(tmp_path / "right.mha", GRID, displacement())
+    write_array(tmp_path / "wrong.mha", GRID, -field if way == "negated" else field)
+    with collected_warnings() as lines:
+        read_moving_transform(None, tmp_path / "right.mha", convention, fixed, moving)
+        assert not lines
+        read_moving_transform(None, tmp_path / "wrong.mha", convention, fixed, moving)
+    (line,) = lines
+    assert "wrong.mha" in line and way in line
+
+
+def test_an_inverted_transform_is_said(tmp_path):
+    rng = np.random.default_rng(0)
+    fixed = itk_image(rng.standard_normal(GRID.shape).astype(np.float32), GRID)
+    fixed = SimpleITK.SmoothingRecursiveGaussian(fixed, 2.0)
+    moving = SimpleITK.Resample(fixed, fixed, affine(), SimpleITK.sitkLinear)
+    both = [Volume(SimpleITK.GetArrayFromImage(image), GRID) for image in (fixed, moving)]
+    for name, transform in (("right", affine().GetInverse()), ("wrong", affine())):
+        SimpleITK.WriteTransform(transform, str(tmp_path / f"{name}.tfm"))
+        with collected_warnings() as lines:
+            read_moving_transform(tmp_path / f"{name}.tfm", None, "auto", *both)
+        assert [("inverted" in line) for line in lines] == [True] * (name == "wrong")

@@ -11,6 +11,7 @@ Learn2Reg, VoxelMorph   ``.npz`` or 4-D NIfTI (X, Y, Z, 3): displacement, voxels
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.resampling import nearest
+from depthcli.algorithms.resampling import nearest, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
-from depthcli.io.formats.files import naming, open_regular, read_bytes
+from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn
 from depthcli.io.formats.files_behind import MAX_CHAIN, MAX_TRANSFORM_BYTES, initial_transform
 from depthcli.io.formats.plain_text import numbers
 from depthcli.io.formats.volumes import (
@@ -46,6 +47,7 @@ READINGS = {
 _MIN_RATIO = 1.1  # mutual information of the better reading over that of the named one, to refuse the named one
 _MIN_GAIN = 0.02  # and by how much it must be more, nats
 _N_SAMPLES = 60_000  # voxels that the readings of a field are compared at
+_N_INVERSIONS = 8  # steps of the fixed-point iteration, each of which at least halves the error of smooth fields
 _N_BINS = 24  # of the histogram of each volume
 _COLUMNS = re.compile(r"(?:^|_)([xyz])(?:_|$)")
 
@@ -121,7 +123,8 @@ def read_moving_transform(
 
     With both files, the displacement comes first and the transform after it (ANTs: ``1Warp``, ``0GenericAffine``).
     The ``convention`` auto (of auto, itk, ants, niftyreg, voxels) takes what the header says; where the moving volume
-    is there, another reading that fits it clearly better is an error.
+    is there, another reading that fits it clearly better is an error. With any convention, and for transforms, there is
+    a warning where the moving volume fits clearly better through the inverse, or with displacements negated.
     """
     sitk = simple_itk()
     after = None if transform is None else read_transform(transform)
@@ -145,7 +148,12 @@ def read_moving_transform(
         chain.append(sitk.DisplacementFieldTransform(itk_image(in_millimeters(field, reading), field.grid)))
     if not chain:
         raise InputError("neither a transform nor a displacement field")
-    return sitk.CompositeTransform(chain)
+    combined = sitk.CompositeTransform(chain)
+    if moving is not None:
+        file = displacement or transform
+        if reason := _reversed(combined, fixed, moving):
+            warn(f"{shown(file or '')}: {reason}")
+    return combined
 
 
 def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, after: Any) -> None:
@@ -161,18 +169,54 @@ def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, afte
     target = nearest(fixed.values, at[inside])
     scores = {}
     for reading in READINGS:
-        moved = points[inside] + in_millimeters(field, reading).reshape(-1, 3)[chosen[inside]]
-        if after is not None:
-            moved = np.array([after.TransformPoint(point) for point in moved.tolist()])
-        scores[reading] = _information(target, nearest(moving.values, moving.grid.to_index(moved)))
+        shift = in_millimeters(field, reading).reshape(-1, 3)[chosen[inside]]
+        for way in (reading, "negated") if reading == named else (reading,):
+            moved = points[inside] + (-shift if way == "negated" else shift)
+            if after is not None:
+                moved = np.array([after.TransformPoint(point) for point in moved.tolist()])
+            scores[way] = _information(target, nearest(moving.values, moving.grid.to_index(moved)))
     best = max(scores, key=lambda reading: scores[reading])
-    if best != named and scores[best] > max(_MIN_RATIO * scores[named], scores[named] + _MIN_GAIN):
+    if best not in (named, "negated") and _clearly_better(scores[best], scores[named]):
         option, own = ("niftyreg" if reading == "positions" else reading for reading in (best, named))
         raise InputError(
             f"its header says {READINGS[named]}, but read as {READINGS[best]} it fits the volumes clearly better "
             f"(mutual information {scores[best]:.2f} against {scores[named]:.2f}); see --field {option}, or --field "
             f"{own} to keep to the header"
         )
+
+
+def _clearly_better(fit: float, other: float) -> bool:
+    return fit > max(_MIN_RATIO * other, other + _MIN_GAIN)
+
+
+def _reversed(transform: Any, fixed: Volume, moving: Volume) -> str:
+    """Return a warning where the inverse or the negated displacements fit the volumes clearly better, or empty."""
+    every = math.ceil((math.prod(fixed.grid.size) / _N_SAMPLES) ** (1 / 3))
+    x, y, z = (-(-n // every) for n in fixed.grid.size)
+    spacing = fixed.grid.spacing[0] * every, fixed.grid.spacing[1] * every, fixed.grid.spacing[2] * every
+    grid = Grid((x, y, z), spacing, fixed.grid.origin, fixed.grid.direction)
+    sitk = simple_itk()
+    placed = grid.size, grid.origin, grid.spacing, grid.direction
+    away = sitk.GetArrayFromImage(sitk.TransformToDisplacementField(transform, sitk.sitkVectorFloat32, *placed))
+    points = grid.to_point(np.indices(grid.shape, np.float64).reshape(3, -1).T)
+    own = away.reshape(-1, 3).astype(np.float64)
+    back = -own
+    for _ in range(_N_INVERSIONS):
+        at = grid.to_index(points + back)
+        back = -np.stack([trilinear(away[..., axis], at) for axis in range(3)], axis=1).astype(np.float64)
+    target = fixed.values[::every, ::every, ::every].ravel()
+    ways = {"": own, "inverted": back, "with its displacements negated": -own}
+    scores = {
+        way: _information(target, nearest(moving.values, moving.grid.to_index(points + shift)))
+        for way, shift in ways.items()
+    }
+    best = max(scores, key=lambda way: scores[way])
+    if not best or not _clearly_better(scores[best], scores[""]):
+        return ""
+    return (
+        f"{best} it fits the volumes clearly better (mutual information {scores[best]:.2f} against {scores['']:.2f}); "
+        "it must lead from the fixed to the moving volume"
+    )
 
 
 def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
