@@ -24,9 +24,9 @@ from depthcli.core.frames import RgbdFrame, SparseFrame, color8, infrared_image
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, DepthResult
 from depthcli.io.formats.calibrations import read_color_infrared_rig
-from depthcli.io.formats.depth import MILLIMETERS
+from depthcli.io.formats.depth import MILLIMETERS, beyond_png, sensor_warning
 from depthcli.io.formats.disparity import write_pfm
-from depthcli.io.formats.files import naming, warn
+from depthcli.io.formats.files import collected_warnings, naming
 from depthcli.io.formats.plain_text import numbers
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import frame_by_frame
@@ -52,6 +52,7 @@ class RefinedDepth(Shown, DepthMap):
     scale: float = MILLIMETERS  # codes per meter of depth.png
     rotate: int = 0  # bits that the codes are rotated left by
     cloud: NDArray[np.bool_] | None = None  # (H, W), the pixels that ``save`` writes as points.ply
+    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
 
     @property
     def sigma(self) -> NDArray[np.float32]:
@@ -161,7 +162,8 @@ def refine_depth(
     refined: list[RefinedDepth] = []
     for number, (one_color, one_depth) in enumerate(zip(colors, depths, strict=True)):
         where = "" if single else f"frame {number}: "
-        measured = as_depth(one_depth, f"{where}depth", scale)
+        with collected_warnings() as lines:
+            measured = as_depth(one_depth, f"{where}depth", scale)
         image = None if one_color is None else color8(as_image(one_color, f"{where}color"))
         height, width = measured.shape if image is None else image.shape[:2]
         if refined and (height, width) != refined[0].values.shape:
@@ -175,11 +177,13 @@ def refine_depth(
         else:
             with naming(f"{where}depth"):
                 found = registered(measured, (height, width), camera, depth_camera, place)
-            if found.note:
-                warn(f"{where}depth: {found.note}")
+            lines += [f"{where}depth: {found.note}"] if found.note else []
             frame = RgbdFrame(image, found.depth, fb or sensor_fb(camera), camera, found.interpolated)
+        is_float = np.asarray(one_depth).dtype.kind == "f"
+        lines += [text] if (text := sensor_warning(f"{where}depth", frame.depth, 1.0 if is_float else scale)) else []
         with computing():
-            refined.append(refined_frame(config, frame, refine, Clock(), scale))
+            result = refined_frame(config, frame, refine, Clock(), scale)
+        refined.append(replace(result, warnings=(*lines, *result.warnings)))
     return refined[0] if single else refined
 
 
@@ -228,31 +232,34 @@ def complete_transparent(
     """
     chosen = preset if preset is not None else "sparse" if sparse is not None else "kinect"
     config = load_config(TransparentConfig, chosen, overrides, **fields)
-    scale, clock = config.depth_scale or MILLIMETERS, Clock()
+    scale = config.depth_scale or MILLIMETERS
     image = color8(as_image(color, "color"))
     height, width = image.shape[:2]
-    measured = as_depth(depth, "depth", scale, (height, width))
+    with collected_warnings() as lines:
+        measured = as_depth(depth, "depth", scale, (height, width))
+        second = None if sparse is None or config.stereo else as_depth(sparse, "sparse", scale, measured.shape)
+    frame: SparseFrame | RgbIrFrame
     if config.stereo is None:
-        if sparse is None:
+        if second is None:
             raise InputError("this config wants sparse depth: give sparse, or a preset with stereo")
-        second = as_depth(sparse, "sparse", scale, measured.shape)
         surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
         frame = SparseFrame(image, measured, fb or sensor_fb(None), sparse=second, sparse_confidence=surer)
-        with computing():
-            return completed_frame(config, frame, clock, scale, available_memory())[1]
-    if infrared is None:
-        raise InputError("this config wants an infrared image: give infrared, or sparse with another preset")
-    if (calibration is None) == (fb is None):
-        raise ConfigError("an infrared image wants either the calibration of both cameras, or fb of a rectified pair")
-    grey, rig = infrared_image(as_image(infrared, "infrared")), None
-    if calibration is not None:
-        found = read_color_infrared_rig(Path(calibration), (width, height), (grey.shape[1], grey.shape[0]))
-        rig, fb = (None, found) if isinstance(found, int | float) else (found, None)
-    if rig is None and grey.shape != measured.shape:
-        raise InputError("infrared: a rectified pair has one size")
-    pair = RgbIrFrame(image, grey, measured, rig, fb or 1.0)
+    else:
+        if infrared is None:
+            raise InputError("this config wants an infrared image: give infrared, or sparse with another preset")
+        if (calibration is None) == (fb is None):
+            both = "the calibration of both cameras, or fb of a rectified pair"
+            raise ConfigError(f"an infrared image wants either {both}")
+        grey, rig = infrared_image(as_image(infrared, "infrared")), None
+        if calibration is not None:
+            found = read_color_infrared_rig(Path(calibration), (width, height), (grey.shape[1], grey.shape[0]))
+            rig, fb = (None, found) if isinstance(found, int | float) else (found, None)
+        if rig is None and grey.shape != measured.shape:
+            raise InputError("infrared: a rectified pair has one size")
+        frame = RgbIrFrame(image, grey, measured, rig, fb or 1.0)
     with computing():
-        return completed_frame(config, pair, clock, scale, available_memory())[1]
+        completed = completed_frame(config, frame, Clock(), scale, available_memory())[1]
+    return replace(completed, warnings=(*lines, *completed.warnings))
 
 
 def refined_frame(
@@ -308,5 +315,9 @@ def _refined(
     found = result.depth
     if frame.interpolated:
         found.status[found.kept] |= np.uint8(DepthStatus.SMOOTHED)
-    seconds = dict(clock.seconds)
-    return RefinedDepth(found.values, found.status, frame.color, frame.intrinsics, result, seconds, scale, rotate)
+    _, beyond = beyond_png(found.values, scale)
+    warnings = (f"{beyond}; see depth_scale",) if beyond else ()
+    camera, seconds = frame.intrinsics, dict(clock.seconds)
+    return RefinedDepth(
+        found.values, found.status, frame.color, camera, result, seconds, scale, rotate, warnings=warnings
+    )

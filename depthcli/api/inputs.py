@@ -18,6 +18,7 @@ from depthcli.core.frames import Image, StereoPair
 from depthcli.core.result import Clock
 from depthcli.core.root_config import RootConfig
 from depthcli.core.yaml_source import ConfigData
+from depthcli.io.formats.depth import meters
 from depthcli.io.formats.images import pair_of
 from depthcli.kernels.jit import compile_seconds, one_at_a_time
 from depthcli.run.presets import find_config, find_preset
@@ -131,11 +132,9 @@ def as_depth(array: ArrayLike, name: str, scale: float, shape: tuple[int, int] |
 
     Floats are meters, integers ``scale`` codes a meter; what is not a positive number is unknown.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        depth = as_map(array, name, shape)
-        if np.asarray(array).dtype.kind in "iu":
-            depth = (np.asarray(array) / np.float64(scale)).astype(np.float32)
-    depth = np.where((depth > 0) & np.isfinite(depth), depth, np.float32(np.nan))
+    as_map(array, name, shape)
+    codes = np.asarray(array)
+    depth = meters(codes, scale if codes.dtype.kind in "iu" else 1.0, name)
     if np.isnan(depth).all():
         raise InputError(f"{name}: no pixel has a depth")
     return depth

@@ -18,6 +18,8 @@ from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol, scale_warning
 from depthcli.evaluation.scores import Score, find_score
+from depthcli.io.formats.depth import meters
+from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import png_bytes
 from depthcli.io.rgbd_frames import RgbdTruth
 from depthcli.io.scenes import RgbdScene, Scene, StereoScene, VolumePairScene
@@ -91,7 +93,7 @@ def evaluate(
     Parameters
     ----------
     estimate : a result, or an array of the truth's size: disparities in pixels, depths in meters, or expected
-        registration errors in mm; what is not finite is no value
+        registration errors in mm; what is not finite is no value, of depths what is not positive
     truth : (H, W) disparities or depths; or registration errors, (Z, Y, X) or (N,) of points; NaN = unknown
     protocol : ``middlebury-v2``, ``middlebury-v3``, ``eth3d``, ``kitti-2012``, ``kitti-2015``, ``depth`` or
         ``registration``
@@ -116,12 +118,19 @@ def evaluate(
         estimate = estimate.values
     scene: Scene
     stored: Any
+    warnings: list[str] = []
     if issubclass(judge.kind, VolumePairScene):
         scene = VolumePairScene(name="truth", folder=_TRUTH, fixed=_TRUTH)
         stored, values = _points(estimate, truth, mask)
     else:
         both = as_map(truth, "truth"), as_map(estimate, "estimate")
-        known, values = (np.where(np.isfinite(each), each, np.float32(np.nan)) for each in both)
+        if issubclass(judge.kind, RgbdScene):
+            with collected_warnings() as warnings:
+                known, values = (
+                    meters(each, 1.0, name) for each, name in zip(both, ("truth", "estimate"), strict=True)
+                )
+        else:
+            known, values = (np.where(np.isfinite(each), each, np.float32(np.nan)) for each in both)
         shape = known.shape[0], known.shape[1]
         if not issubclass(judge.kind, StereoScene) and values.shape != shape:
             sizes = f"{values.shape[1]} x {values.shape[0]}, but the truth is {shape[1]} x {shape[0]}"
@@ -144,9 +153,9 @@ def evaluate(
         error = judge.error(values, prepared)
     except ValueError as problem:
         raise InputError(f"estimate: {problem}") from None
-    warning = None
     if isinstance(judge, DisparityProtocol):
         warning = scale_warning(judge.resized(values, prepared), prepared.values)
+        warnings += [] if warning is None else [warning]
     return Scores(
         judge.name,
         judge.headline.heading,
@@ -154,7 +163,7 @@ def evaluate(
         tuple(judge.scores(values, prepared)),
         error,
         protocols.picture(judge, values, prepared),
-        () if warning is None else (warning,),
+        tuple(warnings),
     )
 
 

@@ -22,7 +22,7 @@ from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, DepthResult
-from depthcli.io.formats.depth import SENSOR, beyond_png, implausible_depth
+from depthcli.io.formats.depth import sensor_warning
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
@@ -177,9 +177,7 @@ class RefineKinect(Batch[FrameOrSequence]):
         }
         if frame.interpolated or scene.depth_intrinsics is not None:
             facts["registered"] = "by both cameras" if scene.depth_intrinsics else "assumed"
-        warnings = [] if scene.raw else _scale_warnings(scene, frame)
-        _, beyond = beyond_png(found.values, scene.depth_scale)
-        warnings += [f"{beyond}; see --depth-scale"] if beyond else []
+        warnings = [*([] if scene.raw else _scale_warnings(scene, frame)), *found.warnings]
         if found.cloud is not None:
             facts["intrinsics"] = "of the camera" if frame.intrinsics else "typical"
             warnings += empty_cloud(found.values, found.cloud)
@@ -193,7 +191,5 @@ def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
         # The three low bits are free where codes are rotated by 3.
         if codes.dtype.kind in "iu" and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
             return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
-    if implausible_depth(scene.depth, frame.depth, scene.depth_scale):  # said when it was read
-        return []
-    text = implausible_depth(scene.depth, frame.depth, scene.depth_scale, SENSOR)
-    return [f"{text}; see --depth-scale"] if text else []
+    text = sensor_warning(scene.depth, frame.depth, scene.depth_scale)
+    return [text] if text else []

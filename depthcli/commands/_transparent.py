@@ -18,7 +18,6 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock
-from depthcli.io.formats.depth import beyond_png
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import frame_size, load_infrared_frame, load_sparse_frame
@@ -103,5 +102,4 @@ class Transparent(Batch[RgbdScene]):
             "density": round(found.density, 6),
             **{name: float(value) for name, value in found.details.figures.items()},
         }
-        _, beyond = beyond_png(found.values, scene.depth_scale)
-        return Outcome(facts, clock.seconds, [f"{beyond}; see --depth-scale"] if beyond else [])
+        return Outcome(facts, clock.seconds, list(found.warnings))

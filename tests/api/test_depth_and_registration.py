@@ -1,5 +1,6 @@
 """``refine_depth``, ``complete_transparent`` and ``registration_confidence`` from Python."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,8 @@ import pytest
 
 import depthcli
 from depthcli.cli import main
-from depthcli.io.formats.disparity import read_pfm
-from depthcli.io.formats.images import read_image
+from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.volumes import read_volume
 from tests.command_line import contents, refused
 
@@ -77,6 +78,37 @@ def test_completed_files_are_those_of_the_command(tmp_path: Path, made_glass: Pa
 
 
 COLOR, DEPTH = np.full((8, 9, 3), 100, np.uint8), np.ones((8, 9), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("depth", "words"),
+    [
+        (1200 * DEPTH, ("1000", "millimeters")),
+        (120 * DEPTH, ("100", "centimeters")),
+        (np.full((8, 9), 7500, np.uint16), ("7.5 m", "5000", "depth_scale")),
+        (DEPTH, ()),
+    ],
+)
+def test_a_wrong_unit_is_said(depth: Any, words: tuple[str, ...]):
+    lines = depthcli.refine_depth(COLOR, depth, "nearest").warnings
+    assert bool(lines) == bool(words) and all(word in lines[0] for word in words)
+    if depth.dtype == np.float32:
+        assert depthcli.complete_transparent(COLOR, depth, depth).warnings[:1] == lines[:1]
+        assert bool(depthcli.evaluate(depth, DEPTH, "depth").warnings) == bool(words)
+
+
+def test_what_is_a_measured_depth_is_the_same_for_the_command(tmp_path: Path):
+    truth, estimate = np.ones((4, 6), np.float32), np.ones((4, 6), np.float32)
+    estimate[0], estimate[1], truth[3] = 0, -1, 0
+    scores = depthcli.evaluate(estimate, truth, "depth")
+    assert scores.value("coverage", "all") == pytest.approx(100 / 3)
+    write_png(tmp_path / "truth" / "one" / "color.png", np.zeros((4, 6, 3), np.uint8))
+    for name, values in (("truth/one/depth", truth), ("truth/one/depth_true", truth), ("run/one/depth", estimate)):
+        write_pfm(tmp_path / f"{name}.pfm", values)
+    command = ["evaluate", str(tmp_path / "run"), "--truth", str(tmp_path / "truth"), "--protocol", "depth", "-q"]
+    assert main([*command, "-o", str(tmp_path / "e")]) == 0
+    rows = json.loads((tmp_path / "e" / "scores.json").read_text())["results"][0]["scores"]
+    assert {row["metric"]: row["value"] for row in rows if row["mask"] == "all"}["coverage"] == pytest.approx(100 / 3)
 
 
 @pytest.mark.parametrize(

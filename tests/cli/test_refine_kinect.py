@@ -124,7 +124,7 @@ def test_a_warning_of_all_frames_is_printed_once(tmp_path: Path, capsys: pytest.
     assert run(*one, "-o", tmp_path / "r") == 0
     err = capsys.readouterr().err
     assert err.count("the median depth is 7.5 m at 1000 codes per meter") == 2
-    assert "a depth scale of 5000 would fit; see --depth-scale (3 scenes;" in err
+    assert "a depth scale of 5000 would fit; see depth_scale (3 scenes;" in err
     assert err.count("3 of 3 frames have no intrinsics") == 1
     assert {row["intrinsics"] for row in rows(tmp_path / "r").values()} == {"typical"}
     assert run(*one, "-o", tmp_path / "v", "-v") == 0

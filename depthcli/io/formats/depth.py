@@ -55,10 +55,18 @@ def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) ->
         values, scale = codes_of(values, path), scale or MILLIMETERS
         if rotate:
             values = (values >> np.uint16(rotate)) | (values << np.uint16(16 - rotate))
+    return meters(values, scale or 1.0, path)
+
+
+def meters(values: NDArray[Any], scale: float, name: Path | str) -> NDArray[np.float32]:
+    """Return (H, W) codes, ``scale`` of them a meter, as float32 meters; NaN = unknown: what is no positive number.
+
+    There is a warning, which begins with ``name``, where the depths are implausible.
+    """
     with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
-        depth = (values / np.float64(scale or 1)).astype(np.float32)
+        depth = (values / np.float64(scale)).astype(np.float32)
     depth[~((depth > 0) & np.isfinite(depth))] = np.nan
-    if text := implausible_depth(path, depth, scale or 1.0):
+    if text := implausible_depth(name, depth, scale):
         warn(text)
     return depth
 
@@ -82,9 +90,20 @@ def implausible_depth(
 
     fitting = [s for s in _COMMON_SCALES if fits(s, *SENSOR) and far * scale / s <= _MAX_SENSOR_DEPTH]
     fitting += [s for s in _COMMON_SCALES if limits != SENSOR and fits(s, *_ROOM)]
+    read_as = "" if scale == 1 else f" at {scale:g} codes per meter"
     hint = f"; a depth scale of {fitting[0]:g} would fit" if fitting else ""
+    if fitting and scale == 1:  # floats, which have a unit rather than a scale
+        units = {MILLIMETERS: " (millimeters)", 100.0: " (centimeters)"}
+        best = next((s for s in units if s in fitting), fitting[0])
+        hint = f"; divided by {best:g}{units.get(best, '')} it would fit"
     beyond = f", and 5 % are beyond {far:.3g} m," if limits[0] <= median <= limits[1] else ""
-    return f"{shown(path)}: the median depth is {median:.3g} m{beyond} at {scale:g} codes per meter{hint}"
+    return f"{shown(path)}: the median depth is {median:.3g} m{beyond}{read_as}{hint}"
+
+
+def sensor_warning(path: Path | str, depth: NDArray[np.float32], scale: float) -> str:
+    """Return a warning where no such sensor sees the depths, but for what was said when they were read; or empty."""
+    text = "" if implausible_depth(path, depth, scale) else implausible_depth(path, depth, scale, SENSOR)
+    return f"{text}; see depth_scale" if text and scale != 1 else text
 
 
 def check_fb(path: Path | str, fb: float, depth: NDArray[np.float32]) -> None:
