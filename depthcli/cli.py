@@ -1,7 +1,7 @@
 """The command line: finds the command that is named, gives its function to typer, and maps errors to exit codes.
 
-Exit codes: 0 all done; 1 a bug; 2 wrong usage or config, or a full disk; 3 finished, but something failed; 4 rows are
-flagged that count as failures; 130 Ctrl-C; 143 SIGTERM. Nothing heavy is imported before a command runs.
+Exit codes: 0 all done; 1 a bug; 2 wrong usage, config or plug-in, or a full disk; 3 finished, but something failed; 4
+rows are flagged that count as failures; 130 Ctrl-C; 143 SIGTERM. Nothing heavy is imported before a command runs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typer.main import get_command
 from depthcli import __version__, commands
 from depthcli.commands._shared_options import PluginOption, with_groups
 from depthcli.core.errors import SOME_FAILED, DepthcliError, IncompleteError
-from depthcli.core.registry import load_file
+from depthcli.core.registry import load_file, plugin_behind
 from depthcli.run.console import Reporter, silence_warnings
 
 _STREAM_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
@@ -98,7 +98,7 @@ def depthcli(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command and return its exit code; messages go to stderr, never a traceback except for a bug."""
+    """Run one command and return its exit code; messages go to stderr, a traceback only for bugs and plug-ins."""
     words = sys.argv[1:] if arguments is None else arguments
     _repair_streams()
     silence_warnings()
@@ -123,11 +123,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         _print_error("depthcli: interrupted; the same command goes on where it stopped")
         return 130
-    except SystemExit as error:
-        if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
-            raise
-        return 0  # the reader of a help text has closed the pipe (--help | head)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage, as typer tells it
             with contextlib.suppress(OSError):
                 error.show()
@@ -136,7 +132,15 @@ def main(arguments: list[str] | None = None) -> int:
             Reporter.close(sys.stdout)
             _print_error(f"depthcli: stdout: cannot be written ({error.strerror})")
             return SOME_FAILED
+        plugin = plugin_behind(error)
+        if isinstance(error, SystemExit) and not plugin:
+            if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
+                raise
+            return 0  # the reader of a help text has closed the pipe (--help | head)
         _print_error(traceback.format_exc().rstrip())
+        if plugin:
+            _print_error(f"depthcli: plug-in {plugin}: {type(error).__name__}: {error}")
+            return 2
         _print_error("depthcli: this is a bug, not something you did; please report the lines above")
         return 1
     finally:

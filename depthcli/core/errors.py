@@ -13,7 +13,7 @@ FLAGGED = 4
 EXIT_CODES = {
     0: "all done",
     1: "a bug in depthcli; the traceback is printed",
-    2: "wrong usage, config or folder, nothing was computed; or the disk became full",
+    2: "wrong usage, config, plug-in or folder, nothing was computed; or the disk became full",
     SOME_FAILED: "finished, but something failed or could not be written; the report says what",
     FLAGGED: "finished, and rows are flagged that count as failures here, or a condition has no values",
     130: "ended by Ctrl-C; the same command goes on where it stopped",

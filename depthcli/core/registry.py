@@ -189,6 +189,18 @@ def plugins_in_use() -> dict[str, Plugin]:
     return {name: plugin for plugin in _plugin_by_class.values() for name in (plugin.name, plugin.qualified)}
 
 
+def plugin_behind(error: BaseException) -> str:
+    """Return the plug-in whose code raised an error, or called what did, with file and line; else an empty text."""
+    roots = dict[str, Plugin]()
+    for group in ("depthcli.commands", *(registry.group for registry in list(registries.values()))):
+        roots |= {re.split("[.:]", plugin.reference)[0]: plugin for plugin in plugins_in(group)}
+    for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
+        plugin = roots.get(frame.f_globals.get("__name__", "").partition(".")[0])
+        if plugin is not None:
+            return f"{plugin.package} {plugin.version} ({Path(frame.f_code.co_filename).name}:{line})"
+    return ""
+
+
 def versions_here(plugins: Iterable[Plugin]) -> dict[str, str]:
     """Return package, or file -> version that this process finds, sorted; ``missing`` where it finds none.
 

@@ -26,7 +26,7 @@ import cv2
 
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
-from depthcli.core.registry import Plugin
+from depthcli.core.registry import Plugin, plugin_behind
 from depthcli.core.result import Clock
 from depthcli.core.scene import computing
 from depthcli.core.text import show_bytes
@@ -144,7 +144,7 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
             except OSError as error:
                 raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
             task.trace.unlink(missing_ok=True)
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # a method of a plug-in may want to exit: that ends its scene alone
             row = _failed_row(task, error) | {"warnings": lines}
             # Another process may have taken the scene over where this run was ended while it was computed.
             if "disk_full" not in row and (opened is None or _is_open(task.hidden, opened)):
@@ -169,7 +169,7 @@ def _keep_only(patterns: Sequence[str], folder: Path) -> None:
             path.unlink()
 
 
-def _failed_row(task: Task, error: Exception) -> Row:
+def _failed_row(task: Task, error: BaseException) -> Row:
     """Return the row of a scene whose computation raised ``error``, which is being handled."""
     cause: BaseException | None = error
     while cause is not None:
@@ -188,6 +188,8 @@ def _failed_row(task: Task, error: Exception) -> Row:
     what = f"{type(error).__name__}: {error}".splitlines()[0][:300]
     with contextlib.suppress(OSError):
         task.trace.write_text(traceback.format_exc(), "utf-8", "backslashreplace")
+    if plugin := plugin_behind(error):
+        return task.failed(f"plug-in {plugin}: {what}; the traceback is in {task.trace.name}")
     return task.failed(f"{BUG}{what}; the traceback is in {task.trace.name}, please report it")
 
 

@@ -20,13 +20,14 @@ TINY = [(1, 1, 1), (1, 1, 5), (1, 9, 4), (9, 1, 4), (2, 3, 1), (3, 2, 17), (5, 3
 
 
 def run_checks(tested: TestedT, checks: Iterable[Callable[[TestedT], None]]) -> None:
-    """Run all checks; AssertionError names the class, and what it does not keep."""
+    """Run all checks; AssertionError names the class, and what it does not keep or raises."""
     for check in checks:
         try:
             check(tested)
-        except AssertionError as error:
+        except (Exception, SystemExit) as error:
             promise = (check.__doc__ or check.__name__).splitlines()[0].rstrip(".")
-            raise AssertionError(f"{type(tested).__name__} fails {check.__name__} ({promise}): {error}") from error
+            reason = error if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
+            raise AssertionError(f"{type(tested).__name__} fails {check.__name__} ({promise}): {reason}") from error
 
 
 def texture(shape: tuple[int, ...], seed: int = 0, dtype: Any = np.uint8) -> NDArray[Any]:

@@ -392,3 +392,71 @@ def test_a_scheduler_refuses_files(file: Path, scenes: Path, tmp_path: Path, cap
     run = ["stereo", "opencv-bm", "-i", str(scenes), "-o", str(tmp_path / "o"), "--plugin", str(file), "-q"]
     assert main([*run, "--layout", "my-layout", "--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "mine.py" in capsys.readouterr().err
+
+
+BAD = """
+import numpy as np
+
+from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
+from depthcli.methods.stereo.volume import CostVolume
+
+
+class _Changed(AbsoluteDifference):
+    def __call__(self, pair, n_disparities):
+        costs = super().__call__(pair, n_disparities).costs.astype(np.float32)
+        costs[20, 30, 0] = self.wrong(costs)
+        return CostVolume(costs)
+
+
+class OneNan(_Changed):
+    def wrong(self, costs):
+        return np.nan
+
+
+class OneInfinite(_Changed):
+    def wrong(self, costs):
+        return np.inf
+
+
+class Exits(_Changed):
+    def wrong(self, costs):
+        raise SystemExit(0)
+
+
+class Fails(_Changed):
+    def wrong(self, costs):
+        return costs["no such key"]
+"""
+
+
+@pytest.mark.parametrize(("name", "words"), [
+    ("one_nan", ("cost one_nan", "NaN")),
+    ("one_infinite", ("cost one_infinite", "infinite")),
+    ("exits", ("plug-in bad.py", "SystemExit")),
+    ("fails", ("plug-in bad.py", "(bad.py:32)", "IndexError")),
+])  # fmt: skip
+@pytest.mark.parametrize("command", [
+    ["stereo", "accurate", "--set", "refinement=[]", "--set", "cost={0}"],
+    ["stereo", "accurate", "--set", "refinement=[]", "--set", "cost.parts=[{{cost: {0}, lambda: 5}}]"],
+    ["fuse", "consensus", "--set", "measures=[{0}]"],
+])  # fmt: skip
+def test_faults_of_a_cost_are_the_plugin_s(
+    name: str, words: tuple[str, ...], command: list[str], scenes: Path, tmp_path: Path
+):
+    (tmp_path / "bad.py").write_text(BAD)
+    run = [*(word.format(name) for word in command), "--plugin", str(tmp_path / "bad.py")]
+    assert main([*run, "-i", str(scenes), "-o", str(tmp_path / "run"), "-q"]) == 3
+    rows = json.loads((tmp_path / "run" / "report.json").read_text())["scenes"]
+    for row in rows:
+        assert row["status"] == "failed" and all(word in row["error"] for word in words), row["error"]
+        assert "a bug in" not in row["error"]
+
+
+def test_a_layout_that_exits_is_no_success(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    layout = FILE[FILE.index("class MyLayout") : FILE.index("class", FILE.index("class MyLayout") + 1)]
+    imports = "from depthcli.io.layouts import Folder, Layout\nfrom depthcli.io.scenes import StereoScene\n\n\n"
+    body = layout[: layout.index("        if folder.requested")]
+    (tmp_path / "bad.py").write_text(f"{imports}{body}        raise SystemExit(0)\n")
+    run = ["stereo", "opencv-bm", "--plugin", str(tmp_path / "bad.py"), "--layout", "my-layout", "-i", str(scenes)]
+    assert main([*run, "-o", str(tmp_path / "run")]) == 2
+    assert "plug-in bad.py" in capsys.readouterr().err

@@ -80,7 +80,7 @@ class FusedMeasure(ConfigModel):
     def costs(self, pair: StereoPair, n_disparities: int, volumes: Volumes) -> CostVolume:
         """Return the costs of ``n_disparities`` disparities; InputError where the volume is missing or unusable."""
         if self.cost is not None:
-            return self.cost(pair, n_disparities)
+            return self.cost.checked_costs(pair, n_disparities)
         assert self.volume is not None
         if self.volume not in volumes:
             raise InputError(f"{self.volume}: no such volume")

@@ -75,7 +75,7 @@ class CostStages(ConfigModel):
     def volume(self, pair: StereoPair, max_disparity: int, clock: Clock) -> CostVolume:
         """Compute the costs of disparities 0 .. ``max_disparity`` before optimization; ``clock`` books the stages."""
         clock.start("cost")
-        volume = self.cost(pair, max_disparity + 1)
+        volume = self.cost.checked_costs(pair, max_disparity + 1)
         clock.start("aggregation")
         if self.aggregation is not None:
             volume = self.aggregation(volume, pair)

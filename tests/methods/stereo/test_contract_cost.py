@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.volume import CostVolume
 from depthcli.testing import check_cost_measure, cost
 from tests.methods.stereo._pairs import methods
 
@@ -32,7 +33,25 @@ class Random(Census):
         return type(volume)(np.ascontiguousarray(shuffled), volume.scale)
 
 
+class OneInfinite(Census):
+    """Costs one of which is infinite, inside larger images alone."""
+
+    def __call__(self, pair, n_disparities):
+        costs = super().__call__(pair, n_disparities).costs.astype(np.float32)
+        costs[10:11, 10:11, 1] = np.inf
+        return CostVolume(costs)
+
+
+class Raises(Census):
+    """Costs that cannot be computed."""
+
+    def __call__(self, pair, n_disparities):
+        raise KeyError("no such thing")
+
+
 @pytest.mark.parametrize(("kind", "said"), [
+    (OneInfinite, "OneInfinite fails .* infinite"),
+    (Raises, "Raises fails .* KeyError"),
     (Wrong, r"Wrong fails costs_depend_on_the_halo_alone \(A tile with the margin"),
     (Random, "Random fails true_shift_is_cheapest"),
 ])  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, Odd, method_of
 from depthcli.methods.stereo.volume import CostVolume
@@ -21,6 +22,20 @@ class CostMeasure(Method):
     @abstractmethod
     def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
         """Return the cost volume of disparities 0 .. ``n_disparities`` - 1."""
+
+    def checked_costs(self, pair: StereoPair, n_disparities: int) -> CostVolume:
+        """Return the cost volume of :meth:`__call__`; InputError where it is not one of the pair with finite costs."""
+        volume, shape = self(pair, n_disparities), (*pair.shape, n_disparities)
+        if not isinstance(volume, CostVolume):
+            raise InputError(f"cost {self.method_name()}: expected a CostVolume, got {type(volume).__name__}")
+        costs, scale = volume.costs, volume.scale
+        if costs.shape != shape:
+            raise InputError(f"cost {self.method_name()}: expected costs of shape {shape}, got {costs.shape}")
+        # The least and the largest cost are NaN where any is; costs of whole numbers, as ours, have nothing to look at.
+        ends = (costs.min(), costs.max()) if costs.dtype == np.float32 else ()
+        if not (np.isfinite([*ends, scale]).all() and scale > 0):
+            raise InputError(f"cost {self.method_name()}: costs are NaN or infinite, or their scale is not positive")
+        return volume
 
     def halo(self) -> int | None:
         """Return the radius of the window that a pixel's costs depend on, pixels; None: the whole image."""

@@ -57,7 +57,7 @@ class Combined(CostMeasure):
             weights = np.ones((len(self.parts), pair.shape[0], 1), np.float32)
         runs = (*weights.shape[1:], -1)  # of costs of one weight: those of a pixel, or of a whole row
         for part, weight in zip(self.parts, weights, strict=True):
-            volume = part.cost(pair, n_padded)
+            volume = part.cost.checked_costs(pair, n_padded)
             rate = _rate(volume.scale * part.lambda_)
             _add_exponential(volume.costs.reshape(runs), rate, np.float32(unit) * weight, total.reshape(runs))
         fill_outside(total, np.uint8(min(255, round(self.outside * unit))))

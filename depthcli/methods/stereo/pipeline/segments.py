@@ -32,7 +32,7 @@ class Segments(SegmentSteps, AdjustingMatcher, StereoPipeline):
         clock = Clock()
         pair = adjusted(pair, max_disparity, self.adjust, clock)
         clock.start("cost")
-        volume = self.cost(pair, max_disparity + 1)
+        volume = self.cost.checked_costs(pair, max_disparity + 1)
         return self.from_volume(pair, volume, max_disparity, clock)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
