@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.cameras.rig import RectifiedRig, Rig
 from depthcli.io.formats import calibrations
+from depthcli.io.formats.files import file_states
 from depthcli.methods.stereo.config import Calibration
 
 
@@ -34,15 +34,3 @@ def _rectified_rig(
     calibration: Calibration, files: object, size: tuple[int, int], right_size: tuple[int, int]
 ) -> RectifiedRig:
     return read_rig(calibration).rectified(size, right_size, calibration.alpha)
-
-
-def file_states(*files: Path) -> tuple[object, ...]:
-    """Return what changes when the files do: time, size and number of each; nothing of one that is missing."""
-    found = []
-    for file in files:
-        try:
-            state = os.stat(file)
-            found.append((state.st_mtime_ns, state.st_size, state.st_ino))
-        except (OSError, ValueError):  # reading it says why
-            found.append((0, 0, 0))
-    return tuple(found)

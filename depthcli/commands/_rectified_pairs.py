@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.rigs import file_states, rectified_rig
+from depthcli.api.rigs import rectified_rig
 from depthcli.core.cameras.rig import RectifiedRig
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.io.formats.calibrations import UNITS, write_geometry
+from depthcli.io.formats.files import file_states
 from depthcli.io.formats.images import pair_of, write_png
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair, load_views

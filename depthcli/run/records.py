@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from depthcli.core.errors import InputError, OutputError
-from depthcli.io.formats.files import open_regular, remove_temporaries, write_text
+from depthcli.io.formats.files import file_states, open_regular, remove_temporaries, write_text
 from depthcli.run.json_csv import Row, to_json
 
 RECORD_FILE = "record.json"
@@ -66,6 +66,12 @@ def file_digest(path: Path) -> str:
             return sha.hexdigest()
     except (InputError, ValueError) as error:
         return f"unreadable: {error}"
+
+
+def digest_and_state(path: Path) -> tuple[str, object]:
+    """Return the digest of a file, and its state before it was read, which changes when the file does."""
+    state = file_states(path)
+    return file_digest(path), state
 
 
 def digests_below(folder: Path) -> dict[str, str]:

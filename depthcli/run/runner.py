@@ -27,8 +27,8 @@ from depthcli.run.folder import FolderLock
 from depthcli.run.json_csv import Row
 from depthcli.run.records import (
     OTHER_RUN,
+    digest_and_state,
     discard,
-    file_digest,
     hidden_folder,
     read_record,
     remove_leftovers,
@@ -80,7 +80,7 @@ class Plan:
         self.identity = self.work.identity
         self.workspace = hidden_folder(output)
         self._shared = used_files(batch.config)  # files that the config names, of every scene
-        self._digest = lru_cache(maxsize=_MAX_REMEMBERED)(file_digest)
+        self._digest = lru_cache(maxsize=_MAX_REMEMBERED)(digest_and_state)
 
     def check_names(self, scenes: Sequence[Any]) -> None:
         """Raise ConfigError where a name cannot name a folder, or the folder is a link or holds the scene's input."""
@@ -100,11 +100,12 @@ class Plan:
     def task(self, scene: Any, number: int) -> Task:
         """Return the task that computes a scene, with the digests of all that its result depends on."""
         files = self._files(scene)
-        inputs = {role: self._digest(file) for role, file in files.items()}
+        watched = {file: self._digest(file) for file in dict.fromkeys(files.values())}
+        inputs = {role: watched[file][0] for role, file in files.items()}
         inputs |= {} if scene.problem else self.work.batch.settings(scene)
         inputs |= {"keep": " ".join(keep)} if (keep := self.work.how.keep) else {}
         source = origin(next(iter(files.values()), scene.folder).absolute())
-        return Task(scene, self.output, self.workspace / str(number), self.identity, inputs, source)
+        return Task(scene, self.output, self.workspace / str(number), self.identity, inputs, source, watched)
 
     def _files(self, scene: Any) -> dict[str, Path]:
         return {} if scene.problem else self.work.batch.files(scene) | self._shared

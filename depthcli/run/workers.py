@@ -25,12 +25,12 @@ from typing import Any
 import cv2
 
 from depthcli.core import memory
-from depthcli.core.errors import DepthcliError, OutputError
+from depthcli.core.errors import DepthcliError, InputError, OutputError
 from depthcli.core.registry import Plugin, plugin_behind
 from depthcli.core.result import Clock
 from depthcli.core.scene import computing
 from depthcli.core.text import show_bytes
-from depthcli.io.formats.files import collected_warnings
+from depthcli.io.formats.files import collected_warnings, file_states, shown
 from depthcli.io.scenes import Scene
 from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, set_threads
 from depthcli.run import resources
@@ -38,7 +38,7 @@ from depthcli.run.batch import Batch, Execution, Outcome
 from depthcli.run.console import Reporter, silence_warnings
 from depthcli.run.identity import run_text
 from depthcli.run.json_csv import Row
-from depthcli.run.records import Record, digest, digests_below, install, record_failure
+from depthcli.run.records import Record, digest, digests_below, file_digest, install, record_failure
 
 BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
@@ -78,6 +78,7 @@ class Task:
     run: str
     inputs: dict[str, str]
     source: str
+    watched: dict[Path, tuple[str, object]]  # file -> its digest among ``inputs``, and its state before
 
     @property
     def target(self) -> Path:
@@ -134,6 +135,8 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
             opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
             with computing(task.scene.name, limit) as programs:
                 outcome = work.batch.compute(task.scene, task.hidden, limit)
+            if changed := [file for file, known in task.watched.items() if _has_changed(file, *known)]:
+                raise InputError(f"{shown(changed[0])}: changed since the run began; the same command reads it again")
             row = task.done(outcome, programs.used, lines)
             try:
                 _keep_only(work.how.keep, task.hidden)
@@ -159,6 +162,10 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
         with contextlib.suppress(OSError):  # the files of this scene have been deleted by now
             row["disk_full"] += f" ({show_bytes(shutil.disk_usage(place).free)} free on that disk)"
     return row
+
+
+def _has_changed(file: Path, content: str, state: object) -> bool:
+    return file_states(file) != state and file_digest(file) != content
 
 
 def _keep_only(patterns: Sequence[str], folder: Path) -> None:

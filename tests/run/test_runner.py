@@ -58,6 +58,10 @@ class Repeat(Batch[Text]):
             with self.log.open("a") as log:
                 log.write(scene.name + "\n")
         (folder / "first.txt").write_text(text)
+        if text == "replaces":  # the files of this scene and of the next one, as somebody else might
+            for name in "ab":
+                Path(f"{scene.file}.new").write_text("new")
+                os.replace(f"{scene.file}.new", scene.file.with_name(name))
         if text == "damaged":
             raise InputError(f"{scene.file}: damaged")
         if text == "bug":
@@ -148,6 +152,21 @@ def test_changed_input_is_computed_again(folder: Folder):
     assert folder.run()["b"]["length"] == 3
     assert folder.computed() == ["b"]
     assert (folder.output / "b" / "out.txt").read_text() == "newnew"
+
+
+def test_input_that_changes_during_the_run_leaves_nothing_done(folder: Folder):
+    folder.texts["a"] = "replaces"
+    rows = folder.run()
+    assert [rows[name]["status"] for name in "abcd"] == ["failed", "failed", "done", "done"]
+    assert f"{folder.root / 'in' / 'b'}: changed" in rows["b"]["error"]
+    folder.texts |= {"a": "new", "b": "new"}
+    assert {row["status"] for row in folder.run().values()} == {"done"}
+    assert folder.computed() == ["a", "b"]
+
+
+def test_input_that_is_written_again_as_it_was_is_no_change(folder: Folder):
+    folder.texts |= {"a": "replaces", "b": "new"}
+    assert folder.run()["b"]["status"] == "done"
 
 
 @pytest.mark.parametrize(("damaged", "content"), [("out.txt", b"{"), ("out.txt", b"xxxxxx"), ("record.json", b"{")])
@@ -397,7 +416,7 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
 
     def task(place: Path) -> Task:
         scene = Text(name="item", folder=tmp_path, file=tmp_path / "item.txt")
-        return Task(scene, tmp_path / "run", place / "0", "run", {}, "")
+        return Task(scene, tmp_path / "run", place / "0", "run", {}, "", {})
 
     work = Work(Slow(Config()), Execution(), frozenset())
     row = compute_scene(task(tmp_path / "making"), work, 1 << 30)
@@ -441,7 +460,7 @@ def test_scenes_of_another_run_need_overwrite(folder: Folder, monkeypatch: pytes
     (folder.output / "report.csv").unlink()
     before = folder.bytes()
     with monkeypatch.context() as patched:
-        patched.setattr("depthcli.run.runner.file_digest", lambda file: pytest.fail(f"{file} was digested before"))
+        patched.setattr("depthcli.run.runner.digest_and_state", lambda file: pytest.fail(f"{file} was digested before"))
         refused(ConfigError, "d: holds a scene of another run", folder.run, factor=3)
     assert folder.bytes() | before == folder.bytes()
     folder.run(factor=3, overwrite=True)

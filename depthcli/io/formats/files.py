@@ -107,6 +107,18 @@ def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
     return data
 
 
+def file_states(*files: Path) -> tuple[object, ...]:
+    """Return what changes when the files do: time, size and number of each; nothing of one that is missing."""
+    found = []
+    for file in files:
+        try:
+            state = os.stat(file)
+            found.append((state.st_mtime_ns, state.st_size, state.st_ino))
+        except (OSError, ValueError):  # reading it says why
+            found.append((0, 0, 0))
+    return tuple(found)
+
+
 def short_path(path: str) -> str:
     """Return a relative path without parts longer than file systems take: a digest is in place of their middle."""
     parts = []

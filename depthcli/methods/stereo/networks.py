@@ -6,7 +6,10 @@ A :class:`Network` names a file, which its ``session`` opens. The :func:`samples
 
 from __future__ import annotations
 
+import contextlib
+import mmap
 import os
+import re
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -31,6 +34,8 @@ _TYPES = {
     "tensor(int32)": np.int32,
     "tensor(int64)": np.int64,
 }
+# An entry of a tensor's external data, as protocol buffers write it: "location" -> the size of a path, which follows.
+_LOCATION = re.compile(rb"\n\x08location\x12([\x80-\xff]?[\x01-\x7f])")
 _CUDA = "CUDAExecutionProvider"
 _CHANNELS = (1, 2, 3, 6)
 
@@ -45,9 +50,9 @@ class Network(Method):
     def session(self) -> Session:
         """The network, opened once per process and content; InputError where it cannot be run there."""
         try:
-            changed = os.stat(self.model).st_mtime_ns
+            changed = tuple(os.stat(file).st_mtime_ns for file in self.used_files().values())
         except OSError as error:
-            raise InputError(f"{self.model}: network cannot be read ({error.strerror})") from error
+            raise InputError(f"{error.filename}: network cannot be read ({error.strerror})") from error
         return _open_session(self.model, changed, self._device, n_threads())
 
     def prepare(self, device: str) -> None:
@@ -56,20 +61,26 @@ class Network(Method):
         self.check()
 
     def used_files(self) -> dict[str, Path]:
-        """Return role -> file: the network, and weights of large ones in files beside it.
-
-        Their names begin with the network's (``net.onnx.data``, ``net.onnx_data``), or are ``net.data``.
-        """
-        path = Path(self.model)
-        prefixes = (f"{path.name}.", f"{path.name}_")
-        weights = [file for file in path.parent.glob("*") if file.name.startswith(prefixes)]
-        if path.with_suffix(".data").is_file():
-            weights.append(path.with_suffix(".data"))
-        return {"model": path} | {f"model/{file.name}": file for file in sorted(weights)}
+        """Return role -> file: the network, and the files with its weights that it names (ONNX: external data)."""
+        path, names = Path(self.model), tuple[str, ...]()
+        with contextlib.suppress(OSError):  # opening it says why
+            names = _weight_files(path, os.stat(path).st_mtime_ns)
+        return {"model": path} | {f"model/{name}": path.parent / name for name in names}
 
     @abstractmethod
     def check(self) -> None:
         """Raise InputError where the network cannot be used."""
+
+
+@lru_cache(maxsize=4)
+def _weight_files(model: Path, changed: int) -> tuple[str, ...]:
+    """Return the names of the files with weights that a network names, relative to its folder, sorted."""
+    if not model.stat().st_size:
+        return ()
+    with open(model, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        ends = [(found.end(), found[1]) for found in _LOCATION.finditer(data)]
+        sizes = [sum((byte & 127) << 7 * k for k, byte in enumerate(varint)) for _, varint in ends]
+        return tuple(sorted({os.fsdecode(data[end : end + n]) for (end, _), n in zip(ends, sizes, strict=True)}))
 
 
 def networks_in(config: BaseModel) -> list[Network]:
@@ -127,7 +138,7 @@ class Session:
 
 
 @lru_cache(maxsize=4)
-def _open_session(model: str, changed: int, device: str, threads: int) -> Session:
+def _open_session(model: str, changed: tuple[int, ...], device: str, threads: int) -> Session:
     # Outputs had the same bytes at any number of threads in all networks that were measured (convolutions of 32 bits
     # and of 8 bits); onnxruntime does not promise it for every operation.
     runtime = _onnxruntime()
