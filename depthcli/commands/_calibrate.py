@@ -16,7 +16,7 @@ from depthcli.commands._shared_options import Printing
 from depthcli.core.errors import SOME_FAILED, ConfigError, InputError
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import write_calibration
-from depthcli.io.formats.files import remove_temporaries, write_text
+from depthcli.io.formats.files import collected_warnings, remove_temporaries, write_text
 from depthcli.io.formats.images import write_png
 from depthcli.run.json_csv import to_json
 
@@ -40,7 +40,7 @@ def calibrate_cameras(
     views = [CameraPhotos("left", "camera")]
     if any(each.right for each in photos):
         views = [CameraPhotos("left", "left camera"), CameraPhotos("right", "right camera")]
-    with reporter:
+    with reporter, collected_warnings() as turned:
         reporter.start(len(views) * len(photos), 0, "calibrate")
         for view in views:
             look(view, board, {each.name: getattr(each, view.side) for each in photos}, reporter)
@@ -54,6 +54,7 @@ def calibrate_cameras(
         view.left_out |= dict.fromkeys(view.fit.outliers, OUTLIER)
     found = _with_rig(board, views[0], views[1]) if len(views) == 2 else Calibrated(views)
     report = report_of(found, board, [each.name for each in photos], unnamed)
+    report["warnings"] += turned[:1] + [f"so were {len(turned) - 1} other photos"] * (len(turned) > 1)
     for file in (target, report_file, picture_file):
         remove_temporaries(target.parent, file.name)
     write_png(picture_file, picture_of(views))

@@ -17,13 +17,14 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
 from depthcli.commands._sweep_axes import parse_axes
 from depthcli.core.config_file import load_config
 from depthcli.io.formats.disparity import read_disparity, read_pfm
-from depthcli.io.formats.images import write_png
+from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import read_status
 from depthcli.run.presets import find_config
 from tests.command_line import run, wait_for
@@ -108,6 +109,21 @@ def test_a_range_that_nothing_gives_is_taken_from_key_points_with_a_warning(made
     err = capsys.readouterr().err
     assert "planes_0: only 0 key points match" in err
     assert "warning: the search range is not known: --max-disparity auto was taken" in err
+
+
+def test_photos_stored_sideways_are_matched_upright(made_scenes: Path, tmp_path: Path, capsys):
+    for view in ("left", "right"):
+        sideways = Image.fromarray(np.rot90(read_image(made_scenes / "planes_0" / f"{view}.png")))
+        sideways.getexif()[274] = 6  # to be turned clockwise
+        (tmp_path / "in/planes_0").mkdir(parents=True, exist_ok=True)
+        sideways.save(tmp_path / f"in/planes_0/{view}.png", exif=sideways.getexif())
+    run("stereo", FAST, "-i", made_scenes, "--scenes", "planes_0", "--max-disparity", "16", "-o", tmp_path / "upright")
+    capsys.readouterr()
+    assert run("stereo", FAST, "-i", tmp_path / "in", "--max-disparity", "16", "-o", tmp_path / "turned") == 0
+    assert capsys.readouterr().err.count("EXIF") == 2  # a line a view
+    maps = [(tmp_path / name / "planes_0/disp_left.pfm").read_bytes() for name in ("upright", "turned")]
+    assert maps[0] == maps[1]
+    assert "EXIF" in (tmp_path / "turned/report.csv").read_text()
 
 
 def test_presets_are_listed_and_shown(capsys, tmp_path: Path):

@@ -8,13 +8,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
+import PIL.ImageOps
 import pytest
 
 from depthcli.core.errors import InputError, OutputError
 from depthcli.core.maps import DepthStatus, Status
 from depthcli.io.formats import images
 from depthcli.io.formats.disparity import write_pfm
-from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, write_text
+from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, collected_warnings, write_text
 from depthcli.io.formats.images import image_size, read_grey, read_image, read_pair, sample_bits, write_png
 from depthcli.io.formats.pictures import (
     DEPTH_STATUS_PALETTE,
@@ -80,6 +82,22 @@ def test_transparency_is_dropped_and_palettes_are_resolved(tmp_path: Path):
     np.testing.assert_array_equal(read_image(path), [[[4, 5, 6], [9, 8, 7]]])
     path.write_bytes(png(2, 1, 8, 0, bytes([0, 1, 2]), (b"tRNS", bytes([0, 1]))))
     np.testing.assert_array_equal(read_image(path), [[1, 2]])
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", ["jpeg", "png", "tiff"])
+def test_exif_orientation_is_applied_and_said(kind: str, orientation: int, tmp_path: Path):
+    path = tmp_path / f"a.{kind}"
+    blocks = np.kron(np.arange(10, 250, 40, dtype=np.uint8).reshape(2, 3), np.ones((8, 8), np.uint8))
+    stored = PIL.Image.fromarray(blocks)
+    stored.getexif()[274] = orientation
+    stored.save(path, exif=stored.getexif())
+    with collected_warnings() as lines:
+        image = read_image(path)
+    upright = np.asarray(PIL.ImageOps.exif_transpose(stored), int)
+    assert np.abs(image.astype(int) - upright).max() <= 6  # JPEG loses a little
+    assert image_size(path) == image.shape == ((16, 24) if orientation < 5 else (24, 16))
+    assert [f"({orientation})" in line for line in lines] == ([] if orientation == 1 else [True])
 
 
 def test_netpbm_plain_comments_and_big_endian(tmp_path: Path):

@@ -8,8 +8,9 @@ from __future__ import annotations
 import contextlib
 import importlib
 import re
+import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image as Image
 from depthcli.core.frames import StereoPair, luma
-from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, write_bytes
+from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn, write_bytes
 
 if TYPE_CHECKING:
     from PIL.ImageFile import ImageFile
@@ -50,16 +51,33 @@ _MAX_DECODED_BYTES = 1 << 30
 _MAX_EXPANSION = 3000
 _MAX_TEXT_BYTES = 1 << 25  # of a plain PGM or PPM: every number takes 50 bytes while it is read
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILES, _FORMAT, _FLOATS = 256, 257, 258, 277, (322, 323), 339, 3  # tags of TIFF
+_ORIENTATION = 274  # tag of TIFF and EXIF: how an image as stored has to be turned or mirrored to be upright
+_TURNS: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    2: lambda image: image[:, ::-1],
+    3: lambda image: image[::-1, ::-1],
+    4: lambda image: image[::-1],
+    5: lambda image: image.swapaxes(0, 1),
+    6: lambda image: np.rot90(image, -1),
+    7: lambda image: image[::-1, ::-1].swapaxes(0, 1),
+    8: lambda image: np.rot90(image),
+}
 
 
 def read_image(path: Path | str) -> Image:
     """Return (H, W) grey or (H, W, 3) RGB, uint8 or uint16, of an image whose kind is found by its content.
 
-    Transparency is dropped, palettes are resolved.
+    Transparency is dropped, palettes are resolved, EXIF orientation is applied (with a warning).
     """
+    return _read(path)[0]
+
+
+def _read(path: Path | str) -> tuple[Image, bytes]:
     data = read_bytes(path)
     with naming(path):
-        return decode_image(data)
+        pixels, turn = _decoded(data)
+    if turn:
+        warn(f"{shown(path)}: turned upright, as its EXIF orientation says ({turn})")
+    return pixels, data
 
 
 def read_grey(path: Path | str) -> Image:
@@ -79,17 +97,28 @@ def decode_grey(data: bytes) -> Image:
 
 def decode_image(data: bytes) -> Image:
     """Return what :func:`read_image` does, from the bytes of a file."""
-    kind = image_kind(data)
+    return _decoded(data)[0]
+
+
+def _decoded(data: bytes) -> tuple[Image, int]:
+    # The upright image, and the EXIF orientation that it was stored in, where that is another one; else 0.
+    kind, turn = image_kind(data), 0
     if kind in ("Pfm", "Npy"):
         raise InputError(f"a map of numbers ({kind.lower()}), want an image")
     if kind == "Pnm":
-        return _decode_pnm(data)
+        return _decode_pnm(data), turn
     if kind == "Tiff":
         bits, is_float = _check_tiff(data)
         if is_float or bits > 16:
             raise InputError(f"samples of {bits} bit ({'floating point' if is_float else 'integers'}), want 8 or 16")
     with _decoding(kind):
         image = _opened(data, kind)
+        if (turn := _orientation(image)) and kind == "Tiff":
+            # Pillow and OpenCV turn a TIFF wrongly where its sides change places: the tag becomes 1.
+            order = "<" if data.startswith(b"II") else ">"
+            entry, plain = (struct.pack(f"{order}HHIHH", _ORIENTATION, 3, 1, k, 0) for k in (turn, 1))
+            data = data.replace(entry, plain, 1)
+            image = _opened(data, kind)
         is_wide = ";16" in str(image.tile[0][3]) and (kind == "Png" or not image.mode.startswith("I;16"))
         _check_size(image.height, image.width, len(image.getbands()) * (2 if is_wide else 1), len(data))
         if is_wide:
@@ -102,7 +131,18 @@ def decode_image(data: bytes) -> Image:
             pixels = np.array(image if is_plain else image.convert(plain))
     if pixels.dtype.kind != "u" or pixels.dtype.itemsize > 2 or image.mode == "F":
         raise InputError("samples of 32 bit, or signed ones; want 8 or 16 bit")
-    return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype.itemsize == 1 else np.uint16))
+    if turn:
+        pixels = _TURNS[turn](pixels)
+    return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype.itemsize == 1 else np.uint16)), turn
+
+
+def _orientation(image: ImageFile) -> int:
+    """Return the EXIF orientation of an image, a key of ``_TURNS``; 0 where it is upright or says nothing."""
+    with contextlib.suppress(Exception):  # damaged EXIF data, as decoders of many kinds raise it, harm no pixel
+        if "exif" in image.info or image.format == "TIFF":  # else a PNG would be decoded to look for it
+            turn = int(image.getexif().get(_ORIENTATION, 1))
+            return turn if turn in _TURNS else 0
+    return 0
 
 
 def decode_bits(data: bytes) -> NDArray[np.uint8]:
@@ -146,9 +186,11 @@ def image_size(path: Path | str) -> tuple[int, int]:
                 return int(shape[0]), int(shape[1])
             if kind == "Tiff":
                 tags = _tiff_tags(file)
-                return int(tags[_HEIGHT]), int(tags[_WIDTH])
-            image = _with_pillow(file, kind)
-            return image.height, image.width
+                size, turn = (int(tags[_HEIGHT]), int(tags[_WIDTH])), int(tags.get(_ORIENTATION, 1))
+            else:
+                image = _with_pillow(file, kind)
+                size, turn = (image.height, image.width), _orientation(image)
+            return size if turn < 5 else size[::-1]
 
 
 def write_png(path: Path | str, array: NDArray[Any]) -> None:
@@ -172,9 +214,9 @@ def read_pair(left: Path | str, right: Path | str) -> StereoPair:
     """Return a rectified pair; the range of 10- and 12-bit samples in 16-bit files is declared or found."""
     images, declared = [], []
     for path in (left, right):
-        data = read_bytes(path)
+        image, data = _read(path)
+        images.append(image)
         with naming(path):
-            images.append(decode_image(data))
             declared.append(_declared_bits(data))
     bits = declared[0] if declared[0] == declared[1] else None
     return pair_of(images[0], images[1], (Path(left), Path(right)), bits)
