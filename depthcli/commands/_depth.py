@@ -27,7 +27,7 @@ from depthcli.core.result import Clock
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
 from depthcli.io.formats.disparity import read_disparity, read_pfm
-from depthcli.io.formats.files import naming
+from depthcli.io.formats.files import naming, shown
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
 from depthcli.io.inputs import local
@@ -37,7 +37,7 @@ from depthcli.io.walk import matches_any, scenes_with_files
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, Reporter, number, percent
 from depthcli.run.json_csv import Row, share
-from depthcli.run.records import is_inside
+from depthcli.run.records import is_inside, read_json
 from depthcli.run.report import read_report
 
 _MAP = "disp_left.pfm"
@@ -192,10 +192,17 @@ def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, ma
         left, calibration, cameras, geometry = folder / "left.png", folder / "calib.txt", (2, 3), None
     elif pair is None and left is not None and os.path.isfile(beside := left.parent / "calib.txt"):
         calibration = beside
+    problem = ""
+    if left is not None and isinstance(meta := read_json(left.parent / "meta.json"), dict) and "uncalibrated" in meta:
+        problem = (
+            f"{shown(left.parent)}: rectified without a calibration: its disparities have no known zero, so depth is "
+            "unknown; calibrate the cameras (depthcli calibrate), and rectify with --calibration"
+        )
     status = folder / "status.png"
     return DisparityScene(
         name=name,
         folder=folder,
+        problem=problem,
         disparity=folder / _MAP,
         status=status if os.path.isfile(status) else None,
         confidence={path.stem.partition("_")[2]: path for path in sorted(folder.glob("confidence_*.pfm"))},

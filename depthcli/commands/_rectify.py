@@ -126,7 +126,9 @@ class Rectify(Batch[StereoScene]):
             write_geometry(folder / "calib.txt", found.geometry, search.get("max_disparity"))
         for name, view in zip(("left", "right"), views, strict=True):
             write_png(folder / f"{name}.png", view)
-        meta = {"source": f"rectified by depthcli from {scene.name}", **search}
+        meta: Row = {"source": f"rectified by depthcli from {scene.name}", **search}
+        if self.calibration is None:
+            meta["uncalibrated"] = True  # which ``depth`` refuses
         write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
         return Outcome(facts, clock.seconds, warnings)
 

@@ -390,6 +390,9 @@ def test_without_calibration(pinhole: Shot, tmp_path: Path, capsys: pytest.Captu
     assert run("stereo", "fast", "-i", tmp_path / "scenes", "-o", tmp_path / "run", "-q") == 0
     status = read_status(tmp_path / "run/room/status.png")
     assert np.mean((status & 0b11111) == 0) > 0.7
+    given = ("--focal", "200", "--baseline", "0.1")
+    assert run("depth", tmp_path / "run", *given, "-o", tmp_path / "depth", "-q") == 3
+    assert "without a calibration" in capsys.readouterr().err and not (tmp_path / "depth/room/depth.pfm").exists()
     # Two photos of different things, and photos without anything on them.
     noise = np.random.default_rng(0).integers(0, 255, (180, 240), np.uint8)
     write_png(tmp_path / "other.png", cv2.GaussianBlur(noise, (0, 0), 2) * np.uint8(3))

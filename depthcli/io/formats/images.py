@@ -116,8 +116,8 @@ def _decoded(data: bytes) -> tuple[Image, int]:
         if (turn := _orientation(image)) and kind == "Tiff":
             # Pillow and OpenCV turn a TIFF wrongly where its sides change places: the tag becomes 1.
             order = "<" if data.startswith(b"II") else ">"
-            entry, plain = (struct.pack(f"{order}HHIHH", _ORIENTATION, 3, 1, k, 0) for k in (turn, 1))
-            data = data.replace(entry, plain, 1)
+            entry, upright = (struct.pack(f"{order}HHIHH", _ORIENTATION, 3, 1, k, 0) for k in (turn, 1))
+            data = data.replace(entry, upright, 1)
             image = _opened(data, kind)
         is_wide = ";16" in str(image.tile[0][3]) and (kind == "Png" or not image.mode.startswith("I;16"))
         _check_size(image.height, image.width, len(image.getbands()) * (2 if is_wide else 1), len(data))
