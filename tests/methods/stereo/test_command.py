@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import depthcli
 from depthcli.cli import main
@@ -203,15 +205,14 @@ def test_original_images_are_the_scene_s_own_files_or_refused(here: Path, made_s
     assert not list((here / "scratch").iterdir())
 
 
-def test_a_shell_is_only_used_where_wanted_and_gets_quoted_values(here: Path):
-    image = np.zeros((20, 30), np.uint8)
-    np.save(here / "map.npy", np.ones((20, 30), np.float32))
-    fields = {"format": "npy", "max_disparity": 15, "parameters": {"odd": "a b; exit 7"}}
-    line = f"test {{odd}} = 'a b; exit 7' && cat {here}/map.npy > {{output}}"
-    config = StereoConfig.model_validate({"pipeline": "command", "program": line, "shell": True, **fields})
-    assert (depthcli.stereo(image, image, preset=config).values == 1).all()
-    with pytest.raises(depthcli.InputError, match="exit code"):
-        depthcli.stereo(image, image, preset=program(["/bin/sh", "-c", "exit 7 > /dev/null"], **fields))
+@pytest.mark.parametrize("name", ["$(touch ran)", "`touch ran`", "a'; touch ran; '", "a b"])
+def test_no_shell_reads_the_name_of_a_scene(here: Path, made_scenes: Path, name: str):
+    shutil.copytree(made_scenes / "planes_0", here / "in" / name)
+    line = 'test "$1" = "$DEPTHCLI_NAME" && printf "%s" "$DEPTHCLI_NAME" > "$DEPTHCLI_CWD/name"; exit 9'
+    (here / "c.yaml").write_text(yaml.dump({"pipeline": "command", "program": ["sh", "-c", line, "sh", "{name}"]}))
+    assert stereo("c.yaml", here / "in", "run", "--max-disparity", "15") == 3
+    assert (here / "name").read_text() == name
+    assert not list(here.rglob("ran"))
 
 
 @pytest.mark.parametrize(
@@ -223,7 +224,8 @@ def test_a_shell_is_only_used_where_wanted_and_gets_quoted_values(here: Path):
         (["run=[python, '{max_disparity:03}']"], "no placeholder"),
         (["timeout=10 parsecs"], "timeout: want a time"),
         (["parameters.left=3"], "'left' cannot be the name of a parameter"),
-        (["shell=true"], "want one text with shell: true"),
+        (["shell=true"], r"sh, -c, "),
+        (["run=[bash, -ec, 'echo \"{name}\"']"], "DEPTHCLI_NAME"),
     ],
 )
 def test_what_is_wrong_with_a_config_is_said_before_any_scene_is_opened(

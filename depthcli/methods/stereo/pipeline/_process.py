@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from depthcli.core.errors import InputError
@@ -43,16 +43,17 @@ def scratch_folder() -> Iterator[Path]:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
+def run_program(words: Sequence[str], folder: Path, timeout: float, variables: Mapping[str, str] | None = None) -> None:
     """Run a program in ``folder`` and end its process group; its output goes to files there.
 
-    Processor time and memory are added to those of the current scene. ProgramError, with the end of the program's
-    output, where it fails, runs for more than ``timeout`` seconds, or takes more memory than the scene may.
+    ``variables`` are added to its environment, its processor time and memory to those of the current scene.
+    ProgramError, with the end of the program's output, where it fails, runs for more than ``timeout`` seconds, or takes
+    more memory than the scene may.
     """
     scene, name = current_scene(), os.path.basename(words[0])
     logs = [folder / "stderr.txt", folder / "stdout.txt"]
     until, peak, problem = time.monotonic() + timeout, 0, ""
-    env = os.environ | {"OMP_NUM_THREADS": str(n_threads())}
+    env = os.environ | {"OMP_NUM_THREADS": str(n_threads())} | dict(variables or {})
     try:
         with logs[0].open("wb") as err, logs[1].open("wb") as out:
             program = subprocess.Popen(

@@ -7,9 +7,9 @@ import re
 import shlex
 import shutil
 import string
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -28,6 +28,8 @@ from depthcli.methods.stereo.pipeline._process import ProgramError, run_program,
 from depthcli.methods.stereo.volume import StereoResult
 
 _PLACEHOLDERS = ["left", "right", "max_disparity", "min_disparity", "output", "scratch", "name", "threads", "cwd"]
+_VARIABLE = "DEPTHCLI_"  # begins the names of variables that have the values of placeholders
+_SHELLS = ("sh", "bash", "dash", "ksh", "zsh")
 _SUFFIXES = {"pfm": ".pfm", "kitti": ".png", "npy": ".npy", "tiff": ".tiff", "png": ".png"}
 _KITTI_SCALE = 256.0  # codes per pixel
 _MAP_BYTES = 200  # of this process, per pixel, while a program runs and its map is read
@@ -53,22 +55,26 @@ class Program(StereoPipeline):
     word is looked up in ``PATH``, or where it has a slash from the folder of the config file, and then from the
     current folder. Other words that name a file, seen from one of these two, become its whole path. The content of
     all these files is part of the run: scenes are computed again where it changes. The variable ``OMP_NUM_THREADS``
-    has the number of threads. All processes of the program's group end with it.
+    has the number of threads, ``DEPTHCLI_LEFT`` and so on have the values of the placeholders. No shell reads the
+    words, since the name of a scene could be a command; a shell is a program like others, which reads the variables:
+    ``[sh, -c, 'tool "$DEPTHCLI_LEFT"']``. All processes of the program's group end with it.
 
     The pair is as the toolkit matches it: rectified where a calibration is given, and shifted so that the range begins
     at 0. Pixels without a value, or with a negative one, are ``MISMATCH``: programs do not say why; those beyond the
     range are ``OUT_OF_RANGE``.
     """
 
+    renamed: ClassVar[dict[str, str]] = {"shell": "program: [sh, -c, 'LINE'], with \"$DEPTHCLI_LEFT\" for {left}"}
+
     timeout: _Seconds = Field(600.0, gt=0, le=1e7, description="time for a scene, such as 90 s, 10 min or 2 h")
     version: str = Field("", coerce_numbers_to_str=True, description="any text: with another one it is another run")
     parameters: dict[str, str | bool | _Integer | _Number] = Field(
         default_factory=dict, description="further placeholders and their values"
     )
-    shell: bool = Field(False, description="whether the program is a line for /bin/sh; values are quoted for it")
     program: str | tuple[str, ...] = Field(
         validation_alias=AliasChoices("program", "run"),
-        description="program and arguments with placeholders, such as {left}, or {{ for a brace; run is the same key",
+        description="program and arguments with placeholders, such as {left}, or {{ for a brace; run is the same key; "
+        "a shell's line gets values as variables instead, such as $DEPTHCLI_LEFT",
     )
     output: str | None = Field(
         None, min_length=1, description="name of the map in the program's folder; null: that which {output} says"
@@ -104,23 +110,27 @@ class Program(StereoPipeline):
     @field_validator("program")
     @classmethod
     def _known_placeholders(cls, program: str | tuple[str, ...], info: ValidationInfo) -> str | tuple[str, ...]:
-        shell = info.data.get("shell", False)
-        if shell and not isinstance(program, str):
-            raise ValueError("want one text with shell: true, not a list")
-        words = _words(program, shell)
+        words = _words(program)
         if not words or not words[0].strip():
             raise ValueError("want a program")
         known = [*_PLACEHOLDERS, *info.data.get("parameters", ())]
         for word in words:
             try:
-                fields = [field[1:] for field in string.Formatter().parse(word) if field[1] is not None]
+                fields = [
+                    (name, spec or conversion)
+                    for _, name, spec, conversion in string.Formatter().parse(word)
+                    if name is not None
+                ]
             except ValueError as error:
                 raise ValueError(f"{error} in {word!r}; a brace is written {{{{ or }}}}") from None
-            for name, spec, conversion in fields:
-                if name not in known or spec or conversion:
+            for name, how in fields:
+                if name not in known or how:
                     raise ValueError(f"no placeholder {{{name}}}; there are: {', '.join(known)}")
+            if fields and word is _script(words):  # the name of a scene could be a command there
+                name = fields[0][0]
+                raise ValueError(f'in the line of a shell write "${_VARIABLE}{name.upper()}", not {{{name}}}')
         folder = (info.context or {}).get("folder")
-        if shell or folder is None:
+        if folder is None:
             return program
 
         def beside_config(name: str) -> str:
@@ -132,10 +142,8 @@ class Program(StereoPipeline):
         return program if found == words else found
 
     def used_files(self) -> dict[str, Path]:
-        """Return role -> file, of the words that are files; none for a shell. ConfigError without the program."""
-        if self.shell:
-            return {}
-        first, *others = _words(self.program, False)
+        """Return role -> file, of the words that are files. ConfigError without the program."""
+        first, *others = _words(self.program)
         found = shutil.which(first)
         if found is None:
             places = f"neither beside the config file nor in {os.getcwd()} is such a program"
@@ -153,7 +161,12 @@ class Program(StereoPipeline):
             values = {"left": left, "right": right, "max_disparity": max_disparity, "min_disparity": 0, "output": path}
             values |= {"scratch": scratch, "name": current_scene().name, "threads": n_threads(), "cwd": os.getcwd()}
             clock.start("program")
-            run_program(self._command_line(values), scratch, self.timeout)
+            texts = {
+                name: str(value).lower() if isinstance(value, bool) else str(value)
+                for name, value in (values | self.parameters).items()
+            }
+            variables = {f"{_VARIABLE}{name.upper()}": text for name, text in texts.items()}
+            run_program(self._command_line(texts), scratch, self.timeout, variables)
             clock.start("read")
             disparity = self._read_map(path, pair.shape)
             status = np.zeros(pair.shape, np.uint8)
@@ -164,15 +177,9 @@ class Program(StereoPipeline):
         disparity[status != 0] = np.nan
         return StereoResult(DisparityMap(disparity, status), seconds=clock.seconds)
 
-    def _command_line(self, values: dict[str, Any]) -> list[str]:
+    def _command_line(self, texts: Mapping[str, str]) -> list[str]:
         """Return the program and its arguments, with the values of placeholders, and whole paths of files."""
-        texts = {
-            name: str(value).lower() if isinstance(value, bool) else str(value)
-            for name, value in (values | self.parameters).items()
-        }
-        first, *others = _words(self.program, self.shell)
-        if self.shell:
-            return ["/bin/sh", "-c", first.format_map({name: shlex.quote(text) for name, text in texts.items()})]
+        first, *others = _words(self.program)
         others = [os.path.abspath(word) if os.path.isfile(word) else word.format_map(texts) for word in others]
         return [os.path.abspath(shutil.which(first) or first), *others]
 
@@ -220,7 +227,13 @@ class Program(StereoPipeline):
         return self.halo
 
 
-def _words(program: str | tuple[str, ...], shell: bool) -> tuple[str, ...]:
-    if isinstance(program, str):
-        return (program,) if shell else tuple(shlex.split(program))
-    return program
+def _words(program: str | tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(shlex.split(program)) if isinstance(program, str) else program
+
+
+def _script(words: Sequence[str]) -> str | None:
+    """Return the word that a shell runs as commands (``sh -c WORD``); None for other programs."""
+    options = [word for word in words[1:] if re.fullmatch(r"-\w*c", word)]
+    if os.path.basename(words[0]) not in _SHELLS or not options:
+        return None
+    return next(iter(words[words.index(options[0]) + 1 :]), None)
