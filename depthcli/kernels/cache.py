@@ -15,6 +15,7 @@ import os
 import pickle
 import re
 import shutil
+import stat
 import sys
 import tempfile
 import time
@@ -65,13 +66,21 @@ def cache_folder() -> Path | None:
     """
     for folder in _candidates():
         with contextlib.suppress(OSError):
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            for new in (*reversed(folder.parents), folder):
+                new.mkdir(mode=0o700, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
-                own = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
-                if own or "NUMBA_CACHE_DIR" in os.environ:
+                shared = folder.parent.parent == Path(tempfile.gettempdir())  # where anybody can make the parent
+                if "NUMBA_CACHE_DIR" in os.environ or all(map(_is_private, [folder, folder.parent][: 1 + shared])):
                     return folder
     warn_once("no folder for compiled kernels can be written (see NUMBA_CACHE_DIR): each process compiles its own")
     return None
+
+
+def _is_private(folder: Path) -> bool:
+    """Return True for a folder of this user, no link, in which no other user can write."""
+    state = folder.lstat()
+    own = not hasattr(os, "getuid") or (state.st_uid == os.getuid() and not state.st_mode & 0o022)
+    return own and stat.S_ISDIR(state.st_mode)
 
 
 @cache

@@ -216,3 +216,15 @@ def test_a_folder_that_somebody_else_made_is_not_trusted(tmp_path: Path, monkeyp
     assert cache.cache_folder.__wrapped__() == folders[0]
     monkeypatch.setattr(os, "getuid", lambda: 12345)
     assert cache.cache_folder.__wrapped__() is None
+
+
+@pytest.mark.parametrize("planted", ["", "kernels"])
+def test_a_folder_in_which_others_can_write_is_not_trusted(planted: str, tmp_path: Path, monkeypatch):
+    """Whoever may write in it, or in the folder in everybody's temporary folder that holds it, may exchange code."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(cache, "_candidates", lambda: [tmp_path / "depthcli-1/kernels"])
+    assert cache.cache_folder.__wrapped__() == tmp_path / "depthcli-1/kernels"
+    assert (tmp_path / "depthcli-1").stat().st_mode & 0o777 == 0o700
+    (tmp_path / "depthcli-1" / planted).chmod(0o777)
+    assert cache.cache_folder.__wrapped__() is None
