@@ -17,7 +17,7 @@ from depthcli.device import Device, DeviceError
 from depthcli.methods.stereo.config import PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.networks import network_device, networks_in
-from depthcli.methods.stereo.search_range import KeyPointRange, SearchRange, complete_range
+from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, complete_range
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.volume import StereoResult
 
@@ -33,25 +33,30 @@ def match_pair(
     ends: tuple[int | str, int | str | None],
     limits: Limits,
     clock: Clock,
-    known: KeyPointRange | None = None,
+    known: MatchedRange | None = None,
 ) -> Disparity:
-    """Return the map of a pair; InputError where the range is empty, too few key points match, or memory is short.
+    """Return the map of a pair; InputError where the range is empty, too few pixels match, or memory is short.
 
     Parameters
     ----------
-    ends : of the search range, pixels or "auto"; the upper one None: as key points suggest
-    clock : books ``range``, where key points are matched, the stages of the method, and ``other``
-    known : the range of the key points of the pair's sequence; None: that of the pair's own, where it is wanted
+    ends : of the search range, pixels or "auto"; the upper one None: as the pair itself suggests
+    clock : books ``range``, where the range is found, the stages of the method, and ``other``
+    known : the range of the pair's sequence; None: that of the pair itself, where it is wanted
     """
     if known is None and (ends[1] is None or "auto" in ends):
         clock.start("range")
     search, key_points = complete_range(*ends, pair, known)
     clock.start("other")
+    widest, asked = max(pair.shape[1] - 1, search.min_disparity + 1), search.max_disparity
+    search = SearchRange(search.min_disparity, min(asked, widest))
     matched = match(matcher, search.shift(pair), search.shifted_max_disparity, limits)
     result = search.restore(matched, pair.shape[1])
     clock.include(result.seconds)
     found, seconds = result.disparity, dict(clock.seconds)
     warnings = _warnings(pair, search, key_points, result, limits)
+    if asked > widest:
+        text = f"no pixel of images {pair.shape[1]} wide has a disparity above {widest}: searched up to that, not to {asked}"
+        warnings = (text, *warnings)
     return Disparity(found.values, found.status, pair.left, search, result, seconds, warnings, key_points)
 
 
@@ -75,7 +80,7 @@ def _warnings(
                 f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
             )
     if key_points and search.min_disparity > key_points["range_low"] and key_points["range_low"] < 0:
-        warnings.append(f"key points have disparities down to {key_points['range_low']}; see min_disparity")
+        warnings.append(f"the images match at disparities down to {key_points['range_low']}; see min_disparity")
     if search.min_disparity < 0:
         warnings.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
     if result.figures.get("exact") == 0 and limits.memory < limits.tile_memory:

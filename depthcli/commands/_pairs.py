@@ -81,12 +81,13 @@ class MatchPairs(Batch[StereoScene]):
         return {}
 
     def memory(self, scene: StereoScene) -> int | None:
-        """Estimate by the left image's size; None where key points give the range."""
+        """Estimate by the left image's size; None where the pair itself says the range."""
         low, top = self.given_range(scene)
         if not (isinstance(low, int) and isinstance(top, int)):
             return None
         limits = limits_of(self.config, 0, self.device())
-        return host_bytes(self.matcher(scene), image_size(scene.left), top - low, limits)
+        height, width = image_size(scene.left)
+        return host_bytes(self.matcher(scene), (height, width), max(min(top, width - 1) - low, 1), limits)
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
         """Return the files of the pair, the calibration that rectifies it, and the frames that give its range."""
@@ -104,7 +105,7 @@ class MatchPairs(Batch[StereoScene]):
         """Return the ends of the range that the config, or else the scene, gives.
 
         Where neither gives the upper one it is "auto", and None for a pair that a calibration rectifies: then both ends
-        are as key points suggest.
+        are as the pair itself says.
         """
         low, top = self.config.min_disparity, self.config.max_disparity
         low = scene.min_disparity if low is None else low
@@ -112,7 +113,7 @@ class MatchPairs(Batch[StereoScene]):
         return low, "auto" if top is None and self.config.calibration is None else top
 
     def range_frames(self, scene: StereoScene) -> tuple[StereoScene, ...]:
-        """Return the frames of the scene's sequence whose key points give its range; none where they do not.
+        """Return the frames of the scene's sequence that give its range together; none where they do not.
 
         They give that of pairs that a calibration rectifies, and of videos, but an end that the user calls "auto" is
         that of each pair by itself.
@@ -128,7 +129,7 @@ class MatchPairs(Batch[StereoScene]):
         Raises
         ------
         InputError
-            The images cannot be used, too few key points match where they give the range, or ``memory`` is too little.
+            The images cannot be used, too few pixels match where they say the range, or ``memory`` is too little.
         """
         config, clock, facts, warnings = self.config, Clock(), dict[str, Any](), list[str]()
         matcher, limits = self.matcher(scene), limits_of(config, memory, self.device())

@@ -21,7 +21,7 @@ from depthcli.io.formats.images import pair_of, write_png
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair, load_views
 from depthcli.methods.stereo.config import Calibration
-from depthcli.methods.stereo.search_range import KeyPointRange, range_of_key_points
+from depthcli.methods.stereo.search_range import MatchedRange, matched_range
 from depthcli.methods.stereo.view_matching import Points, match_views, row_error
 from depthcli.run.json_csv import Row
 
@@ -70,11 +70,11 @@ def rectified_pair(calibration: Calibration, scene: StereoScene) -> RectifiedPai
     return RectifiedPair(pair, view, rig, facts, warnings)
 
 
-def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene]) -> KeyPointRange | None:
-    """Return the search range that key points of frames of a sequence give together; None where too few match in all.
+def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene]) -> MatchedRange | None:
+    """Return the search range that frames of a sequence give together; None where too few pixels match in all.
 
-    The latest one is kept for the other frames of the sequence, until the files change. Frames in which too few key
-    points match, or which cannot be read, do not count. Without a calibration the frames are rectified.
+    The latest one is kept for the other frames of the sequence, until the files change. Frames in which too few
+    pixels match, or which cannot be read, do not count. Without a calibration the frames are rectified.
     """
     files = {file for frame in frames for file in frame.input_files.values()}
     files |= set(calibration_files(calibration).values())
@@ -84,8 +84,8 @@ def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene
 @lru_cache(maxsize=1)
 def _sequence_range(
     calibration: Calibration | None, frames: tuple[StereoScene, ...], files: object
-) -> KeyPointRange | None:
-    found: KeyPointRange | None = None
+) -> MatchedRange | None:
+    found: MatchedRange | None = None
     for frame in frames:
         try:
             if calibration is None:
@@ -93,7 +93,7 @@ def _sequence_range(
             else:
                 views = load_views(frame)
                 pair, _ = _pair_of(rectified_rig(calibration, *views), frame, *views)
-            one = range_of_key_points(pair)
+            one = matched_range(pair)
         except InputError:  # where no frame has a range, every one is on its own
             continue
         found = one if found is None else found.union(one)

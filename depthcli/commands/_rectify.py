@@ -34,7 +34,7 @@ from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_views
 from depthcli.methods.stereo.config import Calibration
 from depthcli.methods.stereo.rectification import RectifyingHomographies, rectify_uncalibrated
-from depthcli.methods.stereo.search_range import range_of_key_points
+from depthcli.methods.stereo.search_range import matched_range
 from depthcli.methods.stereo.view_matching import Points, match_views
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, number, percent
@@ -133,11 +133,11 @@ class Rectify(Batch[StereoScene]):
         return Outcome(facts, clock.seconds, warnings)
 
     def _search_range(self, frames: tuple[StereoScene, ...], views: list[NDArray[Any]]) -> Row:
-        """Return the range of disparities that key points of the frames, or else of the views, suggest."""
+        """Return the range of disparities that the frames together, or else the views, suggest."""
         alike = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
         pair = StereoPair(*(views if alike else map(grey8, views)))
         shared = sequence_range(self.calibration, frames) if frames else None
-        span = (shared or range_of_key_points(pair)).suggested
+        span = (shared or matched_range(pair)).suggested
         return {"min_disparity": span.min_disparity, "max_disparity": span.max_disparity}
 
 

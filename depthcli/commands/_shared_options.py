@@ -37,7 +37,7 @@ SetOption: TypeAlias = Annotated[
     list[str] | None, Option(metavar="KEY=VALUE", help="Override one key of the config; repeatable.")
 ]
 MaxDisparityOption: TypeAlias = Annotated[
-    str | None, Option(metavar="N", help="Largest disparity searched, or auto: by key points.")
+    str | None, Option(metavar="N", help="Largest disparity searched, or auto: as the pair says.")
 ]
 WithinOption: TypeAlias = Annotated[
     float, Option(metavar="PX", min=0.25, max=8, help="Error up to which a value of a given map is right, pixels.")

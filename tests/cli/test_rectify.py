@@ -293,17 +293,17 @@ def test_a_calibration_costs_a_video_once(video: list[str | Path], tmp_path: Pat
         monkeypatch.setattr(place, name, call)
 
     counted(_rectified_pairs, "match_views")
-    counted(_rectified_pairs, "range_of_key_points")
+    counted(_rectified_pairs, "matched_range")
     counted(Camera, "undistortion_maps")
     assert run(*video, "-o", tmp_path / "run", "-q") == 0
-    assert calls == {"match_views": 1, "range_of_key_points": 3, "undistortion_maps": 2}
+    assert calls == {"match_views": 1, "matched_range": 3, "undistortion_maps": 2}
     rows = json.loads((tmp_path / "run/report.json").read_text())["scenes"]
     assert len({row["max_disparity"] for row in rows}) == 1
     assert ["row_error" in row for row in rows] == [True, False, False, False]
     # Another calibration in the same file is another rectification.
     opencv(tmp_path / "c.yml", rig(strength=0.75))
     assert run(*video, "-o", tmp_path / "other", "-q") == 0
-    assert calls == {"match_views": 2, "range_of_key_points": 6, "undistortion_maps": 4}
+    assert calls == {"match_views": 2, "matched_range": 6, "undistortion_maps": 4}
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ Start at :func:`.matching.match`. In the order of the data:
 |---|---|
 | ``config`` | the fields of the ``stereo`` command's config, and of every command that matches pairs |
 | ``rectification`` | points matched by ``view_matching`` -> homographies that bring them to the same rows |
-| ``search_range`` | pair, ends given by the user or "auto" -> the disparities to search (by ``keypoint_matching``) |
+| ``search_range`` | pair, ends given by the user or "auto" -> the disparities to search (by the pair at a small size) |
 | ``matching`` | matcher, pair, largest disparity, limits -> ``StereoResult``; matched whole, in tiles or on a device |
 | ``stages`` | ``PairMatcher``, the base of all matchers; ``CostStages``, the families below in one object |
 | ``pipeline/`` | the matchers of ``stereo``, one file each: pair, largest disparity -> ``StereoResult`` |

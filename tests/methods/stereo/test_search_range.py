@@ -1,4 +1,4 @@
-"""Search ranges that do not begin at 0, and ranges that key points find."""
+"""Search ranges that do not begin at 0, and ranges that the pair itself says."""
 
 import json
 from pathlib import Path
@@ -7,13 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
+from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.io.formats.disparity import read_disparity, read_pfm, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
 from depthcli.methods.stereo.pipeline.local import Local
-from depthcli.methods.stereo.search_range import SearchRange, range_of_key_points
+from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.simulate.stereo_scenes import make_scene
 from tests.command_line import run
@@ -100,6 +101,8 @@ def test_what_the_report_and_the_warnings_say(tmp_path: Path, capsys):
     assert row["seconds"]["range"] > 0
     assert run("stereo", "fast", *images, "--max-disparity", "auto", "-o", tmp_path / "c", "-q") == 3
     assert "but 0 is the smallest that is searched: check that the views are not swapped" in capsys.readouterr().err
+    assert run("stereo", "fast", *images, "--max-disparity", "5000", "-o", tmp_path / "e") == 0
+    assert "above 119" in capsys.readouterr().err and "119" in (tmp_path / "e/report.csv").read_text()
     for ends in (
         ("--min-disparity", "9", "--max-disparity", "9"),
         ("--max-disparity", "many"),
@@ -110,18 +113,36 @@ def test_what_the_report_and_the_warnings_say(tmp_path: Path, capsys):
 
 
 @pytest.mark.parametrize("kind", ["planes", "curved"])
-def test_key_points_find_the_range(kind):
+def test_the_pair_says_its_range(kind):
     scene = make_scene(kind, 1, 240, 180, 40)
-    found = range_of_key_points(StereoPair(scene.left, scene.right))
+    found = matched_range(StereoPair(scene.left, scene.right))
     true = np.quantile(scene.disparity_left, (0.01, 0.99))
     assert found.n_matches > 16
     assert found.low <= true[0]
     assert true[1] <= found.top <= 1.6 * true[1] + 5
     # Converging cameras: the same, moved.
     right = np.roll(scene.right, 20, axis=1)
-    moved = range_of_key_points(StereoPair(scene.left, right))
+    moved = matched_range(StereoPair(scene.left, right))
     assert abs(moved.low - found.low + 20) <= 3
     assert abs(moved.top - found.top + 20) <= 6
+
+
+def test_the_range_holds_a_near_thing_without_corners_and_no_false_matches():
+    height, width, far, near = 240, 360, 10, 84
+    left, right = blobs(width + far, height), np.empty((height, width), np.uint8)
+    right[:], left = left[:, far:], left[:, :width].copy()
+    shade = np.linspace(60, 190, 60, dtype=np.uint8)[:, None] + np.linspace(0, 50, 50, dtype=np.uint8)
+    left[90:150, 200:250], right[90:150, 200 - near : 250 - near] = shade, shade
+    found = matched_range(StereoPair(left, right))
+    assert 0 <= found.low < far and near <= found.top < 1.4 * near
+    left[20:26, 320:326] = right[20:26, 60:66]  # 0.04 % of the pixels say 260
+    again = matched_range(StereoPair(left, right))
+    assert (again.low, again.top) == (found.low, found.top)
+
+
+def test_noise_has_no_range():
+    with pytest.raises(InputError, match="max_disparity"):
+        matched_range(StereoPair(blobs(300, 200, 1), blobs(300, 200, 2)))
 
 
 @pytest.mark.parametrize("low", [-3, 4])
