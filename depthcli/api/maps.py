@@ -24,7 +24,7 @@ from depthcli.io.formats.networks import network_path, read_network
 from depthcli.io.formats.pictures import preview
 from depthcli.methods.given_maps import MEASURES, Networks, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
-from depthcli.methods.stereo.search_range import SearchRange
+from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.run.resources import available_memory, check_memory
 
@@ -104,7 +104,7 @@ def map_confidence(
     left, right : the images, as for :func:`stereo`; right None: there is none, and the map is judged by its shape and
         the left image alone, which say far less. Witnesses, most measures and what is hidden want a right image
     disparity : (H, W) pixels, the left view's map; NaN, infinite and negative ones = no value
-    max_disparity : largest disparity that is compared with, pixels; None: that of the maps
+    max_disparity : largest disparity that is compared with, pixels; None: as the pair says; values above are wrong
     witnesses : maps of the same view by other methods, which make the judgment better
     right_disparity : (H, W) pixels, the map of the right view by the same program, for the measure ``left_right``
     within : error up to which a value counts as right, pixels, 0.25 to 8
@@ -149,7 +149,7 @@ def fuse_maps(
     ----------
     left, right : the images, as for :func:`stereo`
     maps : (H, W) pixels each, maps of the left view by any programs; NaN, infinite and negative ones = no value
-    max_disparity : largest disparity that is compared with, pixels; None: that of the maps
+    max_disparity : largest disparity that is compared with, pixels; None: as the pair says; values above are wrong
     within : error up to which a value counts as right in ``confidence["probability"]``, pixels, 0.25 to 8
     surfaces : whether planes of segments are proposed, too; slower
 
@@ -197,7 +197,7 @@ def judged(
     ``memory`` bytes do not suffice.
     """
     shape = images.shape if isinstance(images, StereoPair) else images.shape[:2]
-    top, clean, warnings = _prepared(shape[1], maps, max_disparity, within)
+    top, clean, warnings = _prepared(images, maps, max_disparity, within)
     first = next(iter(maps.values()))
     known = np.isfinite(first) & (first >= 0)
     if not isinstance(images, StereoPair):
@@ -233,7 +233,7 @@ def fused(
     """Return one map of several; errors as of :func:`judged`."""
     if not 1 <= len(maps) <= MAX_MAPS:
         raise InputError(f"maps: want 1 to {MAX_MAPS} (got {len(maps)})")
-    top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity, within)
+    top, clean, warnings = _prepared(pair, maps, max_disparity, within)
     size = f"{pair.shape[1]} x {pair.shape[0]} pixels, {top + 1} disparities"
     check_memory(peak_bytes(pair.shape, top, len(clean) + N_ADDED), memory, size)
     found, judgment = fuse(networks(), pair, clean, top, within, surfaces)
@@ -243,9 +243,12 @@ def fused(
 
 
 def _prepared(
-    width: int, maps: Mapping[str, NDArray[np.float32]], max_disparity: int | None, within: float
+    images: StereoPair | Image, maps: Mapping[str, NDArray[np.float32]], max_disparity: int | None, within: float
 ) -> tuple[int, list[NDArray[np.float32]], list[str]]:
-    """Return the largest disparity, the maps without values outside of the range, and warnings."""
+    """Return the largest disparity, the maps without values outside of the range, and warnings.
+
+    Where none is given, the pair says it, not the maps, whose scale may be wrong; the maps do where the pair cannot.
+    """
     if not 0.25 <= within <= 8:
         raise ConfigError(f"within: want 0.25 to 8 pixels (got {within:g})")
     if max_disparity is not None and not max_disparity >= 1:
@@ -259,11 +262,15 @@ def _prepared(
             )
     if not any(known.size for known in finite.values()):
         raise InputError(f"{', '.join(maps)}: no value at any pixel")
-    top = max_disparity
+    warnings, clean, top = [], [], max_disparity
+    if top is None and isinstance(images, StereoPair):
+        try:
+            top = min(matched_range(images).suggested.max_disparity, images.shape[1] - 1)
+        except InputError as error:
+            warnings.append(f"the largest disparity is that of the maps: {error}")
     if top is None:
         highest = max(float(np.quantile(known, _TOP_SHARE)) for known in finite.values() if known.size)
-        top = min(max(math.ceil(highest), 1), width - 1)
-    warnings, clean = [], []
+        top = min(max(math.ceil(highest), 1), images.shape[1] - 1)
     for name, one in maps.items():
         with np.errstate(invalid="ignore"):
             inside = np.isfinite(one) & (one >= 0) & (one <= top + 0.5)
