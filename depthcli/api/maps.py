@@ -16,7 +16,7 @@ from depthcli.api.results import Disparity
 from depthcli.api.saving import made, write_details, write_disparity
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, StereoPair
-from depthcli.core.maps import Status
+from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Result
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import png_bytes, write_png
@@ -229,14 +229,18 @@ def fused(
     within: float,
     surfaces: bool,
     memory: int,
+    status: Mapping[str, NDArray[np.uint8]] | None = None,
 ) -> Disparity:
-    """Return one map of several; errors as of :func:`judged`."""
+    """Return one map of several, of which some have a (H, W) ``status``; errors as of :func:`judged`."""
     if not 1 <= len(maps) <= MAX_MAPS:
         raise InputError(f"maps: want 1 to {MAX_MAPS} (got {len(maps)})")
     top, clean, warnings = _prepared(pair, maps, max_disparity, within)
     size = f"{pair.shape[1]} x {pair.shape[0]} pixels, {top + 1} disparities"
     check_memory(peak_bytes(pair.shape, top, len(clean) + N_ADDED), memory, size)
-    found, judgment = fuse(networks(), pair, clean, top, within, surfaces)
+    empty = np.zeros(pair.shape, np.uint8)
+    pairs = zip(clean, [(status or {}).get(name, empty) for name in maps], strict=True)
+    measured = [np.isfinite(one) & DisparityMap(one, known).measured for one, known in pairs]
+    found, judgment = fuse(networks(), pair, clean, top, within, surfaces, measured)
     seconds, confidence = dict(judgment.seconds), {"probability": judgment.probability}
     result = StereoResult(disparity=found, seconds=seconds, confidence=confidence)
     return Disparity(found.values, found.status, pair.left, SearchRange(0, top), result, seconds, tuple(warnings))

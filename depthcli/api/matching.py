@@ -55,7 +55,7 @@ def match_pair(
     found, seconds = result.disparity, dict(clock.seconds)
     warnings = _warnings(pair, search, key_points, result, limits)
     if asked > widest:
-        text = f"no pixel of images {pair.shape[1]} wide has a disparity above {widest}: searched up to that, not to {asked}"
+        text = f"no pixel of images {pair.shape[1]} wide has a disparity above {widest}: not searched up to {asked}"
         warnings = (text, *warnings)
     return Disparity(found.values, found.status, pair.left, search, result, seconds, warnings, key_points)
 

@@ -11,7 +11,8 @@ from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, RangeOptions, RunOptions
 from depthcli.core.errors import ConfigError
 from depthcli.core.result import Clock
-from depthcli.io.scenes import MapsScene
+from depthcli.io.formats.pictures import read_status
+from depthcli.io.scenes import MapsScene, check_same_size
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
 from depthcli.run.batch import Outcome
@@ -52,9 +53,12 @@ class FuseMaps(GivenMaps):
         clock.start("load")
         pair = load_pair(scene)
         maps = {one.run: loaded(one, pair.shape) for one in scene.maps}
+        status = {one.run: read_status(one.status) for one in scene.maps if one.status is not None}
+        for name, there in status.items():
+            check_same_size(scene.folder / f"status.png of {name}", there.shape, scene.left, pair.shape)
         clock.start("other")
         config = self.config
-        found = fused(pair, maps, self.max_disparity(scene), config["within"], config["surfaces"], memory)
+        found = fused(pair, maps, self.max_disparity(scene), config["within"], config["surfaces"], memory, status)
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder)

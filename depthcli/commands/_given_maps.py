@@ -35,6 +35,7 @@ from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene
 from depthcli.methods.given_maps import peak_bytes
 from depthcli.run.batch import Batch
 from depthcli.run.console import Reporter
+from depthcli.run.records import RECORD_FILE
 from depthcli.run.report import read_report
 
 _RIGHT_FILES = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right", "{scene}"), DisparityFiles().suffixes)
@@ -132,7 +133,11 @@ class _Run:
         """Return the map of a scene that may have these names; None where there is none."""
         single = os.path.isfile(self.place)
         path = self.place if single else self.naming.files(self.files).find(self.place, names)
-        return None if path is None else GivenMap(self.name, path, self.naming.scale, self.naming.invalid)
+        if path is None:
+            return None
+        status = path.parent / "status.png"
+        is_own = status.is_file() and (path.parent / RECORD_FILE).is_file()  # maps of other programs have no such file
+        return GivenMap(self.name, path, self.naming.scale, self.naming.invalid, status if is_own else None)
 
     def recognized(self, scenes: Sequence[StereoScene], names: Mapping[str, Sequence[str]], reporter: Reporter) -> _Run:
         """Return the run with the pattern of its maps, if another program made them and none has a usual name."""

@@ -104,6 +104,7 @@ class GivenMap:
     path: Path
     scale: float | None = None  # codes per pixel; None: as the file's kind says
     invalid: float | None = None  # value that stands for none; None: recognized
+    status: Path | None = None  # status of its pixels, where it has one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +120,7 @@ class MapsScene(StereoScene):
     def input_files(self) -> dict[str, Path]:
         """The images and the maps."""
         files = {f"map_{k}_{one.run}": one.path for k, one in enumerate(self.maps)}
+        files |= {f"status_{k}_{one.run}": one.status for k, one in enumerate(self.maps) if one.status is not None}
         more = {} if self.right_map is None else {"right_map": self.right_map.path}
         return super().input_files | files | more
 

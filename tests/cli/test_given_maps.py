@@ -11,7 +11,7 @@ from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import read_status
-from tests.command_line import contents, refused, run
+from tests.command_line import contents, refused, rows, run
 
 NAMES = ["foreground_0", "planes_0"]
 
@@ -83,6 +83,21 @@ def test_several_maps_are_better_than_each(two_scenes: Path, tmp_path: Path, cap
     best = read_pfm(tmp_path / "best" / NAMES[0] / "disp_left.pfm")
     assert np.isfinite(best).all()
     assert np.mean(np.abs(best - truth)[visible == 255] > 1) < 0.08
+
+
+def test_pixels_that_no_map_has_measured_are_filled(two_scenes: Path, tmp_path: Path):
+    """What was filled in all runs that are fused is filled in their best map; depth leaves it out."""
+    words = ("-i", two_scenes, "--scenes", NAMES[0], "-q")
+    for preset in ("fast", "opencv-sgbm"):
+        assert run("stereo", preset, *words, "-o", tmp_path / preset) == 0
+    runs = [word for preset in ("fast", "opencv-sgbm") for word in ("--maps", tmp_path / preset)]
+    assert run("fuse", "maps", *words, *runs, "-o", tmp_path / "best") == 0
+    runs_and_best = ("fast", "opencv-sgbm", "best")
+    filled = [(read_status(tmp_path / each / NAMES[0] / "status.png") & Status.FILLED) != 0 for each in runs_and_best]
+    in_all = filled[0] & filled[1]
+    assert in_all.mean() > 0.01
+    assert filled[2][in_all].mean() > 0.9 and filled[2][~in_all].mean() < 0.03
+    assert rows(tmp_path / "best")[NAMES[0]]["measured"] == round(float(np.mean(~filled[2])), 6)
 
 
 def test_a_changed_map_is_judged_again_and_others_are_not(two_scenes: Path, maps: Path, tmp_path: Path):
@@ -204,3 +219,11 @@ def test_python_speaks_of_keywords():
     refused(depthcli.ConfigError, "exclude", found.kept, 0.5, 0.5)
     assert np.isfinite(found.kept(threshold=0.0)).all()
     assert np.count_nonzero(np.isfinite(found.kept(share=0.25))) >= 600
+
+
+def test_a_map_outside_of_what_the_images_allow_is_found_wrong(two_scenes: Path):
+    left, right = (read_image(two_scenes / NAMES[0] / f"{view}.png") for view in ("left", "right"))
+    truth = read_pfm(two_scenes / NAMES[0] / "disp_left.pfm")
+    for wrong in (0 * truth, truth / 64, truth / 16, 4 * truth):
+        assert depthcli.map_confidence(left, right, wrong).probability.mean() < 0.1
+    assert depthcli.map_confidence(left, right, truth).probability.mean() > 0.7

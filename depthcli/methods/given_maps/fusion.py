@@ -11,7 +11,7 @@ from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.algorithms.segmentation.felzenszwalb import Felzenszwalb
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap
+from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice.network import MAX_MAPS as MAX_PROPOSALS
 from depthcli.methods.fusion.choice.network import likeliest
@@ -37,6 +37,7 @@ def fuse(
     max_disparity: int,
     within: float = 1.0,
     surfaces: bool = False,
+    measured: Sequence[NDArray[np.bool_]] = (),
 ) -> tuple[DisparityMap, MapJudgment]:
     """Fuse at most ``MAX_MAPS`` maps of a pair, (H, W) float32, pixels, NaN = no value; complete and correct one.
 
@@ -44,11 +45,14 @@ def fuse(
     fitted where the best of these is likely right. The network of :mod:`depthcli.methods.given_maps` gives the log odds
     of each; their softmax is averaged over neighbors of similar color, and the largest share wins.
 
+    ``measured``, (H, W) bool each, says where the given maps were measured, not filled; none: where they have a value.
+    A pixel where neither these nor ``stereo fast`` measured a value within a pixel of the chosen one is ``FILLED``.
+
     Returns a map that has a value everywhere, and how likely every pixel is right ``within`` so many pixels. Costs are
     computed up to ``max_disparity``. There are 1 to ``MAX_MAPS`` maps, which callers check. ValueError: one has not the
     size of the images.
     """
-    clock = Clock()
+    clock, measured = Clock(), measured or [np.isfinite(one) for one in maps]
     evidence = Evidence.of(pair, max_disparity, clock)
 
     def chosen(judged: Sequence[Judged]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -70,5 +74,9 @@ def fuse(
     context = RefinementContext(evidence.pair, evidence.optimized, evidence.right)
     values = _REFINEMENT(DisparityMap(values, np.zeros(pair.shape, np.uint8)), context).values
     status = with_reasons(values, np.zeros(pair.shape, np.bool_), probability, hidden_by_map(values))
+    sources = zip([*maps, evidence.reference.values], [*measured, evidence.reference.measured], strict=True)
+    with np.errstate(invalid="ignore"):  # NaN supports nothing
+        supported = np.any([there & (np.abs(one - values) <= 1) for one, there in sources], axis=0)
+    status[~supported] |= np.uint8(Status.FILLED)
     judgment = MapJudgment(seconds=clock.seconds, probability=probability, status=status)
     return DisparityMap(values, status), judgment
