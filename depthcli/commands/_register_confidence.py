@@ -90,14 +90,18 @@ class RegisterConfidence(Batch[VolumePairScene]):
         config, clock = self.config, Clock()
         clock.start("load")
         loaded = load_volumes(scene, config.field, config.pipeline.voxel_limit)
-        points = landmarks(scene, loaded.grid)
+        warnings, points = [scene.lacks_for_truth] if scene.lacks_for_truth else [], None
+        try:
+            points = landmarks(scene, loaded.grid)
+        except InputError as problem:  # the maps do without
+            warnings.append(f"{problem}; no points.csv")
         found = measured_pair(config, loaded, clock, memory)
         clock.start("save")
         found.save(folder, written_suffix(scene.fixed), points)
         width, height, slices = loaded.grid.size
         facts: Row = {"width": width, "height": height, "slices": slices, **found.details.figures}
         facts |= _region_figures(found.details, loaded, scene)
-        return Outcome(facts, clock.seconds, list(found.warnings))
+        return Outcome(facts, clock.seconds, [*warnings, *found.warnings])
 
     def is_lower_bound(self, row: Row) -> bool:
         """Return whether the search ends before the errors do."""

@@ -374,12 +374,13 @@ def report_markdown(report: EvaluationReport) -> str:
         out += [f"Plug-ins: {markdown_code(used)}.", ""]
     out += [f"**Warning:** {markdown_text(line)}\n" for line in report.warnings]
     out += [table.markdown() for table in report_tables(report)]
-    out += ["## Error pictures", ""]
-    shown = ((p.name, p.presentation) for p in report.protocols.values())
-    out += [f"{name}: {presentation.legend}.\n" for name, presentation in shown if presentation.error_pictures]
+    drawn = {p.name: p.presentation.legend for p in report.protocols.values() if p.presentation.error_pictures}
+    out += ["## Error pictures" if drawn else "## Curves", ""]
+    out += [f"{name}: {legend}.\n" for name, legend in drawn.items()]
     for r in report.results:
         if not r.error:
             scene = markdown_text(r.scene)
-            out += [f"{markdown_text(r.run)}, {scene}:", "", f"![{scene}]({markdown_link(r.picture)})", ""]
+            out += [f"{markdown_text(r.run)}, {scene}:", ""]
+            out += [f"![{scene}]({markdown_link(r.picture)})", ""] if r.protocol in drawn else []
             out += [f"![{of}, {region}]({markdown_link(path)})\n" for (region, of), path in r.plots.items()]
     return "\n".join(out)

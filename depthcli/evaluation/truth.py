@@ -40,10 +40,12 @@ def scenes_with_truth(
     if os.path.isfile(truth):
         return [_scene_of_file(truth, protocol, settings, reporter)]
     tried = ALL_KINDS if protocol is None else ALL_KINDS.of_kind(protocol.kind)
-    found = [s for s in discover_scenes(truth, tried, layout, patterns, reporter.info) if s.problem or s.has_truth]
+    there = discover_scenes(truth, tried, layout, patterns, reporter.info)
+    found = [scene for scene in there if scene.problem or scene.has_truth]
     if all(scene.problem for scene in found):
         nothing = f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)"
-        raise InputError(found[0].problem if found else nothing)
+        lacking = [*filter(None, (scene.lacks_for_truth for scene in there)), nothing]
+        raise InputError(found[0].problem if found else lacking[0])
     return found
 
 

@@ -6,6 +6,7 @@ No image or volume is loaded here; ``input_files`` alone looks into headers for 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -48,6 +49,11 @@ class Scene:
     def has_truth(self) -> bool:
         """True where there is ground truth to compare with."""
         return False
+
+    @property
+    def lacks_for_truth(self) -> str:
+        """What the files of a truth need beside them to be one, in a line for people; empty: nothing."""
+        return ""
 
     def check(self) -> None:
         """Raise the scene's problem, if it has one, as an InputError."""
@@ -246,13 +252,21 @@ class VolumePairScene(Scene):
         for role, file in tuple(files.items()):
             behind = volume_files(file) + transform_files(file)
             files |= {f"{role}: {number}": each for number, each in enumerate(behind, 1)}
-        return files
+        return {role: file for role, file in files.items() if not os.path.isdir(file)}
 
     @property
     def has_truth(self) -> bool:
         """Dense errors, or landmarks and the transform that they are carried over by."""
         landmarks = self.landmarks_fixed is not None and self.landmarks_moving is not None
         return self.error_true is not None or (landmarks and (self.transform or self.displacement) is not None)
+
+    @property
+    def lacks_for_truth(self) -> str:
+        """Landmarks need each other, and the way from the fixed to the moving ones."""
+        if self.has_truth or self.landmarks_moving is None:
+            return ""
+        needed = "landmarks_fixed.*" if self.landmarks_fixed is None else "displacement.* or transform.*"
+        return f"{self.landmarks_moving}: true errors at landmarks need {needed} beside it"
 
 
 def check_same_size(file: Path, shape: Sequence[int], other: Path, wanted: Sequence[int], why: str = "") -> None:

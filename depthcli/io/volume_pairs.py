@@ -14,7 +14,7 @@ from depthcli.algorithms.resampling import block_means
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair, Volume
 from depthcli.io.formats.fields import read_landmarks, read_moving_transform
-from depthcli.io.formats.files import naming
+from depthcli.io.formats.files import naming, warn
 from depthcli.io.formats.volumes import itk_image, read_grid, read_volume, simple_itk
 from depthcli.io.scenes import VolumePairScene
 
@@ -111,6 +111,8 @@ def true_errors(scene: VolumePairScene, convention: str = "auto") -> Registratio
     matches = read_landmarks(scene.landmarks_moving, fixed.grid if moving is None else moving.grid, raw)
     if len(points) != len(matches):
         raise InputError(f"{scene.landmarks_moving}: {len(matches)} landmarks, but {len(points)} of the fixed one")
+    if moving is not None and (text := _outside(matches, moving.grid, "moving")):
+        warn(f"{scene.landmarks_moving}: {text}")
     transform = read_moving_transform(scene.transform, scene.displacement, convention, fixed, moving)
     moved = np.array([transform.TransformPoint(point) for point in points.tolist()])
     return RegistrationTruth(fixed.grid, points, np.linalg.norm(moved - matches, axis=1).astype(np.float32))
@@ -121,14 +123,23 @@ def landmarks(scene: VolumePairScene, grid: Grid) -> NDArray[np.float64] | None:
     if scene.landmarks_fixed is None:
         return None
     points = read_landmarks(scene.landmarks_fixed, grid, scene.fixed.suffix.lower() == ".img")
-    places = grid.to_index(points)
-    outside = ~np.all((places >= -0.5) & (places <= np.array(grid.shape) - 0.5), axis=1)
-    if outside.any():
-        raise InputError(
-            f"{scene.landmarks_fixed}: {int(outside.sum())} of {len(points)} landmarks lie outside the fixed "
-            f"volume, the first is point {int(np.flatnonzero(outside)[0]) + 1}"
-        )
+    if text := _outside(points, grid, "fixed"):
+        raise InputError(f"{scene.landmarks_fixed}: {text}")
     return points
+
+
+def _outside(points: NDArray[np.float64], grid: Grid, name: str) -> str:
+    """Return how many landmarks (N, 3), mm, LPS, lie outside the volume ``name``, in a line; empty where none does."""
+    outside, turned = (
+        ~np.all((places >= -0.5) & (places <= np.array(grid.shape) - 0.5), axis=1)
+        for places in (grid.to_index(points), grid.to_index(points * [-1, -1, 1]))
+    )
+    if not outside.any():
+        return ""
+    hint = "" if turned.any() else "; with x and y negated they fit: positions must be LPS, not RAS"
+    first = int(np.flatnonzero(outside)[0]) + 1
+    count = f"{int(outside.sum())} of {len(points)} landmarks lie outside the {name} volume"
+    return f"{count}, the first is point {first}{hint}"
 
 
 def _read_like(file: Path, fixed: Grid) -> NDArray[np.float32]:

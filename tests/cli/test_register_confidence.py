@@ -1,9 +1,11 @@
 """register-confidence from the command line: files, messages, exit codes."""
 
 import json
+import re
 import shutil
 import warnings
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -111,9 +113,6 @@ def spoil(folder, what):
     if what == "empty mask":
         write_array(folder / "mask.nii.gz", grid, 0 * values)
         return "no voxel is set"
-    if what == "landmark":
-        (folder / "landmarks_fixed.csv").write_text("x,y,z\n10,10,10\n500,0,0\n")
-        return "1 of 2 landmarks lie outside the fixed volume, the first is point 2"
     if what == "field":
         (folder / "moving_warped.nii.gz").rename(folder / "moving.nii.gz")
         np.savez(folder / "displacement.npz", np.zeros((56, 56, 39, 3), np.float32))
@@ -127,7 +126,7 @@ def spoil(folder, what):
 def test_bad_input_is_one_line_and_spoils_no_other(made_volumes, tmp_path, capsys):
     shutil.copytree(made_volumes / "pair_0", tmp_path / "pairs" / "pair_0")
     said = {}
-    for what in ("grid", "empty mask", "landmark", "field", "truncated"):
+    for what in ("grid", "empty mask", "field", "truncated"):
         said[what] = spoil(Path(shutil.copytree(made_volumes / "pair_1", tmp_path / "pairs" / what)), what)
     command = ["register-confidence", "axes", "-i", str(tmp_path / "pairs"), "-o", str(tmp_path / "run"), *SMALL]
     assert main(command) == 3
@@ -232,3 +231,88 @@ def test_figures_that_stop_at_the_border_of_the_search_are_lower_bounds(made_vol
     assert "border of the search" in capsys.readouterr().err
     for file in (run / "evaluation" / "report.md", run / "evaluation" / "report.html", tmp_path / "e" / "report.md"):
         assert "border of the search" in file.read_text()
+
+
+def small_pair(folder, names=("fixed", "moving_warped")):
+    grid = Grid((16, 14, 12), (1.0, 1.0, 2.0), (-40.0, 30.0, 5.0))
+    values = np.random.default_rng(0).standard_normal(grid.shape).astype(np.float32)
+    for k, name in enumerate(names):
+        write_array(folder / f"{name}.mha", grid, np.roll(values, k, axis=2))
+    return grid
+
+
+@pytest.mark.parametrize(
+    ("landmarks", "words"),
+    [
+        ("x,y,z\n-30,35,10\n500,0,0\n", ("1 of 2", "point 2")),
+        ("x,y,z\n30,-35,10\n", ("with x and y negated they fit",)),
+        ("not,a\n", ("landmarks_fixed.csv",)),
+    ],
+)
+def test_bad_landmarks_stop_no_map_and_say_what_is_wrong(tmp_path, capsys, landmarks, words):
+    small_pair(tmp_path / "pair")
+    (tmp_path / "pair" / "landmarks_fixed.csv").write_text(landmarks)
+    command = ["register-confidence", "axes", "-i", str(tmp_path / "pair"), "-o", str(tmp_path / "run"), *SMALL]
+    assert main(command) == 0
+    (row,) = json.loads((tmp_path / "run" / "report.json").read_text())["scenes"]
+    assert row["status"] == "done" and any(all(word in line for word in words) for line in row["warnings"])
+    assert (tmp_path / "run" / "pair" / "expected_error.mha").is_file()
+    assert not (tmp_path / "run" / "pair" / "points.csv").exists()
+
+
+def test_landmarks_of_a_warped_volume_say_what_they_need(tmp_path, capsys):
+    small_pair(tmp_path / "pair")
+    for name in ("landmarks_fixed", "landmarks_moving"):
+        (tmp_path / "pair" / f"{name}.csv").write_text("x,y,z\n-30,35,10\n")
+    run = str(tmp_path / "run")
+    assert main(["register-confidence", "axes", "-i", str(tmp_path / "pair"), "-o", run, *SMALL]) == 0
+    (row,) = json.loads((tmp_path / "run" / "report.json").read_text())["scenes"]
+    assert any("landmarks_moving.csv" in line and "displacement.*" in line for line in row["warnings"])
+    assert (tmp_path / "run" / "pair" / "points.csv").is_file()
+    assert main(["evaluate", run, "--truth", str(tmp_path / "pair"), "-o", str(tmp_path / "e")]) == 2
+    assert "displacement.*" in capsys.readouterr().err
+
+
+def test_reports_say_that_they_are_estimates_and_link_files_that_are_there(made_volumes, run, tmp_path):
+    evaluated = tmp_path / "e"
+    assert main(["evaluate", str(run), "--truth", str(made_volumes), "-o", str(evaluated), "-q", "--html"]) == 0
+    markdown = (evaluated / "report.md").read_text()
+    links = re.findall(r"!\[[^]]*\]\(([^)]+)\)", markdown)
+    assert links and all((evaluated / unquote(link)).is_file() for link in links)
+    for text in (markdown, (evaluated / "report.html").read_text()):
+        assert "no bound" in text and "no medical device" in text
+
+
+def dicom(folder, values, missing=()):
+    """Write a series of (Z, Y, X) int16, whose files are sorted the other way by name."""
+    folder.mkdir()
+    writer = SimpleITK.ImageFileWriter()
+    writer.KeepOriginalImageUIDOn()
+    for k, plane in enumerate(values):
+        image = SimpleITK.GetImageFromArray(plane)
+        image.SetSpacing((1.5, 1.0))
+        tags = {"0008|0060": "CT", "0020|000d": "1.2.3", "0020|000e": "1.2.3.4", "0008|0018": f"1.2.3.4.{k + 1}",
+                "0020|0032": f"-20\\10\\{5 + 2 * k}", "0020|0037": "1\\0\\0\\0\\1\\0", "0020|0013": str(k)}  # fmt: skip
+        for tag, text in tags.items():
+            image.SetMetaData(tag, text)
+        if k not in missing:
+            writer.SetFileName(str(folder / f"{len(values) - k:03}.dcm"))
+            writer.Execute(image)
+
+
+def test_a_folder_with_a_dicom_series_is_a_volume(tmp_path, capsys):
+    values = np.random.default_rng(0).integers(-100, 900, (12, 14, 16)).astype(np.int16)
+    for name, shift in (("before", 0), ("after", 1)):
+        dicom(tmp_path / name, np.roll(values, shift, axis=2))
+    dicom(tmp_path / "gap", values, missing=(4,))
+    volume = read_volume(tmp_path / "before")
+    np.testing.assert_array_equal(volume.values, values)
+    assert (volume.grid.spacing, volume.grid.origin) == ((1.5, 1.0, 2.0), (-20, 10, 5))
+    command = ["register-confidence", "axes", "--fixed", str(tmp_path / "before"), "-o", str(tmp_path / "run"), *SMALL]
+    assert main([*command, "--warped", str(tmp_path / "after")]) == 0
+    assert read_volume(tmp_path / "run" / "before" / "expected_error.mha").grid.same_as(volume.grid)
+    (tmp_path / "after" / "001.dcm").write_bytes((tmp_path / "before" / "001.dcm").read_bytes())
+    assert main([*command, "--warped", str(tmp_path / "after"), "--dry-run"]) == 0
+    assert "1 to do" in capsys.readouterr().out  # a slice has changed
+    assert main([*command, "--overwrite", "--warped", str(tmp_path / "gap")]) == 3
+    assert "gap" in (err := capsys.readouterr().err) and "missing" in err

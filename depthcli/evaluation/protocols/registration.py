@@ -33,6 +33,7 @@ LIMITS_MM = (3.0, 6.0)
 HEADLINE = Metric("Spearman", "", worst=-1.0, larger_is_better=True)
 """Rank correlation of expected and true errors."""
 
+_CAUTION = "an expected error is an estimate, no bound, and this program is no medical device"
 _WORST_SHARE = 0.3  # of TRE30, the robustness of Learn2Reg
 _MAX_POOLED = 8_000_000  # points of several pairs; of more, which take minutes, so many are drawn
 _DRAWING_SEED = 0  # of the points that are drawn, any number: the same for all runs
@@ -117,7 +118,9 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     known = values[np.isfinite(values)]
     mean, high = (float(known.mean()), float(np.quantile(known, 0.95))) if known.size else (math.nan, math.nan)
     confidence = {name: _turned(file) for name, file in files.confidences(path).items()}
-    note = "in the body: mean over the mask, or else over tissue and what it encloses, and its 95 % quantile"
+    note = (
+        f"{_CAUTION}; in the body: mean over the mask, or else over tissue and what it encloses, and its 95 % quantile"
+    )
     figures = {"expected error in the body, mm": mean, "95 % quantile, mm": high}
     return ShownMap(values, confidence, None, _axes(grid), figures, note)
 
@@ -192,7 +195,8 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
             "Spearman: rank correlation of expected and true errors; AUC: share of the pairs of points, one with a "
             "true error above 3 mm and one below, in the right order; accuracy: of the classes < 3, 3-6, >= 6 mm; "
             "MAE: mean |expected - true|, mm; expected: mean, mm; AUSE, AURG: of the true error's sparsification, mm; "
-            "TRE: mean true error, mm; TRE30: mean of the worst 30 %; means of several pairs: over all their points"
+            "TRE: mean true error, mm; TRE30: mean of the worst 30 %; means of several pairs: over all their points; "
+            f"{_CAUTION}"
         ),
         opacity=0.65,
         verdicts=("true error to 3 mm", "true error above 3 mm"),

@@ -28,7 +28,9 @@ def kinect_files(path: Path) -> tuple[Path, ...]:
 
 
 def volume_files(path: Path) -> tuple[Path, ...]:
-    """Return the files that are read with a volume: those with its values, or ``meta.json`` with its size."""
+    """Return the files that are read with a volume: those with its values, of a folder all, or its ``meta.json``."""
+    if os.path.isdir(path):  # a DICOM series
+        return tuple(sorted(file for file in path.glob("*") if os.path.isfile(file)))
     kind = path.suffix.lower()
     if kind == ".img":
         return (path.with_name("meta.json"),)

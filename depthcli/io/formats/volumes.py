@@ -1,4 +1,4 @@
-"""Volumes as files: NIfTI, MetaImage, NRRD, DIR-Lab raw; two-dimensional images as one slice.
+"""Volumes as files: NIfTI, MetaImage, NRRD, DIR-Lab raw, DICOM series; two-dimensional images as one slice.
 
 They are read through SimpleITK, an extra (``pip install depthcli[medical]``) that is imported here only. They are
 written by hand, slab by slab, so that a volume larger than the memory can be written, and with the same bytes always.
@@ -35,6 +35,8 @@ _ITK_READERS |= dict.fromkeys((".nrrd", ".nhdr"), "NrrdImageIO")
 _MAX_SIDE = 1 << 20  # voxels; no volume is as wide
 _MAX_SPACING = 1e12  # mm; 1e-12 is the smallest: squares of both are well within the range of 32 bit
 _NIFTI_FLOATS = {"16": "f4", "64": "f8"}  # by the header's datatype
+_SLICE_POSITION = "0020|0032"  # DICOM's Image Position (Patient)
+_MAX_UNEVENNESS = 0.05  # of the distances of slices; a missing slice makes one twice as large
 _HEADER_BYTES = 1 << 20  # first part of a MetaImage file that its header lies in
 _MAX_LINE = 250  # characters in a header of MetaImage, whose library copies longer ones without a check
 
@@ -97,6 +99,8 @@ def _checked(spacing: Any) -> Any:
 
 def read_grid(path: Path) -> Grid:
     """Return where the voxels of a volume are, by its header alone; InputError as :func:`read_volume`."""
+    if os.path.isdir(path):
+        return read_volume(path).grid
     with naming(path):
         if suffix_of(path) in IMAGE_SUFFIXES:
             height, width = image_size(path)
@@ -115,10 +119,30 @@ def read_itk(path: Path) -> tuple[Any, NDArray[np.bool_] | None]:
 
     The latter is None where all are finite, and else flat, in the order of the file.
     """
+    if os.path.isdir(path):
+        return _dicom(path), None
     reader = itk_header(path)
     unknown = _unknown_in_nifti(path, reader) if suffix_of(path) in (".nii", ".nii.gz") else None
     with library_errors():
         return reader.Execute(), unknown
+
+
+def _dicom(folder: Path) -> Any:
+    """Return the SimpleITK image of the one DICOM series in a folder, whose slices must be evenly spaced."""
+    reader = simple_itk().ImageSeriesReader()
+    with library_errors():
+        series = reader.GetGDCMSeriesIDs(str(folder))
+        if len(series) != 1:
+            raise InputError(f"a folder with {len(series)} DICOM series, want one")
+        files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
+        reader.SetFileNames(files)
+        reader.MetaDataDictionaryArrayUpdateOn()
+        image = reader.Execute()
+        places = [reader.GetMetaData(k, _SLICE_POSITION).split("\\") for k in range(len(files))]
+    steps = np.linalg.norm(np.diff(np.array(places, np.float64), axis=0), axis=1)
+    if steps.size and np.ptp(steps) > _MAX_UNEVENNESS * steps.max():
+        raise InputError(f"its DICOM slices are {steps.min():.4g} to {steps.max():.4g} mm apart: is one missing?")
+    return image
 
 
 def itk_header(path: Path) -> Any:
