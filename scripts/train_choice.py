@@ -31,8 +31,8 @@ import numpy as np
 from _experiments import config_of, generated_scenes, kept, real_scenes, scenes_in
 from numpy.typing import NDArray
 
+from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.core.frames import StereoPair
-from depthcli.core.networks import TrainedNetwork
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
 from depthcli.io.formats.networks import write_network

@@ -26,12 +26,12 @@ from _experiments import kept, matcher
 from numpy.typing import NDArray
 from train_choice import Batch, Loaded, Map, Samples, TrainingScene, fit, new_layers, scenes
 
+from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.algorithms.segmentation.felzenszwalb import Felzenszwalb
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
-from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
 from depthcli.io.formats.networks import write_network
 from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, Judged, judged_maps

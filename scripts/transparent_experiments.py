@@ -38,7 +38,7 @@ from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.io.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion import Fusion
-from depthcli.methods.transparent.color_mix import GREY, learned_weights, mix_channels
+from depthcli.methods.transparent.cross_modal import GREY, learned_weights, mix_channels
 from depthcli.simulate.transparent_scenes import glass_of_pair, sparse_samples
 
 PRESETS = ("nearest", "joint-bilateral", "textbook", "crf", "sparse")

@@ -14,7 +14,6 @@ users import are listed in ``depthcli/__init__.pyi``; all others may change.
 | ``maps`` | ``map_confidence``, ``fuse_maps``: maps of any program -> ``MapConfidence``, ``Disparity`` |
 | ``scores`` | ``evaluate``: an estimate and the truth -> ``Scores`` |
 | ``results`` | ``Disparity``, and the ``Depth`` and the ``PointCloud`` that it becomes |
-| ``masks`` | which pixels get a depth, or become points |
-| ``saving`` | the files that results write |
+| ``saving`` | the files that results write, and which pixels get a depth or become points |
 | ``inputs`` | ``load_config``; arrays that users have -> images, maps and volumes as methods take them |
 """

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.inputs import Overrides, as_depth, as_image, as_map, computing, load_config
-from depthcli.api.masks import Pixels, chosen_pixels
 from depthcli.api.results import PointCloud, Shown
-from depthcli.api.saving import made, write_depth, write_details
+from depthcli.api.saving import Pixels, chosen_pixels, made, write_depth, write_details
 from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
 from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import sensor_fb

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.masks import Pixels, chosen_pixels
-from depthcli.api.saving import made, write_depth, write_details, write_disparity
+from depthcli.api.saving import Pixels, chosen_pixels, made, write_depth, write_details, write_disparity
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import ConfigError

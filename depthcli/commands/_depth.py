@@ -12,10 +12,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.masks import chosen_pixels, parse_mask
 from depthcli.api.results import PointCloud
-from depthcli.api.saving import write_depth
-from depthcli.commands._clouds import check_limits, empty_cloud
+from depthcli.api.saving import check_limits, chosen_pixels, empty_cloud, parse_mask, write_depth
 from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
 from depthcli.commands._scenes import scenes_at
 from depthcli.core.cameras.camera import Intrinsics

@@ -13,9 +13,8 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 
 from depthcli.api.depth import refined_frame
-from depthcli.api.masks import parse_mask
+from depthcli.api.saving import check_limits, empty_cloud, parse_mask
 from depthcli.commands._batch import config_of
-from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import ConfigError, DepthcliError, InputError

@@ -14,8 +14,6 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 | ``maps``, ``result`` | outputs: a map with the status of every pixel; what else a method returns, and its times |
 | ``scene`` | the scene that is computed, as programs need to know it |
 | ``cameras`` | one camera, two of them, their rectification; disparity and depth; the Kinect's raw codes |
-| ``networks`` | a trained network as arrays |
-| ``arrays`` | names of arrays by their type of number |
 | ``memory`` | large arrays that are recycled |
 | ``errors``, ``text`` | errors that a user reads; foreign text made harmless; sizes in bytes |
 """

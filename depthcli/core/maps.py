@@ -9,6 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+# Arrays by their type of number; docstrings give the shapes.
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+Image8 = NDArray[np.uint8]
+
 
 class _Flags(IntFlag):
     @classmethod

@@ -7,7 +7,7 @@ file.
 
 =================  ============================================================================================
 ``walk``           start here: the scenes of a folder, by layouts; those that a pattern chooses
-``named_files``    scenes given on the command line: files, two patterns or folders (``view_words``), videos, a table
+``named_files``    scenes given on the command line: files, two patterns or folders, videos, a table
 ``inputs``         archives and URLs, fetched and unpacked once
 ``layouts/``       how people lay out folders, tables of file names: which files a scene has
 ``scenes``         what kinds of scene there are, as files and facts

@@ -11,7 +11,9 @@ from typing import NamedTuple
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import shown
 from depthcli.io.formats.images import IMAGE_SUFFIXES
-from depthcli.io.view_words import SIDES, without_word
+
+SIDES = re.compile(r"(?<![a-z])(?:(left|l)|(right|r))(?![a-z])", re.IGNORECASE)
+"""Words of a name that say which view it is."""
 
 # "cam0" and "cam1" say the camera only where both are there.
 _WORDS = (
@@ -92,3 +94,10 @@ def _images(folder: Path) -> dict[str, Path]:
     if not found:
         raise InputError(f"{shown(folder)}: no photos ({', '.join(IMAGE_SUFFIXES)})")
     return dict(sorted(found.items()))
+
+
+def without_word(name: str, word: re.Pattern[str] | None) -> str:
+    """Return a name or path without what ``word`` matches, and without what parted it from the rest."""
+    parts = (word.sub("", name) if word else name).split("/")
+    plain = (re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in parts)
+    return "/".join(part for part in plain if part)

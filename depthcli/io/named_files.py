@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.io.calibration_photos import SIDES, without_word
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.videos import VIDEO_SUFFIXES, count_frames
 from depthcli.io.scenes import LEFT_OUT, MAX_DISPARITY, RgbdScene, Scene, StereoScene, VolumePairScene
-from depthcli.io.view_words import SIDES, without_word
 
 TABLE_SUFFIXES = (".csv", ".tsv")
 

@@ -9,19 +9,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.camera import Camera, Intrinsics
 from depthcli.core.cameras.color_and_depth import registered
-from depthcli.core.cameras.kinect import kinect_v1, sensor_fb
+from depthcli.core.cameras.kinect import UNKNOWN_CODE, KinectCalibration, kinect_v1, sensor_fb
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbdFrame, SparseFrame, color8, infrared_image
 from depthcli.io.formats.calibrations import read_color_infrared_rig
-from depthcli.io.formats.depth import MILLIMETERS, check_fb, read_depth
+from depthcli.io.formats.depth import MILLIMETERS, check_fb, codes_of, read_depth
 from depthcli.io.formats.disparity import read_plane
-from depthcli.io.formats.files import naming, warn
+from depthcli.io.formats.files import naming, read_bytes, shown, warn
+from depthcli.io.formats.files_behind import kinect_files
 from depthcli.io.formats.images import image_size, read_grey, read_image
-from depthcli.io.formats.kinect import read_kinect_calibration, read_kinect_raw
+from depthcli.io.formats.plain_text import json_object, numbers
 from depthcli.io.scenes import RgbdScene, RgbIrScene, check_same_size
+
+_FIELDS: dict[str, tuple[int, ...]] = dict.fromkeys(("depth_K", "color_K", "depth_to_color_R"), (3, 3))
+_FIELDS |= {"depth_kc": (5,), "color_kc": (5,), "depth_to_color_t": (3,), "dc": (2,), "dc_alpha": (2,)}
 
 
 @dataclass(frozen=True)
@@ -152,3 +156,30 @@ def _registered_raw(scene: RgbdScene, color: NDArray[np.uint8]) -> RgbdFrame:
     scaled = replace(calibration, color=camera)
     depth = scaled.register(scaled.depth_of_raw(raw), (color.shape[0], color.shape[1]))
     return RgbdFrame(color, depth, scene.fb or sensor_fb(camera.intrinsics), camera.intrinsics, False, _pose(scene))
+
+
+def read_kinect_raw(path: Path | str) -> NDArray[np.uint16]:
+    """Return (H, W) uint16 raw codes 0..2047, in either order of bytes."""
+    raw = codes_of(read_plane(path), path)
+    if raw.max() > UNKNOWN_CODE:  # the bytes are the wrong way round
+        raw = raw.byteswap()
+    if raw.max() > UNKNOWN_CODE:
+        raise InputError(f"{shown(path)}: codes up to {int(raw.max())}, a Kinect's go to {UNKNOWN_CODE}")
+    return raw
+
+
+def read_kinect_calibration(path: Path) -> KinectCalibration:
+    """Return the calibration of Herrera et al.'s toolbox as JSON, with its distortion map ``dc_beta.npy`` beside it."""
+    with naming(path):
+        fields = json_object(read_bytes(path))
+        arrays = {key: numbers(fields.get(key), key, shape) for key, shape in _FIELDS.items()}
+        if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
+            raise InputError("singular: focal lengths and dc[1] must not be zero")
+        depth, color = (Camera(arrays[f"{n}_K"], tuple(arrays[f"{n}_kc"].tolist())) for n in ("depth", "color"))
+    beta = kinect_files(path)
+    start, slope = arrays["dc"].tolist()
+    one, other = arrays["dc_alpha"].tolist()
+    return KinectCalibration(
+        depth, color, arrays["depth_to_color_R"], arrays["depth_to_color_t"], offset=-start / slope,
+        factor=-1.0 / slope, beta=read_plane(beta[0]).astype(np.float64) if beta else None, alpha=(one, other),
+    )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from depthcli.core.arrays import Floats, Mask
+from depthcli.core.maps import Floats, Mask
 
 
 class DeformedPair(NamedTuple):

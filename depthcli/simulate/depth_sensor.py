@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.arrays import Doubles, Floats, Image8, Mask
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import Doubles, Floats, Image8, Mask
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import Literal, get_args
 import cv2
 import numpy as np
 
-from depthcli.core.arrays import Doubles, Floats, Image8
 from depthcli.core.cameras.camera import typical_intrinsics
 from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import Doubles, Floats, Image8
 from depthcli.simulate import textures
 from depthcli.simulate.depth_sensor import KinectSample, discs, simulate_kinect
 from depthcli.simulate.rendering import levels8

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.arrays import Floats, Image8
+from depthcli.core.maps import Floats, Image8
 from depthcli.simulate.room import Array, Room, Surface, Vector
 
 _AMBIENT_LIGHT = 0.45  # share of the brightness that needs no lamp; set by eye

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.arrays import Doubles, Floats, Mask
+from depthcli.core.maps import Doubles, Floats, Mask
 from depthcli.simulate import textures
 from depthcli.simulate.textures import TextureMaker
 

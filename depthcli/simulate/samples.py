@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from depthcli.core.arrays import Mask
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import Image, color8
+from depthcli.core.maps import Mask
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import write_text

@@ -15,7 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from depthcli.algorithms.filters import discontinuity_mask
-from depthcli.core.arrays import Floats, Image8, Mask
+from depthcli.core.maps import Floats, Image8, Mask
 from depthcli.simulate import textures
 from depthcli.simulate.rendering import disparities, levels8, render, trace
 from depthcli.simulate.room import Array, Outline, Room, rotation

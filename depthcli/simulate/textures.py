@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.arrays import Floats
+from depthcli.core.maps import Floats
 
 TextureMaker = Callable[[np.random.Generator, int, int, float], Floats]
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from depthcli.core.arrays import Floats, Image8, Mask
 from depthcli.core.frames import Image, StereoPair, color8
+from depthcli.core.maps import Floats, Image8, Mask
 from depthcli.simulate.rendering import disparities, levels8, render
 from depthcli.simulate.room import Room, rotation
 

@@ -26,7 +26,7 @@ from depthcli.io.formats.disparity import (
 )
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.kinect import read_kinect_raw
+from depthcli.io.rgbd_frames import read_kinect_raw
 from tests.command_line import refused
 from tests.scenes import DATA, needs_data
 

@@ -17,9 +17,14 @@ from depthcli.io.formats.depth import write_depth_png
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_grey, write_png
-from depthcli.io.formats.kinect import read_kinect_calibration, read_kinect_raw
 from depthcli.io.layouts.depth import FRAMES
-from depthcli.io.rgbd_frames import frame_size, load_infrared_frame, load_sparse_frame
+from depthcli.io.rgbd_frames import (
+    frame_size,
+    load_infrared_frame,
+    load_sparse_frame,
+    read_kinect_calibration,
+    read_kinect_raw,
+)
 from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.io.walk import discover_scenes
 from tests.command_line import refused

@@ -8,7 +8,7 @@
 ``disparity``     disparities in pixels, and any map of one channel (``read_plane``): PFM, npy, PNG, TIFF
 ``files_behind``  files that are read with another one: values of a volume, chains of transforms
 ``map_format``    formats of maps that plug-ins add
-``depth``         depths in meters, codes of sensors, point clouds; ``kinect`` raw codes and calibration of a Kinect
+``depth``         depths in meters, codes of sensors, point clouds
 ``calibrations``  cameras and pairs of cameras, rectified or not, in the files of other programs
 ``poses``         where a camera was
 ``videos``        frames of videos

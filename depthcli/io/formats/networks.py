@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.core.errors import InputError
-from depthcli.core.networks import TrainedNetwork
 from depthcli.io.formats.files import atomic_path, naming, read_bytes
 
 _FORMAT = "depthcli choice 1"

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import ConfigModel
-from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import MeasureName, confidence_maps, measure_name

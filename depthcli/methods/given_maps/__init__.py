@@ -17,10 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.pixel_network import log_odds
+from depthcli.algorithms.pixel_network import TrainedNetwork, log_odds
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock, Result
 from depthcli.methods.given_maps import _planes
 from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS, Evidence

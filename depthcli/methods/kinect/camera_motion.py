@@ -8,8 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from depthcli.core.arrays import Doubles, Floats, Image8, Ints, Mask
 from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.maps import Doubles, Floats, Image8, Ints, Mask
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Sizes of usual trackers; nothing in the repository varies them.

@@ -9,7 +9,7 @@ import numpy as np
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.algorithms.trws import trws
-from depthcli.core.arrays import Floats, Image8, Ints, Mask
+from depthcli.core.maps import Floats, Image8, Ints, Mask
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.gap_limits import SLOPE_FADE, GapLimits

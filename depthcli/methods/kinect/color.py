@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from depthcli.core.arrays import Image8
 from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import Image8
 from depthcli.kernels.jit import jit
 
 

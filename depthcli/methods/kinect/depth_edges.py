@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from depthcli.core.arrays import Doubles, Floats, Image8, Mask
+from depthcli.core.maps import Doubles, Floats, Image8, Mask
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows

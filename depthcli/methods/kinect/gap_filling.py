@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
-from depthcli.core.arrays import Floats, Image8, Ints, Mask
+from depthcli.core.maps import Floats, Image8, Ints, Mask
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.gap_limits import SLOPE_FADE

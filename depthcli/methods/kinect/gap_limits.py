@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
-from depthcli.core.arrays import Floats, Image8
+from depthcli.core.maps import Floats, Image8
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadow, Shadows, gaps_of

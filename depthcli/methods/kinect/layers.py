@@ -11,10 +11,9 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces, fit_polynomials, surface_at
 from depthcli.algorithms.regions import region_adjacency
-from depthcli.core.arrays import Floats, Image8, Ints, Mask
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.maps import DepthMap, DepthStatus
+from depthcli.core.maps import DepthMap, DepthStatus, Floats, Image8, Ints, Mask
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from depthcli.core.arrays import Floats
+from depthcli.core.maps import Floats
 from depthcli.kernels.jit import jit
 
 # Chosen on simulated sensors and on blocks taken out of real frames; nothing in the repository varies them.

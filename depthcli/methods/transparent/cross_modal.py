@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, Literal, NamedTuple
 
 import cv2
@@ -10,10 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
-from depthcli.core.arrays import Floats, Image8
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.frames import SparseFrame, StereoPair
+from depthcli.core.maps import Floats, Image8
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
@@ -21,9 +22,16 @@ from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.stereo.segments.steps import SegmentSteps
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.methods.transparent.color_mix import GREY, Weights, learned_weights, mix_channels
 from depthcli.methods.transparent.match_selection import MatchSelection, local_deviation
 
+Weights = tuple[float, float, float]
+"""Of the red, green and blue channel."""
+GREY: Weights = (0.299, 0.587, 0.114)
+"""Weights of red, green and blue in the luma of ITU-R BT.601."""
+# Values that the presets were published with; nothing in the repository varies them.
+_MEAN_WINDOW = 15  # side of the window whose mean is subtracted, pixels
+_MIN_CORRESPONDENCES = 500  # pixels of known disparity that weights are fitted to; with fewer, those of grey
+_STRIDE = 7  # every so many-th correspondence is used: neighbors are alike
 _MAX_TILT = 0.3  # vertical over horizontal baseline, beyond which the rectified images would be turned too far
 _MIN_OVERLAP = 0.05  # share of the rectified image that both cameras have to see, to be matched at all
 _SINGLE = {"r": (1.0, 0.0, 0.0), "g": (0.0, 1.0, 0.0), "b": (0.0, 0.0, 1.0), "grey": GREY}
@@ -187,3 +195,47 @@ def _fade(costs, left, right, out):
             for i in range(source.size):
                 share = min(own, shares[i])
                 target[i] = np.uint16(np.int32(mean + share * (np.float32(source[i]) - mean) + half))
+
+
+def learned_weights(color: Image8, infrared: Image8, disparity: Floats) -> Weights:
+    """Fit the weights of the color channels whose mix best follows the infrared image, >= 0 and with sum 1.
+
+    Both are taken without their local mean, so that only structure counts; least squares without negative weights
+    (Chiu et al., BMVC 2011: early fusion). Where the sensor, whose ``disparity`` is given, knows too few pixels, the
+    weights of grey.
+    """
+    rows, columns = np.nonzero(np.isfinite(disparity))
+    matched = np.rint(columns - disparity[rows, columns]).astype(np.int64)
+    inside = (matched >= 0) & (matched < color.shape[1])
+    rows, columns, matched = (part[inside][::_STRIDE] for part in (rows, columns, matched))
+    if rows.size * _STRIDE < _MIN_CORRESPONDENCES:
+        return GREY
+    structure = _structure(color)[rows, columns].astype(np.float64)
+    target = _structure(infrared)[rows, matched].astype(np.float64)
+    # Least squares over weights >= 0: the best of the solutions on every subset of the channels.
+    normal, right = structure.T @ structure, structure.T @ target
+    weights, lowest = np.zeros(3), 0.0
+    for subset in itertools.chain(*(itertools.combinations(range(3), n) for n in (1, 2, 3))):
+        chosen = list(subset)
+        part = normal[np.ix_(chosen, chosen)]
+        values = np.linalg.lstsq(part, right[chosen], rcond=None)[0]
+        cost = float(values @ part @ values - 2 * values @ right[chosen])
+        if (values >= 0).all() and cost < lowest:
+            weights, lowest = np.zeros(3), cost
+            weights[chosen] = values
+    total = float(weights.sum())
+    if total <= 0:
+        return GREY
+    red, green, blue = (float(w) / total for w in weights)
+    return red, green, blue
+
+
+def mix_channels(color: Image8, weights: Weights) -> Image8:
+    """Return the weighted sum of the channels of (H, W, 3) ``color``, (H, W) uint8."""
+    mix = color.astype(np.float32) @ np.asarray(weights, np.float32)
+    return np.clip(np.rint(mix), 0, 255).astype(np.uint8)
+
+
+def _structure(image: Image8) -> Floats:
+    wide = image.astype(np.float32)
+    return np.asarray(wide - cv2.blur(wide, (_MEAN_WINDOW, _MEAN_WINDOW)), np.float32)

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
-from depthcli.core.arrays import Floats, Mask
 from depthcli.core.frames import SparseFrame
-from depthcli.core.maps import DepthMap, DepthStatus
+from depthcli.core.maps import DepthMap, DepthStatus, Floats, Mask
 from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 

@@ -6,9 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.filters import local_moments
-from depthcli.core.arrays import Floats
 from depthcli.core.frames import Image, StereoPair
-from depthcli.core.maps import DisparityMap
+from depthcli.core.maps import DisparityMap, Floats
 from depthcli.core.method import ConfigModel
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext

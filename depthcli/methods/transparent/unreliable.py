@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
-from depthcli.core.arrays import Doubles, Floats, Image8, Ints, Mask
+from depthcli.core.maps import Doubles, Floats, Image8, Ints, Mask
 from depthcli.core.method import ConfigModel
 
 # The first three are those of the figures of scripts/transparent_experiments.py, which varies none of them.

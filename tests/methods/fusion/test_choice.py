@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.api.stereo import with_network
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.networks import TrainedNetwork
 from depthcli.io.formats.networks import read_network, write_network
 from depthcli.methods.fusion.choice import network
 from depthcli.methods.fusion.config import FuseConfig

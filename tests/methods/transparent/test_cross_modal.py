@@ -12,8 +12,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.walk import discover_scenes
-from depthcli.methods.transparent.color_mix import GREY, learned_weights, mix_channels
-from depthcli.methods.transparent.cross_modal import CrossModal
+from depthcli.methods.transparent.cross_modal import GREY, CrossModal, learned_weights, mix_channels
 from depthcli.methods.transparent.match_selection import MatchSelection
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene
 from depthcli.testing.inputs import assert_pure, texture

@@ -13,9 +13,9 @@ from typing import Annotated, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
-from depthcli.core.networks import TrainedNetwork
 from depthcli.methods.fusion.votes import PairSupports
 from depthcli.methods.stereo.volume import CostVolume
 

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr
 
 from depthcli.algorithms.filters import local_moments
-from depthcli.algorithms.pixel_network import TILE, log_odds
+from depthcli.algorithms.pixel_network import TILE, TrainedNetwork, log_odds
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
 from depthcli.core.errors import InputError
-from depthcli.core.networks import TrainedNetwork
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.fusion import map_costs as costs_of

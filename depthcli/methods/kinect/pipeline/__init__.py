@@ -8,8 +8,8 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from depthcli.core.arrays import Floats
 from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import Floats
 from depthcli.core.method import Method, method_of
 from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth

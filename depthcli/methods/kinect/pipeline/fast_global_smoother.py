@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.filters import single_thread
-from depthcli.core.arrays import Floats, Image8
 from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import Floats, Image8
 from depthcli.methods.kinect.pipeline import FilterPipeline
 
 

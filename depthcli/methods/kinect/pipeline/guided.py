@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from depthcli.core.arrays import Floats
 from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import Floats
 from depthcli.methods.kinect.disparity import nearest_fill
 from depthcli.methods.kinect.pipeline import FilterPipeline
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pydantic import Field
 
 from depthcli.algorithms.filters import joint_bilateral_fill
-from depthcli.core.arrays import Floats
 from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import Floats
 from depthcli.core.method import Odd
 from depthcli.methods.kinect.pipeline import FilterPipeline
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from depthcli.core.arrays import Floats
 from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import Floats
 from depthcli.methods.kinect.disparity import nearest_fill
 from depthcli.methods.kinect.pipeline import FilterPipeline
 

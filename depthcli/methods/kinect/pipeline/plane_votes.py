@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_planes import RADIUS, WindowPlanes, window_planes
-from depthcli.core.arrays import Floats, Mask
 from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import Floats, Mask
 from depthcli.core.result import Clock, DepthResult
 from depthcli.methods.kinect import candidates
 from depthcli.methods.kinect.candidates import AGREEMENT, LEVELS, OPENING_LEVEL, ExtraVotes, Observed, Voters

@@ -7,9 +7,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from depthcli.core.arrays import Floats, Image8
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.maps import DepthStatus
+from depthcli.core.maps import DepthStatus, Floats, Image8
 from depthcli.core.result import Clock, DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth

@@ -10,10 +10,9 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.polynomials import surface_at
-from depthcli.core.arrays import Doubles, Floats, Image8, Ints, Mask
 from depthcli.core.cameras.camera import typical_intrinsics
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.maps import DepthStatus
+from depthcli.core.maps import DepthStatus, Doubles, Floats, Image8, Ints, Mask
 from depthcli.core.result import Clock, DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.camera_motion import View, displacement, estimated_motion, view_after

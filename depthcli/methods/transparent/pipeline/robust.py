@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit, Samples
-from depthcli.core.arrays import Floats, Image8, Mask
 from depthcli.core.frames import SparseFrame
+from depthcli.core.maps import Floats, Image8, Mask
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock, DepthResult
 from depthcli.kernels.jit import parallel_jit, prange
