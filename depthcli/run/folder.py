@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 
 from depthcli.core.errors import ConfigError, OutputError
-from depthcli.io.formats.files import RUN_FILE, write_text
+from depthcli.io.formats.files import RUN_FILE, flush, write_text
 from depthcli.run.identity import TITLE, holds_results, refusal, saved_config
 from depthcli.run.records import (
     CLAIM_FILE,
@@ -125,6 +125,7 @@ class FolderLock:
             for record in records_below(output, digest(known.encode())):  # of the run that is replaced
                 remove_results(output / record.scene)
             write_text(output / RUN_FILE, text)
+            flush(output / RUN_FILE)  # without it, the records would be those of a run that nobody knows
         if saved_config(output) != text:
             raise ConfigError(f"{output}: another depthcli writes a run of another config there now; choose another")
         self.share()

@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from depthcli.core.errors import InputError, OutputError
-from depthcli.io.formats.files import file_states, open_regular, remove_temporaries, write_text
+from depthcli.io.formats.files import file_states, flush, open_regular, remove_temporaries, write_text
 from depthcli.run.json_csv import Row, to_json
 
 RECORD_FILE = "record.json"
@@ -150,8 +150,14 @@ def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -
 
     OutputError, and nothing was moved: the folder holds results of another run and ``overwrite`` is not set, or files
     that no record claims have the names of results.
+
+    The files are on the disk before the record says so: a power cut leaves no record beside empty files.
     """
+    for path in [*(made / name for name in record.files), *_folders(made, record)]:
+        flush(path)
     write_record(made, record)
+    flush(made / RECORD_FILE)
+    flush(made)
     earlier = read_record(folder)
     if earlier is not None and earlier.run != record.run and not overwrite:
         raise OutputError(f"{folder}: {OTHER_RUN}")
@@ -168,7 +174,16 @@ def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -
         for name in record.files:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(made / name, folder / name)
+        for path in _folders(folder, record):
+            flush(path)
         os.replace(folder / CLAIM_FILE, folder / RECORD_FILE)
+        flush(folder)
+    flush(folder.parent)
+
+
+def _folders(folder: Path, record: Record) -> list[Path]:
+    """Return the folders of the files of a record in ``folder``, which is the last one."""
+    return sorted({folder, *((folder / name).parent for name in record.files)}, reverse=True)
 
 
 def record_failure(folder: Path, record: Record, overwrite: bool) -> None:

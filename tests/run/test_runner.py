@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import functools
 import json
 import os
 import signal
@@ -568,3 +569,47 @@ def test_ctrl_c_waits_until_a_worker_has_started():
     with pytest.raises(KeyboardInterrupt):
         start()
     assert len(started) == 1000
+
+
+@pytest.mark.parametrize("foreign", [False, True])
+def test_files_are_on_the_disk_before_their_record_says_done(folder: Folder, foreign: bool, monkeypatch):
+    """What the system is asked for, in order: ("flush", path) and ("move", from, to), of the disk as it is after it."""
+    steps: list[tuple[str, ...]] = []
+    names: dict[int, str] = {}
+    really = {name: getattr(os, name) for name in ("open", "fsync", "rename", "replace")}
+
+    def opened(path: Any, *flags: int, **more: Any) -> int:
+        handle: int = really["open"](path, *flags, **more)
+        names[handle] = os.path.relpath(path, folder.output)
+        return handle
+
+    def flushed(handle: int) -> None:
+        steps.append(("flush", names[handle]))
+
+    def moved(how: str, source: Any, target: Any) -> None:
+        really[how](source, target)
+        steps.append(("move", *(os.path.relpath(path, folder.output) for path in (source, target))))
+
+    monkeypatch.setattr(os, "open", opened)
+    monkeypatch.setattr(os, "fsync", flushed)
+    for how in ("rename", "replace"):
+        monkeypatch.setattr(os, how, functools.partial(moved, how))
+    if foreign:  # which keeps the folder from being moved as a whole
+        (folder.output / "a").mkdir(parents=True)
+        (folder.output / "a" / "notes.txt").write_text("mine")
+    folder.run(only="a")
+    run_file = steps.index(("flush", "run.yaml"))
+    hidden = next(step[1] for step in steps if step[0] == "flush" and step[1].endswith("0"))
+    record = next(k for k, step in enumerate(steps) if step[0] == "move" and step[2] == f"{hidden}/record.json")
+    flushes = {f"{hidden}/first.txt", f"{hidden}/out.txt", hidden}
+    assert {step[1] for step in steps[run_file + 1 : record] if step[0] == "flush"} == flushes
+    assert steps[record - 1] == ("flush", hidden)
+    rest = [step for step in steps[record + 1 :] if "a" in Path(step[-1]).parts or step[0] == "flush"]
+    assert rest[:2] == [("flush", f"{hidden}/record.json"), ("flush", hidden)]
+    if foreign:
+        done = rest.index(("move", "a/.claim.json", "a/record.json"))
+        assert {step[2] for step in rest[:done] if step[0] == "move"} == {"a/.claim.json", "a/first.txt", "a/out.txt"}
+        assert rest[done - 1] == rest[done + 1] == ("flush", "a")
+    else:
+        done = rest.index(("move", hidden, "a"))
+        assert rest[done + 1] == ("flush", ".")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import glob
 import hashlib
 import logging
@@ -147,6 +148,20 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         with contextlib.suppress(OSError, UnicodeError):
             temporary.unlink(missing_ok=True)
         raise
+
+
+def flush(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk; OSError where the disk refuses them."""
+    is_folder = path.is_dir()
+    try:
+        handle = os.open(path, os.O_RDWR if os.name == "nt" and not is_folder else os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+    except OSError as error:
+        if not is_folder or error.errno == errno.EIO:  # Windows and some file systems cannot flush folders
+            raise
 
 
 def remove_temporaries(folder: Path, name: str = "") -> None:
