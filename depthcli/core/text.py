@@ -10,8 +10,9 @@ from collections.abc import Iterable, Mapping
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
 _URL_AS_PATH = re.compile(r"\b(https?|s3|gs|ftp|memory):/(?=[^/\s])")  # paths have one slash of the two
 _PASSWORD = re.compile(r"(\b[a-z][a-z0-9+.-]{1,20}:/{1,2})[^/\s@]+@", re.IGNORECASE)
+# To its end: a slash may be part of a signature as well as begin the path of a file in an archive.
 _QUERY = re.compile(
-    r"""(\b[a-z][a-z0-9+.-]{1,20}:/[^\s?'"]{0,2000})\?[^\s/'"]*?(?=[/'"]|[:;,)]*(?:\s|$))""", re.IGNORECASE
+    r"""(\b[a-z][a-z0-9+.-]{1,20}:/[^\s?'"]{0,4096})\?[^\s'"]*?(?=['"]|[:;,)]*(?:\s|$))""", re.IGNORECASE
 )
 _FORMULA_STARTS = ("=", "+", "-", "@")  # cells that begin so are computed by spreadsheets (OWASP, CSV injection)
 

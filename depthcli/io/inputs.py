@@ -28,7 +28,9 @@ from depthcli.core.text import without_secrets
 from depthcli.io.formats.files import naming, warn
 
 # A URL may have a query behind its ending, such as the signature of a store.
-_ARCHIVE = re.compile(r"\.(?:zip|tar|tar\.(?:gz|bz2|xz)|tgz|tbz2|txz)(?:\?[^/]*=[^/]*)?(?=/|$)", re.IGNORECASE)
+_ARCHIVE = re.compile(
+    r"\.(?:zip|tar|tar\.(?:gz|bz2|xz)|tgz|tbz2|txz)(?:\?[^/]*=(?:.*&[^/]*=)?[^/]*)?(?=/|$)", re.IGNORECASE
+)
 _URL = re.compile(r"(?:^|/)([a-z][a-z0-9+.-]+):/+(.+)", re.IGNORECASE)  # pathlib leaves one slash of the two
 _BRACES = re.compile(r"\{(?:(\d{1,9})\.\.(\d{1,9})|([^{}/]*,[^{}/]*))\}")
 # WebDataset: ``000017.left.png`` is the file ``left.png`` of the sample ``000017``; ``json`` has the facts about it.
@@ -103,7 +105,7 @@ def origin(path: Path) -> str:
     """Return a path or, of one in the cache, that in the archive or URL that it was made from, without secrets."""
     root, real = Path(os.path.realpath(_root())), Path(os.path.realpath(path))
     if not path.is_absolute() or not real.is_relative_to(root):
-        return str(path)
+        return without_secrets(str(path))
     digest, *rest = real.relative_to(root).parts
     try:
         source = (root / digest / f"{rest[0]}{_ORIGIN}").read_text("utf-8", "surrogateescape")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.text import without_secrets
 from depthcli.io.calibration_photos import SIDES, without_word
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import IMAGE_SUFFIXES
@@ -167,7 +168,7 @@ def scenes_of_table(path: Path) -> list[StereoScene]:
 
 def _names_of(fields: Sequence[Mapping[str, str]]) -> list[str]:
     """Return the names of pairs: their own, else their left files', with their numbers where those repeat."""
-    names = [each.get("name") or Path(each["left"]).stem for each in fields]
+    names = [each.get("name") or Path(without_secrets(each["left"])).stem for each in fields]
     if len(set(names)) == len(names):
         return names
     taken = {each["name"] for each in fields if "name" in each}

@@ -29,7 +29,7 @@ from depthcli.core.errors import DepthcliError, InputError, OutputError
 from depthcli.core.registry import Plugin, plugin_behind
 from depthcli.core.result import Clock
 from depthcli.core.scene import computing
-from depthcli.core.text import show_bytes
+from depthcli.core.text import show_bytes, without_secrets
 from depthcli.io.formats.files import collected_warnings, file_states, shown
 from depthcli.io.scenes import Scene
 from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, set_threads
@@ -102,6 +102,7 @@ class Task:
 
     def failed(self, error: str) -> Row:
         """Return the row of the report for a scene that failed."""
+        error = without_secrets(error)
         row: Row = {"scene": self.scene.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None}
         return row | {"source": self.source, "warnings": []}
 

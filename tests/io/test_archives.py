@@ -235,9 +235,12 @@ def test_signatures_of_urls_stay_out_of_all_that_is_written(scenes: Path, server
     shutil.copytree(scenes, tmp_path / "in")
     (tmp_path / "in/s0/left.png").write_bytes((scenes / "s0/left.png").read_bytes()[:300])
     _zip(tmp_path / "in", scenes.parent / "signed.zip")
-    url, run = f"{server}/signed.zip?X-Token=SECRET&b=1", tmp_path / "run"
+    url, run = f"{server}/signed.zip?X-Credential=A/b/c&X-Token=SECRET", tmp_path / "run"
     assert main(["stereo", "fast", "-i", url, "-o", str(run), "--html", "--evaluate"]) == 3
     _zip(run, scenes.parent / "run.zip")
+    (tmp_path / "pairs.csv").write_text(f"left,right\n{url},{url}\n{url}/s0/left.png,{url}/s0/right.png\n")
+    assert main(["stereo", "fast", "-i", str(tmp_path / "pairs.csv"), "-o", str(tmp_path / "listed"), "--html"]) == 3
+    (tmp_path / "pairs.csv").unlink()
     words = ["--truth", url, "-o", str(tmp_path / "scores"), "--html"]
     assert main(["evaluate", f"own={run}", f"{server}/run.zip?X-Token=SECRET", *words]) == 3
     assert f"{server}/signed.zip" in (tmp_path / "scores" / "scores.json").read_text()
@@ -249,7 +252,9 @@ def test_signatures_of_urls_stay_out_of_all_that_is_written(scenes: Path, server
     ("text", "shown"),
     [
         ("https:/host/a.zip?sig=x%2Fy: no such file", "https://host/a.zip: no such file"),
-        ("https://host/a.zip?sig=x&t=1:2/s0/left.png: cut off", "https://host/a.zip/s0/left.png: cut off"),
+        ("https://host/a.zip?sig=x&t=1:2/s0/left.png: cut off", "https://host/a.zip: cut off"),
+        ("https://host/l.png?Credential=A/2024/s3&Signature=b/c: cut off", "https://host/l.png: cut off"),
+        ("(got 'https://h/l?sig=a/b,https://h/r?sig=c/d'", "(got 'https://h/l'"),
         ("--input 'https://h/get?name=a.zip' -o b", "--input 'https://h/get' -o b"),
         ("ftp://me:word@host/a.zip", "ftp://host/a.zip"),
         ("/data/what?x=1/left.png: not a PNG, was it: so?", "/data/what?x=1/left.png: not a PNG, was it: so?"),
