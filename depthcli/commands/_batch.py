@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel
 
-from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.commands._options import NOWHERE, RunOptions, SceneOptions
 from depthcli.commands._shared_options import TableOptions
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import InputError
@@ -77,9 +77,11 @@ def run_batch(
     reporter, how = options.reporter, options.execution
     if options.dry_run:
         plan = plan_of(batch, scenes, options.output, how)
-        reporter.data(to_json(plan) if options.json else _plan_text(plan, batch.config))
-        return 0
-    if options.list_scenes:
+        if options.json:
+            reporter.data(to_json(plan))
+            return 0
+        reporter.info(_plan_text(plan, batch.config))
+    if options.dry_run or options.list_scenes:
         names = [scene.name for scene in how.own(scenes)]
         lines = "".join(f"{one_line(name)}\n" for name in names)
         reporter.data(to_json({"command": batch.command, "scenes": names}) if options.json else lines)
@@ -151,9 +153,9 @@ def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: E
     refused = ""
     if refusal(output, planned.work.text):
         refused = f"{output}: holds a run made with another config; needs --overwrite"
-    config = batch.config
+    config, place = batch.config, None if output == NOWHERE else str(output)
     values = config.model_dump(mode="json", by_alias=True) if isinstance(config, BaseModel) else dict(config)
-    return {"command": batch.command, "config": values, "output": str(output), "refused": refused, "scenes": rows}
+    return {"command": batch.command, "config": values, "output": place, "refused": refused, "scenes": rows}
 
 
 def _plan_text(plan: Row, config: BaseModel | Mapping[str, object]) -> str:
@@ -167,4 +169,4 @@ def _plan_text(plan: Row, config: BaseModel | Mapping[str, object]) -> str:
     summary = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
     notes = [f"{len(rows)} scenes: {summary}", *filter(None, [plan["refused"]]), "nothing was computed"]
     text = dump_config(config) if isinstance(config, BaseModel) else to_yaml(dict(config))
-    return "\n".join([text, aligned(lines), "", *notes]) + "\n"
+    return "\n".join([text, aligned(lines), "", *notes])

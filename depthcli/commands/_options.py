@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-import typer
 from typer import Argument, Option
 
 from depthcli.commands._shared_options import (
@@ -21,6 +19,7 @@ from depthcli.commands._shared_options import (
     MaxDisparityOption,
     Printing,
     ScenesOption,
+    local_output,
     option,
     parse_bytes,
 )
@@ -28,7 +27,8 @@ from depthcli.core.errors import ConfigError
 from depthcli.run.batch import Execution, shard_of
 from depthcli.run.flags import Condition, conditions_of
 
-_URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one slash
+NOWHERE = Path(os.devnull, "no output")
+"""In place of a run folder where nothing is computed and none is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,12 +94,6 @@ class FrameOptions(SceneOptions):
     depth: Path | None = option(None, metavar="FILE", help="Depth map, registered to --color if given.")
 
 
-def _local(output: Path | None) -> Path | None:
-    if output is not None and _URL.match(str(output)) and not os.path.lexists(output.parts[0]):
-        raise typer.BadParameter("results are written to this machine, not to URLs; give a folder")
-    return output
-
-
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Printing):
     """How the scenes are computed, where the results go, and what is reported of them.
@@ -107,7 +101,13 @@ class RunOptions(Printing):
     ``evaluate`` and ``html`` become options of commands whose group declares them so, see :class:`ScoredRunOptions`.
     """
 
-    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder to write into.", callback=_local)]
+    output: Annotated[
+        Path,
+        Option(
+            "--output", "-o", metavar="DIR", show_default=False, callback=local_output,
+            help="Folder to write into; required but for a dry run.",
+        ),
+    ] = NOWHERE  # fmt: skip
     overwrite: bool = option(False, "--overwrite", help="Replace an earlier run that had another config.")
     keep: str | None = option(None, metavar="NAMES", help="Files kept, as disp_left.pfm,status.png. Default: all.")
     jobs: int = option(1, "--jobs", "-j", metavar="N", min=1, max=512, help="Scenes at a time, each in a process.")
@@ -118,8 +118,8 @@ class RunOptions(Printing):
     shard: str | None = option(None, metavar="I/N", help="Compute part I of N. Default: from Slurm.")
     scheduler: str | None = option(None, metavar="ADDRESS", help="tcp://HOST:PORT of a dask.distributed cluster.")
     fail_fast: bool = option(False, "--fail-fast", help="Stop at the first scene that fails.")
-    list_scenes: bool = option(False, "--list-scenes", help="Print the names of the scenes; compute nothing.")
-    dry_run: bool = option(False, "--dry-run", help="Print config, scenes and memory; compute nothing.")
+    list_scenes: bool = option(False, "--list-scenes", hidden=True)  # for scripts: --dry-run --quiet
+    dry_run: bool = option(False, "--dry-run", help="Print the names of the scenes and, on stderr, the plan.")
     flag: FlagOption = None
     fail_flagged: FailFlaggedOption = False
     evaluate: bool = False
@@ -127,6 +127,8 @@ class RunOptions(Printing):
 
     def __post_init__(self) -> None:
         """Raise ConfigError where options are wrong or exclude each other, before any file is read."""
+        if self.output == NOWHERE and not (self.dry_run or self.list_scenes):
+            raise ConfigError("give --output DIR, the folder to write into")
         if self.execution.shard is not None and (self.evaluate or self.html):
             raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
         if self.scheduler is not None and self.jobs != 1:

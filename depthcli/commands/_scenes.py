@@ -13,7 +13,7 @@ from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError
 from depthcli.io.inputs import local
 from depthcli.io.layouts import Layouts
-from depthcli.io.named_files import TABLE_SUFFIXES, named_scenes, scenes_of_table
+from depthcli.io.named_files import STDIN, is_table, named_scenes, scenes_of_table
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.walk import NoScenesError, chosen_scenes, discover_scenes
 from depthcli.run.batch import SceneT
@@ -50,7 +50,7 @@ def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions)
         raise ConfigError(f"give --input DIR, or {single}")
     if name is not None:
         raise ConfigError(f"--name is for a single scene, given by {single}")
-    if run.evaluate and os.path.isfile(local(place)):
+    if run.evaluate and (place == STDIN or os.path.isfile(local(place))):
         raise ConfigError(f"{place}: --evaluate needs a folder of scenes, with their ground truth")
     try:
         return scenes_at(place, layouts, source.layout, source.patterns, run.reporter)
@@ -62,7 +62,7 @@ def scenes_at(
     place: Path, layouts: Layouts[SceneT], layout: str | None, patterns: Sequence[str], reporter: Reporter
 ) -> list[SceneT]:
     """Return the scenes of a folder, or those that a table of files lists."""
-    if os.path.isfile(place) and place.suffix.lower() in TABLE_SUFFIXES:
+    if is_table(place):
         if not issubclass(StereoScene, layouts.kind):
             raise ConfigError(f"{place}: want a folder")
         return _chosen(cast("list[SceneT]", scenes_of_table(place)), patterns, place)

@@ -38,7 +38,7 @@ def evaluated(
     """
     reporter, conditions = options.reporter, options.conditions
     output, truth = options.output / "evaluation", source.input if source is not None else None
-    in_folder = truth is not None and not os.path.isfile(local(truth))  # pairs of a table have no truth
+    in_folder = truth is not None and os.path.isdir(local(truth))  # pairs of a table have no truth
     scored = [scene for scene in scenes if in_folder and scene.has_truth]
     others = [scene for scene in scenes if not (in_folder and scene.has_truth)]
     shown = _without_truth(batch, others, rows, options.output) if options.html and others else None

@@ -6,8 +6,10 @@ fields become options of their own.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
+import os
 import re
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
@@ -15,26 +17,49 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, get_type_hints
 
-from typer import Argument, Option
+from typer import Argument, BadParameter, Context, Option
 
 from depthcli.core.errors import ConfigError
 from depthcli.run.console import Reporter
 
+_URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one slash
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
+
+def completed_by(name: str) -> Callable[[Context, str], list[str]]:
+    """Return what completes a value in a shell: a function of ``_completion``, which is imported only then."""
+
+    def complete(ctx: Context, incomplete: str) -> list[str]:
+        from depthcli.commands import _completion
+
+        with contextlib.suppress(Exception):  # there is no place for a message
+            return [text for text in getattr(_completion, name)(ctx) if text.startswith(incomplete)]
+        return []
+
+    return complete
+
+
 # A name is given where typer would make another one of the parameter's: flags get no "--no-..." by it.
-ConfigArgument: TypeAlias = Annotated[str, Argument(metavar="CONFIG", help="YAML file, or the name of a preset.")]
+ConfigArgument: TypeAlias = Annotated[
+    str,
+    Argument(metavar="CONFIG", help="YAML file, or the name of a preset.", autocompletion=completed_by("presets")),
+]
 InputOption: TypeAlias = Annotated[
-    Path | None, Option("--input", "-i", metavar="DIR", help="Folder, archive or URL of scenes, or CSV of pairs.")
+    Path | None,
+    Option("--input", "-i", metavar="DIR", help="Folder, archive or URL of scenes, or CSV of pairs (-: stdin)."),
 ]
 LayoutOption: TypeAlias = Annotated[
-    str | None, Option(metavar="NAME", help="Layout of the folder. Default: recognized.")
+    str | None,
+    Option(metavar="NAME", help="Layout of the folder. Default: recognized.", autocompletion=completed_by("layouts")),
 ]
 ScenesOption: TypeAlias = Annotated[
     list[str] | None, Option(metavar="GLOB", help="Only scenes whose name matches; repeatable.")
 ]
 SetOption: TypeAlias = Annotated[
-    list[str] | None, Option(metavar="KEY=VALUE", help="Override one key of the config; repeatable.")
+    list[str] | None,
+    Option(
+        metavar="KEY=VALUE", help="Override one key of the config; repeatable.", autocompletion=completed_by("keys")
+    ),
 ]
 MaxDisparityOption: TypeAlias = Annotated[
     str | None, Option(metavar="N", help="Largest disparity searched, or auto: as the pair says.")
@@ -84,6 +109,15 @@ class TableOptions:
     format: str | None = option(None, metavar="FORMAT", help="Print wide tables: latex, markdown or csv.")
     columns: str | None = option(None, metavar="NAMES", help="Of the tables, print only these columns.")
     caption: str | None = option(None, metavar="TEXT", help="Caption of the one table that --tables chooses.")
+
+
+def local_output(output: Path | None) -> Path | None:
+    """Return the value of ``--output``; typer.BadParameter where it names no place on this machine."""
+    if output is not None and _URL.match(str(output)) and not os.path.lexists(output.parts[0]):
+        raise BadParameter("results are written to this machine, not to URLs; give a folder")
+    if str(output) == "-":
+        raise BadParameter("results are files, nothing that can be written to stdout; see --json")
+    return output
 
 
 def parse_bytes(text: str, option: str = "--max-memory") -> int:

@@ -17,7 +17,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from depthcli.commands._options import BoardOptions
-from depthcli.commands._shared_options import Printing
+from depthcli.commands._shared_options import Printing, local_output
 
 
 def calibrate(
@@ -27,7 +27,14 @@ def calibrate(
     board: BoardOptions,
     printing: Printing,
     output: Annotated[
-        Path, Option("--output", "-o", metavar="FILE.yml", help="Calibration to write; the report lies beside it.")
+        Path,
+        Option(
+            "--output",
+            "-o",
+            metavar="FILE.yml",
+            help="Calibration to write; the report lies beside it.",
+            callback=local_output,
+        ),
     ],
     fisheye: Annotated[bool, Option("--fisheye", help="The lenses follow OpenCV's fisheye model.")] = False,
     overwrite: Annotated[bool, Option("--overwrite", help="Replace an earlier calibration.")] = False,

@@ -24,6 +24,8 @@ from depthcli.commands._shared_options import (
     Printing,
     ScenesOption,
     TableOptions,
+    completed_by,
+    local_output,
 )
 from depthcli.core.errors import ConfigError
 from depthcli.run.flags import conditions_of
@@ -36,12 +38,18 @@ def evaluate(
     runs: Annotated[list[str], Argument(metavar="RUN...", help="Run folders or maps; NAME=DIR gives a run a name.")],
     truth: Annotated[Path, Option(metavar="DIR", help="Folder with ground truth; of a single map, a file.")],
     output: Annotated[
-        Path | None, Option("--output", "-o", metavar="DIR", help="Folder for scores, pictures and report.")
+        Path | None,
+        Option("--output", "-o", metavar="DIR", help="Folder for scores, pictures and report.", callback=local_output),
     ] = None,
     scenes: ScenesOption = None,
     layout: LayoutOption = None,
     protocol: Annotated[
-        str | None, Option(metavar="NAME", help="How to score, such as kitti-2015. Default: by data set.")
+        str | None,
+        Option(
+            metavar="NAME",
+            help="How to score, such as kitti-2015. Default: by data set.",
+            autocompletion=completed_by("protocols"),
+        ),
     ] = None,
     maps: Annotated[
         list[str] | None, Option(metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=...")

@@ -18,7 +18,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from depthcli.commands._shared_options import Printing
+from depthcli.commands._shared_options import Printing, local_output
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.evaluation.benchmarks import Benchmark, Entry, Submission, benchmark
 from depthcli.evaluation.protocols import load
@@ -36,7 +36,9 @@ def export(
     run: Annotated[Path, Argument(metavar="RUN", help="Run folder, or a folder of others' maps.")],
     for_: Annotated[str, Option("--for", metavar="BENCHMARK", help="middlebury-v3, kitti-2012, kitti-2015 or eth3d.")],
     method: Annotated[str, Option(metavar="NAME", help="Name of the method at the benchmark.")],
-    output: Annotated[Path, Option("--output", "-o", metavar="FILE.zip", help="The archive to write.")],
+    output: Annotated[
+        Path, Option("--output", "-o", metavar="FILE.zip", help="The archive to write.", callback=local_output)
+    ],
     split: Annotated[str | None, Option(metavar="SPLIT", help="Only the training or only the test scenes.")] = None,
     sparse: Annotated[bool, Option("--sparse", help="Submit maps with holes as sparse ones (Middlebury).")] = False,
     seconds: Annotated[

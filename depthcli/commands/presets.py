@@ -12,7 +12,7 @@ from typing import Annotated
 from typer import Argument
 
 from depthcli.commands import config_model
-from depthcli.commands._shared_options import Printing
+from depthcli.commands._shared_options import Printing, completed_by
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import ConfigError
 from depthcli.run.json_csv import to_json
@@ -23,7 +23,10 @@ from depthcli.run.presets import presets as all_presets
 def presets(
     printing: Printing,
     action: Annotated[str | None, Argument(metavar="show", help="The word show, to print one preset.")] = None,
-    preset: Annotated[str | None, Argument(metavar="NAME", help="The preset: NAME, or COMMAND/NAME.")] = None,
+    preset: Annotated[
+        str | None,
+        Argument(metavar="NAME", help="The preset: NAME, or COMMAND/NAME.", autocompletion=completed_by("presets")),
+    ] = None,
 ) -> int:
     """Print the list or the preset; return the exit code."""
     reporter = printing.reporter

@@ -6,6 +6,7 @@ import contextlib
 import csv
 import os
 import re
+import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -21,6 +22,8 @@ from depthcli.io.formats.videos import VIDEO_SUFFIXES, count_frames
 from depthcli.io.scenes import LEFT_OUT, MAX_DISPARITY, RgbdScene, Scene, StereoScene, VolumePairScene
 
 TABLE_SUFFIXES = (".csv", ".tsv")
+STDIN = Path("-")
+"""In place of a table: the standard input."""
 
 _WILD = re.compile(r"[*?\[]")
 _MAX_BYTES = 1 << 28  # of a table
@@ -130,19 +133,28 @@ def _pair(name: str, left: Path | None, right: Path | None, fields: Mapping[str,
     return StereoScene(name=name, folder=there.parent, left=left or there, right=right, problem=problem, **known)
 
 
+def is_table(path: Path) -> bool:
+    """Return whether a path is that of a table of pairs: a file with its ending, or ``-``, the standard input."""
+    return path == STDIN or (os.path.isfile(path) and path.suffix.lower() in TABLE_SUFFIXES)
+
+
 def scenes_of_table(path: Path) -> list[StereoScene]:
     """Return the pairs of a CSV (or tab-separated) file with one line per pair, paths relative to the file's folder.
+
+    ``-`` is the standard input, whose paths are relative to the current folder.
 
     A first line with ``left`` and ``right`` names the columns, of which also ``name``, ``calibration``,
     ``max_disparity`` and ``min_disparity`` are known; without it the first two are left and right, the third is the
     name. Lines that begin with ``#`` are passed over. Without a name, it is the left file's, or the line's number
     where those repeat.
     """
-    with naming(path):
-        text = read_bytes(path, _MAX_BYTES).decode("utf-8-sig", "surrogateescape")
+    with naming("standard input" if path == STDIN else path):
+        data = sys.stdin.buffer.read() if path == STDIN else read_bytes(path, _MAX_BYTES)
+        text = data.decode("utf-8-sig", "surrogateescape")
         lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
         try:
-            rows = list(csv.reader(lines, delimiter="\t" if path.suffix.lower() == ".tsv" else ","))
+            is_tsv = "\t" in "".join(lines[:1]) if path == STDIN else path.suffix.lower() == ".tsv"
+            rows = list(csv.reader(lines, delimiter="\t" if is_tsv else ","))
         except csv.Error as error:
             raise InputError(f"not a table ({error})") from None
         columns: tuple[str, ...] = _COLUMNS[:3]

@@ -154,7 +154,7 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
         (("stereo", FAST, "-i", "absent", "-o", "x"), "absent: no such folder"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--set", "blok=3"), "--set blok: no such key (got 3); did you mean"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--max-memory", "lots"), "--max-memory: must be a size such as 2GiB"),
-        (("stereo", FAST, "-i", "."), "Missing option '--output'"),
+        (("stereo", FAST, "-i", "."), "give --output DIR"),
         (("sample", "-o", "x", "--count", "0", "--width", "3"), "Invalid value for '--count'"),
         (("sample", "-o", "x", "--speckles", "0.1"), "--speckles has no effect on stereo scenes"),
         (("sample", "-o", "x", "--max-disparity", "300"), "at most width / 2 = 200"),
@@ -300,3 +300,37 @@ def test_examples_parse_and_their_configs_load(example: str):
 def test_without_a_command_the_help_is_shown(capsys):
     assert main([]) == 2
     assert "Match and refine:" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("words", "completed", "not_completed"), [
+    ("stereo ac", {"accurate"}, {"cross"}),
+    ("fuse thesis/con", {"thesis/consensus"}, {"accurate"}),
+    ("presets show ac", {"accurate"}, {"fast"}),
+    ("stereo fast --layout mid", {"middlebury-v2", "middlebury-v3"}, {"kitti-2015"}),
+    ("evaluate run --protocol ki", {"kitti-2012", "kitti-2015"}, {"eth3d"}),
+    ("stereo fast --max-disparity 9 --set optimization", {"optimization=", "optimization.p2="}, {"cost="}),
+    ("sweep thesis/consensus --command fuse --set meas", {"measures="}, {"cost="}),
+    ("stereo no-such-preset --set cost", set(), {"cost="}),
+])  # fmt: skip
+def test_shells_complete_names_and_keys(words: str, completed: set[str], not_completed: set[str]):
+    given = {
+        "COMP_WORDS": f"depthcli {words}",
+        "COMP_CWORD": str(len(words.split())),
+        "_DEPTHCLI_COMPLETE": "complete_bash",
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "depthcli"], env=os.environ | given, capture_output=True, text=True, check=True
+    )
+    assert completed <= set(done.stdout.split()) and not not_completed & set(done.stdout.split())
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("command", [
+    ("stereo", FAST, "-i", "scenes"), ("evaluate", "run", "--truth", "scenes"),
+    ("calibrate", "photos", "--board", "9x6"), ("export", "run", "--for", "eth3d", "--method", "m"),
+])  # fmt: skip
+def test_results_are_not_written_to_stdout(command: tuple[str, ...], capsys, tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(*command, "-o", "-") == 2
+    assert "stdout" in capsys.readouterr().err and not list(tmp_path.iterdir())

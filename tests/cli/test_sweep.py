@@ -83,18 +83,23 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path,
     output = tmp_path / "run"
     command = ["stereo", "fast", "-i", str(two_scenes), "-o", str(output)]
     assert main([*command, "--dry-run"]) == 0
-    out = capsys.readouterr().out
-    assert "pipeline: local" in out
-    assert "2 scenes: 2 to do" in out
-    assert "MiB" in out
+    out, plan = capsys.readouterr()
+    assert out == "foreground_0\nplanes_0\n"
+    assert "pipeline: local" in plan and "2 scenes: 2 to do" in plan and "MiB" in plan
     assert not output.exists()
+    assert main([*command[:-2], "--dry-run"]) == 0
+    assert capsys.readouterr() == (out, plan)
+    assert main([*command[:-2], "--dry-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["output"] is None
+    assert main(command[:-2]) == 2
+    assert "--output" in capsys.readouterr().err
     assert main([*command, "--scenes", "foreground_0", "-q"]) == 0
     assert main([*command, "--dry-run", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert [row["status"] for row in document["scenes"]] == ["done, kept", "to do"]
     assert all(row["memory"] > 10_000 for row in document["scenes"])
     assert main([*command, "--set", "optimization.p2=3", "--dry-run"]) == 0
-    assert "made with another config; needs --overwrite" in capsys.readouterr().out
+    assert "made with another config; needs --overwrite" in capsys.readouterr().err
     assert main([*command, "--list-scenes", "--shard", "2/2"]) == 0
     assert len(capsys.readouterr().out.split()) == 1
 
@@ -102,13 +107,13 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path,
 def test_dry_runs_of_commands_without_a_config(two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     output = tmp_path / "out"
     assert main(["sample", "-o", str(output), "--dry-run"]) == 0
-    assert "6 to do" in capsys.readouterr().out
+    assert "6 to do" in capsys.readouterr().err
     run = tmp_path / "run"
     assert main(["stereo", "fast", "-i", str(two_scenes), "-o", str(run), "-q"]) == 0
     assert main(["depth", str(run), "-o", str(output), "--dry-run"]) == 0
-    out = capsys.readouterr().out
-    assert "2 scenes: 2 cannot be used" in out
-    assert "no calibration beside the images" in out
+    plan = capsys.readouterr().err
+    assert "2 scenes: 2 cannot be used" in plan
+    assert "no calibration beside the images" in plan
     by_hand = ("--focal", "500", "--baseline", "0.1")
     assert main(["depth", str(run), "-o", str(output), *by_hand, "--dry-run", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -117,9 +122,9 @@ def test_dry_runs_of_commands_without_a_config(two_scenes: Path, tmp_path: Path,
     absent = str(tmp_path / "absent.yml")
     command = ["rectify", "-i", str(two_scenes), "-o", str(output), "--dry-run"]
     assert main([*command, "--calibration", absent]) == 0
-    assert absent in capsys.readouterr().out
+    assert absent in capsys.readouterr().err
     assert main([*command, "--uncalibrated"]) == 0
-    assert "2 scenes: 2 to do" in capsys.readouterr().out
+    assert "2 scenes: 2 to do" in capsys.readouterr().err
     assert not output.exists()
 
 

@@ -1,5 +1,6 @@
 """Inputs as people have them: patterns, folders, tables, videos, pairs side by side."""
 
+import io
 import json
 from pathlib import Path
 
@@ -182,4 +183,16 @@ def test_the_command_line(tmp_path: Path, made_scenes: Path, capsys):
     assert "these are 2" in capsys.readouterr().err
     assert run("stereo", "opencv-bm", *globs, *how, "-o", tmp_path / "x", "--scenes", "absent*") == 2
     assert run("stereo", "opencv-bm", "-i", tmp_path / "pairs.csv", *how, "-o", tmp_path / "x", "--evaluate") == 2
+    assert run("stereo", "opencv-bm", "-i", "-", *how, "-o", tmp_path / "x", "--evaluate") == 2
+    assert run("stereo", "opencv-bm", "-i", tmp_path / "pairs.csv", *how, "-o", "-") == 2
     assert run("refine-kinect", "nearest", "-i", tmp_path / "pairs.csv", "-o", tmp_path / "x") == 2
+
+
+@pytest.mark.parametrize("separator", [",", "\t"])
+def test_a_table_from_the_standard_input(separator: str, tmp_path: Path, monkeypatch):
+    rows = [["left", "right", "name"], ["a.png", "b.png", "first"], ["c.png", "d.png", "second"]]
+    text = "".join(f"{separator.join(row)}\n" for row in rows).encode()
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
+    first, second = scenes_of_table(Path("-"))
+    assert (first.name, first.left, first.right) == ("first", Path("a.png"), Path("b.png"))
+    assert second.name == "second"

@@ -1,0 +1,55 @@
+"""What a shell completes of a command line: names of presets, layouts and protocols, and keys of a config."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from typer import Context
+
+from depthcli.commands import config_model
+from depthcli.core.config_file import load_config
+from depthcli.core.root_config import RootConfig
+from depthcli.evaluation import protocols as known_protocols
+from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.run.presets import find_config, find_preset, list_presets
+
+
+def presets(context: Context) -> list[str]:
+    """Return the names of the presets of the command, of all commands where it has none."""
+    found = list_presets()
+    own = [name for command, name, _ in found if command == _command(context)]
+    return own or list(dict.fromkeys(name for _, name, _ in found))
+
+
+def layouts(context: Context) -> list[str]:
+    """Return the names of all layouts."""
+    return [layout.name for layout in ALL_KINDS.with_plugins().rows]
+
+
+def protocols(context: Context) -> list[str]:
+    """Return the names of all protocols."""
+    return known_protocols.names()
+
+
+def keys(context: Context) -> list[str]:
+    """Return the keys of the config that the command line names, each with an equals sign."""
+    command = _command(context)
+    model = config_model(command)
+    if model is None or not issubclass(model, RootConfig):
+        return []
+    named = context.params["config"] or context.args[0]  # the latter before an option that has no value yet
+    file = find_config(command, named)
+    config = load_config(model, file, find=lambda name: find_preset(command, name))
+    return [f"{key}=" for key in _keys(config.model_dump(mode="json", by_alias=True))]
+
+
+def _command(context: Context) -> str:
+    return str(context.params.get("command") or context.info_name)  # sweep has an option for it
+
+
+def _keys(values: Mapping[str, Any]) -> Iterator[str]:
+    for key, value in values.items():
+        yield key
+        if isinstance(value, Mapping):
+            yield from (f"{key}.{inside}" for inside in _keys(value))
