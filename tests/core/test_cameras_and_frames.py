@@ -98,6 +98,13 @@ def rotation(degrees: float) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
+def test_a_wall_is_as_far_after_rectification_and_back():
+    turned = Rig(CAMERA, CAMERA, rotation(10), np.array([-0.1, 0.01, 0])).rectified((200, 150), (200, 150))
+    depth = turned.rectify_depth(np.full((150, 200), 2, np.float32))
+    back, _ = turned.unrectify_depth(depth, depth)
+    assert np.nanmin(depth) < 1.99 and np.nanmean(abs(back - 2)) < 1e-4
+
+
 @pytest.mark.parametrize("order", list(permutations(range(3))))
 @pytest.mark.parametrize("signs", list(product((1, -1), repeat=3)))
 @pytest.mark.parametrize("degrees", [0, 20])

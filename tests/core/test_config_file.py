@@ -117,7 +117,7 @@ def test_set_overrides_what_the_file_says():
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("parts.5=census", "--set parts.5: parts is a list of 1; expected an index (got 5)"),
+        ("parts.1=census", "--set parts.1: parts is a list of 1; expected an index (got 1)"),
         ("width.x=3", "--set width.x: width is a single value"),
         ("width", "--set width: expected KEY=VALUE"),
         ("=3", "--set : expected the name of a key"),
@@ -174,8 +174,10 @@ def test_a_config_is_laid_over_its_base(tmp_path: Path):
         tmp_path,
         low="pipeline: local\ncost: {method: census, window: [5, 5]}\noptimization: {method: scanline, p1: 0.7}\n",
         middle="base: low\nrefinement: [median]\noptimization: {p2: 3.0}\n",
-        top="base: middle.yaml\ncost: rank\n",
+        top="base: middle.yaml\ncost: {method: rank}\n",
+        other="base: low\npipeline: opencv_bm\n",
     )
+    assert load_config(StereoConfig, tmp_path / "other.yaml").model_dump()["pipeline"] == "opencv_bm"
     config = load_config(StereoConfig, tmp_path / "top.yaml")
     dumped = config.model_dump(mode="json")
     assert dumped["cost"]["method"] == "rank"  # another method brings nothing of the base's parameters

@@ -206,8 +206,8 @@ def test_samples_of_ten_and_twelve_bits(tmp_path: Path):
     left, right = tmp_path / "l.pgm", tmp_path / "r.png"
     left.write_bytes(b"P5 2 1 4095\n" + dark.astype(">u2").tobytes())
     assert read_pair(left, left).bits == 12
-    rows = b"\0" + dark.astype(">u2").tobytes()
-    right.write_bytes(png(2, 1, 16, 0, rows, (b"sBIT", bytes([14]))))
+    rows = b"\0" + np.repeat(dark, 3).astype(">u2").tobytes()
+    right.write_bytes(png(2, 1, 16, 2, rows, (b"sBIT", bytes([13, 14, 13]))))
     assert read_pair(right, right).bits == 14
     assert read_pair(left, right).bits == 10  # the files disagree: what is found counts
     write_png(tmp_path / "c.png", np.zeros((1, 3, 3), np.uint16))

@@ -230,6 +230,7 @@ def test_png_round_trip(tmp_path: Path):
     depth[0, :5] = np.nan, np.inf, 0, -2, 1e-9
     depth[1, 0] = 70  # meters: no code of a millimeter
     for scale in (1000.0, 5000.0):
+        depth[1, 1] = 65535 / scale
         write_depth_png(tmp_path / "d.png", depth, scale)
         read = read_depth(tmp_path / "d.png", scale)
         assert np.isnan(read[0, :4]).all() and np.isnan(read[1, 0])

@@ -64,6 +64,9 @@ def test_names_that_say_the_view(tmp_path: Path):
     put(tmp_path / "y", "dog.png")
     refused(ConfigError, "no two names belong together", match_patterns, tmp_path / "x", tmp_path / "y")
     refused(ConfigError, "matches no image", match_patterns, tmp_path / "x/*.jpg", tmp_path / "y")
+    put(tmp_path / "x", "1.png", "2.png", "2.jpg")
+    put(tmp_path / "y", "1.png", "2.png")
+    assert named(tmp_path / "x", tmp_path / "y")["2"] == (None, "2.png")  # no pair is made up
 
 
 def test_tables(tmp_path: Path):

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.kinect import KinectCalibration
@@ -113,13 +114,14 @@ def test_tum_pairs_by_time(tmp_path: Path):
     for name in ("rgb/1.png", "rgb/2.png"):
         write_png(tmp_path / "t" / name, COLOR)
     write_png(tmp_path / "t" / "depth/a.png", DEPTH)
-    (tmp_path / "t" / "rgb.txt").write_text("# color\n1.000 rgb/1.png\n2.000 rgb/2.png\n")
-    (tmp_path / "t" / "depth.txt").write_text("1.010 depth/a.png\n")
+    (tmp_path / "t" / "rgb.txt").write_text("# color\n1.000 rgb/1.png\n1.040 rgb/2.png\n")
+    (tmp_path / "t" / "depth.txt").write_text("1.019 depth/a.png\n")
     near, far = find(tmp_path)
     assert load(near).depth[1, 0] == pytest.approx(0.4)  # 5000 codes a meter
-    refused(InputError, r"the nearest depth is 0\.990 s off", load, far)
-    (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png 2.001 depth/a.png\n")
-    assert [i.problem for i in find(tmp_path)] == [""]
+    refused(InputError, r"the nearest depth is 0\.021 s off", load, far)
+    for line in ("2.0 rgb/2.png 2.001 depth/a.png\n", "2.001 depth/a.png 2.0 rgb/2.png\n"):
+        (tmp_path / "t" / "associations.txt").write_text(line)
+        assert [(i.name, i.problem) for i in find(tmp_path)] == [("t/2.000000", "")]
     (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png nonsense\n")
     (broken,) = discover_scenes(tmp_path, FRAMES)
     assert "associations.txt:1: expected time file time file" in broken.problem
@@ -160,8 +162,9 @@ def test_numbered_frames_have_poses_by_order_or_by_number(tmp_path: Path, lines:
     (place / "poses.txt").write_text(matrix + "\n" + matrix.replace("5", "8"))  # fewer than frames
     first, second, third = poses_of(tmp_path)
     assert first[:3, 3].tolist() == [5, 6, 7] and second[0, 3] == 8 and third is None
-    (place / "poses.txt").write_text("3 1 2 3 0 0 0 1\n7 4 2 3 0 0 0 1\n")
+    (place / "poses.txt").write_text("3 1 2 3 0 0 0 1\n7 4 2 3 .1 .3 .5 .8\n")
     first, second, third = poses_of(tmp_path)
+    np.testing.assert_allclose(third[:3, :3], Rotation.from_quat((0.1, 0.3, 0.5, 0.8)).as_matrix())
     assert first[0, 3] == 1 and second is None and third[0, 3] == 4
 
 
