@@ -105,6 +105,7 @@ def test_points_are_chosen_and_placed_by_options(made_kinect: Path, tmp_path: Pa
     whole, measured, sure = points("a"), points("m", "--mask", "measured"), points("s", "--mask", "confident:0.5")
     assert len(whole) > len(measured) > len(sure) >= len(measured) // 2 > 0
     assert set(map(tuple, sure)) < set(map(tuple, measured)) < set(map(tuple, whole))
+    assert sure[:, 2].max() < measured[:, 2].max()  # far depths have a larger deviation
     middle = float(np.median(whole[:, 2]))
     near, far = points("n", "--near", f"{middle}"), points("f", "--far", f"{middle}")
     assert near[:, 2].min() >= middle >= far[:, 2].max()

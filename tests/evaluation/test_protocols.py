@@ -13,6 +13,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings, missing_scores, picture
 from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, scale_warning
+from depthcli.evaluation.protocols.depth import DepthTruth
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MapResult, Metric, Score, find_score, in_order
 from depthcli.io.formats.disparity import read_disparity, write_pfm
@@ -474,6 +475,19 @@ def test_figures_of_the_kitti_pairs(pair, d1, three, end_point):
     assert pick(scores, "D1", 3.0, ESTIMATED_ONLY).value == pytest.approx(d1, abs=0.005)
     assert pick(scores, "out", 3.0, ESTIMATED_ONLY).value == pytest.approx(three, abs=0.005)
     assert pick(scores, "avgerr", None, ESTIMATED_ONLY).value == pytest.approx(end_point, abs=0.0005)
+
+
+def test_depth_by_hand():
+    true, estimate = np.array([[[1, 1, 2, 2, np.nan, 4]], [[1.03, 1.08, 2, np.nan, 1, 3]]], np.float32)
+    judge, truth = make("depth"), DepthTruth(true, {"all": np.isfinite(true)}, 43.5, 1000.0)
+    found = {score.metric.heading: score.value for score in judge.scores(estimate, truth)}
+    assert found == pytest.approx(
+        {"MAE": 277.5, "RMSE": 1000 * np.sqrt((0.03**2 + 0.08**2 + 1) / 4), "REL": 0.09, "delta 1.05": 50,
+         "delta 1.1": 75, "delta 1.25": 75, "delta 1.562": 100, "delta 1.953": 100, "coverage": 80,
+         "MAE px": 43.5 * (2 - 1 / 1.03 - 1 / 1.08 + 1 / 12) / 4,
+         "bad 1 px": 75}, rel=1e-5,
+    )  # fmt: skip
+    assert judge.wrong(estimate, truth)[0].tolist() == [False, True, False, False, False, True]
 
 
 def test_scene_flow_evaluates_disparities_below_192():

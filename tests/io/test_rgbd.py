@@ -28,7 +28,7 @@ from depthcli.io.rgbd_frames import (
 )
 from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.io.walk import discover_scenes
-from tests.command_line import refused
+from tests.command_line import refused, run
 from tests.contracts.layouts import check_layout
 from tests.scenes import DATA, load, needs_data, true
 
@@ -190,6 +190,8 @@ def test_sun_rotates_its_bits(tmp_path: Path):
     (scene,) = find(tmp_path)
     assert scene.layout == "sun-rgbd"
     assert (load(scene).depth[1:] == 2).all()
+    assert run("refine-kinect", "nearest", "-i", tmp_path / "s", "-o", tmp_path / "r", "-q") == 0
+    assert (read_grey(tmp_path / "r" / "s" / "depth.png") == codes)[1:].all()  # rotated again
 
 
 def test_depth_alone_is_a_frame_without_color(tmp_path: Path):

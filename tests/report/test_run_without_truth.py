@@ -19,6 +19,7 @@ from depthcli.io.scenes import VolumePairScene
 from depthcli.io.volume_pairs import RegistrationTruth
 from depthcli.report.packing import unpack
 from depthcli.report.scene_view import view_with_truth
+from depthcli.report.without_truth import _doubt
 from tests.report.conftest import ODD
 from tests.report.test_page import Reader, read
 
@@ -87,6 +88,13 @@ def test_worst_first_with_the_maps_as_they_are(pairs: Path, tmp_path: Path, caps
     text = (run / "evaluation" / "report.html").read_text("utf-8")
     assert not re.search(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", text)
     assert "<script>alert" not in text
+
+
+def test_too_many_scenes_have_pictures_of_the_worst():
+    for key in ("density", "measured"):
+        assert _doubt({key: 0.5}) < _doubt({key: 0.9})
+    for key in ("mean_error", "inside_mean"):
+        assert _doubt({key: 3.0}) < _doubt({key: 1.0})
 
 
 def test_scenes_with_and_without_truth_share_a_page(pairs: Path, tmp_path: Path):

@@ -5,6 +5,7 @@ import errno
 import functools
 import json
 import os
+import re
 import signal
 import threading
 from dataclasses import dataclass
@@ -165,16 +166,27 @@ def test_input_that_changes_during_the_run_leaves_nothing_done(folder: Folder):
     assert folder.computed() == ["a", "b"]
 
 
+def test_what_a_layout_says_is_compared(folder: Folder, monkeypatch: pytest.MonkeyPatch):
+    folder.run()
+    monkeypatch.setattr(Repeat, "settings", lambda self, scene: {"range": "64"} if scene.name == "b" else {})
+    folder.run()
+    assert folder.computed() == ["b"]
+
+
 def test_input_that_is_written_again_as_it_was_is_no_change(folder: Folder):
     folder.texts |= {"a": "replaces", "b": "new"}
     assert folder.run()["b"]["status"] == "done"
 
 
-@pytest.mark.parametrize(("damaged", "content"), [("out.txt", b"{"), ("out.txt", b"xxxxxx"), ("record.json", b"{")])
-def test_damaged_files_are_made_again(folder: Folder, damaged: str, content: bytes):
+@pytest.mark.parametrize(
+    ("damaged", "old", "new"),
+    [("out.txt", r"(?s).*", "{"), ("out.txt", "c", "x"), ("record.json", r"(?s).*", "{"),
+     ("record.json", '"length": 3', '"length": 4')],
+)  # fmt: skip
+def test_damaged_files_are_made_again(folder: Folder, damaged: str, old: str, new: str):
     folder.run()
-    before = folder.bytes()
-    (folder.output / "c" / damaged).write_bytes(content)
+    before, file = folder.bytes(), folder.output / "c" / damaged
+    file.write_text(re.sub(old, new, file.read_text(), count=1))
     folder.run()
     assert folder.computed() == ["c"]
     assert folder.bytes() == before
@@ -541,6 +553,15 @@ def test_shards_are_apart_and_together_everything(folder: Folder):
     assert [row["scene"] for row in folder.report()["scenes"]] == list("abcd")
     assert folder.run().keys() == set("abcd")
     assert folder.computed() == []
+
+
+def test_files_are_kept_by_their_paths_and_memory_is_shared(tmp_path: Path):
+    (tmp_path / "frame").mkdir()
+    for name in ("frame/a.txt", "a.txt"):
+        (tmp_path / name).touch()
+    workers._keep_only(("frame/*",), tmp_path)
+    assert (tmp_path / "frame/a.txt").exists() and not (tmp_path / "a.txt").exists()
+    assert Execution(jobs=2, max_memory=100).memory_each() == 50
 
 
 def test_a_used_up_quota_elsewhere_is_named_by_its_place(folder: Folder):
