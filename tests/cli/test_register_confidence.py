@@ -10,15 +10,18 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 
+from depthcli.api.registration import inside_figures
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError
-from depthcli.core.volumes import Grid
+from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.named_files import named_scenes
 from depthcli.io.scenes import VolumePairScene
+from depthcli.io.volume_pairs import LoadedPair
 from depthcli.io.walk import discover_scenes
+from depthcli.methods.registration.pipeline import RegistrationResult
 from tests.command_line import refused
 
 with warnings.catch_warnings():
@@ -207,6 +210,16 @@ def test_reports_say_how_large_errors_are_in_the_body_and_where(tmp_path, capsys
     assert [row[f"above_{axis}"] for axis in "xyz"] == pytest.approx(center, abs=6)
     page = (tmp_path / "run" / "evaluation" / "report.html").read_text()
     assert "above 3 mm, mL" in page and "mean mm" not in page
+
+
+def test_figures_in_the_body_are_of_blocks_of_voxels():
+    error, ones = np.zeros((4, 4, 4), np.float32), np.ones((4, 4, 4), np.float32)
+    error[2, 2, 1] = 5
+    pair = RegisteredPair(ones, ones, (2.0, 2.0, 2.0), ones > 0)
+    loaded = LoadedPair(pair, Grid((8, 8, 8), (1.0, 1.0, 1.0)), (2, 2, 2))
+    found = inside_figures(RegistrationResult(expected_error=error, step=(1, 1, 1), start=(0, 0, 0)), loaded)
+    assert found["above_3mm"] == 0.008
+    assert [found[f"above_{axis}"] for axis in "xyz"] == [2.5, 4.5, 4.5]
 
 
 def test_figures_that_stop_at_the_border_of_the_search_are_lower_bounds(made_volumes, tmp_path, capsys):

@@ -1,5 +1,6 @@
 """Cameras, frames and volumes: what is impossible is refused, what is shown is as bright and hangs as it should."""
 
+from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
@@ -103,6 +104,11 @@ def test_a_wall_is_as_far_after_rectification_and_back():
     depth = turned.rectify_depth(np.full((150, 200), 2, np.float32))
     back, _ = turned.unrectify_depth(depth, depth)
     assert np.nanmin(depth) < 1.99 and np.nanmean(abs(back - 2)) < 1e-4
+
+
+def test_grids_are_the_same_within_a_hundredth_of_a_voxel():
+    grid = Grid((4, 5, 6), (1.0, 2.0, 3.0))
+    assert [grid.same_as(replace(grid, origin=(x, 0.0, 0.0))) for x in (0.009, 0.011)] == [True, False]
 
 
 @pytest.mark.parametrize("order", list(permutations(range(3))))

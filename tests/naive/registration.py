@@ -35,7 +35,8 @@ def curves(fixed, warped, radius, half, span):
 
 def measures(costs, offsets, spacing, power):
     """What the formulas say, one curve at a time."""
-    names = ("eshift", "vshift", "shift", "mlm0", "aml0", "rank0", "cur0", "cost0", "msm", "mlm", "aml", "pkr")
+    names = ("eshift", "vshift", "shift", "mlm0", "aml0", "variance", "border", "rank0", "cur0", "cost0", "msm")
+    names = (*names, "mlm", "aml", "pkr")
     out = {name: np.zeros(costs.shape[1:]) for name in names}
     offsets = np.array(offsets, float)
     lengths = np.linalg.norm(offsets, axis=1) * spacing
@@ -45,7 +46,7 @@ def measures(costs, offsets, spacing, power):
         s = c.std()
         t = (c - c.min()) / s if s > 1e-9 else None
         if t is None:
-            values, stereo = (0, 0, 0, 1, 1), (0, 0)
+            values, stereo = (0, 0, 0, 1, 1, 0), (0, 0)
         else:
             sharp, soft, squared = np.exp(-2 * power * t), np.exp(-2 * t), np.exp(-8 * t * t)
             q = sharp / sharp.sum()
@@ -55,9 +56,16 @@ def measures(costs, offsets, spacing, power):
                 lengths[c.argmin()],
                 soft[0] / soft.sum(),
                 squared[0] / squared.sum(),
+                (q * lengths**2).sum() - (((q[:, None] * offsets).sum(axis=0) * spacing) ** 2).sum(),
             )
             stereo = (1 / soft.sum(), 1 / squared.sum())
-        rest = ((c < c[0]).mean(), (c[near] - c[0]).sum(), c[0], -c.min())
+        rest = (
+            abs(offsets[c.argmin()]).max() == offsets.max(),
+            (c < c[0]).mean(),
+            (c[near] - c[0]).sum(),
+            c[0],
+            -c.min(),
+        )
         for name, value in zip(names, (*values, *rest, *stereo, peak_ratio(c, offsets)), strict=True):
             out[name][p] = value
     return out

@@ -1,6 +1,7 @@
 """The whole method on volumes whose error is known, and the combination of measures."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,15 +67,15 @@ def test_expected_error_ranks_voxels_as_the_true_error_does(deformed):
 @pytest.mark.slow
 def test_expected_error_is_a_mean_weighted_by_inverse_variance(deformed):
     """Gaussian mean of eshift, weights 1 / (variance + iso^2 / 2), over features and places."""
-    pair, _ = deformed
+    pair = replace(deformed[0], spacing=(2.0, 2.0, 2.0))
     features = ("mind", "local_ncc")
     result = config(features=features, smoothing=1.5)(pair)
     total = weights = np.float32(0)
     for feature in features:
         method = config(features=[feature], smoothing=0)
         alone = method(pair)
-        variance = method._searches(pair.fixed, pair.warped, 1.0, Clock())[0][0].variance
-        weight = 1 / (variance.astype(float) + 0.5)
+        variance = method._searches(pair.fixed, pair.warped, 2.0, Clock())[0][0].variance
+        weight = 1 / (variance.astype(float) + 2)
         total = total + ndimage.gaussian_filter(weight * alone.expected_error, 1.5, mode="nearest", truncate=3.4)
         weights = weights + ndimage.gaussian_filter(weight, 1.5, mode="nearest", truncate=3.4)
     np.testing.assert_allclose(result.expected_error, total / weights, rtol=2e-3, atol=2e-3)
