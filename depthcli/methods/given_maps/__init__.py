@@ -9,6 +9,7 @@ small network weigh them (``algorithms.pixel_network``). Single planes are measu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -180,7 +181,7 @@ def judge_by_one_view(
     whole, missing = without_gaps(values, max_disparity)
     planes = _planes.one_view_planes(whole, StereoPair(left, left).grey8[0].astype(np.float32), max_disparity)
     clock.start("network")
-    probability = _likely(log_odds(network, offsets(network, within), planes, planes[:0]), missing)
+    probability = _likely(odds_within(network, within, planes, planes[:0]), missing)
     confidence = {}
     for name in measures:
         if (measure := MEASURES[name]).source in ONE_VIEW:
@@ -223,16 +224,23 @@ def without_gaps(values: Plane, max_disparity: int) -> tuple[Plane, NDArray[np.b
 
 def odds_of(networks: Networks, judged: Judged, within: float) -> Plane:
     """Return the log odds (H, W) that the values of a map are right within so many pixels."""
-    return log_odds(networks.right, offsets(networks.right, within), judged.alone, judged.others)
+    return odds_within(networks.right, within, judged.alone, judged.others)
 
 
-def offsets(network: TrainedNetwork, within: float) -> NDArray[np.float32]:
-    """Return the offsets of the first layer for a threshold, between those that the network was trained for."""
-    rows = network.layers[0][1]
-    at = np.interp(np.log2(within), np.log2(THRESHOLDS), np.arange(len(THRESHOLDS)))
-    low = min(int(at), len(rows) - 2)
-    between: NDArray[np.float32] = rows[low] + np.float32(at - low) * (rows[low + 1] - rows[low])
-    return between
+def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Plane) -> Plane:
+    """Return the log odds of an error up to ``within`` pixels, which never fall as that grows.
+
+    They are interpolated, over the logarithm of ``within``, between those of the thresholds that the network was
+    trained for. It does not keep their order: from the default, 1 px, outwards each is bounded by the one before.
+    """
+    at = float(np.interp(np.log2(within), np.log2(THRESHOLDS), np.arange(len(THRESHOLDS))))
+    start = THRESHOLDS.index(1.0)
+    step, bound, end = (1, np.maximum, math.ceil(at)) if at > start else (-1, np.minimum, math.floor(at))
+    before = odds = log_odds(network, network.layers[0][1][start], alone, others)
+    for k in range(start + step, end + step, step):
+        before, odds = odds, bound(odds, log_odds(network, network.layers[0][1][k], alone, others))
+    between: Plane = odds + np.float32(abs(end - at)) * (before - odds)
+    return between.clip(np.minimum(before, odds), np.maximum(before, odds))
 
 
 def with_reasons(

@@ -63,16 +63,24 @@ def test_the_kernel_is_the_network(pair: StereoPair, broken: np.ndarray):
     (w1, _), (w2, b2), (w3, b3) = known.right.layers
     inputs = np.concatenate([judged.alone, judged.others]).reshape(len(known.right.mean), -1).T
     scaled = np.clip((inputs - known.right.mean) * known.right.scale, -4, 4)
-    want = np.maximum(np.maximum(scaled @ w1 + given_maps.offsets(known.right, 1.0), 0) @ w2 + b2, 0) @ w3 + b3
+    want = np.maximum(np.maximum(scaled @ w1 + known.right.layers[0][1][1], 0) @ w2 + b2, 0) @ w3 + b3
     np.testing.assert_allclose(given_maps.odds_of(known, judged, 1.0).ravel(), want[:, 0], rtol=1e-3, atol=2e-3)
 
 
-def test_offsets_lie_between_those_of_the_thresholds():
-    network = networks().right
-    rows = network.layers[0][1]
-    np.testing.assert_array_equal(given_maps.offsets(network, 1.0), rows[1])
-    np.testing.assert_allclose(given_maps.offsets(network, math.sqrt(2)), (rows[1] + rows[2]) / 2, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(given_maps.offsets(network, 8.0), rows[-1], rtol=1e-5, atol=1e-7)
+def test_a_wider_limit_is_never_less_likely(pair: StereoPair, broken: np.ndarray):
+    """At the thresholds, between them and beyond, of maps that no network has seen."""
+    evidence, known = _planes.Evidence.of(pair, 32, Clock()), networks()
+    rng = np.random.default_rng(0)
+    for values in (broken, rng.uniform(0, 32, broken.shape).astype(np.float32)):
+        judged = given_maps.judged_maps(evidence, [values, broken])[0]
+        limits = sorted([*np.geomspace(0.25, 8, 23), 1.0, 1.0001, 3.9999, 4.0])
+        odds = np.stack([given_maps.odds_of(known, judged, limit) for limit in limits])
+        assert (np.diff(odds, axis=0) >= 0).all()
+        assert (np.diff(odds, axis=0) > 0).any(axis=0).mean() > 0.95
+        half, one, two, four = (given_maps.odds_of(known, judged, limit) for limit in (0.5, 1.0, 2.0, 4.0))
+        np.testing.assert_allclose(given_maps.odds_of(known, judged, math.sqrt(2)), (one + two) / 2, atol=1e-5)
+        np.testing.assert_array_equal(given_maps.odds_of(known, judged, 8.0), four)
+        np.testing.assert_array_equal(given_maps.odds_of(known, judged, 0.25), half)
 
 
 def test_the_costs_are_those_of_the_preset_fast():
