@@ -231,14 +231,17 @@ def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Pl
     """Return the log odds of an error up to ``within`` pixels, which never fall as that grows.
 
     They are interpolated, over the logarithm of ``within``, between those of the thresholds that the network was
-    trained for. It does not keep their order: from the default, 1 px, outwards each is bounded by the one before.
+    trained for and one between each two, by the mean of their offsets. The network does not keep their order: from the
+    default, 1 px, outwards each is bounded by the one before.
     """
-    at = float(np.interp(np.log2(within), np.log2(THRESHOLDS), np.arange(len(THRESHOLDS))))
-    start = THRESHOLDS.index(1.0)
+    rows = network.layers[0][1]
+    rows = np.insert(rows, range(1, len(rows)), (rows[1:] + rows[:-1]) / 2, axis=0)
+    at = float(np.interp(np.log2(within), np.log2(THRESHOLDS), np.arange(0, len(rows), 2)))
+    start = 2 * THRESHOLDS.index(1.0)
     step, bound, end = (1, np.maximum, math.ceil(at)) if at > start else (-1, np.minimum, math.floor(at))
-    before = odds = log_odds(network, network.layers[0][1][start], alone, others)
+    before = odds = log_odds(network, rows[start], alone, others)
     for k in range(start + step, end + step, step):
-        before, odds = odds, bound(odds, log_odds(network, network.layers[0][1][k], alone, others))
+        before, odds = odds, bound(odds, log_odds(network, rows[k], alone, others))
     between: Plane = odds + np.float32(abs(end - at)) * (before - odds)
     return between.clip(np.minimum(before, odds), np.maximum(before, odds))
 

@@ -77,8 +77,8 @@ def test_a_wider_limit_is_never_less_likely(pair: StereoPair, broken: np.ndarray
         odds = np.stack([given_maps.odds_of(known, judged, limit) for limit in limits])
         assert (np.diff(odds, axis=0) >= 0).all()
         assert (np.diff(odds, axis=0) > 0).any(axis=0).mean() > 0.95
-        half, one, two, four = (given_maps.odds_of(known, judged, limit) for limit in (0.5, 1.0, 2.0, 4.0))
-        np.testing.assert_allclose(given_maps.odds_of(known, judged, math.sqrt(2)), (one + two) / 2, atol=1e-5)
+        half, one, next_, four = (given_maps.odds_of(known, judged, limit) for limit in (0.5, 1.0, math.sqrt(2), 4.0))
+        np.testing.assert_allclose(given_maps.odds_of(known, judged, 2**0.25), (one + next_) / 2, atol=1e-5)
         np.testing.assert_array_equal(given_maps.odds_of(known, judged, 8.0), four)
         np.testing.assert_array_equal(given_maps.odds_of(known, judged, 0.25), half)
 
