@@ -12,6 +12,7 @@ from depthcli.commands._options import NOWHERE, RunOptions, SceneOptions
 from depthcli.commands._shared_options import TableOptions
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import InputError
+from depthcli.core.memory import BASE_BYTES
 from depthcli.core.method import used_files
 from depthcli.core.root_config import RootConfig
 from depthcli.core.text import one_line, show_bytes
@@ -20,7 +21,7 @@ from depthcli.io.formats.pictures import write_legend
 from depthcli.run.batch import Batch, Execution, SceneT
 from depthcli.run.console import aligned, run_table
 from depthcli.run.flags import Flags, flag_rows
-from depthcli.run.folder import LEGEND_FILE
+from depthcli.run.folder import EVALUATION, LEGEND_FILE
 from depthcli.run.identity import refusal
 from depthcli.run.json_csv import Row, to_json
 from depthcli.run.presets import find_config, find_preset
@@ -106,12 +107,13 @@ def run_batch(
     total = len(scenes) if how.shard is None else len(rows)
     reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {options.output}")
     if evaluation is not None:
-        _evaluation.print_place(options.output / "evaluation", reporter)
+        _evaluation.print_place(options.output / EVALUATION, reporter)
     elif page_file is not None:
         reporter.info(f"page to open in a browser: {page_file}")
     if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
         return 1
-    incomplete = failed or problems or (evaluation is not None and evaluation.failed)
+    no_page = options.html and page_file is None and len(failed) < len(rows)
+    incomplete = failed or problems or no_page or (evaluation is not None and evaluation.failed)
     return flags.exit_code(bool(incomplete), options.fail_flagged, options.shard)
 
 
@@ -146,7 +148,8 @@ def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: E
             task, known = planned.task(scene, 0), read_record(output / scene.name)
             row["status"] = DONE if known is not None and task.is_done(known) else TO_DO
             try:
-                row["memory"] = batch.memory(scene)
+                need = batch.memory(scene)
+                row["memory"] = None if need is None else BASE_BYTES + need
             except InputError as error:
                 row |= {"status": BROKEN, "problem": str(error)}
         rows.append(row)

@@ -20,7 +20,7 @@ from depthcli.report.page import Page
 from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.batch import Batch, SceneT
 from depthcli.run.flags import Flags, flag_rows
-from depthcli.run.folder import staging_folder
+from depthcli.run.folder import EVALUATION, staging_folder
 from depthcli.run.identity import saved_config
 from depthcli.run.json_csv import Row
 
@@ -37,7 +37,7 @@ def evaluated(
     Returns the evaluation, the page's file, and what the conditions flag.
     """
     reporter, conditions = options.reporter, options.conditions
-    output, truth = options.output / "evaluation", source.input if source is not None else None
+    output, truth = options.output / EVALUATION, source.input if source is not None else None
     in_folder = truth is not None and os.path.isdir(local(truth))  # pairs of a table have no truth
     scored = [scene for scene in scenes if in_folder and scene.has_truth]
     others = [scene for scene in scenes if not (in_folder and scene.has_truth)]
@@ -47,7 +47,8 @@ def evaluated(
         by_name, views = {str(row["scene"]): row for row in rows}, viewers(reporter, output, options.html, run=shown)
         choices = Choices(rows=by_name, conditions=conditions, viewers=views, reporter=reporter)
         report = evaluate_runs([options.output], judged, local(truth), output, choices)
-        return report, output / PAGE_FILE if options.html else None, report.flags
+        page_file = output / PAGE_FILE
+        return report, page_file if page_file.is_file() else None, report.flags
     shows = ": the page shows the maps without scores" if options.html else ", nothing to compare with"
     reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
     flags = flag_rows(conditions, rows, reporter)

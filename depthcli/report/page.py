@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.core.errors import InputError
-from depthcli.core.text import without_secrets
+from depthcli.core.text import printable, without_secrets
 from depthcli.evaluation import tables
 from depthcli.evaluation.columns import heading_help
 from depthcli.evaluation.comparison import EvaluationReport, Section
@@ -170,6 +170,7 @@ def _template() -> Any:
     import jinja2  # takes a tenth of a second to import
 
     options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "undefined": jinja2.StrictUndefined}
+    options["finalize"] = lambda value: printable(value) if type(value) is str else value  # names, but no markup
     environment = jinja2.Environment(autoescape=True, **options)
     environment.globals["help"] = heading_help
     environment.filters["number"] = Number

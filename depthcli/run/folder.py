@@ -41,6 +41,10 @@ except ImportError:  # Windows
 
 REPORT_FILES = ("report.json", "report.csv")
 LEGEND_FILE = "legend.png"
+EVALUATION = "evaluation"
+"""Folder in that of a run, of its scores and its page."""
+FOLDER_FILES = (RUN_FILE, *REPORT_FILES, LEGEND_FILE, EVALUATION)
+"""Names in the folder of a run that no scene may have."""
 LOCKS_FILE = ".locks"
 
 _SETUP_TIMEOUT = 60.0  # seconds that a process waits for another one to set up the folder

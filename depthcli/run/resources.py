@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 from depthcli.core.errors import InputError
+from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import show_bytes
 
 
@@ -18,7 +19,11 @@ def cores() -> int:
 
 
 def check_memory(need: int, limit: int, size: str, keys: str = "") -> None:
-    """Raise InputError where a scene of a ``size`` needs more bytes than ``limit``; ``keys`` of the config help."""
+    """Raise InputError where a process needs more than ``limit`` bytes; ``need``: for a scene of a ``size`` alone.
+
+    ``keys`` of the config help.
+    """
+    need += BASE_BYTES
     if need > limit:
         hint = f"; see {keys}" if keys else ""
         raise InputError(f"needs about {show_bytes(need)} of memory ({size}), {show_bytes(limit)} may be used{hint}")

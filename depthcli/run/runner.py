@@ -23,7 +23,7 @@ from depthcli.io.layouts import layout_plugins
 from depthcli.run.batch import Batch, Execution, SceneT
 from depthcli.run.cluster import compute_on_cluster
 from depthcli.run.console import Reporter, WarningCounts
-from depthcli.run.folder import FolderLock
+from depthcli.run.folder import FOLDER_FILES, FolderLock
 from depthcli.run.json_csv import Row
 from depthcli.run.records import (
     OTHER_RUN,
@@ -89,6 +89,9 @@ class Plan:
             if any(not part or part.startswith(".") or "\0" in part for part in parts):
                 problem = "is no name for a folder of results; choose another name for the scene"
                 raise ConfigError(f"{scene.name!r} {problem}")
+            if parts[0] in FOLDER_FILES:
+                problem = "has the name of a file or folder of the run itself; choose another name for the scene"
+                raise ConfigError(f"{scene.folder}: a scene called {parts[0]!r} {problem}")
             target = os.path.realpath(self.output / scene.name)  # Path.resolve() raises for loops of links
             if any(target == os.path.dirname(os.path.realpath(file)) for file in self._files(scene).values()):
                 problem = "would be written over its own input; choose another --output"

@@ -97,7 +97,9 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path,
     assert main([*command, "--dry-run", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert [row["status"] for row in document["scenes"]] == ["done, kept", "to do"]
-    assert all(row["memory"] > 10_000 for row in document["scenes"])
+    assert all(180 << 20 < row["memory"] < 300 << 20 for row in document["scenes"])  # of the whole process
+    assert main([*command[:-1], str(tmp_path / "small"), "--max-memory", "100MiB"]) == 3
+    assert "100 MiB may be used" in capsys.readouterr().err
     assert main([*command, "--set", "optimization.p2=3", "--dry-run"]) == 0
     assert "made with another config; needs --overwrite" in capsys.readouterr().err
     assert main([*command, "--list-scenes", "--shard", "2/2"]) == 0

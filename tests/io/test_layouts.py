@@ -111,6 +111,13 @@ def test_half_a_pair_is_an_item_with_a_problem(tmp_path: Path):
         refused(InputError, f"only one image of the pair, {side}", load, scene)
 
 
+def test_a_folder_named_as_an_image_is_none(tmp_path: Path):
+    own(tmp_path / "left.png")
+    own(tmp_path / "other")
+    (tmp_path / "other" / "right.pgm").mkdir()
+    assert [scene.name for scene in find(tmp_path) if not scene.problem] == ["left.png", "other"]
+
+
 def test_a_scene_too_deep_is_told(tmp_path: Path):
     own(tmp_path / "set" / "a")
     own(tmp_path / "x" / "y" / "z" / "deep")

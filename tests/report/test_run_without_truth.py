@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -116,11 +117,19 @@ def test_scenes_with_and_without_truth_share_a_page(pairs: Path, tmp_path: Path)
     assert "bad 1" in reader.text
 
 
-def test_a_page_that_cannot_be_written_fails_no_run(pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_control_characters_of_names_are_escaped(pairs: Path, tmp_path: Path):
+    shutil.copytree(pairs / "easy", tmp_path / "set" / "a\x1b[31m")
+    assert stereo(tmp_path / "set", tmp_path / "run", "--html") == 0
+    page = (tmp_path / "run" / "evaluation" / "report.html").read_text("utf-8")
+    assert "a\\x1b[31m" in page
+    assert not any(unicodedata.category(char) == "Cc" for char in page if char != "\n")
+
+
+def test_a_page_that_cannot_be_written_fails_no_scene(pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     foreign = tmp_path / "run" / "evaluation" / "report.html"
     foreign.parent.mkdir(parents=True)
     foreign.write_text("mine")
-    assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "easy") == 0
+    assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "easy") == 3
     assert foreign.read_text() == "mine"
     error = capsys.readouterr().err
     assert "no report.html: " in error

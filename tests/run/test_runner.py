@@ -308,7 +308,9 @@ def test_inputs_are_never_written_over(folder: Folder):
     refused(ConfigError, "over its own input", run_scenes, batch_of(), [scene], folder.root, Execution(), Reporter(-1))
 
 
-@pytest.mark.parametrize("name", ["", ".hidden", "..", "a/../b", "a//b"])
+@pytest.mark.parametrize(
+    "name", ["", ".hidden", "..", "a/../b", "a//b", "legend.png", "evaluation", "evaluation/a", "report.json"]
+)
 def test_names_that_lead_astray_are_refused(folder: Folder, name: str):
     scene = Text(name=name, folder=folder.root, file=folder.root / "in" / "x")
     with pytest.raises(ConfigError, match="choose another name"):

@@ -33,8 +33,10 @@ class Folder:
     def __init__(self, path: Path, name: str, prefix: str, requested: str = "") -> None:
         self.path, self.name, self.prefix, self.requested = path, name, prefix, requested
         try:
-            with naming(path):
-                self.names = frozenset([name for name in os.listdir(path) if name[0] != "."])
+            with naming(path), os.scandir(path) as entries:
+                shown = [entry for entry in entries if entry.name[0] != "."]
+                self.names = frozenset([entry.name for entry in shown])
+                self._folders = frozenset([entry.name for entry in shown if entry.is_dir()])
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
@@ -69,7 +71,7 @@ class Folder:
 
     @cached_property
     def _by_stem(self) -> dict[str, list[tuple[str, str]]]:
-        return _by_stem(self.names)
+        return _by_stem(self.names - self._folders)
 
     @cached_property
     def meta(self) -> Meta:

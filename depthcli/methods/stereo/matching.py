@@ -13,6 +13,7 @@ from typing import Literal
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import show_bytes
 from depthcli.device import Device
 from depthcli.methods.stereo.on_device import DevicePair, device_implementation_of, run_stage
@@ -53,12 +54,12 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
     """
     device = limits.device_for(matcher)
     need, has_tiles = _needs(matcher, pair.shape, max_disparity, limits)
-    tile_memory = min(limits.memory, limits.tile_memory)
-    if has_tiles and (need > tile_memory or limits.tiles == "always"):
-        return match_in_tiles(matcher, pair, max_disparity, tile_memory)
-    if need > limits.memory:
+    total = BASE_BYTES + need
+    if has_tiles and (need > limits.tile_memory or total > limits.memory or limits.tiles == "always"):
+        return match_in_tiles(matcher, pair, max_disparity, min(limits.memory, limits.tile_memory))
+    if total > limits.memory:
         raise InputError(
-            f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, {max_disparity + 1} "
+            f"needs about {show_bytes(total)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, {max_disparity + 1} "
             f"disparities), {show_bytes(limits.memory)} may be used; see max_disparity"
         )
     if device is None:
@@ -68,9 +69,12 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
 
 
 def host_bytes(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> int:
-    """Estimate the memory of this machine that :func:`match` takes for a pair of (H, W) ``shape``, bytes."""
+    """Estimate the memory of this machine that :func:`match` takes for a pair of (H, W) ``shape``, bytes.
+
+    That of the process before, ``BASE_BYTES``, is not among it.
+    """
     need, has_tiles = _needs(matcher, shape, max_disparity, limits)
-    return min(need, limits.tile_memory) if has_tiles else need
+    return min(need, limits.tile_memory - BASE_BYTES) if has_tiles else need
 
 
 def _needs(matcher: PairMatcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> tuple[int, bool]:
