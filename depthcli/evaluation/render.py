@@ -153,15 +153,28 @@ class Table:
         lines += [rf"\par\footnotesize {_latex(self.note)}"] if self.note else []
         return "\n".join([*lines, "\\end{table}"]) + "\n"
 
-    def csv(self) -> str:
-        """Return comma-separated values: numbers with all digits, NaN empty, the title in a column ``table``."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["table", *map(csv_cell, self.header)])
-        for row in self.rows:
-            cells = [cell.plain if isinstance(cell, Number) else csv_cell(cell) for cell in row]
-            writer.writerow([csv_cell(self.title), *cells])
-        return text.getvalue()
+
+def csv_text(tables: Sequence[Table]) -> str:
+    """Return comma-separated values with one header: numbers with all digits, NaN empty, titles in a column ``table``.
+
+    A cell is empty where a table has no such column.
+    """
+    places = [_numbered(table.header) for table in tables]
+    columns = list(dict.fromkeys(heading for each in places for heading in each))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["table", *(csv_cell(heading) for heading, _ in columns)])
+    for table, headings in zip(tables, places, strict=True):
+        for row in table.rows:
+            cells = {heading: cell.plain if isinstance(cell, Number) else csv_cell(cell)
+                     for heading, cell in zip(headings, row, strict=True)}  # fmt: skip
+            writer.writerow([csv_cell(table.title), *(cells.get(heading, "") for heading in columns)])
+    return text.getvalue()
+
+
+def _numbered(header: Sequence[str]) -> list[tuple[str, int]]:
+    """Return headings with how often each occurred before: two scenes of a table may have one name."""
+    return [(heading, header[:j].count(heading)) for j, heading in enumerate(header)]
 
 
 def _width(table: Table) -> int:
@@ -181,8 +194,12 @@ def _formatted(table: Table, best: str, second: str, escape: Callable[[str], str
     return [[escape(cell) for cell in table.header], *rows]
 
 
-FORMATS: dict[str, Callable[[Table], str]] = {"latex": Table.latex, "markdown": Table.markdown, "csv": Table.csv}
-"""Name of a file format -> function that writes a table in it."""
+FORMATS: dict[str, Callable[[Sequence[Table]], str]] = {
+    "latex": lambda tables: "\n".join(map(Table.latex, tables)),
+    "markdown": lambda tables: "\n".join(map(Table.markdown, tables)),
+    "csv": csv_text,
+}
+"""Name of a file format -> function that writes tables in it."""
 
 _LATEX = {char: "\\" + char for char in "&%$#_{}"}
 _LATEX |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}

@@ -105,7 +105,7 @@ def summary(section: Section) -> Table:
     columns.append(TableColumn(f"density {main} %", cells))
     if any(not math.isnan(result.seconds) for result in section.results):
         cells = [Number(mean_of_known(r.seconds for r in section.results_of(*row))) for row in rows]
-        columns.append(TableColumn("seconds", cells))
+        columns.append(TableColumn("seconds", cells, False if complete else None))
     title = f"{section.data_set} - {protocol.presentation.title} ({headline.heading})"
     if len(section.regions) > 1 and with_tests:
         title += f", ranked by {'the mean of ' * (len(figures) > 1)}{', '.join(figures)}"
@@ -355,7 +355,7 @@ def chosen_text(
         if len(tables) != 1:
             raise ConfigError(f"--caption: is for one table; give --tables {' or '.join(t.name for t in tables)}")
         tables = [replace(tables[0], title=caption)]
-    return "\n".join(table.text(_WIDTH) if form is None else FORMATS[form](table) for table in tables)
+    return "\n".join(table.text(_WIDTH) for table in tables) if form is None else FORMATS[form](tables)
 
 
 def check_names(names: Sequence[str]) -> None:

@@ -532,6 +532,12 @@ def test_a_table_for_a_paper(tmp_path: Path, truth: Path, capsys: pytest.Capture
     assert r"\caption{Bad pixels, 1 \% off}" in out and r"\label{tab:scenes-nonocc}" in out
     assert r"run & b & mean of 2 \\" in out and r"\begin{tabular}{lrr}" in out
     assert out.count(r"\begin{table}") == 1
+    for run, seconds in zip(runs, (2.5, 0.5), strict=True):
+        done = [{"scene": scene, "status": "done", "seconds": {"match": seconds}} for scene in ("a", "b")]
+        (Path(run) / "report.json").write_text(json.dumps({"scenes": done}))
+    assert main([*command[:-1], "headline", "--columns", "nonocc,seconds"]) == 0
+    out = capsys.readouterr().out
+    assert r"\textbf{0.50} \\" in out and r"\underline{2.50} \\" in out
     assert main([*command[:-1], "headline", "--columns", "nonocc"]) == 0
     assert "Wilcoxon" not in capsys.readouterr().out
     assert main([*command[:-1], "headline", "--columns", "nonocc,p (Holm)"]) == 0

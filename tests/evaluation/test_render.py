@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.render import Number, Table, csv_text
 from depthcli.run.json_csv import to_csv
 
 NAN = math.nan
@@ -71,11 +71,21 @@ def test_latex():
 
 
 def test_csv_has_all_digits_and_no_marks():
-    rows = list(csv.reader(io.StringIO(WIDE.csv())))
+    rows = list(csv.reader(io.StringIO(csv_text([WIDE]))))
     assert rows == [
         ["table", "run", "s & t", "up"],
         ["A_b, 50 %", "x|y_1", "1.234", "0.5"],
         ["A_b, 50 %", "two", "2.0", ""],
+    ]
+
+
+def test_csv_of_several_tables_has_one_header():
+    first = Table("t1", ("run", "a", "a"), (("x", Number(1.0), Number(2.0)),))
+    second = Table("t2", ("run", "b", "a"), (("y", Number(3.0), Number(4.0)),))
+    assert list(csv.reader(io.StringIO(csv_text([first, second])))) == [
+        ["table", "run", "a", "a", "b"],
+        ["t1", "x", "1.0", "2.0", ""],
+        ["t2", "y", "4.0", "", "3.0"],
     ]
 
 
@@ -100,7 +110,7 @@ def test_names_are_written_as_plain_text(name: str):
     assert {len(re.findall(r"(?<!\\)&", row)) for row in latex if row.endswith("\\\\")} == {1}
     assert not any(line.startswith("[") for line in latex)
     assert re.findall(r"\\[a-z]+", odd.latex().replace(r"\begin", "").replace(r"\end", "")).count(r"\input") == 0
-    cells = [cell for row in csv.reader(io.StringIO(odd.csv())) for cell in row]
+    cells = [cell for row in csv.reader(io.StringIO(csv_text([odd]))) for cell in row]
     assert all(cell.isprintable() for cell in cells)
 
 
@@ -108,7 +118,7 @@ def test_names_are_written_as_plain_text(name: str):
 def test_no_cell_is_a_formula(name: str):
     table = Table(name, ("run", name), ((name, Number(-1.5)), ("-", "-3")))
     ours = to_csv([{"scene": name, "value": -1.5, "text": "-3", "none": "-"}])
-    for text in (table.csv(), ours):
+    for text in (csv_text([table]), ours):
         cells = [cell for row in csv.reader(io.StringIO(text)) for cell in row]
         assert not any(cell.strip().startswith(tuple("=+@")) for cell in cells)
         assert {cell for cell in cells if cell.startswith("-")} == {"-1.5", "-3", "-"}
