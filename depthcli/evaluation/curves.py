@@ -155,6 +155,15 @@ class Reliability:
         return cls.of_sums(counts.sum(axis=0), *(np.nansum(counts * mean, axis=0) for mean in means))
 
 
+def is_probability(name: str) -> bool:
+    """Return whether a confidence map is meant as the probability to be right, by its name.
+
+    That is ``confidence.pfm``, called ``confidence``, or one whose name has the word ``probability``. Measures have no
+    such meaning, those within 0 .. 1 included.
+    """
+    return name == "confidence" or "probability" in name.split("_")
+
+
 def reliability(confidence: NDArray[Any], right: NDArray[np.bool_]) -> Reliability | None:
     """Compute how often pixels are right, by their confidence.
 

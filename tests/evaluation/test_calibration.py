@@ -50,6 +50,7 @@ def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path,
     folder.mkdir(parents=True)
     write_pfm(folder / "disp_left.pfm", np.full(visible.shape, 5, np.float32))
     write_pfm(folder / "confidence.pfm", np.full(visible.shape, 0.25, np.float32))
+    write_pfm(folder / "confidence_da.pfm", np.full(visible.shape, 0.5, np.float32))  # a share, no probability
     write_png(folder / "status.png", np.where(visible, 0, 1).astype(np.uint8))
     words = ["evaluate", tmp_path / "run", "--truth", made_scenes, "--scenes", name, "-o", tmp_path / "out", "--html"]
     assert main([str(word) for word in [*words, "--tables", "confidence,hidden"]]) == 0
@@ -60,6 +61,8 @@ def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path,
     assert result["hidden"]["F1"] == 100
     curve = next(c for c in result["confidence"] if (c["measure"], c["mask"], c["of"]) == ("confidence", "all", "bad"))
     assert curve["ece"] == pytest.approx(abs(0.25 - (1 - curve["mean"])), abs=1e-6)
+    assert all(c["reliability"] is None for c in result["confidence"] if c["measure"] == "da")
+    assert {c["of"] for c in result["confidence"] if c["measure"] == "da"} == {"bad", "error"}
     assert "Reliability, all" in (tmp_path / "out" / "report.html").read_text("utf-8")
     (folder / "status.png").write_bytes(b"damaged")
     assert main([str(word) for word in words]) == 0

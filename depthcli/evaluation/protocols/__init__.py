@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import color8
 from depthcli.core.registry import Registry, registered_name
-from depthcli.evaluation.curves import ConfidenceCurve, reliability, sparsifications
+from depthcli.evaluation.curves import ConfidenceCurve, is_probability, reliability, sparsifications
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.render import Table
 from depthcli.evaluation.scores import MapResult, Metric, Score, mean_of_scenes, pooled
@@ -246,7 +246,8 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
                 chosen = {confidence: values[region] for confidence, values in confidences.items()}
                 lines = sparsifications(chosen, {"bad": wrong[region], "error": error[region]})
                 for (confidence, of), line in lines.items():
-                    right = reliability(chosen[confidence], ~wrong[region]) if of == "bad" else None
+                    probable = of == "bad" and is_probability(confidence)
+                    right = reliability(chosen[confidence], ~wrong[region]) if probable else None
                     made.append(ConfidenceCurve(name, confidence, of, line, right))
         return made
 
