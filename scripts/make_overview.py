@@ -41,7 +41,7 @@ def main() -> None:
             subprocess.run(_env.depthcli(*words), check=True)
             estimate = read_disparity(Path(scratch) / preset / scene.name / "disp_left.pfm")
             if preset == "accurate":
-                shown = matplotlib.colormaps["turbo"](estimate / np.nanmax(truth.disparity))[..., :3]
+                shown = matplotlib.colormaps["turbo"](estimate / np.nanmax(truth.values))[..., :3]
                 panels.append((255 * shown).round().astype(np.uint8))
             panels.append(picture(protocol, estimate, truth))
             bad = headlines(protocol, estimate, truth)["nonocc"]

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d1f", "#000000")
 _MARKERS = "osD^vPX*"
 _BOUND = "#777777"
+_MAX_CURVES = 6  # of a plot beside its bounds; the tables have all
 _SHARE_AXIS = "most confident pixels, %"
 _SETTINGS: dict[str, Any] = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 10}
 _SETTINGS |= {"axes.spines.top": False, "axes.spines.right": False}
@@ -34,8 +35,10 @@ def plots(section: Section) -> dict[str, str]:
     what = f"{metric}, {section.regions[0]}"
     if len(section.scenes) > 2:
         made[f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"] = _boxes(section, what)
-    if lines := {run: scores for run in section.runs if (scores := section.threshold_curve(run))}:
-        made["Against the threshold, over all scenes; dots: thresholds of the tables"] = _by_threshold(section, lines)
+    if lines := {run: scores for run in section.ranking.runs if (scores := section.threshold_curve(run))}:
+        caption = f"Against the threshold, over all scenes{_best(len(lines))}; dots: thresholds of the tables"
+        lines = dict([*lines.items()][:_MAX_CURVES])
+        made[caption] = _by_threshold(section, {run: lines[run] for run in section.runs if run in lines})
     if any(not math.isnan(r.seconds) for r in section.results):
         of_all = f"{metric}, {' + '.join(section.figure_regions)}"
         made[f"Time against {of_all}: means of a scene"] = _times(section, of_all)
@@ -65,8 +68,8 @@ def _by_threshold(section: Section, lines: Mapping[str, Sequence[Score]]) -> str
     keys = [(m, region) for m, region in section.keys if m.threshold is not None and region == some.region]
     keys = [key for key in keys if key[0] == replace(some.metric, threshold=key[0].threshold)]
     with _figure() as (axes, out):
-        for i, run in enumerate(section.runs):
-            points = [(s.metric.threshold, s.value) for s in lines.get(run, ()) if s.metric.threshold is not None]
+        for i, run in ((i, run) for i, run in enumerate(section.runs) if run in lines):
+            points = [(s.metric.threshold, s.value) for s in lines[run] if s.metric.threshold is not None]
             _line(axes, i, run, points, marker="")
             shown = [(key[0].threshold or 0.0, section.score(run, MEAN, key).value) for key in keys]
             dots = [(x, y) for x, y in shown if points and x <= points[-1][0]]
@@ -115,18 +118,22 @@ def _confidences(section: Section) -> dict[str, str]:
              for name, found in curves.items()}
             for kind in ("errors", "best")
         )  # fmt: skip
-        drawn = [Line(name, PERCENTAGES, errors[name]) for name in sorted(curves, key=lambda name: sum(errors[name]))]
+        ordered = sorted(curves, key=lambda name: sum(errors[name]))
+        drawn = [Line(name, PERCENTAGES, errors[name]) for name in ordered[:_MAX_CURVES]]
         drawn += [Line("", PERCENTAGES, line, True) for line in dict.fromkeys(best.values())]
         what = "share of wrong pixels" if of == "bad" else "mean error"
         y_label = what if of == "bad" else f"{what}, {section.protocol.presentation.unit}"
-        caption = f"Sparsification, {region}: {what} of the most confident pixels; dotted: the best ranking"
+        caption = f"Sparsification, {region}: {what} of the most confident pixels{_best(len(curves))}"
+        caption += "; dotted: the best ranking"
         made[caption] = line_plot(drawn, "", _SHARE_AXIS, y_label, any_names=True)
         known = {name: [c.reliability for c in found if c.reliability] for name, found in curves.items()}
         pooled = {name: Reliability.pooled(found) for name, found in known.items() if found}
         if pooled:
+            more = _best(len(pooled))
+            pooled = dict(sorted(pooled.items(), key=lambda named: named[1].ece)[:_MAX_CURVES])
             drawn = [Line(f"{name} {one.ece:.3f}", one.confidence, one.right) for name, one in pooled.items()]
             drawn.append(Line("", (0, 1), (0, 1), bound=True))
-            what = "how often pixels of a confidence are right, with the expected calibration error"
+            what = f"how often pixels of a confidence are right, with the expected calibration error{more}"
             caption = f"Reliability, {region}: {what}; dotted: as often as they say"
             reliabilities[caption] = line_plot(drawn, "", "confidence", "share of right pixels", any_names=True)
     return made | reliabilities
@@ -169,12 +176,17 @@ def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str, any
 def curve_plot(curves: Mapping[str, Sparsification], title: str, of: str) -> str:
     """Return the sparsification curves of one region with their bounds, the best first, as the text of an SVG file."""
     ordered = sorted(curves.items(), key=lambda named: named[1].auc)
-    lines = [Line(f"{name} {c.auc:.4f}", c.percentages, c.errors) for name, c in ordered]
+    lines = [Line(f"{name} {c.auc:.4f}", c.percentages, c.errors) for name, c in ordered[:_MAX_CURVES]]
     some = ordered[0][1]
     lines.append(Line(f"optimal {some.optimal:.4f}", some.percentages, some.best, bound=True))
     lines.append(Line(f"random {some.mean:.4f}", some.percentages, [some.mean] * len(some.percentages), bound=True))
     y_label = "error rate" if of == "bad" else "mean absolute error"
-    return line_plot(lines, title, _SHARE_AXIS, y_label)
+    return line_plot(lines, f"{title}{_best(len(ordered))}", _SHARE_AXIS, y_label)
+
+
+def _best(n_curves: int) -> str:
+    """Return words for how many of the curves are drawn; empty: all."""
+    return f", the best {_MAX_CURVES} of {n_curves}" if n_curves > _MAX_CURVES else ""
 
 
 @contextmanager

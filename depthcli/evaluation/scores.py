@@ -258,3 +258,16 @@ class MapResult:
                 "scores": [score.row() for score in self.scores], "confidence": confidence,
                 "hidden": None if self.hidden is None else {**self.hidden._asdict(), **self.hidden.shares()},
         }  # fmt: skip
+
+
+def difference(results: Iterable[MapResult], headline: Metric, several: bool) -> float:
+    """Return by how much the headlines of the runs' maps of one scene differ, in the main region.
+
+    That is the largest less the smallest one, or, of a single run instead of ``several``, how bad its own is. -inf:
+    there is no number.
+    """
+    found = (next((s.value for s in r.scores if s.metric == headline), math.nan) for r in results if not r.error)
+    values = [headline.sign * value for value in found if not math.isnan(value)]
+    if not values:
+        return -math.inf
+    return max(values) - min(values) if several else values[0]

@@ -7,5 +7,5 @@ says of its own maps, the worst first. ``packing`` writes and embeds the maps, a
 ``page.js`` sorts tables and unpacks maps, ``viewer.js`` draws them. The room knows no protocol by name: all that it
 uses is the interface ``Protocol`` of ``depthcli.evaluation``.
 
-``contact_sheet`` is a picture of its own: image, maps and errors of the first scenes, side by side.
+``contact_sheet`` is a picture of its own: image, maps and errors of the scenes that differ most, side by side.
 """

@@ -1,20 +1,20 @@
-"""One picture of an evaluation: a row for each scene, image above truth, and every run's map above its errors."""
+"""One picture of an evaluation: a row a scene, image above truth and sensor, and every run's map above its errors."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.protocols import AnyProtocol, picture
-from depthcli.evaluation.scores import MapResult
+from depthcli.evaluation.protocols import AnyProtocol, kind_colors, picture
+from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.pictures import draw_text
+from depthcli.io.formats.pictures import NO_VALUE, draw_text
 from depthcli.io.scenes import Scene
 from depthcli.report.colors import map_picture
 
@@ -26,68 +26,117 @@ _WIDTH, _GAP, _LINE = 240, 8, 20  # pixels: width of one picture, space around i
 _INK = (40, 40, 40)
 
 
+class _Row(NamedTuple):
+    """A scene of the sheet."""
+
+    scene: str
+    protocol: AnyProtocol
+    pictures: dict[str, list[Picture]]  # run -> those below each other; empty: of the scene itself
+    results: list[MapResult]
+
+
 class ContactSheet:
-    """Small pictures of the first scenes of an evaluation, side by side; a ``Viewer``."""
+    """Small pictures of the scenes of an evaluation whose maps differ most, side by side; a ``Viewer``."""
 
     file = "contact_sheet.png"
 
     def __init__(self) -> None:
         self._ends = 0.0, 1.0
-        self._rows: dict[str, dict[str, list[Picture]]] = {}
+        self._rows: list[_Row] = []  # of those that differ most, the scene under way last
         self._scene = ""
+        self._runs: set[str] = set()  # that have a map
 
     def begin(self, folder: Path) -> None:
         """Begin a sheet in ``folder``."""
         self._path = folder / self.file
 
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
-        """Begin the row of a scene; one without an image, or a volume, has no row, nor has any after the first ones."""
+        """Begin the row of a scene; one without an image, or a volume, has no row."""
+        self._choose()
         self._scene = ""
-        if not protocol.presentation.error_pictures or len(self._rows) >= _MAX_SCENES:
+        presentation = protocol.presentation
+        if not presentation.error_pictures:
             return
-        image, values = protocol.presentation.image(scene), truth.values
+        image, values = presentation.image(scene), truth.values
         if image is None or image.ndim != 3 or image.shape[2] != 3:
             return
         self._scene = scene.name
-        self._protocol = protocol
-        row = self._rows[scene.name] = {"": [_small(image)]}
+        own = [_small(image)]
         if values.ndim == 2 and np.isfinite(values).any():
             known = values[np.isfinite(values)]
             self._ends = float(known.min()), float(known.max())
-            row[""].append(_small(map_picture(values, *self._ends)))
+            sensor = presentation.sensor(scene)
+            maps = [values] if sensor is None or sensor.shape != values.shape else [values, sensor]
+            own += [*(_small(map_picture(each, *self._ends)) for each in maps), _bar(*self._ends, presentation.unit)]
+        self._rows.append(_Row(scene.name, protocol, {"": own}, []))
 
     def add_map(self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, Any]) -> None:
         """Add one run's map and its error picture."""
         if result.scene != self._scene:
             return
-        row, protocol = self._rows[self._scene], self._protocol
-        maps = [protocol.values(estimate, truth)] if len(row[""]) > 1 else []
-        errors = picture(protocol, estimate, truth)
-        row[result.run] = [_small(map_picture(values, *self._ends)) for values in maps]
-        row[result.run] += [] if errors is None else [_small(errors)]
+        row = self._rows[-1]
+        row.results.append(result)
+        self._runs.add(result.run)
+        maps = [row.protocol.values(estimate, truth)] if len(row.pictures[""]) > 1 else []
+        errors = picture(row.protocol, estimate, truth)
+        row.pictures[result.run] = [_small(map_picture(values, *self._ends)) for values in maps]
+        row.pictures[result.run] += [] if errors is None else [_small(errors)]
+
+    def _choose(self) -> None:
+        """Keep the scenes that differ most so far, in this order."""
+        several = len(self._runs) > 1
+        self._rows.sort(key=lambda row: -difference(row.results, row.protocol.headline, several))
+        del self._rows[_MAX_SCENES:]
 
     def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
         """Write the sheet as PNG, if there is something to show."""
+        self._choose()
         runs = report.runs[:_MAX_RUNS]
-        rows = {scene: row for scene, row in self._rows.items() if any(run in row for run in runs)}
+        rows = [row for row in self._rows if any(run in row.pictures for run in runs)]
         if not rows:
             return
-        columns = ["", *(run for run in runs if any(run in row for row in rows.values()))]
-        heights = [max(sum(len(each) + _GAP for each in row.get(run, ())) for run in columns) for row in rows.values()]
+        columns = ["", *(run for run in runs if any(run in row.pictures for row in rows))]
+        heights = [max(sum(len(each) + _GAP for each in row.pictures.get(run, ())) for run in columns) for row in rows]
         width = _GAP + len(columns) * (_WIDTH + _GAP)
-        sheet = np.full((_LINE + sum(_LINE + height for height in heights), width, 3), 255, np.uint8)
+        words = rows[0].protocol.presentation
+        kinds = [(text, color) for text, color in zip(words.pixel_kind_names, kind_colors().tolist(), strict=True)
+                 if words.visible_region or not text.endswith("occluded")]  # fmt: skip
+        lines = 2 + len(kinds)
+        sheet = np.full((sum(_LINE + height for height in heights) + lines * _LINE + _GAP, width, 3), 255, np.uint8)
+        which = "where they differ most" if len(report.runs) > 1 else "the worst first"
+        title = f"{len(rows)} of {report.n_scenes} scenes, {len(columns) - 1} of {len(report.runs)} runs: {which}"
+        draw_text(sheet, title, (_GAP, _LINE // 2), _INK, max_width=width - 2 * _GAP)
         for k, run in enumerate(columns):
-            draw_text(sheet, run, (_GAP + k * (_WIDTH + _GAP), _LINE // 2), _INK, max_width=_WIDTH)
-        top = _LINE
-        for (scene, row), height in zip(rows.items(), heights, strict=True):
-            draw_text(sheet, scene, (_GAP, top + _LINE // 2), _INK, max_width=_WIDTH)
+            draw_text(sheet, run, (_GAP + k * (_WIDTH + _GAP), _LINE + _LINE // 2), _INK, max_width=_WIDTH)
+        top = 2 * _LINE
+        for row, height in zip(rows, heights, strict=True):
+            draw_text(sheet, row.scene, (_GAP, top + _LINE // 2), _INK, max_width=_WIDTH)
             for k, run in enumerate(columns):
                 y, x = top + _LINE, _GAP + k * (_WIDTH + _GAP)
-                for small in row.get(run, ()):
+                for small in row.pictures.get(run, ()):
                     sheet[y : y + len(small), x : x + _WIDTH] = small
                     y += len(small) + _GAP
             top += _LINE + height
+        for text, color in kinds:
+            _swatch(sheet, text, (_GAP, top), color)
+            top += _LINE
         write_png(self._path, sheet)
+
+
+def _bar(low: float, high: float, unit: str) -> Picture:
+    """Return the scale of the maps' colors with its ends, and the color of no value."""
+    bar = np.full((2 * _LINE, _WIDTH, 3), 255, np.uint8)
+    bar[2:12] = map_picture(np.linspace(low, high, _WIDTH)[None], low, high)
+    draw_text(bar, f"{low:.4g} to {high:.4g} {unit}", (0, _LINE), _INK)
+    _swatch(bar, "no value", (_WIDTH - 100, _LINE // 2), NO_VALUE)
+    return bar
+
+
+def _swatch(sheet: Picture, text: str, place: tuple[int, int], color: Sequence[int]) -> None:
+    x, y = place
+    cv2.rectangle(sheet, (x, y + 4), (x + 18, y + _LINE - 4), [*color], -1)
+    cv2.rectangle(sheet, (x, y + 4), (x + 18, y + _LINE - 4), _INK)
+    draw_text(sheet, text, (x + 26, y + _LINE // 2), _INK)
 
 
 def _small(image: Picture) -> Picture:

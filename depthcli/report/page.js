@@ -102,6 +102,6 @@ async function unpackView(view) {
     }
     runs[name] = { values, error, wrong, status, confidence };
   }
-  const [image, truth, region] = await Promise.all([picture(view.image), unpack(view.truth), unpack(view.region)]);
-  return { ...view, image, truth, region, runs };
+  const [image, sensor, truth, region] = await Promise.all([picture(view.image), ...[view.sensor, view.truth, view.region].map(unpack)]);
+  return { ...view, image, sensor, truth, region, runs };
 }

@@ -18,12 +18,13 @@ from depthcli.evaluation import tables
 from depthcli.evaluation.columns import heading_help
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.plots import plots
-from depthcli.evaluation.protocols import AnyProtocol
+from depthcli.evaluation.protocols import AnyProtocol, error_scales
 from depthcli.evaluation.render import Number
-from depthcli.evaluation.scores import MapResult
+from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.files import write_text
+from depthcli.io.formats.pictures import NO_VALUE
 from depthcli.io.scenes import Scene
-from depthcli.report import colors
+from depthcli.report.colors import map_colors
 from depthcli.report.packing import script_json
 from depthcli.report.scene_view import SceneView, view_with_truth
 from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
@@ -102,17 +103,19 @@ class Page:
             "runs": report.runs if report else [self.run.name] if self.run else [],
             "assets": [f"{_ASSETS}/{view.packed.file.name}" if factor > 1 else None for view in views],
             "keys": [view.packed.file.stem for view in views],
-            "scale": colors.map_colors().tolist(),
-            "errors": colors.error_scales().tolist(),
-            "none": colors.NO_VALUE,
+            "scale": map_colors().tolist(),
+            "errors": error_scales().tolist(),
+            "none": NO_VALUE,
         }
+        shown = [_scene_data(report, view) for view in scored] if report else []
         text = _template().render(
-            style=_file("page.css"), scripts=[_file("page.js"), _file("viewer.js")],
-            report=report, command=without_secrets(self.command), flags=flags, factor=factor, assets=_ASSETS,
+            style=_file("page.css"), scripts=[_file("page.js"), _file("viewer.js")], gradient=_gradient(),
+            no_value=NO_VALUE, report=report, command=without_secrets(self.command), flags=flags, factor=factor,
+            assets=_ASSETS,
             configs={run: text[:_MAX_CONFIG] for run, text in configs.items()},
             sections=[_section_data(section) for section in report.sections] if report else [],
             overview=tables.overview(report) if report else [], others=tables.further_tables(report) if report else [],
-            kinds=_pixel_kinds(scored), scenes=[_scene_data(report, view) for view in scored] if report else [],
+            kinds=_pixel_kinds(scored), scenes=shown, most=_differing(report, shown) if report else None,
             without=without, number_of={view.name: number for number, view in enumerate(views)},
             data=[view.packed.embedded(factor) for view in views],
             page=script_json(json.dumps(for_script)), scores=script_json(scores),
@@ -122,9 +125,26 @@ class Page:
             shutil.rmtree(self.folder / _ASSETS, ignore_errors=True)
 
 
+def _gradient() -> str:
+    """Return the colors of the maps' scale as stops of a CSS gradient."""
+    return ", ".join(f"rgb({','.join(map(str, color))})" for color in map_colors()[::15].tolist())
+
+
+def _differing(report: EvaluationReport, shown: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    """Return the scene of the first section whose maps differ most; None: it has no scene with pictures."""
+    name = report.sections[0].protocol.name if report.sections else ""
+    several = len(report.runs) > 1
+    fitting = [each for each in shown if each["protocol"].name == name]
+
+    def differs(scene: dict[str, Any]) -> float:
+        return difference([run["result"] for run in scene["runs"]], scene["protocol"].headline, several)
+
+    return max(fitting, key=differs, default=None)
+
+
 def _pixel_kinds(views: Sequence[SceneView]) -> list[list[tuple[str, ...]]]:
     """Return the words for every kind of pixel, with the CSS colors of a small and of a large error."""
-    ends = [[f"rgb({','.join(map(str, scale[k].tolist()))})" for k in (0, -1)] for scale in colors.error_scales()]
+    ends = [[f"rgb({','.join(map(str, scale[k].tolist()))})" for k in (0, -1)] for scale in error_scales()]
     wordings = dict.fromkeys(view.protocol.presentation.pixel_kind_names for view in views)
     return [[(words, *end) for words, end in zip(each, ends, strict=True)] for each in wordings]
 
@@ -163,7 +183,7 @@ def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
             figures = {s.region: Number(s.value) for s in r.scores if s.metric == view.protocol.headline}
             curves = [(c.region, c.confidence, c.of, Number(c.line.auc, 4)) for c in r.curves]
             runs.append({"result": r, "figures": figures, "curves": curves, "thumbs": view.thumbs.get(r.run, {})})
-    return {"name": view.name, "protocol": view.protocol, "thumbs": view.thumbs.get("", {}), "runs": runs}
+    return {"name": view.name, "protocol": view.protocol, "view": view, "thumbs": view.thumbs.get("", {}), "runs": runs}
 
 
 def _template() -> Any:

@@ -18,11 +18,19 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.text import side_and_distance
-from depthcli.evaluation.protocols import UNKNOWN, AnyProtocol, ShownMap, SliceAxis, pixel_kinds, shown_pixels
+from depthcli.evaluation.protocols import (
+    UNKNOWN,
+    AnyProtocol,
+    ShownMap,
+    SliceAxis,
+    error_scales,
+    pixel_kinds,
+    shown_pixels,
+)
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.pictures import Palette, confidence_picture, read_status, status_color, status_words
+from depthcli.io.formats.pictures import NO_VALUE, Palette, confidence_picture, read_status, status_color, status_words
 from depthcli.io.scenes import Scene
-from depthcli.report.colors import NO_VALUE, error_scales, map_picture, step_of
+from depthcli.report.colors import map_picture, step_of
 from depthcli.report.packing import PackedScene, jpeg, pack, pack_bytes, png
 
 _CONFIDENCE_LEVELS = 4096  # of a packed confidence; noise below them would only fill the page
@@ -94,14 +102,15 @@ class SceneView:
         ``words`` of the kinds of pixel, ``status`` (code -> words and color), ``opacity``, ``start`` (first view) and
         ``views``. Of a view, one per slice: ``name``, ``axis``, ``plane``, ``axes`` (of columns and rows), ``tall``
         (height of a pixel over its width), ``width``, ``height``, ``factor`` (it is thinned by), ``image`` (data URI),
-        packed ``truth`` and ``region`` (1: known, 2: occluded), and ``runs``: name -> packed ``values``, ``error``,
-        ``wrong``, ``status``, and ``confidence`` by measure
+        packed ``sensor``, ``truth`` and ``region`` (1: known, 2: occluded), and ``runs``: name -> packed ``values``,
+        ``error``, ``wrong``, ``status``, and ``confidence`` by measure
     thumbs : run (empty: the scene itself) -> what a small picture shows -> data URI
     above : what stands before the figures: empty, or "> " where they are lower bounds
     figures, note : without truth: heading with unit -> number, by which scenes are ordered, and their explanation
     mean_confidence : without truth: heading -> mean of a confidence map
     legend : without truth: words -> CSS color of the statuses in the small picture
     sheet : data URI of a volume's preview, instead of small pictures; or None
+    scale, top : words for the ends of the values' scale, and for the upper one of the errors'; empty: no errors
     packed : the data in a file, where they are once the view is closed
     """
 
@@ -119,6 +128,8 @@ class SceneView:
         self.scene, self.protocol, self.known, self.hidden, self.palette = scene, protocol, known, hidden, palette
         self.name, shown, (low, high) = scene.name, protocol.presentation, scale
         self.image = shown.image(scene)  # (H, W, 3) RGB or (Z, Y, X) grey levels, or None
+        sensor = shown.sensor(scene)  # a map of the scene's shape, or None
+        sensor = None if sensor is None or sensor.shape != known.shape else sensor
         self.thumbs: dict[str, dict[str, str]] = {}
         self.figures: dict[str, float] = {}
         self.mean_confidence: dict[str, float] = {}
@@ -134,6 +145,7 @@ class SceneView:
         middle = self._cuts[0].n_places // 2
         start = max(first, key=lambda n: (n_known[n], -abs(self._cuts[n].place - middle)))
         self._start = self._cuts[start]
+        self.scale, self.top = (f"{low:.4g}", f"{high:.4g}"), ""
         self.data: dict[str, Any] = {
             "name": self.name, "protocol": protocol.name, "quantity": shown.quantity, "unit": shown.unit, "low": low,
             "high": high, "hidden": bool(hidden.any()), "status": {}, "views": [], "words": shown.pixel_kind_names,
@@ -155,6 +167,7 @@ class SceneView:
                 "tall": abs(rows.step / columns.step) if rows and columns else 1.0,
                 "width": plane.shape[1], "height": plane.shape[0], "factor": 1,
                 "image": None if picture is None else jpeg(picture),
+                "sensor": None if sensor is None else pack(sensor[cut.index], *range_of(sensor)),
                 "truth": None if true is None else pack(true[cut.index], *_with_margin(low, high)),
                 "region": pack_bytes(plane + 2 * hidden[cut.index].astype(np.uint8)), "runs": {},
             })  # fmt: skip
@@ -162,8 +175,9 @@ class SceneView:
             flat = self.image if self._start.axis < 0 else np.stack([self.image[self._start.index]] * 3, axis=-1)
             step = _step(flat.shape[:2])
             self.thumbs[""] = {"image": jpeg(_shrunk(flat, flat.shape[1] // step, flat.shape[0] // step))}
-        if true is not None:
-            self.thumbs.setdefault("", {})["truth"] = self._map_thumb(true[self._start.index])
+        for kind, plane in (("sensor", sensor), ("truth", true)):
+            if plane is not None:
+                self.thumbs.setdefault("", {})[kind] = self._map_thumb(plane[self._start.index])
 
     def add(
         self,
@@ -239,6 +253,7 @@ class SceneView:
         if self._errors or "top" not in self.data:
             highs = [each.high for each in self._errors.values() if not math.isnan(each.high)]
             self.data["top"] = _significant(float(np.median(highs)) if highs else 1.0, 2) or 1.0
+            self.top = f"{self.data['top']:g}"
         for run, (kind, error, _) in self._errors.items():
             shaded = error_scales()[kind, step_of(error, 0.0, self.data["top"], 64)]
             self.thumbs.setdefault(run, {})["error"] = self._blended(shaded, kind == UNKNOWN)

@@ -30,8 +30,8 @@ const over = (source) => Boolean(view.image) && source !== "image" && state.opac
 function painter(source, layer) {
   const run = runOf(source), none = over(source) ? null : page.none;
   const colored = (values, color) => values && ((i) => Number.isNaN(values[i]) ? none : color(values[i]));
-  if (source === "truth" || (run && layer === "map")) {
-    return colored(run ? run.values : view.truth, (v) => page.scale[place(v, scene.low, scene.high, 256)]);
+  if (source === "truth" || source === "sensor" || (run && layer === "map")) {
+    return colored(run ? run.values : view[source], (v) => page.scale[place(v, scene.low, scene.high, 256)]);
   }
   if (!run) return null;
   if (layer === "status") return run.status && ((i) => (scene.status[run.status[i]] || { color: page.none }).color);
@@ -46,7 +46,7 @@ function painter(source, layer) {
 
 function drawn(source, layer) {
   if (source === "image") return view.image;
-  const key = `${source}/${source === "truth" ? "" : layer}/${layer === "confidence" ? state.measure : ""}/${over(source)}`;
+  const key = `${source}/${typeof source === "number" ? layer : ""}/${layer === "confidence" ? state.measure : ""}/${over(source)}`;
   if (!pictures.has(key)) {
     const color = painter(source, layer);
     let canvas = null;
@@ -150,7 +150,7 @@ function zoom(factor, x, y) {
 const middle = () => { const box = panels[0].canvas.getBoundingClientRect(); return [box.width / 2, box.height / 2]; };
 
 // What can be chosen: image, truth, and runs by number.
-const choices = () => ["image", ...(view.region ? ["truth"] : []), ...page.runs.keys()].filter((s) => typeof s !== "number" || view.region || runOf(s));
+const choices = () => ["image", ...(view.sensor ? ["sensor"] : []), ...(view.region ? ["truth"] : []), ...page.runs.keys()].filter((s) => typeof s !== "number" || view.region || runOf(s));
 
 function setPanels() {
   const sources = state.mode === "all" ? choices() : [state.source];
@@ -211,7 +211,7 @@ const text = (value, digits = 2) =>
 
 function setReadout() {
   if (!pointer) {
-    readout.textContent = "Point at a pixel to read it. Keys: 1 to 9 runs, t truth, i image; m map, e error, s status, c confidence; f flip, w swipe (Shift+number: right side), a all; + - r zoom; left and right: scenes" +
+    readout.textContent = "Point at a pixel to read it. Keys: 1 to 9 runs, t truth, i image" + (view.sensor ? ", g the map of the sensor" : "") + "; m map, e error, s status, c confidence; f flip, w swipe (Shift+number: right side), a all; + - r zoom; left and right: scenes" +
       (scene.views.length > 1 ? "; up and down: slices, v: another axis" : "") + (view.image ? "; o: over the image." : ".");
     return;
   }
@@ -271,7 +271,7 @@ function setButtons() {
   $("opacity").parentNode.hidden = !view.image;
   $("which").value = state.number;
   $("sources").replaceChildren(...choices().map((source) => {
-    const key = typeof source === "number" ? (source < 9 ? `${source + 1}` : "") : source[0];
+    const key = typeof source === "number" ? (source < 9 ? `${source + 1}` : "") : source === "sensor" ? "g" : source[0];
     const button = make("button", ` ${titleOf(source)}`);
     button.prepend(make("b", key));
     const both = state.mode === "swipe" && source === state.other;
@@ -355,7 +355,7 @@ async function open(number, source) {
 function follow() {
   const found = /^#scene-(\d+)(?:\/(.+))?$/.exec(location.hash);
   if (!found || !(Number(found[1]) < page.assets.length)) return;
-  const which = found[2], source = which === "truth" || which === "image" ? which : which ? Number(which) - 1 : undefined;
+  const which = found[2], source = ["truth", "image", "sensor"].includes(which) ? which : which ? Number(which) - 1 : undefined;
   open(Number(found[1]), typeof source === "number" && !(source in page.runs) ? 0 : source);
 }
 
@@ -393,7 +393,7 @@ addEventListener("keydown", (event) => {
   const digit = /^(?:Digit|Numpad)(\d)$/.exec(event.code);
   const keys = { t: () => view.region && choose("truth"), 0: () => view.region && choose("truth"), i: () => choose("image"), f: () => setMode("flip"),
     w: () => setMode("swipe"), a: () => setMode("all"), m: () => setLayer("map"), e: () => setLayer("error"),
-    s: () => setLayer("status"), c: () => setLayer("confidence"), r: fit, "+": $("closer").onclick, "=": $("closer").onclick,
+    s: () => setLayer("status"), g: () => view.sensor && choose("sensor"), c: () => setLayer("confidence"), r: fit, "+": $("closer").onclick, "=": $("closer").onclick,
     "-": $("wider").onclick, ArrowLeft: $("back").onclick, ArrowRight: $("on").onclick,
     ArrowUp: () => step(1), ArrowDown: () => step(-1), v: () => setAxis(axes()[(axes().indexOf(view.axis) + 1) % axes().length]),
     o: () => view.image && change({ opacity: state.opacity < 1 ? 1 : .6 }) };

@@ -17,15 +17,17 @@ from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import Choices, evaluate_runs
-from depthcli.evaluation.protocols import Settings
+from depthcli.evaluation.protocols import EMPTY, RIGHT, WRONG, Settings, kind_colors
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
 from depthcli.evaluation.tables import chosen_text, report_tables
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.pictures import NO_VALUE
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
+from depthcli.report.colors import map_picture
 from depthcli.run.records import Record, write_record
 from tests.command_line import contents, refused
 from tests.scenes import true
@@ -116,8 +118,10 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     assert comparison["significant"] is False
     assert "With 2 scenes no difference can be significant" in (tmp_path / "out" / "report.md").read_text()
     picture = read_image(tmp_path / "out" / "errors" / "half" / "a.png")
-    assert tuple(picture[0, 10]) == (0, 0, 0)
-    assert tuple(picture[20, 10]) == (170, 170, 170)
+    colors = kind_colors()
+    assert tuple(picture[0, 10]) == tuple(colors[WRONG])
+    assert tuple(picture[20, 10]) == tuple(colors[RIGHT])
+    assert tuple(colors[EMPTY]) == NO_VALUE == tuple(map_picture(np.full((1, 1), np.nan), 0, 1)[0, 0])
 
 
 def test_maps_of_other_programs(tmp_path: Path, truth: Path):

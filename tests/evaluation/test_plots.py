@@ -37,6 +37,16 @@ def test_a_curve_plot_names_the_areas():
     assert f"optimal {curves['lrc'].optimal:.4f}" in svg
 
 
+def test_a_plot_has_six_curves_at_most_the_best():
+    error = np.linspace(0, 1, 200) ** 2
+    noise = np.random.default_rng(0).normal(0, 1, 200)
+    curves = {f"measure{k}": sparsification(-error - k * noise, error) for k in range(9)}
+    svg = curve_plot(curves, "run: scene", "error")
+    best = sorted(curves, key=lambda name: curves[name].auc)[:6]
+    assert {name for name in curves if f"{name} " in svg} == set(best)
+    assert "the best 6 of 9" in svg
+
+
 @pytest.mark.slow
 def test_matplotlib_is_not_imported_where_nothing_is_drawn(tmp_path: Path, scenes: Path, runs: list[Path]):
     code = (

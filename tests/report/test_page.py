@@ -2,6 +2,7 @@
 
 import base64
 import csv
+import html
 import json
 import re
 import shutil
@@ -18,6 +19,7 @@ from depthcli.cli import main
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import Choices, evaluate_runs
+from depthcli.evaluation.protocols import WRONG, kind_colors
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
@@ -127,6 +129,19 @@ def test_hostile_names_are_escaped(made: Path):
     assert set(page.scripts) == {"page", "scores", "data-0", "data-1", "code-4", "code-5"}
     assert ODD in page.text
     assert {json.loads(page.scripts[f"data-{k}"])["name"] for k in (0, 1)} == {"plain", ODD}
+
+
+def test_the_page_begins_with_the_scene_that_differs_most(made: Path):
+    page = read(made)
+    bad: dict[str, list[float]] = {}
+    for result in json.loads(page.scripts["scores"])["results"]:
+        here = [s for s in result["scores"] if (s["metric"], s["mask"], s["threshold"]) == ("bad", "nonocc", 1)]
+        bad.setdefault(result["scene"], []).extend(s["value"] for s in here)
+    differing = max(bad, key=lambda scene: max(bad[scene]) - min(bad[scene]))
+    text = (made / "report.html").read_text("utf-8")
+    first = re.search(r'<img src="[^"]*" alt="image of ([^"]*)">', text)
+    assert first is not None and html.unescape(first[1]) == differing
+    assert "no value" in page.text.partition("The scene where the runs differ most")[2][:400]  # the colors' scale
 
 
 def test_maps_come_back_as_they_were(made: Path, runs: list[Path]):
@@ -297,32 +312,47 @@ def test_slices_show_the_fixed_volume_beneath(volumes: Path):
 TRUTH = np.tile(np.linspace(1, 3, 40, dtype=np.float32), (30, 1))
 
 
-def sheet_of(folder: Path, image: np.ndarray | None) -> Path:
-    """Write the sheet of one scene, of which the second run alone has a map: 3 px everywhere."""
-    presentation = replace(MiddleburyV2Protocol.presentation, image=lambda scene: image)
-    judge, scene = MiddleburyV2Protocol(), StereoScene(name="a", folder=folder, left=folder)
-    judge.presentation = presentation
-    truth, sheet = DisparityTruth(TRUTH, {"all": np.ones(TRUTH.shape, bool)}), ContactSheet()
+def sheet_of(folder: Path, image: np.ndarray | None, maps: dict[str, dict[str, float]] | None = None) -> ContactSheet:
+    """Write the sheet of scenes with maps of one value each; of one scene, the second run alone has a map: 3 px."""
+    judge = MiddleburyV2Protocol()
+    judge.presentation = replace(judge.presentation, image=lambda scene: image)
+    truth, sheet, results = DisparityTruth(TRUTH, {"all": np.ones(TRUTH.shape, bool)}), ContactSheet(), []
     sheet.begin(folder)
-    sheet.begin_scene(judge, scene, truth)
-    result = MapResult("second", "a", "set", judge.name)
-    sheet.add_map(result, folder, np.full(TRUTH.shape, 3, np.float32), truth, {})
-    sheet.write(EvaluationReport(("first", "second"), (result,), {}, "truth"), "", {})
-    return folder / sheet.file
+    for name, of_runs in (maps or {"a": {"second": 3.0}}).items():
+        sheet.begin_scene(judge, StereoScene(name=name, folder=folder, left=folder), truth)
+        for run, value in of_runs.items():
+            values = np.full(TRUTH.shape, value, np.float32)
+            results.append(MapResult(run, name, "set", judge.name, scores=tuple(judge.scores(values, truth))))
+            sheet.add_map(results[-1], folder, values, truth, {})
+    sheet.write(EvaluationReport(("first", "second"), tuple(results), {}, "truth"), "", {})
+    return sheet
 
 
 def test_maps_in_the_colors_of_the_truth_stand_above_their_errors(tmp_path: Path):
-    made = read_image(sheet_of(tmp_path, np.full((30, 40, 3), 9, np.uint8))).astype(int)
-    yellow, black = (np.argwhere(np.abs(made - color).sum(axis=2) < 10)[:, ::-1] for color in (map_colors()[-1], 0))
-    assert len(black) > 100 * 180  # errors of more than 1 px
-    in_column = yellow[yellow[:, 0] >= black[:, 0].min()]
+    sheet_of(tmp_path, np.full((30, 40, 3), 9, np.uint8))
+    made = read_image(tmp_path / "contact_sheet.png").astype(int)
+    colors = (map_colors()[-1], kind_colors()[WRONG])
+    yellow, wrong = (np.argwhere(np.abs(made - color).sum(axis=2) < 10)[:, ::-1] for color in colors)
+    above = wrong[wrong[:, 0] > 248]  # without the legend
+    assert len(above) > 100 * 180  # errors of more than 1 px
+    assert len(wrong) > len(above)  # the legend has the color, too
+    in_column = yellow[yellow[:, 0] >= above[:, 0].min()]
     assert len(in_column) == 240 * 180  # the largest value of the truth
-    assert in_column[:, 1].max() < black[:, 1].min()
-    of_truth = yellow[yellow[:, 0] < black[:, 0].min()]
+    assert in_column[:, 1].max() < above[:, 1].min()
+    of_truth = yellow[yellow[:, 0] < above[:, 0].min()]
     assert len(of_truth) > 0
-    assert of_truth[:, 1].min() >= black[:, 1].min()  # in the row of the errors, below the image
+    assert of_truth[:, 1].min() >= above[:, 1].min()  # in the row of the errors, below the image
+
+
+def test_the_scenes_that_differ_most_are_shown(tmp_path: Path):
+    """Shares of wrong pixels for maps of 2, 1.5 and 3 px: 0, about a quarter and a half."""
+    same = {f"same{k}": {"first": 3.0, "second": 3.0} for k in range(6)}
+    more = {"half": {"first": 2.0, "second": 3.0}, "less": {"first": 2.0, "second": 2.5}}
+    sheet = sheet_of(tmp_path, np.full((30, 40, 3), 9, np.uint8), same | more | {"x": {"first": 2.0, "second": 2.0}})
+    assert [row.scene for row in sheet._rows] == ["half", "less", "same0", "same1"]
 
 
 @pytest.mark.parametrize("image", [None, np.zeros((3, 4, 5), np.uint8)])
 def test_nothing_to_show_writes_nothing(tmp_path: Path, image: np.ndarray | None):
-    assert not sheet_of(tmp_path, image).exists()
+    sheet_of(tmp_path, image)
+    assert not (tmp_path / "contact_sheet.png").exists()

@@ -13,7 +13,7 @@ from depthcli.cli import main
 from depthcli.core.maps import Status
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.io.formats.disparity import read_pfm, write_pfm
-from depthcli.io.formats.images import write_png
+from depthcli.io.formats.images import read_grey, write_png
 from depthcli.io.formats.pictures import read_status
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import VolumePairScene
@@ -154,7 +154,12 @@ def test_frames_of_a_sensor_show_their_expected_error(tmp_path: Path):
     sigma = {name: 1000 * np.nanmean(read_pfm(tmp_path / "run" / name / "sigma.pfm")) for name in ("frame0", "frame1")}
     assert [row[0] for row in rows] == sorted(sigma, key=lambda name: -sigma[name])
     assert [float(row[2]) for row in rows] == pytest.approx(sorted(sigma.values(), reverse=True), abs=0.01)
-    assert all(scene["views"][0]["runs"]["run"]["error"] for scene in data_of(reader))
+    for scene in data_of(reader):
+        assert scene["views"][0]["runs"]["run"]["error"]
+        sensor = unpack(scene["views"][0]["sensor"])
+        depth = read_grey(tmp_path / "set" / scene["name"] / "depth.png")
+        np.testing.assert_array_equal(np.isnan(sensor), depth == 0)
+        np.testing.assert_allclose(sensor[depth > 0], depth[depth > 0], atol=1)
 
 
 def test_a_registration_without_landmarks(volumes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -36,11 +36,27 @@ from depthcli.io.scenes import Scene
 UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
 """Kinds of pixel; ``HIDDEN``: occluded in the other view, ``EMPTY``: without a value."""
 
+# Name of every kind's color, and the colors of a small and of a large error; the darker, the worse. Blue and orange
+# stay apart for every kind of color blindness, purple is apart from both by lightness, too.
 _COLORS = (
-    ("white", (255, 255, 255)), ("grey", (170, 170, 170)), ("black", (0, 0, 0)), ("light blue", (176, 196, 222)),
-    ("dark blue", (40, 70, 130)), ("dark red", (140, 30, 20)),
+    ("white", "#ffffff", "#ffffff"), ("blue", "#c6dff2", "#2f7ab8"), ("orange", "#f5b13d", "#8a3000"),
+    ("grey", "#dcdcdc", "#9b9b9b"), ("purple", "#dba2cf", "#5c1f57"), ("black", "#000000", "#000000"),
 )  # fmt: skip
-"""Name and RGB of every kind of pixel in an error picture."""
+_N_SHADES = 64
+_SHADE = 16  # of these, that stands for a kind of pixel whatever its error
+
+
+@cache
+def error_scales() -> NDArray[np.uint8]:
+    """Return (6, 64, 3) RGB by kind of pixel and size of the error, as the page's script indexes them, too."""
+    share = np.linspace(0, 1, _N_SHADES)[:, None]
+    ends = [[np.array([int(end[k : k + 2], 16) for k in (1, 3, 5)]) for end in ends] for _, *ends in _COLORS]
+    return np.stack([np.rint(first + share * (last - first)) for first, last in ends]).astype(np.uint8)
+
+
+def kind_colors() -> NDArray[np.uint8]:
+    """Return (6, 3) RGB of the kinds of pixel in pictures that do not show how large an error is."""
+    return error_scales()[:, _SHADE]
 
 
 class SliceAxis(NamedTuple):
@@ -107,6 +123,8 @@ class Presentation:
     )
     # Returns what is shown beneath maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey levels of a volume; or None.
     image: Callable[[Scene], NDArray[np.uint8] | None] = _first_image
+    # Returns the map of a sensor that methods refine, (H, W) in the unit, NaN = none; None: there is no such map.
+    sensor: Callable[[Scene], NDArray[np.floating[Any]] | None] = lambda _: None
     # Returns an array of a region's shape as an image or volume, NaN or False where it has no point, given the truth;
     # None: the points lie on no grid and cannot be shown.
     on_grid: Callable[[NDArray[Any], Any], NDArray[Any] | None] = lambda points, _: points if points.ndim > 1 else None
@@ -124,7 +142,7 @@ class Presentation:
     @property
     def legend(self) -> str:
         """Colors of the error pictures in words."""
-        words = [f"{color}: {kind}" for (color, _), kind in zip(_COLORS, self.pixel_kind_names, strict=True)]
+        words = [f"{color}: {kind}" for (color, *_), kind in zip(_COLORS, self.pixel_kind_names, strict=True)]
         return "; ".join(words[1:] + words[:1])
 
 
@@ -310,7 +328,7 @@ def picture(protocol: AnyProtocol, estimate: Any, truth: Truth) -> NDArray[np.ui
         return None
     missing = np.isnan(protocol.error(estimate, truth))
     kinds = pixel_kinds(*shown_pixels(protocol, truth), protocol.wrong(estimate, truth), missing)
-    return np.array([color for _, color in _COLORS], np.uint8)[kinds]
+    return kind_colors()[kinds]
 
 
 _REGISTRY = Registry[AnyProtocol](__name__)

@@ -18,9 +18,10 @@ from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, plan
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.map_format import map_formats
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
-from depthcli.io.rgbd_frames import true_depth
+from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes import RgbdScene, Scene
 
 Depth = NDArray[np.float32]
@@ -66,6 +67,17 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     return ShownMap(values, planes_beside(path, files), error, figures=figures, note=note)
 
 
+def _sensor(scene: Scene) -> NDArray[np.float64] | None:
+    """Return the sensor's depth in mm, registered to the color image; None where it cannot be read."""
+    if not isinstance(scene, RgbdScene):
+        return None
+    try:
+        with collected_warnings():
+            return 1000.0 * load_frame(scene).depth.astype(np.float64)
+    except InputError:
+        return None
+
+
 class DepthProtocol(Protocol[Depth, DepthTruth]):
     """Mean and root-mean-square errors, relative errors, and shares of pixels within a ratio of the truth.
 
@@ -92,6 +104,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         threshold_axis="ratio to the truth",
         palette=DEPTH_STATUS_PALETTE,
         show=_shown_map,
+        sensor=_sensor,
     )
     region_order = ("all", "gap", "occluded", "specular", "mismatch", "measured", "object", "transparent")
     takes = ("scale", "threshold", "resize")

@@ -24,12 +24,15 @@ _LIGHT, _PALE, _BLACK, _WHITE = (225, 225, 225), (180, 214, 196), (0, 0, 0), (25
 _BLUE, _SKY, _YELLOW = (0, 114, 178), (86, 180, 233), (240, 228, 66)
 _ORANGE, _VERMILION, _PURPLE, _GREEN = (230, 159, 0), (213, 94, 0), (204, 121, 167), (0, 158, 115)
 
+NO_VALUE = _BLACK
+"""RGB of a pixel without a value, in all pictures of maps, errors and statuses; no color of a map's scale."""
+
 STATUS_PALETTE: Palette = {
     Status.MEASURED: ("measured", _LIGHT),
     Status.OCCLUDED: ("occluded", _VERMILION),
     Status.MISMATCH: ("mismatch", _BLUE),
     Status.OUT_OF_RANGE: ("out of range", _ORANGE),
-    Status.NO_DATA: ("no data", _BLACK),
+    Status.NO_DATA: ("no data", NO_VALUE),
     Status.FILLED: ("filled", _WHITE),
     Status.SMOOTHED: ("smoothed", _PALE),
 }
@@ -39,7 +42,7 @@ DEPTH_STATUS_PALETTE: Palette = {
     DepthStatus.CORRECTED: ("corrected", _VERMILION),
     DepthStatus.FALLBACK: ("filled from around", _YELLOW),
     DepthStatus.CARRIED: ("carried over", _PURPLE),
-    DepthStatus.EMPTY: ("no value", _BLACK),
+    DepthStatus.EMPTY: ("no value", NO_VALUE),
     DepthStatus.SMOOTHED: ("smoothed", _PALE),
     DepthStatus.SAMPLED: ("from stereo", _GREEN),
 }
@@ -132,7 +135,7 @@ def preview(values: NDArray[np.float32], top: float) -> NDArray[np.uint8]:
     with np.errstate(over="ignore"):
         grey[known] = np.clip(np.rint(values[known] * (255.0 / max(top, 1e-6))), 0, 255).astype(np.uint8)
     picture: NDArray[Any] = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[..., ::-1].copy()
-    picture[~known] = 0
+    picture[~known] = NO_VALUE
     return picture
 
 
