@@ -5,7 +5,6 @@ import errno
 import functools
 import json
 import os
-import re
 import signal
 import threading
 from dataclasses import dataclass
@@ -178,15 +177,11 @@ def test_input_that_is_written_again_as_it_was_is_no_change(folder: Folder):
     assert folder.run()["b"]["status"] == "done"
 
 
-@pytest.mark.parametrize(
-    ("damaged", "old", "new"),
-    [("out.txt", r"(?s).*", "{"), ("out.txt", "c", "x"), ("record.json", r"(?s).*", "{"),
-     ("record.json", '"length": 3', '"length": 4')],
-)  # fmt: skip
-def test_damaged_files_are_made_again(folder: Folder, damaged: str, old: str, new: str):
+@pytest.mark.parametrize(("damaged", "content"), [("out.txt", b"{"), ("out.txt", b"xxxxxx"), ("record.json", b"{")])
+def test_damaged_files_are_made_again(folder: Folder, damaged: str, content: bytes):
     folder.run()
-    before, file = folder.bytes(), folder.output / "c" / damaged
-    file.write_text(re.sub(old, new, file.read_text(), count=1))
+    before = folder.bytes()
+    (folder.output / "c" / damaged).write_bytes(content)
     folder.run()
     assert folder.computed() == ["c"]
     assert folder.bytes() == before

@@ -14,7 +14,7 @@ from depthcli.io.formats.disparity import read_disparity, read_pfm, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
 from depthcli.methods.stereo.pipeline.local import Local
-from depthcli.methods.stereo.search_range import SearchRange, matched_range
+from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.simulate.stereo_scenes import make_scene
 from tests.command_line import run
@@ -162,8 +162,15 @@ def test_restoring_keeps_holes_and_fills_no_hole(low: int):
         kept = ~np.isnan(back.disparity.values[1])
         np.testing.assert_array_equal(kept, np.ones(width, bool) if dense else partner)
         np.testing.assert_array_equal(back.disparity.status[1] == 0, partner)
-        assert set(back.disparity.status[1][~partner]) <= {int(Status.OCCLUDED), int(Status.OCCLUDED | Status.FILLED)}
+        reason = Status.OCCLUDED | Status.FILLED if dense else Status.OCCLUDED
+        assert set(back.disparity.status[1][~partner]) == {int(reason)}
         assert (back.disparity.values[1][kept] == 2 + low).all()
+
+
+def test_shares_at_the_ends_and_suggested_ranges():
+    values = np.array([[0.9, 1.1, 6.9, 7.1, 8, np.nan]], np.float32)
+    assert SearchRange(0, 8).share_at_ends(DisparityMap(values, np.zeros((1, 6), np.uint8))) == (0.2, 0.4)
+    assert MatchedRange(5, 30, 20).suggested == SearchRange(0, 30)
 
 
 def test_evaluation_and_depth_with_negative_disparities(tmp_path: Path):
