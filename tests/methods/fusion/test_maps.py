@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import Status
+from depthcli.core.maps import DisparityMap, Status
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.fusion.choice.energy import ScoredMap, best_mix, energy, neighbor_weights
 from depthcli.methods.fusion.map_costs import agreement, contradictions, disagreements, matching_costs
-from depthcli.methods.fusion.maps import _largest_agreement
+from depthcli.methods.fusion.maps import MapFusion, _largest_agreement, _status
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import assert_pure, blocky_pair, random_volume, texture
@@ -71,6 +71,17 @@ def test_agreement_is_the_weighted_share():
     maps = np.array([[[5.0]], [[5.3]], [[7.0]], [[6.0]]], np.float32)
     weights = np.array([1, 2, 4, 1], np.float32)
     np.testing.assert_allclose(agreement(np.float32([[5.0]]), maps, weights), (1 + 2 + 0.5) / 8)
+
+
+def test_the_status_of_a_mix_and_the_lower_one_of_two_maps():
+    values, right = np.array([[1, 1, 1, 1, 3, 5]], np.float32), np.array([[1, 3, 0, 2, 0, 0]], np.uint16)
+    hidden, wrong = Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED
+    assert _status(values, right).tolist() == [[hidden, 0, hidden, 0, 0, wrong]]
+    fusion = MapFusion.model_validate({"optimizations": [{"optimization": "scanline"}]})
+    maps = [DisparityMap(np.full((8, 9), d, np.float32), np.zeros((8, 9), np.uint8)) for d in (2, 5)]
+    volume, grey = CostVolume(np.zeros((8, 9, 8), np.uint8)), np.zeros((8, 9), np.uint8)
+    median = fusion._proposals(StereoPair(grey, grey), volume, np.zeros((8, 9), np.uint16), maps).values[0]
+    assert (median == 2).all()  # a mean would be a value that nobody proposed
 
 
 def test_pixels_of_planes_are_those_on_which_most_maps_agree():

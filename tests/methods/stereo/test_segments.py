@@ -11,6 +11,7 @@ from depthcli.methods.stereo.keypoint_matching import Matches, consistent, neare
 from depthcli.methods.stereo.segments import planes as energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Split, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
+from depthcli.methods.stereo.segments.steps import map_with_status
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.simulate.stereo_scenes import make_scene
 from tests.contracts.checks import pairs_of_any_size_have_values_within_the_range_or_a_reason
@@ -169,6 +170,13 @@ def test_only_segments_that_are_not_a_plane_are_cut():
     assert len(np.unique(cut[:, 64:])) == 16
     assert not set(np.unique(cut[:, :64])) & set(np.unique(cut[:, 64:]))
     assert np.array_equal(naive.components(cut[..., None], 0).max(), cut.max())
+
+
+def test_the_status_of_planes():
+    values, right = np.ones((1, 5), np.float32), np.array([[0, 0, 1, 3, 0]], np.uint16)
+    first = FirstEstimate(np.array([[1, 2, 2.5, 1, 1]], np.float32), np.array([[0, 1, 1, 0, 0]]) > 0, right)
+    hidden, wrong_one = Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED
+    assert map_with_status(values, first).status.tolist() == [[hidden, Status.SMOOTHED, wrong_one, wrong_one, hidden]]
 
 
 def test_generated_planes_come_out():
