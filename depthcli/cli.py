@@ -24,7 +24,7 @@ from typer.main import get_command
 
 from depthcli import __version__, commands
 from depthcli.commands._shared_options import PluginOption, with_groups
-from depthcli.core.errors import SOME_FAILED, DepthcliError, IncompleteError
+from depthcli.core.errors import SOME_FAILED, DepthcliError, IncompleteError, Terminated
 from depthcli.core.registry import load_file, plugin_behind
 from depthcli.run.console import Reporter, silence_warnings
 
@@ -36,10 +36,6 @@ _SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": 80},
 }
-
-
-class _Terminated(BaseException):
-    """SIGTERM arrived: end as by Ctrl-C, with another exit code."""
 
 
 class _Commands(TyperGroup):
@@ -117,13 +113,13 @@ def main(arguments: list[str] | None = None) -> int:
     except DepthcliError as error:  # several lines are the problems of a config, each with its place
         _print_error(f"depthcli: {error}" if "\n" not in str(error) else str(error))
         return 2
-    except _Terminated:
+    except Terminated:
         _print_error("depthcli: terminated; the same command goes on where it stopped")
         return 143
     except (KeyboardInterrupt, typer.Abort):
         _print_error("depthcli: interrupted; the same command goes on where it stopped")
         return 130
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage, as typer tells it
             with contextlib.suppress(OSError):
                 error.show()
@@ -172,7 +168,7 @@ def _repair_streams() -> None:
 
 
 def _terminate(number: int, frame: Any) -> None:
-    raise _Terminated
+    raise Terminated
 
 
 def _print_error(text: str) -> None:

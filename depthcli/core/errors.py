@@ -22,6 +22,10 @@ EXIT_CODES = {
 """Exit code -> what it means."""
 
 
+class Terminated(BaseException):
+    """SIGTERM arrived: end as by Ctrl-C, with another exit code."""
+
+
 class DepthcliError(Exception):
     """Base of the errors a command reports without a traceback. The message can always be printed and encoded.
 

@@ -25,7 +25,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import ConfigError, Terminated
 
 T = TypeVar("T")
 
@@ -68,7 +68,9 @@ class Plugin:
         module, _, attribute = self.reference.partition(":")
         try:
             return operator.attrgetter(attribute)(importlib.import_module(module))
-        except (Exception, SystemExit) as error:  # a stranger's code may raise anything, or want to exit
+        except (KeyboardInterrupt, Terminated):
+            raise
+        except BaseException as error:  # a stranger's code may raise anything, or want to exit
             raise ConfigError(f"{self} cannot be loaded: {_reason(error)}") from error
 
     def __str__(self) -> str:
@@ -261,7 +263,9 @@ def load_file(path: Path) -> None:
                 _file_plugins[path].append(Plugin(snake, group, path.name, version, f"{name}:{kind.__qualname__}"))
         if not _file_plugins[path]:
             raise TypeError("it holds no command, and no subclass of a method, layout, protocol or the like")
-    except (Exception, SystemExit) as error:  # a stranger's code may raise anything, or want to exit
+    except (KeyboardInterrupt, Terminated):
+        raise
+    except BaseException as error:  # a stranger's code may raise anything, or want to exit
         os.environ[_FILES_VARIABLE] = before
         del _file_plugins[path]
         sys.modules.pop(name, None)

@@ -25,7 +25,7 @@ from typing import Any
 import cv2
 
 from depthcli.core import memory
-from depthcli.core.errors import DepthcliError, InputError, OutputError
+from depthcli.core.errors import DepthcliError, InputError, OutputError, Terminated
 from depthcli.core.registry import Plugin, plugin_behind
 from depthcli.core.result import Clock
 from depthcli.core.scene import computing
@@ -148,7 +148,9 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
             except OSError as error:
                 raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
             task.trace.unlink(missing_ok=True)
-        except (Exception, SystemExit) as error:  # a method of a plug-in may want to exit: that ends its scene alone
+        except (KeyboardInterrupt, Terminated):
+            raise
+        except BaseException as error:  # a plug-in may exit, or panic as those in Rust: that ends its scene alone
             row = _failed_row(task, error) | {"warnings": lines}
             # Another process may have taken the scene over where this run was ended while it was computed.
             if "disk_full" not in row and (opened is None or _is_open(task.hidden, opened)):

@@ -207,6 +207,7 @@ def test_a_command_of_a_file(file: Path, capsys: pytest.CaptureFixture[str]):
     [
         ("import nowhere_at_all", r"mine\.py:1: plug-in cannot be loaded: ModuleNotFoundError"),
         ("import sys\nsys.exit(0)", r"mine\.py:2: plug-in cannot be loaded: SystemExit: 0"),
+        ("raise BaseException('panic')", r"mine\.py:1: plug-in cannot be loaded: BaseException: panic"),
         ("x = 1\n1 / 0", r"mine\.py:2: plug-in cannot be loaded: ZeroDivisionError: division by zero"),
         ("def f(:", r"mine\.py.*plug-in cannot be loaded: SyntaxError"),
         ("x = 3", r"mine\.py: plug-in cannot be loaded: TypeError: it holds no command"),
@@ -423,6 +424,11 @@ class Exits(_Changed):
         raise SystemExit(0)
 
 
+class Panics(_Changed):
+    def wrong(self, costs):
+        raise BaseException("no exception, as in Rust")
+
+
 class Fails(_Changed):
     def wrong(self, costs):
         return costs["no such key"]
@@ -433,7 +439,8 @@ class Fails(_Changed):
     ("one_nan", ("cost one_nan", "NaN")),
     ("one_infinite", ("cost one_infinite", "infinite")),
     ("exits", ("plug-in bad.py", "SystemExit")),
-    ("fails", ("plug-in bad.py", "(bad.py:32)", "IndexError")),
+    ("panics", ("plug-in bad.py", "BaseException")),
+    ("fails", ("plug-in bad.py", "(bad.py:37)", "IndexError")),
 ])  # fmt: skip
 @pytest.mark.parametrize("command", [
     ["stereo", "accurate", "--set", "refinement=[]", "--set", "cost={0}"],
