@@ -21,6 +21,8 @@ MIN_CORNERS = 6  # fewest corners of a photo that count; four fit any camera
 MIN_PHOTOS = 3  # fewest photos that a camera is found from
 MIN_TILT = 15.0  # degrees between the board in two photos below which the focal length is not determined
 OUTLIER_PX = 0.3  # errors up to this are those of good photos, however small those of the others are
+MAX_ERROR_RATIO = 3.0  # of a rig's errors to those of its cameras alone, and to 0.3 px; above, it does not fit
+SIMILAR_ERROR_RATIO = 2.0  # to those of its cameras alone; above, it is doubtful, and has to be like them
 
 _WINDOW = 0.25  # of the spacing of corners: half the window in which a corner's edges are fitted
 _BLUR = (0.4, 0.2)  # standard deviation, pixels, alone and for each of half the window: fewer steps along edges
@@ -29,6 +31,7 @@ _MIN_WINDOW, _MAX_WINDOW = 3, 25  # pixels; smaller ones hold too few
 _REFINEMENT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
 _FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _OUTLIER_DEVIATIONS = 3.0
+_MAX_CHANGE = 1.05  # of focal lengths and baseline of a doubtful rig, against those by the cameras alone; a factor
 _DEVIATION = 1.4826  # median absolute deviations to standard deviations
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-9)
 _cv2: Any = cv2  # its stubs know the lists neither of cv2 nor of cv2.fisheye
@@ -216,6 +219,11 @@ class RigFit:
     errors: dict[str, float]
     outliers: dict[str, float]  # name -> error, of the pairs that were left out
 
+    @property
+    def error(self) -> float:
+        """Root mean square of the errors of the pairs, pixels."""
+        return float(np.sqrt(np.mean(np.square(list(self.errors.values())))))
+
 
 def fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: bool) -> CameraFit:
     """Return the camera that took the photos of ``size`` (width, height), without those whose error is an outlier.
@@ -228,11 +236,14 @@ def fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: bo
         return _without_outliers(photos, lambda used: _fit_camera(board, used, size, fisheye))
 
 
-def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], cameras: tuple[Camera, Camera]) -> RigFit:
+def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], alone: tuple[CameraFit, CameraFit]) -> RigFit:
     """Return the rig of two cameras, whose lenses are refined by the pairs, without those that are outliers.
 
-    Outliers are found with the lenses as given, by the rule of :func:`fit_camera`: pairs of photos that do not belong
-    together, or between which the board was moved. InputError: fewer than three pairs, or they do not determine it.
+    ``alone`` are the cameras by their own photos. Outliers are found with these lenses, by the rule of
+    :func:`fit_camera`: pairs of photos that do not belong together, or between which the board was moved. InputError:
+    fewer than three pairs, they do not determine the rig, or the refined one does not fit them: its error is above 3
+    times that of the cameras alone (and 0.3 pixels); or above twice that, while focal lengths or baseline differ by
+    more than 5 % from those with the lenses of the cameras alone.
     """
     usable = {}
     for name, pair in pairs.items():
@@ -240,10 +251,28 @@ def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], cameras: tu
         if len(ids) >= MIN_CORNERS:
             left, right = (Corners(ids, view.pixels[np.isin(view.ids, ids)]) for view in pair)
             usable[name] = left, right
+    cameras = alone[0].camera, alone[1].camera
     with single_thread():
         rough = _without_outliers(usable, lambda used: _fit_rig(board, used, cameras, False))
         fine = _fit_rig(board, {name: usable[name] for name in rough.errors}, cameras, True)
+    error = max(each.error for each in alone)
+    if not fine.error <= MAX_ERROR_RATIO * max(error, OUTLIER_PX):
+        raise InputError(
+            f"the pairs do not fit two cameras at fixed places: they are off by {fine.error:.3g} px, each camera alone "
+            f"by {error:.2f} px at most; were the photos of a pair taken at one moment, and is the board flat?"
+        )
+    change = float(np.exp(np.abs(np.log(_lengths(fine.rig) / _lengths(rough.rig))).max()))
+    if fine.error > SIMILAR_ERROR_RATIO * error and change > _MAX_CHANGE:
+        raise InputError(
+            "the photos do not determine the cameras: focal lengths or baseline by pairs and by single photos differ "
+            f"by a factor of {change:.3g}; add photos with the board tilted by 30 degrees or more"
+        )
     return RigFit(fine.rig, fine.errors, rough.outliers)
+
+
+def _lengths(rig: Rig) -> NDArray[np.float64]:
+    # Focal lengths of both cameras, pixels, and the baseline, meters.
+    return np.array([*np.diag(rig.left.matrix)[:2], *np.diag(rig.right.matrix)[:2], rig.baseline])
 
 
 def _without_outliers(photos: dict[str, Any], fit: Callable[[dict[str, Any]], ResultT]) -> ResultT:

@@ -8,7 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from depthcli.algorithms.calibration import MIN_PHOTOS, Board, fit_camera, fit_rig
+from depthcli.algorithms.calibration import (
+    MAX_ERROR_RATIO,
+    MIN_PHOTOS,
+    OUTLIER_PX,
+    SIMILAR_ERROR_RATIO,
+    Board,
+    fit_camera,
+    fit_rig,
+)
 from depthcli.commands._board_photos import OUTLIER, CameraPhotos, board_of, look
 from depthcli.commands._calibration_report import Calibrated, picture_of, print_summary, report_of, table_of
 from depthcli.commands._options import BoardOptions
@@ -71,14 +79,17 @@ def calibrate_cameras(
 
 
 def _with_rig(board: Board, left: CameraPhotos, right: CameraPhotos) -> Calibrated:
-    """Return two cameras with their rig, and by how much the rows of each pair differ once rectified."""
+    """Return two cameras with their rig, and by how much the rows of each pair differ once rectified.
+
+    InputError where they do not fit the photos about as well as each camera alone.
+    """
     both = [name for name in left.fit.errors if name in right.fit.errors]
     if len(both) < MIN_PHOTOS:
         raise InputError(
             f"the board is in both photos of {len(both)} pairs; at least {MIN_PHOTOS} are needed, better 15 or more"
         )
     pairs = {name: (left.corners[name], board.alike(left.corners[name], right.corners[name])) for name in both}
-    fit = fit_rig(board, pairs, (left.fit.camera, right.fit.camera))
+    fit = fit_rig(board, pairs, (left.fit, right.fit))
     try:
         rectified = fit.rig.rectified(left.size, right.size, mirrored=True)
     except InputError as error:
@@ -88,5 +99,18 @@ def _with_rig(board: Board, left: CameraPhotos, right: CameraPhotos) -> Calibrat
         ids = np.intersect1d(pairs[name][0].ids, pairs[name][1].ids)
         one, other = rectified.points(*(each.pixels[np.isin(each.ids, ids)] for each in pairs[name]))
         errors[name] = float(np.sqrt(np.mean((one[:, 1] - other[:, 1]) ** 2)))
-    mirrored = "the right camera stands to the left of the left one; exchange the photos of the two"
-    return Calibrated((left, right), fit, errors, [mirrored] if rectified.mirrored else [])
+    apart, own = float(np.median(list(errors.values()))), max(left.fit.error, right.fit.error)
+    if not apart <= MAX_ERROR_RATIO * max(own, OUTLIER_PX):
+        raise InputError(
+            f"the photos do not determine the cameras: after rectification rows are {apart:.3g} px apart, where each "
+            f"camera alone is off by {own:.2f} px at most; add photos with the board tilted, and up to the border"
+        )
+    warnings = []
+    if fit.error > SIMILAR_ERROR_RATIO * own:
+        warnings.append(
+            f"the pairs are off by {fit.error:.2f} px, each camera alone by {own:.2f} px at most; "
+            "was the board moved between the photos of a pair? see pair_error in the report"
+        )
+    if rectified.mirrored:
+        warnings.append("the right camera stands to the left of the left one; exchange the photos of the two")
+    return Calibrated((left, right), fit, errors, warnings)

@@ -55,7 +55,8 @@ def report_of(found: Calibrated, board: Board, photos: Sequence[str], unnamed: S
     if rig is not None:
         turn = float(np.degrees(np.linalg.norm(cv2.Rodrigues(rig.rig.rotation)[0])))
         rows = float(np.sqrt(np.mean(np.square(list(found.row_errors.values()))))) if found.row_errors else None
-        report["rig"] = {"baseline": rig.rig.baseline, "turn": turn, "pairs": len(rig.errors), "row_error": rows}
+        report["rig"] = {"baseline": rig.rig.baseline, "turn": turn, "pairs": len(rig.errors)}
+        report["rig"] |= {"reprojection_error": rig.error, "row_error": rows}
     return report
 
 
@@ -79,9 +80,10 @@ def _doubts(view: CameraPhotos) -> list[str]:
 
 
 def _camera(view: CameraPhotos, camera: Camera) -> Row:
-    """Return what the report says of a camera: pixels, degrees."""
+    """Return what the report says of a camera: pixels, degrees; the errors are those of the fit to its own photos."""
     fit, (fx, fy), (cx, cy) = view.fit, np.diag(camera.matrix)[:2], camera.matrix[:2, 2]
     row: Row = {"side": view.side, "size": list(view.size), "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+    row |= {"focal_lengths_alone": np.diag(fit.camera.matrix)[:2].tolist()} if camera is not fit.camera else {}
     row |= {"distortion": list(camera.distortion), "fisheye": camera.fisheye}
     row["focal_deviations"] = None if fit.focal_deviations is None else list(fit.focal_deviations)
     row |= {"reprojection_error": fit.error, "photos": len(fit.errors), "coverage": view.coverage}
@@ -125,13 +127,17 @@ def print_summary(report: Row, views: Sequence[CameraPhotos], reporter: Reporter
         reporter.error(f"warning: {line}")
     for view, row in zip(views, report["cameras"], strict=True):
         spread = "" if row["focal_deviations"] is None else f" +- {max(row['focal_deviations']):.2f}"
+        focal = f"focal length {row['fx']:.2f}{spread} px"
+        if alone := row.get("focal_lengths_alone"):
+            focal = f"focal length {row['fx']:.2f} px, alone {alone[0]:.2f}{spread} px"
         reporter.info(
-            f"{view.name}: focal length {row['fx']:.2f}{spread} px, error {row['reprojection_error']:.3f} px, "
+            f"{view.name}: {focal}, error {row['reprojection_error']:.3f} px, "
             f"{row['photos']} photos, corners in {100 * row['coverage']:.0f} % of the image"
         )
     if rig := report.get("rig"):
         rows = "" if rig["row_error"] is None else f", rows {rig['row_error']:.3f} px apart after rectification"
-        reporter.info(f"baseline {1000 * rig['baseline']:.2f} mm from {rig['pairs']} pairs{rows}")
+        fit = f"{rig['pairs']} pairs, error {rig['reprojection_error']:.3f} px{rows}"
+        reporter.info(f"baseline {1000 * rig['baseline']:.2f} mm from {fit}")
 
 
 def picture_of(views: Sequence[CameraPhotos]) -> NDArray[np.uint8]:

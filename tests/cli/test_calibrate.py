@@ -2,14 +2,16 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.calibration import Chessboard, Corners
-from depthcli.core.cameras.rig import Rig
+from depthcli.algorithms.calibration import CameraFit, Chessboard, Corners, fit_rig
+from depthcli.core.cameras.rig import RectifiedRig, Rig
+from depthcli.core.errors import InputError
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import read_rig
 from depthcli.io.formats.images import read_image, write_png
@@ -199,6 +201,44 @@ def test_numbers_of_photos_are_no_cameras(tmp_path: Path) -> None:
         write_png(tmp_path / f"img{number}.png", np.zeros((4, 4), np.uint8))
     photos, unnamed = find_photos([tmp_path])
     assert len(photos) == 6 and not unnamed and all(each.right is None for each in photos)
+
+
+def test_pairs_of_no_rig_are_refused(few: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = sorted(few.glob("right*"))
+    images = [read_image(file) for file in files]
+    for file, image in zip(files, (*images[1:], images[0]), strict=True):
+        write_png(file, image)
+    assert run("calibrate", few, *CHESS, "-o", tmp_path / "c.yml") == 2
+    err = capsys.readouterr().err
+    assert "the pairs do not fit" in err and err.count("\n") == 1
+    assert not list(tmp_path.glob("c*"))
+
+
+def test_a_rig_whose_rows_do_not_meet_is_refused(
+    few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points = RectifiedRig.points
+    monkeypatch.setattr(RectifiedRig, "points", lambda *a: (points(*a)[0], points(*a)[1] + 2))
+    assert run("calibrate", few, *CHESS, "-o", tmp_path / "c.yml") == 2
+    assert "rows are 2" in capsys.readouterr().err and not (tmp_path / "c.yml").exists()
+
+
+@pytest.mark.parametrize(("noise", "refused"), [(0.01, False), (0.2, True)])
+def test_a_rig_that_fits_worse_than_its_cameras_has_to_resemble_them(noise: float, refused: bool) -> None:
+    board, true, rng = Chessboard(9, 6, SQUARE), boards.rig(), np.random.default_rng(0)
+    pairs = {}
+    for k, (turn, shift) in enumerate(boards.poses(6, EXTENT)):
+        points = board.points @ turn.T + shift
+        seen = true.left.project(points), true.right.project(points @ true.rotation.T + true.translation)
+        pairs[str(k)] = tuple(Corners(np.arange(54), each + rng.normal(0, noise, each.shape)) for each in seen)
+    longer = [replace(each, matrix=np.diag([1.3, 1.3, 1]) @ each.matrix) for each in (true.left, true.right)]
+    residuals = {"0": np.full((54, 2), 0.02)}
+    alone = tuple(CameraFit(each, None, {}, residuals, 30.0, {}) for each in longer)
+    if refused:
+        with pytest.raises(InputError, match="do not determine"):
+            fit_rig(board, pairs, alone)
+    else:
+        assert fit_rig(board, pairs, alone).rig.baseline == pytest.approx(0.12, rel=0.01)
 
 
 def test_cameras_of_two_sizes_are_refused(few: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
