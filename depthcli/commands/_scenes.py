@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError
 from depthcli.io.inputs import local
 from depthcli.io.layouts import Layouts
-from depthcli.io.named_files import STDIN, is_table, named_scenes, scenes_of_table
+from depthcli.io.named_files import STDIN, is_table, named_scenes, patterns_in, scenes_of_table
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.walk import NoScenesError, chosen_scenes, discover_scenes
 from depthcli.run.batch import SceneT
@@ -55,7 +56,9 @@ def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions)
     try:
         return scenes_at(place, layouts, source.layout, source.patterns, run.reporter)
     except NoScenesError as error:
-        raise NoScenesError(f"{error}; give files of other names by {single}") from error
+        found = patterns_in(local(place)) if issubclass(StereoScene, layouts.kind) else None
+        hint = single if found is None else "--left {} --right {}".format(*map(shlex.quote, found))
+        raise NoScenesError(f"{error}; give files of other names by {hint}") from error
 
 
 def scenes_at(

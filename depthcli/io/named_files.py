@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import itertools
 import os
 import re
 import sys
@@ -25,6 +26,7 @@ TABLE_SUFFIXES = (".csv", ".tsv")
 STDIN = Path("-")
 """In place of a table: the standard input."""
 
+_MAX_FOLDERS = 8  # that are looked at for two whose images belong together
 _WILD = re.compile(r"[*?\[]")
 _MAX_BYTES = 1 << 28  # of a table
 _COLUMNS = ("left", "right", "name", "calibration", "max_disparity", "min_disparity")
@@ -217,6 +219,18 @@ def match_patterns(left: Path, right: Path) -> list[tuple[str, Path | None, Path
         if set(one) & set(other):
             return [(name, one.get(name), other.get(name)) for name in sorted(set(one) | set(other))]
     raise ConfigError(f"{left} and {right}: no two names belong together ({matches[0][0].path.name}, ...)")
+
+
+def patterns_in(folder: Path) -> tuple[str, str] | None:
+    """Return patterns of two folders in a folder whose images belong together by their names; None without such."""
+    inside = sorted(Path(folder, name) for name in os.listdir(folder) if name[0] != ".")
+    for left, right in itertools.combinations([path for path in inside if os.path.isdir(path)][:_MAX_FOLDERS], 2):
+        with contextlib.suppress(ConfigError):
+            if any(one and other for _, one, other in match_patterns(left, right)):
+                endings = (Counter(file.path.suffix for file in _matching(place)) for place in (left, right))
+                one, other = (ending.most_common(1)[0][0] for ending in endings)
+                return f"{left}/*{one}", f"{right}/*{other}"
+    return None
 
 
 class _Match(NamedTuple):

@@ -144,6 +144,11 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
     put(tmp_path / "pairs", "0001_L.png", "0001_R.png", "0002_L.png", "notes.png")
     scenes = find(tmp_path / "pairs")
     assert {name: bool(scene.problem) for name, scene in scenes.items()} == {"0001": False, "0002": True}
+    put(tmp_path / "both", "left/0001_L.png", "right/0001_R.png", "left/0002_L.png")
+    scenes = find(tmp_path / "both")
+    assert {name: bool(scene.problem) for name, scene in scenes.items()} == {"0001": False, "0002": True}
+    put(tmp_path / "cameras", "camera_left/a.png", "camera_right/a.png")
+    assert find(tmp_path / "cameras")["a"].right == tmp_path / "cameras/camera_right/a.png"
     put(tmp_path / "starts", "left_a.png", "right_a.png")
     assert find(tmp_path / "starts")["a"].right == tmp_path / "starts/right_a.png"
     for view in ("image_0", "image_1"):
@@ -199,3 +204,16 @@ def test_a_table_from_the_standard_input(separator: str, tmp_path: Path, monkeyp
     first, second = scenes_of_table(Path("-"))
     assert (first.name, first.left, first.right) == ("first", Path("a.png"), Path("b.png"))
     assert second.name == "second"
+
+
+def test_patterns_are_suggested_where_no_layout_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    put(tmp_path / "my rig", "port/1.jpg", "port/2.jpg", "starboard/1.jpg", "thumbs/a.png")
+    arguments = "stereo", "opencv-bm", "-o", tmp_path / "run", "--dry-run"
+    assert run(*arguments, "-i", tmp_path / "my rig") == 2
+    err = capsys.readouterr().err
+    left, right = tmp_path / "my rig/port/*.jpg", tmp_path / "my rig/starboard/*.jpg"
+    assert f"--left '{left}' --right '{right}'" in err and err.count("\n") == 1
+    assert run(*arguments, "--left", left, "--right", right) == 0
+    put(tmp_path / "other", "a/1.jpg", "b/x.jpg")
+    assert run(*arguments, "-i", tmp_path / "other") == 2
+    assert "--left FILE and --right FILE" in capsys.readouterr().err

@@ -66,6 +66,23 @@ def test_our_layout(tmp_path: Path):
     np.testing.assert_array_equal(load(replace(scene, depth_scale=1000)).depth[1:], 2)
 
 
+def test_frames_in_folders_of_color_and_depth(tmp_path: Path):
+    for number in (7, 8):
+        write_png(tmp_path / "a/rgb" / f"frame_{number}.png", np.zeros((4, 4, 3), np.uint8))
+        write_png(tmp_path / "b/rgb" / f"rgb_cup{number}.png", np.zeros((4, 4, 3), np.uint8))
+    for name in ("a/depth/frame_7", "a/mask_transparent/frame_7", "b/depth/depth_cup7", "b/depth/depth_cup8"):
+        write_png(tmp_path / f"{name}.png", np.ones((4, 4), np.uint16))
+    first, second = discover_scenes(tmp_path / "a", FRAMES)
+    assert (first.name, first.layout, first.sequence, first.number) == ("frame_7", "rgb-depth", "a", 7)
+    assert list(first.masks) == ["transparent"] and not first.problem and second.problem
+    assert [(s.name, s.depth.name, s.sequence) for s in discover_scenes(tmp_path / "b", FRAMES)] == [
+        ("cup7", "depth_cup7.png", ""), ("cup8", "depth_cup8.png", ""),
+    ]  # fmt: skip
+    (tmp_path / "a/rgb.txt").touch()
+    with pytest.raises(InputError, match="no scenes"):
+        discover_scenes(tmp_path / "a", FRAMES)
+
+
 @pytest.mark.parametrize(
     ("meta", "warned"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,13 @@ def _frame(found: Found) -> dict[str, Any] | None:
 def _numbered(found: Found) -> dict[str, Any]:
     number = int(found.keys["number"])
     return _meta(found.folder) | {"sequence": found.folder.name, "number": number, "pose": None}
+
+
+def _named(found: Found) -> dict[str, Any]:
+    """Return the facts of a frame in folders of frames; names that are numbers are those of a sequence."""
+    number = re.fullmatch(r"(?:frame[-_]?)?(\d+)", found.keys["name"])
+    place = {"sequence": found.folder.name, "number": int(number[1])} if number else {}
+    return _meta(found.folder) | {"pose": None} | place
 
 
 def _sun(found: Found) -> dict[str, Any] | None:
@@ -210,6 +218,19 @@ FRAMES = Layouts.of(
         files=({"color": "color/{_}{number}.*", "depth": "depth/{_}{number}.*", **_NUMBERED},
                {"color": "color_{number}.*", "depth": "depth_{number}.*", **_NUMBERED}),
         without=("intrinsic", "intrinsics_color.txt"), facts=_numbered, either=True,
+    ),
+    LayoutRow(
+        title="rgb-depth", kind=RgbdScene, needs=("rgb", "depth"), without=("associations.txt", "rgb.txt"),
+        wants="`rgb/NAME.*` and `depth/NAME.*` (also `rgb/NAME_rgb.*` or `rgb/rgb_NAME.*` and so on); where known "
+        "`depth_true/NAME.*`, `mask_transparent/NAME.*`, and `meta.json` of all frames as `rgbd`",
+        files=tuple(
+            {"color": f"rgb/{color}.*", "depth": f"depth/{depth}.*", "depth_true": "depth_true/{name}.*",
+             "mask.transparent": "mask_transparent/{name}.*", "name": "{name}"}
+            for color, depth in (
+                ("{name}", "{name}"), ("rgb_{name}", "depth_{name}"), ("color_{name}", "depth_{name}"),
+                ("{name}_rgb", "{name}_depth"), ("{name}_color", "{name}_depth"),
+            )
+        ), facts=_named, either=True,
     ),
     _Scannet(
         title="scannet", kind=RgbdScene, needs=("intrinsic*",),

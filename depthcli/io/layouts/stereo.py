@@ -175,13 +175,17 @@ PAIRS = Layouts.of(
     ),
     LayoutRow(
         title="views",
-        wants="`left/NAME.*`, `right/NAME.*` (also `image_left`, `cam0`, `cam0/data`); where known `disp_left/NAME.*`, "
-        "and `calib.txt`, `meta.json` of all pairs",
+        wants="`left/NAME.*`, `right/NAME.*` (also `image_left`, `camera_left`, `cam0`, `cam0/data`, or "
+        "`left/NAME_L.*`, `right/NAME_R.*`); where known `disp_left/NAME.*`, and `calib.txt`, `meta.json` of all pairs",
         files=_variants(
-            {"left": "<0>/{name}.*", "right": "<1>/{name}.*", "disparity_left": "disp_left/{name}.*",
-             "calibration": "calib.txt", "name": "{name}"},
-            ("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"), ("image_left", "image_right"),
-            ("left_images", "right_images"), ("cam0", "cam1"), ("cam0/data", "cam1/data"),
+            {"left": "<0>.*", "right": "<1>.*", "disparity_left": "disp_left/{name}.*", "calibration": "calib.txt",
+             "name": "{name}"},
+            *((f"{left}/{{name}}", f"{right}/{{name}}") for left, right in (
+                ("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"), ("image_left", "image_right"),
+                ("left_images", "right_images"), ("camera_left", "camera_right"), ("cam0", "cam1"),
+                ("cam0/data", "cam1/data"),
+            )),
+            *((f"left/{{name}}{gap}{left}", f"right/{{name}}{gap}{right}") for left, right, gap in _SIDES),
         ), facts=_meta, either=True,
     ),
     LayoutRow(
