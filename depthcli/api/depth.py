@@ -194,6 +194,7 @@ def complete_transparent(
     overrides: Overrides | None = None,
     *,
     sparse_confidence: Image | None = None,
+    objects: Image | None = None,
     infrared: Image | None = None,
     calibration: str | Path | None = None,
     fb: float | None = None,
@@ -209,9 +210,10 @@ def complete_transparent(
     color, depth : as for :func:`depthcli.refine_depth`
     sparse : (H, W), a second measurement in the same unit, known at some pixels
     preset : name of a preset of ``depthcli transparent``, path of a YAML file, or a config; None: ``"sparse"`` where
-        ``sparse`` is given, else ``"kinect"``
+        ``sparse`` is given, ``"sensor"`` where ``objects`` are, else ``"kinect"``
     overrides : config keys -> values, as ``--set`` has them
     sparse_confidence : (H, W) floats, higher is surer; None: all alike
+    objects : (H, W), not 0 at transparent objects, for ``"sensor"``, which continues what surrounds them
     infrared : (h, w) grey image of a second camera, for presets with stereo
     calibration : file of both cameras, JSON or OpenCV's YAML; None: the images are a rectified pair
     fb : focal length x baseline of the rectified pair, pixel meters; with ``sparse``, that of the sensor
@@ -229,7 +231,8 @@ def complete_transparent(
     >>> round(float(completed.values[24, 24]), 1)
     0.8
     """
-    chosen = preset if preset is not None else "sparse" if sparse is not None else "kinect"
+    default = "sparse" if sparse is not None else "kinect" if objects is None else "sensor"
+    chosen = preset if preset is not None else default
     config = load_config(TransparentConfig, chosen, overrides, **fields)
     scale = config.depth_scale or MILLIMETERS
     image = color8(as_image(color, "color"))
@@ -237,12 +240,20 @@ def complete_transparent(
     with collected_warnings() as lines:
         measured = as_depth(depth, "depth", scale, (height, width))
         second = None if sparse is None or config.stereo else as_depth(sparse, "sparse", scale, measured.shape)
+    camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
     frame: SparseFrame | RgbIrFrame
-    if config.stereo is None:
+    if config.stereo is None and config.pipeline.needs == "objects":
+        if objects is None:
+            raise InputError("this config wants a mask of the transparent objects: give objects")
+        inside, nothing = as_map(objects, "objects", measured.shape) != 0, np.full_like(measured, np.nan)
+        if not (np.isfinite(measured) & ~inside).any():
+            raise InputError("objects: no pixel outside of them has a depth")
+        frame = SparseFrame(image, measured, fb or sensor_fb(camera), camera, sparse=nothing, objects=inside)
+    elif config.stereo is None:
         if second is None:
             raise InputError("this config wants sparse depth: give sparse, or a preset with stereo")
         surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
-        frame = SparseFrame(image, measured, fb or sensor_fb(None), sparse=second, sparse_confidence=surer)
+        frame = SparseFrame(image, measured, fb or sensor_fb(None), camera, sparse=second, sparse_confidence=surer)
     else:
         if infrared is None:
             raise InputError("this config wants an infrared image: give infrared, or sparse with another preset")
@@ -292,7 +303,11 @@ def completed_frame(
     need = max(each.peak_bytes(shape) for each in (config.pipeline, stereo) if each is not None)
     check_memory(need, memory, f"{shape[1]} x {shape[0]} pixels")
     if isinstance(given, SparseFrame):
-        return given, _refined(config.pipeline, given, clock, scale, rotate)
+        completed = _with_cloud(config, _refined(config.pipeline, given, clock, scale, rotate))
+        if given.objects is not None:
+            text = "inside the mask is the depth of the surroundings, not of the objects: nothing measured it"
+            completed = replace(completed, warnings=(text, *completed.warnings))
+        return given, completed
     assert stereo is not None
     frame, figures = stereo(given, clock)
     found = _refined(config.pipeline, frame, clock, scale, rotate)
@@ -302,7 +317,12 @@ def completed_frame(
     found.details.pictures["stereo"] = np.where(codes <= 65535, codes, 0).astype(np.uint16)
     if frame.sparse_confidence is not None:
         found.details.confidence["stereo"] = frame.sparse_confidence
-    return frame, found
+    return frame, _with_cloud(config, found)
+
+
+def _with_cloud(config: TransparentConfig, found: RefinedDepth) -> RefinedDepth:
+    camera = found.camera if config.intrinsics is None else Intrinsics(*config.intrinsics)
+    return replace(found, camera=camera, cloud=np.isfinite(found.values) if config.ply else None)
 
 
 def _refined(

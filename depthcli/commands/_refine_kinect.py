@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,9 +14,10 @@ import numpy as np
 from depthcli.api.depth import refined_frame
 from depthcli.api.saving import check_limits, empty_cloud, parse_mask
 from depthcli.commands._batch import config_of
+from depthcli.commands._intrinsics import camera_of, say_typical_cameras
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
-from depthcli.core.errors import ConfigError, DepthcliError, InputError
+from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, DepthResult
@@ -50,7 +50,7 @@ def prepare(
 ) -> tuple[RefineKinect, list[FrameOrSequence]]:
     """Return the batch of ``refine-kinect`` with this config, and the frames or sequences that the options name."""
     if intrinsics is not None:
-        _camera("--intrinsics", intrinsics)
+        camera_of("--intrinsics", intrinsics)
         options["intrinsics"] = f"[{intrinsics}]"
     found = config_of(RefineKinectConfig, config, settings, **options)
     check_limits(found.near, found.far)
@@ -59,28 +59,12 @@ def prepare(
     if getattr(frames, "color", None) is not None:  # the cameras may lie in a meta.json beside the files
         scenes = [replace(s, **cameras(Folder(s.folder, s.name, "", "").meta)) for s in scenes]
     if depth_intrinsics is not None:
-        camera = _camera("--depth-intrinsics", depth_intrinsics)
+        camera = camera_of("--depth-intrinsics", depth_intrinsics)
         scenes = [s if s.raw else replace(s, depth_intrinsics=camera) for s in scenes]
-    own = [scene for scene in scenes if not (scene.problem or scene.raw)]
-    n_without = sum(frame.intrinsics is None for frame in own)
-    if found.ply and found.intrinsics is None and n_without:
-        run.reporter.info(
-            f"warning: {n_without} of {len(own)} frames have no intrinsics; point clouds take those of a "
-            "typical Kinect (fx, fy 525 at a width of 640); see --intrinsics, or meta.json"
-        )
+    if found.ply and found.intrinsics is None:
+        say_typical_cameras(scenes, run.reporter)
     units = sequences(scenes) if isinstance(found.pipeline, SequencePipeline) else scenes
     return RefineKinect(found), cast("list[FrameOrSequence]", units)
-
-
-def _camera(option: str, text: str) -> tuple[float, float, float, float]:
-    """Return fx, fy, cx, cy of an option; ConfigError where they cannot be those of a camera."""
-    try:
-        fx, fy, cx, cy = (float(number) for number in text.split(","))
-    except ValueError:
-        fx = fy = cx = cy = math.nan
-    if not (all(map(math.isfinite, (fx, fy, cx, cy))) and min(fx, fy) > 0):
-        raise ConfigError(f"{option}: expected fx,fy,cx,cy in pixels, focal lengths above 0 (got {text[:64]!r})")
-    return fx, fy, cx, cy
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from depthcli.api.depth import completed_frame
+from depthcli.api.saving import empty_cloud
 from depthcli.commands._batch import config_of
+from depthcli.commands._intrinsics import camera_of, say_typical_cameras
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.color_and_infrared import RgbIrFrame
@@ -20,20 +22,31 @@ from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts.depth import FRAMES
-from depthcli.io.rgbd_frames import frame_size, load_infrared_frame, load_sparse_frame
+from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame, load_masked_frame, load_sparse_frame
 from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, percent
-from depthcli.run.json_csv import share
+from depthcli.run.json_csv import Row, share
 
 
 def prepare(
-    config: str, frames: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None, **options: Any
+    config: str,
+    frames: SceneOptions,
+    run: RunOptions,
+    settings: Sequence[str | tuple[str, str]] | None,
+    intrinsics: str | None = None,
+    **options: Any,
 ) -> tuple[Transparent, list[RgbdScene]]:
     """Return the batch of ``transparent`` with this config, and the frames that the command line names."""
+    if intrinsics is not None:
+        camera_of("--intrinsics", intrinsics)
+        options["intrinsics"] = f"[{intrinsics}]"
     found = config_of(TransparentConfig, config, settings, **options)
-    return Transparent(found), find_scenes(FRAMES, frames, run)
+    scenes = find_scenes(FRAMES, frames, run)
+    if found.ply and found.intrinsics is None:
+        say_typical_cameras(scenes, run.reporter)
+    return Transparent(found), scenes
 
 
 @dataclass(frozen=True)
@@ -58,13 +71,20 @@ class Transparent(Batch[RgbdScene]):
     def files(self, scene: RgbdScene) -> dict[str, Path]:
         """Return the files of the frame with those of its sparse depth, unless stereo gives that."""
         sparse = {"sparse": scene.sparse, "sparse_confidence": scene.sparse_confidence}
+        if self._by_mask:
+            sparse = {"objects": scene.masks.get(TRANSPARENT)}
         given = {role: file for role, file in sparse.items() if file is not None and self.config.stereo is None}
         return scene.input_files | given
+
+    @property
+    def _by_mask(self) -> bool:
+        return self.config.stereo is None and self.config.pipeline.needs == "objects"
 
     def settings(self, scene: RgbdScene) -> dict[str, str]:
         """Return the scale of the depth, and the largest disparity of color and infrared image."""
         scale, max_disparity = self.config.depth_scale or scene.depth_scale, getattr(scene, "max_disparity", None)
-        return {"depth_scale": str(scale), "max_disparity": str(max_disparity)}
+        found = {"depth_scale": str(scale), "max_disparity": str(max_disparity)}
+        return found | ({"camera": str(scene.intrinsics)} if self.config.ply else {})
 
     def memory(self, scene: RgbdScene) -> int:
         """Return an estimate of the peak memory once the sparse depth is known, bytes."""
@@ -75,9 +95,12 @@ class Transparent(Batch[RgbdScene]):
         config, clock = self.config, Clock()
         given: SparseFrame | RgbIrFrame
         clock.start("load")
-        if config.depth_scale is not None:
-            scene = replace(scene, depth_scale=config.depth_scale)
-        if (stereo := config.stereo) is None:
+        scale, intrinsics = config.depth_scale or scene.depth_scale, config.intrinsics or scene.intrinsics
+        scene = replace(scene, depth_scale=scale, intrinsics=intrinsics)
+        config = config.model_copy(update={"intrinsics": intrinsics})
+        if self._by_mask:
+            given = load_masked_frame(scene)
+        elif (stereo := config.stereo) is None:
             given = load_sparse_frame(scene)
         elif not isinstance(scene, RgbIrScene):
             raise InputError(f"{scene.folder}: {scene.name} has no infrared image (ir.*), which this config needs")
@@ -90,7 +113,7 @@ class Transparent(Batch[RgbdScene]):
         frame, found = completed_frame(config, given, clock, scene.depth_scale, memory, rotate)
         clock.start("save")
         found.save(folder)
-        facts = {
+        facts: Row = {
             "width": frame.shape[1],
             "height": frame.shape[0],
             "known": share(np.isfinite(frame.depth)),
@@ -102,4 +125,8 @@ class Transparent(Batch[RgbdScene]):
             "density": round(found.density, 6),
             **{name: float(value) for name, value in found.details.figures.items()},
         }
-        return Outcome(facts, clock.seconds, list(found.warnings))
+        warnings = list(found.warnings)
+        if found.cloud is not None:
+            facts["intrinsics"] = "of the camera" if scene.intrinsics else "typical"
+            warnings += empty_cloud(found.values, found.cloud)
+        return Outcome(facts, clock.seconds, warnings)

@@ -24,6 +24,9 @@ from depthcli.io.formats.images import image_size, read_grey, read_image
 from depthcli.io.formats.plain_text import json_object, numbers
 from depthcli.io.scenes import RgbdScene, RgbIrScene, check_same_size
 
+TRANSPARENT = "transparent"
+"""Name of the mask of transparent objects."""
+
 _FIELDS: dict[str, tuple[int, ...]] = dict.fromkeys(("depth_K", "color_K", "depth_to_color_R"), (3, 3))
 _FIELDS |= {"depth_kc": (5,), "color_kc": (5,), "depth_to_color_t": (3,), "dc": (2,), "dc_alpha": (2,)}
 
@@ -68,13 +71,39 @@ def load_frame(scene: RgbdScene) -> RgbdFrame:
     return frame
 
 
-def load_sparse_frame(scene: RgbdScene) -> SparseFrame:
-    """Return the frame with its second, sparse depth."""
+def load_masked_frame(scene: RgbdScene) -> SparseFrame:
+    """Return the frame with the mask of its transparent objects, and without any sparse depth."""
+    frame = _color_frame(scene)
+    if (file := scene.masks.get(TRANSPARENT)) is None:
+        raise InputError(
+            f"{scene.folder}: {scene.name} has no mask of the objects (mask_{TRANSPARENT}.*, 255 inside), which this "
+            "config needs"
+        )
+    objects = read_grey(file) == 255
+    check_same_size(file, objects.shape, scene.image, frame.shape)
+    if not (np.isfinite(frame.depth) & ~objects).any():
+        raise InputError(f"{scene.depth}: no pixel outside of {file.name} has a depth")
+    nothing = np.full(frame.shape, np.nan, np.float32)
+    return SparseFrame(
+        frame.color, frame.depth, frame.fb, frame.intrinsics, frame.interpolated, sparse=nothing, objects=objects
+    )
+
+
+def _color_frame(scene: RgbdScene) -> RgbdFrame:
     frame = load_frame(scene)
     if scene.color is None:
         raise InputError(f"{scene.depth}: no color image beside it, which transparent objects need")
+    return frame
+
+
+def load_sparse_frame(scene: RgbdScene) -> SparseFrame:
+    """Return the frame with its second, sparse depth."""
+    frame = _color_frame(scene)
     if scene.sparse is None:
-        raise InputError(f"{scene.folder}: {scene.name} has no sparse depth (sparse.*)")
+        raise InputError(
+            f"{scene.folder}: {scene.name} has no sparse depth (sparse.*); with a mask of the objects "
+            f"(mask_{TRANSPARENT}.*) preset sensor does without"
+        )
     sparse, confidence = _read_depth(scene, scene.sparse), None
     check_same_size(scene.sparse, sparse.shape, scene.image, frame.shape)
     if scene.sparse_confidence is not None:

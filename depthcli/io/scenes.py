@@ -171,6 +171,7 @@ class RgbdScene(Scene):
     hidden: Path | None = None  # mask of pixels (255) that the sensor is made not to see: its depth there is the truth
     sparse: Path | None = None  # a second depth map in the same codes, known at some pixels
     sparse_confidence: Path | None = None  # how sure it is
+    sparse_source: str = ""  # where it comes from, where that has to be said
     sequence: str = ""  # name of the sequence that the frame belongs to, or empty
     number: int = 0  # the frame's place there
     pose: tuple[float, ...] | None = None  # (4, 4), row by row, from the color camera to the world, meters

@@ -4,6 +4,7 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -36,6 +37,41 @@ def test_files_report_and_evaluation(made_glass, tmp_path, capsys):
     assert (run / "legend.png").is_file()
     assert {"samples", "fit", "unreliable"} <= set(row["seconds"])
     assert "transparent" in json.dumps(document["evaluation"])
+
+
+def test_a_mask_of_the_objects_alone(made_glass, tmp_path, capsys):
+    frame = Path(shutil.copytree(made_glass / "glass_0", tmp_path / "frames" / "a"))
+    command = ["transparent", "sensor", "-i", str(frame.parent), "-o", str(tmp_path / "run")]
+    (frame / "sparse.pfm").unlink()
+    assert main(["transparent", "sparse", *command[2:]]) == 3
+    assert "preset sensor" in capsys.readouterr().err
+    assert main([*command, "--overwrite", "--ply", "--intrinsics", "100,100,64,48", "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)["scenes"][0]
+    assert "not of the objects" in str(row["warnings"]) and row["intrinsics"] == "of the camera"
+    objects = read_image(frame / "mask_transparent.png") == 255
+    sensor, depth = read_pfm(frame / "depth.pfm"), read_pfm(tmp_path / "run/a/depth.pfm")
+    kept = np.isfinite(sensor) & ~objects
+    np.testing.assert_array_equal(depth[kept], sensor[kept])
+    assert np.isfinite(depth).all() and not np.isfinite(read_pfm(tmp_path / "run/a/sigma.pfm")[objects]).any()
+    around = kept & (cv2.dilate(objects.astype(np.uint8), np.ones((61, 61), np.uint8)) > 0)
+    assert sensor[around].min() * 0.9 < depth[objects].min() and depth[objects].max() < sensor[around].max() * 1.1
+    assert row["replaced"] == pytest.approx(np.mean(objects & np.isfinite(sensor)), abs=1e-6)
+    points = (tmp_path / "run/a/points.ply").read_bytes().partition(b"end_header\n")[2]
+    first = np.frombuffer(points[:12], "<f4")
+    np.testing.assert_allclose(first, depth[0, 0] * np.array([-0.64, -0.48, 1]), rtol=1e-4)
+    # What lies inside the mask does not count.
+    write_pfm(frame / "depth.pfm", np.where(objects, np.float32(0.1), sensor))
+    assert main([*command, "--overwrite", "-q"]) == 0
+    np.testing.assert_array_equal(read_pfm(tmp_path / "run/a/depth.pfm"), depth)
+    (frame / "mask_transparent.png").unlink()
+    assert main([*command, "--overwrite", "-q"]) == 3
+    assert "mask_transparent" in capsys.readouterr().err
+
+
+def test_scores_say_that_sparse_depth_is_from_the_truth(made_glass, tmp_path, capsys):
+    run = ["transparent", "nearest", "-i", str(made_glass), "-o", str(tmp_path / "run"), "--evaluate", "--json"]
+    assert main(run) == 0
+    assert "from the truth" in json.dumps(json.loads(capsys.readouterr().out)["evaluation"])
 
 
 def test_memory_is_respected(made_glass, tmp_path, capsys):

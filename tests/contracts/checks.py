@@ -197,7 +197,7 @@ def every_pixel_has_a_depth(pipeline):
     kept, sampled = status == DepthStatus.KEPT, (status & DepthStatus.SAMPLED) > 0
     np.testing.assert_array_equal(depth[kept], frame.depth[kept])
     np.testing.assert_array_equal(result.pictures["unreliable"] > 0, (status & DepthStatus.CORRECTED) > 0)
-    assert sampled.any() and not (sampled & (kept | np.isnan(frame.sparse))).any()
+    assert sampled.any() == (pipeline.needs == "sparse") and not (sampled & (kept | np.isnan(frame.sparse))).any()
 
 
 @of("methods.transparent.pipeline")

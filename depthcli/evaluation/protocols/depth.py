@@ -18,7 +18,7 @@ from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, plan
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
-from depthcli.io.formats.files import collected_warnings
+from depthcli.io.formats.files import collected_warnings, warn
 from depthcli.io.formats.map_format import map_formats
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.rgbd_frames import load_frame, true_depth
@@ -122,6 +122,8 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
             raise InputError(f"{scene.folder}: the true depth of {scene.name} has no known pixel")
         masks = {name: self._resized(mask.astype(np.uint8)) > 0 for name, mask in stored.masks.items()}
         regions = {"all": known, **{name: mask & known for name, mask in masks.items()}}
+        if scene.sparse is not None and scene.sparse_source:
+            warn(f"sparse depth from {scene.sparse_source}: methods that use it are judged by what they were given")
         ordered = {name: regions[name] for name in in_order(regions, self.region_order)}
         return DepthTruth(depth, ordered, stored.fb, scene.depth_scale)
 

@@ -64,6 +64,7 @@ def _meta(folder: Folder) -> dict[str, Any]:
     meta = folder.meta
     scale = meta.positive("depth_scale")
     facts = {"fb": meta.positive("fb"), "pose": meta.pose(), "protocol": meta.text("protocol", "depth")}
+    facts["sparse_source"] = meta.text("sparse_source", "")
     return cameras(meta) | facts | ({"depth_scale": scale} if scale else {})
 
 

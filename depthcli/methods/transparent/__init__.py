@@ -17,6 +17,7 @@ in which they are used:
 | ``robust`` | 1. ``fitted_frame`` and ``unreliable``: planes, and where they replace the sensor. \
 2. Smoothing of the planes far from samples |
 | ``crf``, of the thesis | 1. As ``robust``; may be left out. 2. A dense CRF, labels are steps of inverse depth |
+| ``sensor``, from a mask of the objects | values around continue, as ``kinect.gap_filling`` has it |
 | ``nearest``, for comparison | the depth of the nearest sample |
 | ``joint_bilateral``, for comparison | means of reliable values around, weighted by distance and color |
 

@@ -23,3 +23,7 @@ class TransparentConfig(RootConfig):
     depth_scale: float | None = Field(
         None, gt=0, le=1e6, description="codes per meter in the files; null: as the layout says"
     )
+    intrinsics: tuple[float, float, float, float] | None = Field(
+        None, description="fx, fy, cx, cy of the color camera, pixels; null: what the layout says"
+    )
+    ply: bool = Field(False, description="write a colored point cloud of every frame, too")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated
+from typing import Annotated, ClassVar, Literal
 
 from depthcli.core.frames import SparseFrame
 from depthcli.core.method import Method, method_of
@@ -12,6 +12,9 @@ from depthcli.core.result import DepthResult
 
 class TransparentPipeline(Method):
     """A complete method; in a config its name stands under ``pipeline``."""
+
+    needs: ClassVar[Literal["sparse", "objects"]] = "sparse"
+    """What of the frame it looks at beside color and depth: the sparse depth, or the mask of the objects."""
 
     @abstractmethod
     def __call__(self, frame: SparseFrame) -> DepthResult:

@@ -1,0 +1,43 @@
+"""The sensor alone, where no second depth is known: its depth inside a mask of the objects is given up."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from depthcli.core.frames import SparseFrame
+from depthcli.core.result import Clock, DepthResult
+from depthcli.methods.kinect.color import frame_lab
+from depthcli.methods.kinect.disparity import noise_level
+from depthcli.methods.kinect.gap_filling import fill_gaps
+from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
+from depthcli.methods.transparent.pipeline import TransparentPipeline
+
+
+class SensorAlone(TransparentPipeline):
+    """What surrounds the objects is continued over them, and over gaps, by planes along the cheapest paths.
+
+    The depth inside the mask is that of the scene around and behind, not of the objects, whose height is the error. On
+    three real frames (ClearGrasp, Sajjan et al. 2020) its median there is 19 to 100 mm, twice that of what the sensor
+    sees through the glass: use it to remove objects, or where holes are worse. ``sigma`` has no value there, since
+    nothing was measured.
+    """
+
+    needs: ClassVar[Literal["sparse", "objects"]] = "objects"
+
+    def __call__(self, frame: SparseFrame) -> DepthResult:
+        clock = Clock()
+        clock.start("fill")
+        known = np.isfinite(frame.depth)
+        objects = np.zeros_like(known) if frame.objects is None else frame.objects
+        kept = known & ~objects
+        around = np.where(kept, frame.disparity, np.float32(np.nan))
+        if kept.any():
+            free = np.zeros_like(around)
+            around, _ = fill_gaps(around, frame_lab(frame), None, None, free, noise_level(around))
+        values = np.where(kept, inverse_depth(frame.depth), around / np.float32(frame.fb))
+        return refined_depth(frame, values, known & objects, clock, sampled=np.zeros_like(known))
+
+    def peak_bytes(self, shape: tuple[int, int]) -> int:
+        return 160 * shape[0] * shape[1] + (16 << 20)
