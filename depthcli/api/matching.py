@@ -67,6 +67,10 @@ def _warnings(
     found, warnings = result.disparity, []
     if partly_used(pair):
         warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
+    if flat := [name for name, image in (("left", pair.left), ("right", pair.right)) if image.min() == image.max()]:
+        warnings.append(f"the {' and the '.join(flat)} image has one level alone: nothing can be matched")
+    elif np.array_equal(pair.left, pair.right):
+        warnings.append("both images are the same: the disparity is 0 or chance; was one file given twice?")
     measured = np.count_nonzero(found.measured) / found.values.size
     if measured < _MIN_MEASURED_SHARE:
         warnings.append(

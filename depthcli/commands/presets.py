@@ -2,6 +2,7 @@
 
 Examples:
   depthcli presets
+  depthcli presets fuse
   depthcli presets show stereo/accurate
 """
 
@@ -22,7 +23,7 @@ from depthcli.run.presets import presets as all_presets
 
 def presets(
     printing: Printing,
-    action: Annotated[str | None, Argument(metavar="show", help="The word show, to print one preset.")] = None,
+    action: Annotated[str | None, Argument(metavar="show", help="To print one preset; or the command to list.")] = None,
     preset: Annotated[
         str | None,
         Argument(metavar="NAME", help="The preset: NAME, or COMMAND/NAME.", autocompletion=completed_by("presets")),
@@ -32,12 +33,13 @@ def presets(
     reporter = printing.reporter
     if action == "show" and preset:
         reporter.data(_shown(preset))
-    elif action is not None:
-        raise ConfigError("give depthcli presets, or depthcli presets show NAME")
-    elif printing.json:
-        reporter.data(to_json([{"command": c, "preset": p, "about": about} for c, p, about in list_presets()]))
+        return 0
+    found = list_presets(action)
+    if action is not None and (preset or not found):
+        raise ConfigError("give depthcli presets, depthcli presets COMMAND, or depthcli presets show NAME")
+    if printing.json:
+        reporter.data(to_json([{"command": c, "preset": p, "about": about} for c, p, about in found]))
     else:
-        found = list_presets()
         width = max((len(f"{command} {name}") for command, name, _ in found), default=0)
         lines = [(name.startswith(THESIS), f"{f'{c} {name}':<{width}}  {about}") for c, name, about in found]
         groups = [[line for thesis, line in lines if thesis == group] for group in (False, True)]

@@ -201,6 +201,8 @@ def _explain(config: ConfigData, error: Any) -> str:
     elif kind in ("unknown_key", "method_name"):
         text, semicolon, hint = text.partition(";")
         hint = semicolon + hint
+    elif kind == "tuple_type" and key.endswith("window") and isinstance(got, int):
+        hint = f"; write [{got}, {got}]"
     big = isinstance(got, dict | list | tuple | BaseModel) and len(short(got)) > 60
     shown = "" if big or kind in ("missing", "method_name") else f" (got {short(got)})"
     # An option or override that names the key, or one below it, needs no key beside it.

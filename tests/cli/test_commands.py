@@ -141,6 +141,9 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
     assert "stereo/accurate" in err
     assert run("presets", "show", "stereo/accurate") == 0
     assert run("presets", "list") == 2
+    capsys.readouterr()
+    assert run("presets", "fuse") == 0
+    assert {line.split()[0] for line in capsys.readouterr().out.splitlines() if line} == {"fuse"}
 
 
 @pytest.mark.parametrize(
@@ -334,3 +337,21 @@ def test_results_are_not_written_to_stdout(command: tuple[str, ...], capsys, tmp
     monkeypatch.chdir(tmp_path)
     assert run(*command, "-o", "-") == 2
     assert "stdout" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_identical_and_flat_images_are_named_in_the_record(tmp_path: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 255, (40, 60), np.uint8)
+    for name, views in (("same", (image, image)), ("flat", (image, np.full_like(image, 9)))):
+        for side, view in zip(("left", "right"), views, strict=True):
+            write_png(tmp_path / "pairs" / name / f"{side}.png", view)
+    command = ("stereo", "opencv-bm", "-i", tmp_path / "pairs", "-o", tmp_path / "run", "--max-disparity", "16", "-q")
+    assert run(*command) == 0
+    said = {name: str(json.loads((tmp_path / "run" / name / "record.json").read_text())) for name in ("same", "flat")}
+    assert "images are the same" in said["same"] and "right image has one level" not in said["same"]
+    assert "right image has one level" in said["flat"] and "left image" not in said["flat"]
+
+
+def test_a_window_of_one_number_is_answered_by_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ("stereo", "fast", "-i", tmp_path, "-o", tmp_path / "run", "--dry-run", "--set")
+    assert run(*command, "cost.window=9") == 2
+    assert "cost.window" in (err := capsys.readouterr().err) and "write [9, 9]" in err
