@@ -1,12 +1,14 @@
 """Depth-guided segments as a whole: contract, status, accuracy on simulated frames."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
+from depthcli.methods.kinect.disparity import Measurement
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.simulate.depth_sensor import KinectSample, simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene
@@ -41,6 +43,22 @@ def test_depth_guidance_separates_near_and_far_of_one_color():
                           "depth_guidance": 0, "smoothing": 0}}
     )  # fmt: skip
     assert guided["measured"] < 0.7 * errors(blind(kinect.frame()), kinect)["measured"]
+
+
+def test_segments_with_a_model_of_their_own():
+    """By 3 reliable pixels that are half of them; by core pixels that are half of the measured ones."""
+    measurement = Measurement.of(sample().frame(), 5.0, 0.8, True)
+    doubtful = (measurement.probability > 0.6) & (measurement.probability < 0.8)
+    np.testing.assert_array_equal(measurement.core, doubtful & ~np.isnan(measurement.disparity))
+    sizes, n_reliable, n_core = (8, 4, 4, 10, 13), (3, 2, 4, 0, 0), (0, 0, 0, 6, 5)
+    labels = np.repeat(np.arange(5, dtype=np.int32), sizes)[None]
+    place = np.concatenate([np.arange(size) for size in sizes])[None]
+    reliable, core = (place < np.array(counts)[labels] for counts in (n_reliable, n_core))
+    values = np.full(labels.shape, 20, np.float32)
+    lab, limit = np.zeros((*labels.shape, 3), np.uint8), np.full(labels.shape, np.inf, np.float32)
+    given = {"lab": lab, "disparity": values, "reliable": np.where(reliable, values, np.float32(np.nan)), "core": core}
+    layer = Dsrm(min_known=3, min_share=0.5, join=False)._fit(replace(measurement, **given, limit=limit), labels)
+    assert [bool(layer.own[labels == k].all()) for k in range(5)] == [False, False, True, True, False]
 
 
 def test_the_preset_is_the_default():
