@@ -138,16 +138,13 @@ def test_what_is_wrong_with_one_scene_fails_alone(two_scenes: Path, maps: Path, 
     assert second.is_file()
 
 
-def test_a_folder_that_cannot_be_used_fails_alone(
-    scenes: Path, names: list[str], maps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_a_folder_that_cannot_be_used_fails_alone(two_scenes: Path, maps: Path, tmp_path: Path, capsys):
     folder = tmp_path / "scenes"
-    for name in names:
-        shutil.copytree(scenes / name, folder / name)
-    shutil.copy(folder / names[0] / "left.png", folder / names[0] / "left.jpg")
+    shutil.copytree(two_scenes, folder)
+    shutil.copy(folder / NAMES[0] / "left.png", folder / NAMES[0] / "left.jpg")
     assert run("confidence", "-i", folder, "--maps", maps, "-o", tmp_path / "out", "--evaluate") == 3
     assert "both left.jpg and left.png" in capsys.readouterr().err
-    assert (tmp_path / "out" / names[1] / "confidence.pfm").is_file()
+    assert (tmp_path / "out" / NAMES[1] / "confidence.pfm").is_file()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Planes of maps against loops over single pixels, the network against numpy, and what the judgment is worth."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,6 +82,14 @@ def test_a_wider_limit_is_never_less_likely(pair: StereoPair, broken: np.ndarray
         np.testing.assert_allclose(given_maps.odds_of(known, judged, 2**0.25), (one + next_) / 2, atol=1e-5)
         np.testing.assert_array_equal(given_maps.odds_of(known, judged, 8.0), four)
         np.testing.assert_array_equal(given_maps.odds_of(known, judged, 0.25), half)
+
+
+def test_pixels_beyond_the_right_image():
+    values, right = np.array([[2, 0, 2, 3]], np.float32), np.array([[2, 0, 0, 0]], np.float32)
+    nowhere = values < 0
+    status = given_maps.with_reasons(values, nowhere, np.ones_like(values), nowhere)
+    assert status.tolist() == [[Status.OUT_OF_RANGE, 0, 0, 0]]
+    assert given_maps._left_right(SimpleNamespace(values=values), None, right).tolist() == [[-16, 0, 0, -1]]
 
 
 def test_the_costs_are_those_of_the_preset_fast():

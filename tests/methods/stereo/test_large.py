@@ -13,9 +13,10 @@ from depthcli.cli import main
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
+from depthcli.core.memory import BASE_BYTES
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo import tiling
-from depthcli.methods.stereo.matching import Limits, match
+from depthcli.methods.stereo.matching import Limits, host_bytes, match
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.tiling import tile_by_tile
@@ -215,6 +216,14 @@ def test_the_command_says_what_it_did(tmp_path: Path, capsys):
     assert "needs about" in capsys.readouterr().err
     assert main([*arguments, str(tmp_path / "a"), "--max-memory", "1MiB"]) == 3
     assert "even in tiles" in capsys.readouterr().err
+
+
+def test_a_pair_that_may_be_matched_in_tiles_takes_no_more_than_they():
+    pipeline, shape = preset("stereo", "fast").pipeline, (700, 1000)
+    need, tiles = pipeline.peak_bytes(shape, 240), 400 << 20
+    in_tiles = tiles - BASE_BYTES
+    for mode, tile_memory, expected in (("auto", tiles, in_tiles), ("never", tiles, need), ("auto", 2 * need, need)):
+        assert host_bytes(pipeline, shape, 240, Limits(1 << 40, mode, tile_memory)) == expected
 
 
 @pytest.mark.slow
