@@ -196,6 +196,14 @@ def test_elastix_chain_that_comes_back(tmp_path):
         read_moving_transform(file, None, "auto", Volume(np.zeros(GRID.shape, np.float32), GRID), None)
 
 
+def test_a_damaged_field_is_named_once(tmp_path):
+    SimpleITK.WriteImage(SimpleITK.Image([4, 4, 4], SimpleITK.sitkVectorFloat32, 2), str(tmp_path / "two.mha"))
+    for name in ("two.mha", "none.mha"):
+        with pytest.raises(InputError) as caught:
+            read_field(tmp_path / name, GRID)
+        assert str(caught.value).count(name) == 1
+
+
 @pytest.mark.parametrize("kind", ["itk.mha", "itk.nii", "voxels.nii"])
 def test_displacements_that_are_no_numbers_blame_their_file(tmp_path, kind):
     values = displacement()

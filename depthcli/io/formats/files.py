@@ -43,13 +43,14 @@ def shown(path: Path | str) -> str:
 
 @contextlib.contextmanager
 def naming(path: Path | str) -> Iterator[None]:
-    """Put the file's name before the message of an InputError, or of too large numbers, in the block."""
+    """Put the file's name before the message of an InputError that does not begin with it, or of too large numbers."""
     try:
         yield
     except (OverflowError, RecursionError) as error:
         raise InputError(f"{shown(path)}: damaged ({str(error)[:100]})") from error
     except InputError as error:
-        raise InputError(f"{shown(path)}: {error}") from error
+        text, name = str(error), f"{shown(path)}: "
+        raise InputError(text if text.startswith(name) else name + text) from error
 
 
 _collected: ContextVar[list[str] | None] = ContextVar("collected", default=None)
