@@ -27,7 +27,7 @@ from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.resources import available_memory
 
 End = int | Literal["auto"] | None
-"""An end of the search range: pixels, "auto": from matched key points, or None: what the config says."""
+"""An end of the search range: pixels, "auto": as the pair itself says, or None: what the config says."""
 
 
 def stereo(
@@ -41,13 +41,13 @@ def stereo(
     """Return the map of a pair, rectified or, with ``calibration="stereo.yml"``, as the cameras took it.
 
     ConfigError for an unknown preset, or keys and values that do not fit; InputError for images that cannot be matched,
-    too few key points where they give the range, or too little memory. ``warnings`` says what looks wrong with the map.
+    too few matches where they say the range, or too little memory. ``warnings`` says what looks wrong with the map.
 
     Parameters
     ----------
     left, right : (H, W) grey or (H, W, 3) RGB (OpenCV reads BGR: ``image[..., ::-1]``); uint8, uint16, or floats from
         0 to 1. Where one is grey and the other in color, both become grey
-    max_disparity : largest disparity searched, pixels; "auto": from matched key points; None: what the config
+    max_disparity : largest disparity searched, pixels; "auto": as the pair itself says; None: what the config
         says, else "auto", with a warning
     preset : name of a preset of ``depthcli stereo``, path of a YAML file, or a config
     overrides : config keys -> values, as ``--set`` has them, such as ``{"cost.window": 9}``

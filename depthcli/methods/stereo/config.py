@@ -52,12 +52,12 @@ class PairConfig(RootConfig):
 
     max_disparity: _End = Field(
         None,
-        description="largest disparity searched, pixels; auto: from matched key points; null: the scene's; where it "
-        "has none, auto, and for pairs rectified by a calibration key points of the first frame of a sequence",
+        description="largest disparity searched, pixels; auto: as the pair itself says; null: the scene's; where it "
+        "has none, auto, and for pairs rectified by a calibration as the first frames of a sequence say",
     )
     min_disparity: _End = Field(
         None,
-        description="smallest disparity searched, pixels; auto: from matched key points; null: the scene's, else 0",
+        description="smallest disparity searched, pixels; auto: as the pair itself says; null: the scene's, else 0",
     )
     calibration: Calibration | None = Field(
         None, description="calibration by which pairs are rectified first; null: they are rectified already"
