@@ -64,7 +64,12 @@ def command_of(name: str) -> Any:
         return None
     app = typer.Typer(add_completion=False, **_SETTINGS)
     text = commands.text_of(found).replace("\nExamples:\n", "\n\b\nExamples:\n")  # \b: these lines are not wrapped
-    app.command(name.replace("_", "-"), help=text)(with_groups(found))
+    callback = with_groups(found)
+    if "_DEPTHCLI_COMPLETE" in os.environ:  # a shell asks what may come next
+        from depthcli.commands._completion import complete_values
+
+        complete_values(callback)
+    app.command(name.replace("_", "-"), help=text)(callback)
     return get_command(app)
 
 

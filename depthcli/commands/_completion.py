@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from typer import Context
@@ -13,6 +14,22 @@ from depthcli.core.root_config import RootConfig
 from depthcli.evaluation import protocols as known_protocols
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.run.presets import find_config, find_preset, list_presets
+
+
+def complete_values(callback: Callable[..., int]) -> None:
+    """Have the values of a command's parameters completed, before typer reads them from its annotations."""
+    for name, annotation in callback.__annotations__.items():
+        if name in _FUNCTIONS:
+            annotation.__metadata__[0].autocompletion = _beginning(_FUNCTIONS[name])
+
+
+def _beginning(function: Callable[[Context], list[str]]) -> Callable[[Context, str], list[str]]:
+    def complete(ctx: Context, incomplete: str) -> list[str]:
+        with contextlib.suppress(Exception):  # there is no place for a message
+            return [text for text in function(ctx) if text.startswith(incomplete)]
+        return []
+
+    return complete
 
 
 def presets(context: Context) -> list[str]:
@@ -53,3 +70,6 @@ def _keys(values: Mapping[str, Any]) -> Iterator[str]:
         yield key
         if isinstance(value, Mapping):
             yield from (f"{key}.{inside}" for inside in _keys(value))
+
+
+_FUNCTIONS = {"config": presets, "preset": presets, "layout": layouts, "protocol": protocols, "set": keys}

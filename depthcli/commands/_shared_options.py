@@ -6,7 +6,6 @@ fields become options of their own.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import inspect
 import os
@@ -17,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, get_type_hints
 
-from typer import Argument, BadParameter, Context, Option
+from typer import Argument, BadParameter, Option
 
 from depthcli.core.errors import ConfigError
 from depthcli.run.console import Reporter
@@ -26,23 +25,10 @@ _URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one s
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
-def completed_by(name: str) -> Callable[[Context, str], list[str]]:
-    """Return what completes a value in a shell: a function of ``_completion``, which is imported only then."""
-
-    def complete(ctx: Context, incomplete: str) -> list[str]:
-        from depthcli.commands import _completion
-
-        with contextlib.suppress(Exception):  # there is no place for a message
-            return [text for text in getattr(_completion, name)(ctx) if text.startswith(incomplete)]
-        return []
-
-    return complete
-
-
 # A name is given where typer would make another one of the parameter's: flags get no "--no-..." by it.
 ConfigArgument: TypeAlias = Annotated[
     str,
-    Argument(metavar="CONFIG", help="YAML file, or the name of a preset.", autocompletion=completed_by("presets")),
+    Argument(metavar="CONFIG", help="YAML file, or the name of a preset."),
 ]
 InputOption: TypeAlias = Annotated[
     Path | None,
@@ -50,16 +36,14 @@ InputOption: TypeAlias = Annotated[
 ]
 LayoutOption: TypeAlias = Annotated[
     str | None,
-    Option(metavar="NAME", help="Layout of the folder. Default: recognized.", autocompletion=completed_by("layouts")),
+    Option(metavar="NAME", help="Layout of the folder. Default: recognized."),
 ]
 ScenesOption: TypeAlias = Annotated[
     list[str] | None, Option(metavar="GLOB", help="Only scenes whose name matches; repeatable.")
 ]
 SetOption: TypeAlias = Annotated[
     list[str] | None,
-    Option(
-        metavar="KEY=VALUE", help="Override one key of the config; repeatable.", autocompletion=completed_by("keys")
-    ),
+    Option(metavar="KEY=VALUE", help="Override one key of the config; repeatable."),
 ]
 MaxDisparityOption: TypeAlias = Annotated[
     str | None, Option(metavar="N", help="Largest disparity searched, or auto: as the pair says.")

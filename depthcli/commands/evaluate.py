@@ -24,7 +24,6 @@ from depthcli.commands._shared_options import (
     Printing,
     ScenesOption,
     TableOptions,
-    completed_by,
     local_output,
 )
 from depthcli.core.errors import ConfigError
@@ -45,11 +44,7 @@ def evaluate(
     layout: LayoutOption = None,
     protocol: Annotated[
         str | None,
-        Option(
-            metavar="NAME",
-            help="How to score, such as kitti-2015. Default: by data set.",
-            autocompletion=completed_by("protocols"),
-        ),
+        Option(metavar="NAME", help="How to score, such as kitti-2015. Default: by data set."),
     ] = None,
     maps: Annotated[
         list[str] | None, Option(metavar="PATTERN", help="Path of a map, '{scene}/a.tiff'. Of one run: NAME=...")

@@ -13,7 +13,7 @@ from typing import Annotated
 from typer import Argument
 
 from depthcli.commands import config_model
-from depthcli.commands._shared_options import Printing, completed_by
+from depthcli.commands._shared_options import Printing
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import ConfigError
 from depthcli.run.json_csv import to_json
@@ -26,7 +26,7 @@ def presets(
     action: Annotated[str | None, Argument(metavar="show", help="To print one preset; or the command to list.")] = None,
     preset: Annotated[
         str | None,
-        Argument(metavar="NAME", help="The preset: NAME, or COMMAND/NAME.", autocompletion=completed_by("presets")),
+        Argument(metavar="NAME", help="The preset: NAME, or COMMAND/NAME."),
     ] = None,
 ) -> int:
     """Print the list or the preset; return the exit code."""
