@@ -1,40 +1,15 @@
-"""What a run is: the text of its ``run.yaml``, and whether a folder holds the run of another one."""
+"""Whether a folder holds the run that a ``run.yaml`` describes, or another one."""
 
 from __future__ import annotations
 
-import contextlib
 import os
-import platform
-from collections.abc import Iterable, Mapping
-from importlib import metadata
 from pathlib import Path
 
-from pydantic import BaseModel
-
-from depthcli import __version__
-from depthcli.core.config_file import dump_config
-from depthcli.core.registry import Plugin, versions_here
-from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.files import RUN_FILE
 from depthcli.run.records import RECORD_FILE, read_record, read_text
 
 TITLE = "# Written by depthcli: the resolved config of this run."
 """How a run.yaml begins; a file of that name without it is not ours."""
-
-# Packages whose versions decide what a run computes; part of the run's identity.
-_LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
-
-
-def run_text(command: str, config: BaseModel | Mapping[str, object], plugins: Iterable[Plugin] = ()) -> str:
-    """Return the text of ``run.yaml``: the resolved config, which can be used as CONFIG again, and all versions."""
-    versions = {"depthcli": __version__, "python": platform.python_version()}
-    for name in _LIBRARIES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            versions[name] = metadata.version(name)
-    run = to_yaml({"run": {"command": command, "versions": versions | versions_here(plugins)}})
-    if isinstance(config, BaseModel):
-        return f"{TITLE} Repeat it with: depthcli {command} run.yaml ...\n{dump_config(config)}{run}"
-    return f"{TITLE}\n{to_yaml(dict(config))}{run}"
 
 
 def saved_config(folder: Path) -> str:

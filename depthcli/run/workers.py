@@ -11,6 +11,7 @@ import errno
 import fnmatch
 import multiprocessing
 import os
+import platform
 import shutil
 import signal
 import threading
@@ -18,25 +19,30 @@ import time
 import traceback
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from multiprocessing import connection, resource_tracker
 from pathlib import Path
 from typing import Any
 
 import cv2
+from pydantic import BaseModel
 
+from depthcli import __version__
 from depthcli.core import memory
+from depthcli.core.config_file import dump_config
 from depthcli.core.errors import DepthcliError, InputError, OutputError, Terminated
-from depthcli.core.registry import Plugin, plugin_behind
+from depthcli.core.registry import Plugin, plugin_behind, versions_here
 from depthcli.core.result import Clock
 from depthcli.core.scene import computing
 from depthcli.core.text import show_bytes, without_secrets
+from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.files import collected_warnings, file_states, shown
 from depthcli.io.scenes import Scene
 from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, set_threads
 from depthcli.run import resources
 from depthcli.run.batch import Batch, Execution, Outcome
 from depthcli.run.console import Reporter, silence_warnings
-from depthcli.run.identity import run_text
+from depthcli.run.identity import TITLE
 from depthcli.run.json_csv import Row
 from depthcli.run.records import Record, digest, digests_below, file_digest, install, record_failure
 
@@ -44,6 +50,8 @@ BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
 GOES_ON = "the same command goes on where it stopped"
 
+# Packages whose versions decide what a run computes; part of the run's identity.
+_LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
 _MAX_TRACE_NAME = 200  # bytes of a scene's name in that of its traceback; a file's name has 255
 _HEAD_START = 1.0  # seconds in which the first worker can show that kernels have to be compiled
 _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up the memory
@@ -59,8 +67,16 @@ class Work:
 
     @property
     def text(self) -> str:
-        """The text of ``run.yaml``: config and versions of this process."""
-        return run_text(self.batch.command, self.batch.config, self.plugins)
+        """The text of ``run.yaml``: the resolved config, which can be used as CONFIG again, and all versions here."""
+        versions = {"depthcli": __version__, "python": platform.python_version()}
+        for name in _LIBRARIES:
+            with contextlib.suppress(metadata.PackageNotFoundError):
+                versions[name] = metadata.version(name)
+        command, config = self.batch.command, self.batch.config
+        run = to_yaml({"run": {"command": command, "versions": versions | versions_here(self.plugins)}})
+        if isinstance(config, BaseModel):
+            return f"{TITLE} Repeat it with: depthcli {command} run.yaml ...\n{dump_config(config)}{run}"
+        return f"{TITLE}\n{to_yaml(dict(config))}{run}"
 
     @property
     def identity(self) -> str:
