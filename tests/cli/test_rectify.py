@@ -405,12 +405,14 @@ def test_without_calibration(pinhole: Shot, tmp_path: Path, capsys: pytest.Captu
 
 
 def test_points_that_no_two_cameras_explain_are_refused():
-    """Half of the rows off by several pixels: no pair is made of them."""
+    """Half of the rows off by two pixels: no pair is made of them."""
     rng = np.random.default_rng(1)
     left = rng.uniform(0, 200, (300, 2))
     right = left - np.stack([rng.uniform(5, 40, 300), np.zeros(300)], 1)
-    assert row_error(*rectify_uncalibrated(left, right, (200, 200)).points(left, right)) < 0.01
-    right[:180, 1] += rng.choice([-1, 1], 180) * rng.uniform(2, 9, 180)
+    one, other = rectify_uncalibrated(left, right, (200, 200)).points(left, right)
+    assert row_error(one, other) < 0.01
+    assert np.quantile(one[:, 0] - other[:, 0], 0.01) == pytest.approx(0.02 * 200, abs=0.1)
+    right[:180, 1] += rng.choice([-1, 1], 180) * rng.uniform(1.5, 2.5, 180)
     refused(InputError, "at most 1 px may be left", rectify_uncalibrated, left, right, (200, 200))
 
 

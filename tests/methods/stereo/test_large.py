@@ -99,7 +99,8 @@ def test_tiles_cover_the_image_once_and_search_all_candidates():
             assert len(tile.spans) == 1 or not margins.whole
             searched = {d for span in tile.spans for d in range(span.low, span.low + span.n)}
             assert max(searched) <= top
-            rows, columns = (slice(a // BLOCK, -(-b // BLOCK)) for a, b in (tile.rows, tile.columns))
+            around = ((max(0, a - 20), b + 20) for a, b in (tile.rows, tile.columns))
+            rows, columns = (slice(a // BLOCK, -(-b // BLOCK)) for a, b in around)
             wanted = np.flatnonzero(bins[rows, columns].any(axis=(0, 1))) * BIN
             assert {int(d) for d in wanted if d < tile.columns[1]} <= searched
             assert min(searched) <= tile.columns[0]  # the first pixel has a candidate
