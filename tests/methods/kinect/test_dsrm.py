@@ -61,6 +61,18 @@ def test_segments_with_a_model_of_their_own():
     assert [bool(layer.own[labels == k].all()) for k in range(5)] == [False, False, True, True, False]
 
 
+def test_corrections_in_turn_lie_beside_the_outlines_of_segments():
+    labels = np.tile(np.arange(20, dtype=np.int32) // 10, (12, 1))
+    values, blank = np.full(labels.shape, 20, np.float32), np.zeros((*labels.shape, 3), np.uint8)
+    reliable = values.copy()
+    reliable[5, [2, 9]] = 25
+    given = {"disparity": values, "reliable": reliable, "lab": blank, "limit": values + np.inf}
+    measurement = replace(Measurement.of(sample().frame(), 5.0, 0, False), **given)
+    method = Dsrm(combination="in_turn", correction_band=3, detail_reach=0)
+    found = method._in_turn(RgbdFrame(blank, RgbdFrame.fb / values), measurement, [labels])
+    assert found.status[5, [2, 9]].tolist() == [DepthStatus.KEPT, DepthStatus.CORRECTED]
+
+
 def test_the_preset_is_the_default():
     assert preset("refine-kinect", "dsrm").pipeline == Dsrm()
 

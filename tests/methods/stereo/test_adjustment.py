@@ -10,6 +10,7 @@ import pytest
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.methods.fusion.pipeline import Fusion
+from depthcli.methods.stereo import adjustment
 from depthcli.methods.stereo.adjustment import adjusted, right_view
 from depthcli.methods.stereo.adjustment.right_view import BLOCK, CELL, resample
 from depthcli.methods.stereo.config import StereoConfig
@@ -51,6 +52,16 @@ def error(pipeline, scene, right):
 
 def accurate():
     return preset("stereo", "accurate").pipeline
+
+
+def test_a_pair_whose_rows_were_far_off_is_matched_again(scene, monkeypatch):
+    original, found = adjustment._matched, []
+    for right in (scene.right, shifted(scene.right, 2 * TILTED)):
+        calls: list[object] = []
+        monkeypatch.setattr(adjustment, "_matched", lambda *given, calls=calls: calls.append(0) or original(*given))
+        adjusted(StereoPair(scene.left, right), 40, ("rows",))
+        found.append(len(calls))
+    assert found[0] == 1 < found[1]
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 9, 3), (11, 1, 3), (17, 23, 1), (20, 31, 3)])
