@@ -8,7 +8,7 @@ import pytest
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
-from depthcli.io.formats.fields import in_millimeters, read_field, read_moving_transform
+from depthcli.io.formats.fields import in_millimeters, read_field, read_landmarks, read_moving_transform
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.volumes import itk_image, write_array
 from tests.command_line import refused
@@ -247,3 +247,11 @@ def test_an_inverted_transform_is_said(tmp_path):
         with collected_warnings() as lines:
             read_moving_transform(tmp_path / f"{name}.tfm", None, "auto", *both)
         assert [("inverted" in line) for line in lines] == [True] * (name == "wrong")
+
+
+def test_landmarks_in_every_unit(tmp_path):
+    """Positions in mm in any order of columns, voxels from 0 (elastix), and from 1 (DIR-Lab)."""
+    grid, file = Grid((9, 8, 7), (1.0, 1.5, 2.5), (10.0, 20.0, 30.0)), tmp_path / "a.txt"
+    for text, raw in (("z,y,x\n35,24.5,11\n", False), ("index\n1\n1 3 2\n", False), ("2 4 3\n", True)):
+        file.write_text(text)
+        assert read_landmarks(file, grid, raw).tolist() == [[11, 24.5, 35]]
