@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
@@ -23,6 +24,12 @@ SceneT = TypeVar("SceneT", bound=Scene)
 _MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # numbers of meta.json; no image is as wide
 
 
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    with contextlib.suppress(OSError):  # a link to itself
+        return entry.is_dir()
+    return False
+
+
 class Folder:
     """One folder as a layout sees it, names only: nothing in it is opened.
 
@@ -36,7 +43,7 @@ class Folder:
             with naming(path), os.scandir(path) as entries:
                 shown = [entry for entry in entries if entry.name[0] != "."]
                 self.names = frozenset([entry.name for entry in shown])
-                self._folders = frozenset([entry.name for entry in shown if entry.is_dir()])
+                self._folders = frozenset([entry.name for entry in shown if _is_folder(entry)])
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 

@@ -13,7 +13,7 @@ from typing import Literal
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.memory import BASE_BYTES
+from depthcli.core.scene import BASE_BYTES
 from depthcli.core.text import show_bytes
 from depthcli.device import Device
 from depthcli.methods.stereo.on_device import DevicePair, device_implementation_of, run_stage
