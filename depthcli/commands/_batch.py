@@ -21,8 +21,7 @@ from depthcli.io.formats.pictures import write_legend
 from depthcli.run.batch import Batch, Execution, SceneT
 from depthcli.run.console import aligned, run_table
 from depthcli.run.flags import Flags, flag_rows
-from depthcli.run.folder import EVALUATION, LEGEND_FILE
-from depthcli.run.identity import refusal
+from depthcli.run.folder import EVALUATION, LEGEND_FILE, refusal
 from depthcli.run.json_csv import Row, to_json
 from depthcli.run.presets import find_config, find_preset
 from depthcli.run.records import read_record

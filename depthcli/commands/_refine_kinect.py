@@ -14,9 +14,8 @@ import numpy as np
 from depthcli.api.depth import refined_frame
 from depthcli.api.saving import check_limits, empty_cloud, parse_mask
 from depthcli.commands._batch import config_of
-from depthcli.commands._intrinsics import camera_of, say_typical_cameras
 from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.commands._scenes import find_scenes
+from depthcli.commands._scenes import camera_of, find_scenes, say_typical_cameras
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus

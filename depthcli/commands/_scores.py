@@ -20,8 +20,7 @@ from depthcli.report.page import Page
 from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.batch import Batch, SceneT
 from depthcli.run.flags import Flags, flag_rows
-from depthcli.run.folder import EVALUATION, staging_folder
-from depthcli.run.identity import saved_config
+from depthcli.run.folder import EVALUATION, saved_config, staging_folder
 from depthcli.run.json_csv import Row
 
 

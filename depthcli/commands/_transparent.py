@@ -12,9 +12,8 @@ import numpy as np
 from depthcli.api.depth import completed_frame
 from depthcli.api.saving import empty_cloud
 from depthcli.commands._batch import config_of
-from depthcli.commands._intrinsics import camera_of, say_typical_cameras
 from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.commands._scenes import find_scenes
+from depthcli.commands._scenes import camera_of, find_scenes, say_typical_cameras
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
 from depthcli.core.frames import SparseFrame

@@ -31,8 +31,7 @@ from depthcli.io.layouts import layout_plugins
 from depthcli.io.scenes import Scene
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, flag_rows, plain_name
-from depthcli.run.folder import staging_folder
-from depthcli.run.identity import saved_config
+from depthcli.run.folder import saved_config, staging_folder
 from depthcli.run.json_csv import Row, to_csv, to_json
 from depthcli.run.report import read_report
 

@@ -16,7 +16,7 @@ from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import NO_VALUE, draw_text
 from depthcli.io.scenes import Scene
-from depthcli.report.colors import map_picture
+from depthcli.report.packing import map_picture
 
 Picture: TypeAlias = NDArray[np.uint8]
 

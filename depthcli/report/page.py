@@ -24,8 +24,7 @@ from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.pictures import NO_VALUE
 from depthcli.io.scenes import Scene
-from depthcli.report.colors import map_colors
-from depthcli.report.packing import script_json
+from depthcli.report.packing import map_colors, script_json
 from depthcli.report.scene_view import SceneView, view_with_truth
 from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
 from depthcli.run.flags import Flags

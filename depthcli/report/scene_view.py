@@ -30,8 +30,7 @@ from depthcli.evaluation.protocols import (
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import NO_VALUE, Palette, confidence_picture, read_status, status_color, status_words
 from depthcli.io.scenes import Scene
-from depthcli.report.colors import map_picture, step_of
-from depthcli.report.packing import PackedScene, jpeg, pack, pack_bytes, png
+from depthcli.report.packing import PackedScene, jpeg, map_picture, pack, pack_bytes, png, step_of
 
 _CONFIDENCE_LEVELS = 4096  # of a packed confidence; noise below them would only fill the page
 _MAX_THUMB = 240  # pixels of a small picture's longer side

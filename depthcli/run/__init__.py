@@ -2,7 +2,7 @@
 
 The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a ``batch`` and its scenes from a command:
 
-1. ``folder`` locks the run folder, writes ``run.yaml``, or refuses the folder of another config (``identity``).
+1. ``folder`` locks the run folder, writes ``run.yaml``, or refuses the folder of another config.
 2. ``runner`` digests every file that the scene depends on. Where ``record.json`` of the scene (``records``) has the
    same run and digests, and its files match, it is done, and its row is that of the record.
 3. ``workers`` compute the others here or in processes (``--jobs``), ``cluster`` on dask (``--scheduler``). Each calls

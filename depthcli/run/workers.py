@@ -42,7 +42,7 @@ from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, se
 from depthcli.run import resources
 from depthcli.run.batch import Batch, Execution, Outcome
 from depthcli.run.console import Reporter, silence_warnings
-from depthcli.run.identity import TITLE
+from depthcli.run.folder import TITLE
 from depthcli.run.json_csv import Row
 from depthcli.run.records import Record, digest, digests_below, file_digest, install, record_failure
 

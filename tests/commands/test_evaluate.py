@@ -27,7 +27,7 @@ from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import NO_VALUE
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
-from depthcli.report.colors import map_picture
+from depthcli.report.packing import map_picture
 from depthcli.run.records import Record, write_record
 from tests.command_line import contents, refused
 from tests.scenes import true

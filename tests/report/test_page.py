@@ -30,9 +30,8 @@ from depthcli.io.formats.images import read_image
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.volume_pairs import RegistrationTruth
-from depthcli.report.colors import map_colors
 from depthcli.report.contact_sheet import ContactSheet
-from depthcli.report.packing import pack, pack_bytes, thinned, unpack
+from depthcli.report.packing import map_colors, pack, pack_bytes, thinned, unpack
 from depthcli.report.page import Page
 from depthcli.report.scene_view import slices
 from tests.report.conftest import ODD, SHAPE
