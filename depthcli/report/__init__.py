@@ -2,10 +2,10 @@
 
 ``page`` collects the scenes while they are evaluated and fills the template ``page.html`` at the end; start there.
 ``scene_view`` says what is shown of a scene, its maps (images, or slices of volumes) and small pictures;
-``without_truth`` what is shown of a run's scenes without ground truth: a table of what the run says of its own maps, the
-worst first. ``packing`` writes and embeds the maps, as 16-bit codes in base64, and has their colors. In the browser
-``page.js`` sorts tables and unpacks maps, ``viewer.js`` draws them. The room knows no protocol by name: all that it uses
-is the interface ``Protocol`` of ``depthcli.evaluation``.
+``without_truth`` what is shown of a run's scenes without ground truth: a table of what the run says of its own maps,
+the worst first. ``packing`` writes and embeds the maps, as 16-bit codes in base64, and has their colors. In the browser
+``page.js`` sorts tables and unpacks maps, ``viewer.js`` draws them. The room knows no protocol by name: all that it
+uses is the interface ``Protocol`` of ``depthcli.evaluation``.
 
 ``contact_sheet`` is a picture of its own: image, maps and errors of the scenes that differ most, side by side.
 """
