@@ -86,7 +86,7 @@ def run_batch(
         lines = "".join(f"{one_line(name)}\n" for name in names)
         reporter.data(to_json({"command": batch.command, "scenes": names}) if options.json else lines)
         return 0
-    rows = run_scenes(batch, scenes, options.output, how, reporter)
+    rows, elsewhere = run_scenes(batch, scenes, options.output, how, reporter)
     for line in batch.notes(scenes, rows):
         reporter.info(f"warning: {line}")
     problems = batch.problems(rows)
@@ -95,25 +95,23 @@ def run_batch(
     failed = [row for row in rows if row["status"] == "failed"]
     if batch.palette is not None and len(failed) < len(rows):
         write_legend(options.output / LEGEND_FILE, batch.palette, batch.legend)
-    evaluation = page_file = None
-    if options.evaluate or options.html:
+    evaluation = None
+    if (options.evaluate or options.html) and not elsewhere:
         from depthcli.commands import _evaluation, _scores  # only a run that is evaluated needs the evaluation
 
-        evaluation, page_file, flags = _scores.evaluated(batch, scenes, rows, options, source)
-    else:
-        flags = flag_rows(options.conditions, rows, reporter)
+        evaluation = _scores.evaluated(batch, scenes, rows, options, source)
+    flags = flag_rows(options.conditions, rows, reporter) if evaluation is None else evaluation.flags
     _print_results(batch, rows, options, evaluation, flags)
     total = len(scenes) if how.shard is None else len(rows)
     reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {options.output}")
     if evaluation is not None:
-        _evaluation.print_place(options.output / EVALUATION, reporter)
-    elif page_file is not None:
-        reporter.info(f"page to open in a browser: {page_file}")
+        _evaluation.print_place(evaluation, options.output / EVALUATION, options.html, reporter)
+    elif options.evaluate or options.html:
+        reporter.info("the process that ends last evaluates the run")
     if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
         return 1
-    no_page = options.html and page_file is None and len(failed) < len(rows)
-    incomplete = failed or problems or no_page or (evaluation is not None and evaluation.failed)
-    return flags.exit_code(bool(incomplete), options.fail_flagged, options.shard)
+    incomplete = failed or problems or (evaluation is not None and evaluation.incomplete)
+    return flags.exit_code(bool(incomplete), options.fail_flagged, all_rows=options.shard is None and not elsewhere)
 
 
 def _print_results(
@@ -121,6 +119,7 @@ def _print_results(
 ) -> None:
     """Print the report as JSON, or else the tables of the evaluation or of the run, and what was flagged."""
     reporter = options.reporter
+    evaluation = evaluation if evaluation is not None and evaluation.results else None
     if options.json:
         document = report_document(batch.command, rows) | flags.to_dict()
         reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))

@@ -49,11 +49,14 @@ def print_tables(report: EvaluationReport, reporter: Reporter, options: TableOpt
         reporter.data(text)
 
 
-def print_place(output: Path, reporter: Reporter) -> None:
-    """Print which file to open."""
-    html = (output / PAGE_FILE).is_file()
-    more = "" if html else "; --html makes a page of it"
-    reporter.info(f"report, with all tables and pictures: {output / (PAGE_FILE if html else 'report.md')}{more}")
+def print_place(report: EvaluationReport, output: Path, html: bool, reporter: Reporter) -> None:
+    """Print which file to open; ``html``: a page was requested."""
+    if html and PAGE_FILE not in report.unwritten:
+        what = "report, with all tables and pictures" if report.results else "page to open in a browser"
+        reporter.info(f"{what}: {output / PAGE_FILE}")
+    elif report.results:
+        more = "" if html else "; --html makes a page of it"
+        reporter.info(f"report, with all tables and pictures: {output / 'report.md'}{more}")
 
 
 def _listed(text: str | None) -> list[str]:

@@ -8,18 +8,17 @@ from pathlib import Path
 
 from depthcli.commands._evaluation import viewers
 from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.core.errors import DepthcliError
 from depthcli.core.text import summarized
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import PAGE_FILE, RESULTS, Choices, evaluate_runs
+from depthcli.evaluation.evaluate import RESULTS, Choices, can_be_missed, evaluate_runs
 from depthcli.evaluation.map_files import run_names
 from depthcli.evaluation.protocols import load
-from depthcli.io.inputs import local
+from depthcli.io.inputs import local, origin
 from depthcli.io.scenes import Scene, SequenceScene
 from depthcli.report.page import Page
 from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.batch import Batch, SceneT
-from depthcli.run.flags import Flags, flag_rows
+from depthcli.run.flags import flag_rows
 from depthcli.run.folder import EVALUATION, saved_config, staging_folder
 from depthcli.run.json_csv import Row
 
@@ -30,11 +29,8 @@ def evaluated(
     rows: Sequence[Row],
     options: RunOptions,
     source: SceneOptions | None,
-) -> tuple[EvaluationReport | None, Path | None, Flags]:
-    """Compare scenes with their truth, and write the page of these and of the others.
-
-    Returns the evaluation, the page's file, and what the conditions flag.
-    """
+) -> EvaluationReport:
+    """Compare scenes with their truth, and write the page of these and of the others; no results without truth."""
     reporter, conditions = options.reporter, options.conditions
     output, truth = options.output / EVALUATION, source.input if source is not None else None
     in_folder = truth is not None and os.path.isdir(local(truth))  # pairs of a table have no truth
@@ -45,23 +41,20 @@ def evaluated(
         judged = [scene for scene in batch.truth_scenes(scenes) if scene.problem or scene.has_truth]
         by_name, views = {str(row["scene"]): row for row in rows}, viewers(reporter, output, options.html, run=shown)
         choices = Choices(rows=by_name, conditions=conditions, viewers=views, reporter=reporter)
-        report = evaluate_runs([options.output], judged, local(truth), output, choices)
-        page_file = output / PAGE_FILE
-        return report, page_file if page_file.is_file() else None, report.flags
+        return evaluate_runs([options.output], judged, local(truth), output, choices)
     shows = ": the page shows the maps without scores" if options.html else ", nothing to compare with"
     reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
-    flags = flag_rows(conditions, rows, reporter)
-    if shown is None:
-        return None, None, flags
-    page = Page(reporter.command_line, run=shown)
-    try:
-        with staging_folder(output, "evaluate", RESULTS, reporter.info) as folder:
+    flags, runs = flag_rows(conditions, rows, reporter), tuple(run_names([options.output]))
+    report = EvaluationReport(runs, (), {}, "" if truth is None else origin(truth), flags=flags)
+    if shown is not None:
+        page = Page(reporter.command_line, run=shown)
+        with (
+            can_be_missed(page.file, report.unwritten, reporter),
+            staging_folder(output, "evaluate", RESULTS, reporter.info) as folder,
+        ):
             page.begin(folder)
             page.write(None, "{}", {shown.name: saved_config(shown.folder)}, flags)
-    except DepthcliError as error:  # the maps are there
-        reporter.error(f"no {page.file}: {error}")
-        return None, None, flags
-    return None, output / page.file, flags
+    return report
 
 
 def _without_truth(

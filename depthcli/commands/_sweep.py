@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 from depthcli.commands import CONFIGS
 from depthcli.commands._batch import DONE, plan_of, run_batch
-from depthcli.commands._evaluation import viewers
+from depthcli.commands._evaluation import print_place, viewers
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._sweep_axes import Axes, Combination, effects, folder_names, value_text
 from depthcli.core.errors import SOME_FAILED, ConfigError
 from depthcli.evaluation.comparison import Section
-from depthcli.evaluation.evaluate import PAGE_FILE, Choices, evaluate_runs
+from depthcli.evaluation.evaluate import Choices, evaluate_runs
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.io.formats.files import write_text
@@ -91,9 +91,8 @@ class Sweep:
         elif not self.options.quiet:
             reporter.data("\n".join(map(_text, report.sections, results)))
         reporter.info(f"runs, evaluation, sweep.csv and sweep.json in {output}")
-        if html:
-            reporter.info(f"page to open in a browser: {folder / PAGE_FILE}")
-        return SOME_FAILED if failed or report.failed else 0
+        print_place(report, folder, html, reporter)
+        return SOME_FAILED if failed or report.incomplete else 0
 
     def _runs(self) -> tuple[dict[str, _Run], str]:
         """Return name -> run, and the name of the run that has the config's own values; empty where none has."""

@@ -71,7 +71,7 @@ def evaluate(
 ) -> int:
     """Evaluate, print the tables, and return the exit code."""
     from depthcli.commands._evaluation import check_tables, print_place, print_tables, viewers
-    from depthcli.evaluation.evaluate import PAGE_FILE, Choices, evaluate_runs
+    from depthcli.evaluation.evaluate import Choices, evaluate_runs
     from depthcli.evaluation.map_files import MapNaming, find_runs, given_naming
     from depthcli.evaluation.protocols import Settings, load
     from depthcli.evaluation.truth import scenes_with_truth
@@ -100,9 +100,8 @@ def evaluate(
         if choices.conditions and not printing.quiet:
             reporter.data(report.flags.text())
     if output is not None:
-        print_place(output, reporter)
-    no_page = html and output is not None and not (output / PAGE_FILE).is_file()
-    return report.flags.exit_code(bool(report.failed) or no_page, fail_flagged)
+        print_place(report, output, html, reporter)
+    return report.flags.exit_code(report.incomplete, fail_flagged)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

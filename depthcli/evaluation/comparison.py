@@ -174,6 +174,12 @@ class EvaluationReport:
     hints: tuple[str, ...] = ()  # what was assumed, and what looks wrong with the way scenes are scored, one line each
     plugins: dict[str, str] = field(default_factory=dict)  # package -> version, of those that took part
     flags: Flags = field(default_factory=Flags)
+    unwritten: dict[str, str] = field(default_factory=dict)  # file of a page or sheet -> why it could not be written
+
+    @property
+    def incomplete(self) -> bool:
+        """Whether maps, truth, the page or the sheet are missing, so that the command ends with exit code 3."""
+        return bool(self.failed or self.unwritten)
 
     @property
     def failed(self) -> list[MapResult]:
@@ -233,4 +239,5 @@ class EvaluationReport:
             "failed": [{"run": r.run, "scene": r.scene, "reason": r.error} for r in self.failed],
             "warnings": self.warnings,
             **self.flags.to_dict(),
+            **({"unwritten": self.unwritten} if self.unwritten else {}),
         }

@@ -6,7 +6,7 @@ import contextlib
 import math
 import re
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -122,16 +122,23 @@ def evaluate_runs(
             write_text(folder / "scores.csv", to_csv(report.records()))
             write_text(folder / "scores.json", scores)
             write_text(folder / "report.md", report_markdown(report))
-            for viewer in choices.viewers:
-                try:
-                    viewer.write(report, scores, {run: saved_config(place) for run, place in places.items()})
-                except DepthcliError as error:  # the scores are there
-                    reporter.error(f"no {viewer.file}: {error}")
+            configs = {run: saved_config(place) for run, place in places.items()}
+            scoring.show(lambda viewer: viewer.write(report, scores, configs))
     for line in report.warning_lines(with_reports=rows is None):  # else the run has just printed its own
         reporter.info(f"warning: {line}")
     for result in report.failed:
         reporter.error(f"{result.run} {result.scene}: {result.error}")
     return report
+
+
+@contextlib.contextmanager
+def can_be_missed(file: str, unwritten: dict[str, str], reporter: Reporter) -> Iterator[None]:
+    """Note in ``unwritten`` why a page or sheet could not be written, and say it: maps and scores do without."""
+    try:
+        yield
+    except DepthcliError as error:
+        unwritten[file] = str(error)
+        reporter.error(f"no {file}: {error}")
 
 
 def _flag_columns(report: EvaluationReport, known: Mapping[str, Mapping[str, Row]]) -> list[Row]:
@@ -168,14 +175,21 @@ class _Scoring:
     hints: list[str] = field(default_factory=list)  # what was assumed, one line each
     maps: set[Path] = field(default_factory=set)  # files that were read
     unlike: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # protocol -> scenes that look otherwise
+    unwritten: dict[str, str] = field(default_factory=dict)  # file of a viewer -> why it could not be written
+
+    def show(self, step: Callable[[Viewer], None]) -> None:
+        """Let every viewer take a step, but for those that could not be written before."""
+        for viewer in self.choices.viewers:
+            if viewer.file not in self.unwritten:
+                with can_be_missed(viewer.file, self.unwritten, self.choices.reporter):
+                    step(viewer)
 
     def all_results(self, scenes: Sequence[Scene]) -> list[MapResult]:
         """Return the results of every scene and run; a line of progress for each scene."""
         names = names_in_run([scene.name for scene in scenes], self.truth)
         self._recognize_maps(scenes, names)
-        for viewer in self.choices.viewers:
-            assert self.output is not None
-            viewer.begin(self.output)
+        if (folder := self.output) is not None:
+            self.show(lambda viewer: viewer.begin(folder))
         self.choices.reporter.start(len(scenes), 0, "evaluate")
         results = []
         for scene in scenes:
@@ -195,7 +209,9 @@ class _Scoring:
         plugins = layout_plugins(scenes) | format_plugins(files)
         plugins |= {plugin for each in protocols.values() if (plugin := plugin_of(type(each))) is not None}
         hints, used = (*self.hints, *self._misfits()), versions_here(plugins)
-        report = EvaluationReport(tuple(self.runs), tuple(results), protocols, origin(self.truth), hints, used)
+        report = EvaluationReport(
+            tuple(self.runs), tuple(results), protocols, origin(self.truth), hints, used, unwritten=self.unwritten
+        )
         if not self.choices.conditions:
             return report
         names = {scene.name for scene in scenes}
@@ -249,8 +265,7 @@ class _Scoring:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
         if self.choices.protocol is None and truth.looks_like:
             self.unlike.setdefault(protocol.name, []).append((scene.name, truth.looks_like))
-        for viewer in self.choices.viewers:
-            viewer.begin_scene(protocol, scene, truth)
+        self.show(lambda viewer: viewer.begin_scene(protocol, scene, truth))
         results = []
         for run in self.runs:
             with collected_warnings() as own:
@@ -312,8 +327,7 @@ class _Scoring:
             for (region, of), plot in result.plots.items():
                 lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
                 write_text(self.output / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))
-        for viewer in self.choices.viewers:
-            viewer.add_map(result, path, estimate, truth, confidences)
+        self.show(lambda viewer: viewer.add_map(result, path, estimate, truth, confidences))
         return result
 
 

@@ -75,11 +75,11 @@ class Flags(NamedTuple):
         table = [aligned([(*names, "why"), *rows], n_left=3)] if rows else []
         return "\n".join(["", f"flagged: {len(rows) or 'none'} of {self.n_rows}", *table, ""])
 
-    def exit_code(self, failed: bool, fail_flagged: bool, shard: str | None = None) -> int:
-        """Return the exit code of a command; values that one shard lacks may be in the others."""
+    def exit_code(self, failed: bool, fail_flagged: bool, all_rows: bool = True) -> int:
+        """Return the exit code of a command; values that some rows lack may be in those of other processes."""
         if failed:
             return SOME_FAILED
-        return FLAGGED if fail_flagged and (self.flagged or (self.unanswered and not shard)) else 0
+        return FLAGGED if fail_flagged and (self.flagged or (self.unanswered and all_rows)) else 0
 
 
 def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]], reporter: Reporter) -> Flags:

@@ -43,14 +43,15 @@ _MAX_REMEMBERED = 16
 
 def run_scenes(
     batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution, reporter: Reporter
-) -> list[Row]:
-    """Compute every scene that is not done yet, write the run folder ``output``, and return the rows of its report.
+) -> tuple[list[Row], list[str]]:
+    """Compute every scene that is not done yet, and write the run folder ``output``.
 
     Returns
     -------
-    One row per scene of this call (of its shard; up to the first failure with ``fail_fast``), in order: ``scene``,
-    ``status`` (done or failed), ``error``, facts, ``seconds`` by stage, ``peak_memory`` in bytes, ``source``,
-    ``warnings``. Scenes that other processes compute at the same time have none.
+    The rows of the report, one per scene of this call (of its shard; up to the first failure with ``fail_fast``), in
+    order: ``scene``, ``status`` (done or failed), ``error``, facts, ``seconds`` by stage, ``peak_memory`` in bytes,
+    ``source``, ``warnings``. And the names of those without a row, as other processes still compute them; the process
+    that ends last leaves none.
 
     Raises
     ------
@@ -121,14 +122,14 @@ class _Run:
         self.plan, self.scenes, self.lock, self.reporter = plan, scenes, lock, reporter
         self.warnings = WarningCounts(reporter)
         self.rows: dict[str, Row] = {}
-        self.n_elsewhere = 0  # scenes that other processes compute
+        self.elsewhere: dict[str, Task] = {}  # scene -> task, of those that other processes compute
         # Why the run ended before all scenes were computed, or without its report:
         self.first_failure = False  # with ``fail_fast``
         self.disk_full = ""  # the disk, and how much is free there
         self.no_report = ""  # why it cannot be written
 
-    def rows_of_all(self) -> list[Row]:
-        """Compute what is not done, write the report, and return the rows in the order of the scenes."""
+    def rows_of_all(self) -> tuple[list[Row], list[str]]:
+        """Compute what is not done, write the report, and return what ``run_scenes`` does."""
         command = self.plan.work.batch.command
         computed = self._computed(self._tasks())
         try:
@@ -136,17 +137,18 @@ class _Run:
                 self.reporter.start(len(self.scenes), len(self.rows), command)
                 self._collect(computed)
         finally:
-            self.warnings.close()
             discard(self.plan.workspace)
             with self.lock.reporting():
+                self._take_from_others()
                 try:
                     write_report(self.plan.output, command, self.plan.identity)
                 except OutputError as error:  # a scene that cannot be written reports that itself
                     self.no_report = str(error)
+            self.warnings.close()
             if self.lock.last():
                 remove_leftovers(self.plan.output)
         self._sum_up()
-        return [self.rows[scene.name] for scene in self.scenes if scene.name in self.rows]
+        return [self.rows[scene.name] for scene in self.scenes if scene.name in self.rows], list(self.elsewhere)
 
     def _tasks(self) -> list[Task]:
         """Return the tasks of the scenes that are not done; take the rows of the others.
@@ -199,7 +201,7 @@ class _Run:
                 self._take(known.row)
                 self.lock.release(task.scene.name)
             else:
-                self.n_elsewhere += 1
+                self.elsewhere[task.scene.name] = task
             self.reporter.step()
 
     def _collect(self, computed: Iterable[Row]) -> None:
@@ -220,6 +222,19 @@ class _Run:
                 self.first_failure = True
                 return
 
+    def _take_from_others(self) -> None:
+        """Take the rows of scenes that other processes have computed.
+
+        One process at a time asks, when its own scenes are released, so that the last one of a run has all rows.
+        """
+        for name, task in list(self.elsewhere.items()):
+            if self.lock.claim(name):
+                known = read_record(task.target)
+                self.lock.release(name)
+                of_task = known is not None and (known.run, known.inputs) == (task.run, task.inputs)
+                self._take(known.row if known and of_task else task.failed("its process ended; run the command again"))
+                del self.elsewhere[name]
+
     def _take(self, row: Row) -> None:
         self.rows[row["scene"]] = row
         self.warnings.add(row["scene"], row.get("warnings") or [])
@@ -228,13 +243,13 @@ class _Run:
         """Say what was left out, or raise for it."""
         n_failed = sum(row["status"] == "failed" for row in self.rows.values())
         n_all = len({scene.name for scene in self.scenes})
-        left = n_all - len(self.rows) - self.n_elsewhere
+        left = n_all - len(self.rows) - len(self.elsewhere)
         counts = f"{len(self.rows) - n_failed} of {n_all} scenes done, {n_failed} failed, {left} not computed"
         if self.disk_full:
             raise OutputError(f"{self.disk_full}; stopped, {counts}; make room there, {GOES_ON}")
         if self.first_failure:
             self.reporter.info(f"stopped at the first failure, {counts}; {GOES_ON}")
-        if self.n_elsewhere:
-            self.reporter.info(f"{self.n_elsewhere} scenes are being computed by other processes")
+        if self.elsewhere:
+            self.reporter.info(f"{len(self.elsewhere)} scenes are being computed by other processes")
         if self.no_report:
             raise IncompleteError(self.no_report)

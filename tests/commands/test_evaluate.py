@@ -1,9 +1,11 @@
 """The evaluation job: files in, tables, scores, pictures and reasons out."""
 
 import csv
+import errno
 import itertools
 import json
 import math
+import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,6 +32,7 @@ from depthcli.io.walk import discover_scenes
 from depthcli.report.packing import map_picture
 from depthcli.run.records import Record, write_record
 from tests.command_line import contents, refused
+from tests.command_line import run as run_command
 from tests.scenes import true
 
 SHAPE = (24, 32)
@@ -550,3 +553,43 @@ def test_a_table_for_a_paper(tmp_path: Path, truth: Path, capsys: pytest.Capture
     assert "--caption: is for one table" in capsys.readouterr().err
     assert main([*command, "--columns", "z"]) == 2
     assert "no z in these tables, which have a, b, mean of 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("full", "missing"),
+    [("contact_sheet.png", "contact_sheet.png"), ("report.html", "report.html"), ("scene-0.js", "report.html")],
+)
+def test_a_page_or_sheet_that_cannot_be_written_is_said_and_costs_no_scores(
+    truth: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    full: str,
+    missing: str,
+):
+    put = os.replace
+
+    def replace(source: Path, target: Path) -> None:
+        if Path(target).name == full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
+        put(source, target)
+
+    monkeypatch.setattr(os, "replace", replace)
+    maps = run_of(tmp_path / "maps", {"a": TRUTH, "b": TRUTH})
+    match = ("opencv-bm", "-i", truth, "--html")
+    out = tmp_path / "out"
+    for command, folder in {
+        ("evaluate", maps, "--truth", truth, "--html", "-o", out / "scores"): out / "scores",
+        ("stereo", *match, "-o", out / "run"): out / "run" / "evaluation",
+        ("sweep", *match, "-o", out / "sweep", "--over", "block=5,7"): out / "sweep" / "evaluation",
+    }.items():
+        assert run_command(*command) == 3, command
+        said = capsys.readouterr().err
+        assert said.count(f"no {missing}: ") == 1, said
+        assert said.endswith("report.html\n") == (missing != "report.html"), said
+        assert not (folder / missing).exists()
+        assert not json.loads((folder / "scores.json").read_text())["failed"]
+        assert run_command(*command, "--json") == 3
+        report = json.loads(capsys.readouterr().out)
+        if "evaluate" in command:
+            assert list(report["unwritten"]) == [missing]

@@ -110,7 +110,7 @@ class Folder:
             scenes.append(Text(name=name, folder=file.parent, file=file))
         self.log.write_text("")
         batch = batch_of(factor, self.log)
-        rows = run_scenes(batch, scenes, self.output, Execution(**options), self.reporter)
+        rows, _ = run_scenes(batch, scenes, self.output, Execution(**options), self.reporter)
         return {row["scene"]: row for row in rows}
 
     def computed(self) -> list[str]:
@@ -320,7 +320,7 @@ def test_another_input_of_the_same_name_is_refused(folder: Folder):
     scene = Text(name="a", folder=folder.root, file=other)
 
     def again(**options: Any) -> list[dict[str, Any]]:
-        return run_scenes(batch_of(), [scene], folder.output, Execution(**options), Reporter(-1))
+        return run_scenes(batch_of(), [scene], folder.output, Execution(**options), Reporter(-1))[0]
 
     refused(ConfigError, r"another 'a', made from .*in/a; this one is .*elsewhere", again)
     assert folder.bytes() == before

@@ -1,14 +1,18 @@
 """Several processes in one run folder: who does what, who waits for whom, and what is left when one is killed."""
 
+import json
+import shutil
 import signal
 import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from depthcli.core.errors import ConfigError
+from depthcli.run import workers
 from depthcli.run.batch import shard_of
 from depthcli.run.folder import LOCKS_FILE, FolderLock
 from tests.command_line import contents, refused, run, start, statuses, wait_for
@@ -103,6 +107,60 @@ with FolderLock(Path({str(tmp_path / "run")!r}), print) as lock:
         other.communicate()
         assert lock.claim("c")
         assert lock.last()
+
+
+_COMPUTES_A_SCENE = """
+import pathlib, shutil, sys
+from depthcli.run.folder import FolderLock
+out, made = map(pathlib.Path, sys.argv[1:])
+with FolderLock(out, print) as lock:
+    lock.share()
+    print(lock.claim("planes_0"), flush=True)
+    input()
+    if made.is_dir():
+        shutil.copytree(made, out / "planes_0")
+        lock.release("planes_0")
+"""
+
+
+@pytest.mark.slow
+def test_the_process_that_ends_last_evaluates_all_scenes(
+    made_scenes: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Another process computes ``planes_0`` when this one comes to it; it ends after, before, or without a result."""
+    out, compute = tmp_path / "run", workers.compute_scene
+    out.mkdir()
+    shutil.copy(whole / "run.yaml", out)
+    common = ("stereo", FAST, "-i", made_scenes, "-o", out, "--scenes", "planes_[01]", "--evaluate", "-q")
+
+    def runs_beside_another(made: Path, ends_before: bool) -> int:
+        shutil.rmtree(out / "planes_1", ignore_errors=True)
+        command = [sys.executable, "-c", _COMPUTES_A_SCENE, out, made]
+        other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert other.stdout is not None
+        assert other.stdout.readline().split() == ["True"]
+
+        def computed(*task: Any) -> Any:
+            if ends_before:
+                other.communicate("\n", timeout=60)
+            return compute(*task)
+
+        monkeypatch.setattr(workers, "compute_scene", computed)
+        code = run(*common)
+        if not ends_before:
+            other.communicate("\n", timeout=60)
+        assert other.returncode == 0
+        return code
+
+    assert runs_beside_another(tmp_path / "nothing", ends_before=False) == 0
+    assert statuses(out) == {"planes_1": "done"}
+    assert not (out / "evaluation").exists()
+    assert runs_beside_another(tmp_path / "nothing", ends_before=True) == 3
+    assert runs_beside_another(whole / "planes_0", ends_before=True) == 0
+    assert statuses(out) == {"planes_0": "done", "planes_1": "done"}
+    scores = json.loads((out / "evaluation" / "scores.json").read_text())
+    assert not scores["failed"]
+    assert all(result["seconds"] > 0 for result in scores["results"]), scores["results"]
 
 
 @pytest.mark.slow
