@@ -15,10 +15,10 @@ project = "depthcli"
 copyright = "the depthcli authors"
 release = version = depthcli.__version__
 extensions = [
-    "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "sphinx_copybutton",
-    "sphinx_gallery.gen_gallery",
+    "myst_parser", "sphinx_copybutton", "sphinx_gallery.gen_gallery",
 ]  # fmt: skip
-exclude_patterns = ["gallery/*", "run"]
+exclude_patterns = ["gallery/*", "files"]
+nitpicky = True
 html_theme = "furo"
 html_title = f"depthcli {release}"
 html_static_path = ["static"]
@@ -27,12 +27,8 @@ html_show_sourcelink = False
 smartquotes = False  # "--input" stays as it is
 pygments_style, pygments_dark_style = "tango", "monokai"
 myst_enable_extensions = ["deflist", "dollarmath", "colon_fence"]
-myst_heading_anchors = 3
-suppress_warnings = ["config.cache", "myst.xref_missing_fragment"]
-autodoc_typehints = "none"  # the docstrings say types and shapes
-autodoc_member_order = "bysource"
-napoleon_google_docstring = False
-napoleon_use_ivar = True
+myst_heading_anchors = 6
+suppress_warnings = ["config.cache"]
 copybutton_prompt_text = "$ "
 copybutton_only_copy_prompt_lines = True
 sphinx_gallery_conf = {

@@ -1,38 +1,45 @@
-"""Code blocks of the documentation's Markdown pages: run in order, with what they print and draw put into the page.
+"""Code blocks of the documentation's Markdown pages: run in order, and what they print compared or written.
 
-A page runs from top to bottom in an empty folder of its own. What follows the language of a block says how:
+A page runs from top to bottom in an empty folder of its own. If docs/examples has a shell script of the page's name
+(docs/examples/how_to/sweep.sh for docs/how_to/sweep.md), it runs first, and makes what the page supposes to be there.
+What follows the language of a block says how it is run:
 
 | block | what happens |
 |---|---|
-| ``console`` | lines behind ``$ `` are run by bash, one after the other; the page shows them with what they print |
-| ``sh`` | run by bash; the page shows the commands alone |
-| ``python`` | run in one interpreter for the whole page; what it prints is shown below |
+| ``console`` | lines behind ``$ `` are run by bash, one after the other; below each stands what it prints |
+| ``sh`` | run by bash; what it prints is not shown |
+| ``python`` | run in one interpreter for the whole page; what it prints stands in a ``text`` block right below |
 | any, with ``file=NAME`` | written into the folder, not run |
 | ``text``, ``bibtex``, ``math`` | shown |
 
-``hidden`` runs a block without showing it, ``exit=N`` expects that exit code, ``lines=N`` shows at most so many lines
-of each output, ``needs=opencl`` runs it only where such a device works. An image of the page whose file the blocks
-wrote is taken from the folder.
+``exit=N`` expects that exit code, ``lines=N`` shows at most so many lines of each output, and ``needs=opencl`` leaves a
+block as it stands where no such device works.
 """
 
 import json
+import math
 import os
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from depthcli.device import devices, why_no_device
+from depthcli.device import devices
 
 BLOCK = re.compile(
-    r"^(?P<fence>```+)(?P<head>[a-z]\w*)(?P<settings>[^\n`]*)\n(?P<text>.*?)^(?P=fence)[ ]*$", re.M | re.S
+    r"^(?P<fence>```+)(?P<head>[a-z]\w*)(?P<settings>[^\n`]*)\n(?P<text>.*?)^(?P=fence)[ ]*$"
+    r"(?P<output>\n\n```text\n.*?^```$)?",
+    re.M | re.S,
 )
-IMAGE = re.compile(r"(!\[[^\]]*\]\()([^)\s]+\.(?:png|svg))(\))")
 SHOWN_ONLY = ("text", "bibtex", "math")
+SETTINGS = {"file", "exit", "lines", "needs"}
 _NOISE = re.compile(r"first use of these settings here: compiling|compiled \d+ kernels in ")
+_MEASURED = re.compile(r"\b\d+(?:\.\d+)? (?:s|ms|min|kB|MB|MiB|GiB)\b|\d{4}-\d\d-\d\d[T ][\d:.]+")
+_NUMBER = re.compile(r"\d+(?:\.\d+)?|\.\d+")
+_VOLATILE = {"seconds", "memory"}  # headings of columns that differ from run to run
 _INTERPRETER = """
 import contextlib, io, json, sys, traceback
 names = {"__name__": "__main__"}
@@ -52,6 +59,31 @@ class ExampleError(Exception):
     """An example of a page that fails, or a block that nothing would run."""
 
 
+def same_output(shown: str, printed: str) -> bool:
+    """Return whether two outputs agree up to seconds, memory, and 2 % of other numbers."""
+    first, second = (list(_comparable(text.splitlines())) for text in (shown, printed))
+    return len(first) == len(second) and all(map(_same_line, first, second))
+
+
+def _comparable(lines: Sequence[str]) -> Iterator[str]:
+    """Yield lines without the cells of volatile columns."""
+    columns: list[int] = []
+    for line in lines:
+        cells = re.split(r" {2,}", line.strip())
+        if _VOLATILE & set(cells):
+            columns = [len(cells) - k for k, cell in enumerate(cells) if cell in _VOLATILE]
+        elif len(cells) < 2:
+            columns = []
+        kept = [cell for k, cell in enumerate(cells) if len(cells) - k not in columns]
+        yield _MEASURED.sub("", " ".join(kept))
+
+
+def _same_line(first: str, second: str) -> bool:
+    pairs = zip(_NUMBER.findall(first), _NUMBER.findall(second), strict=False)
+    close = all(math.isclose(float(a), float(b), rel_tol=0.02, abs_tol=0.021) for a, b in pairs)
+    return _NUMBER.sub("#", first) == _NUMBER.sub("#", second) and close
+
+
 @dataclass
 class Page:
     """One Markdown page and the folder that its blocks run in."""
@@ -59,8 +91,8 @@ class Page:
     name: str  # for messages
     text: str
     folder: Path  # empty, or not there yet
-    pictures: Path  # where images that the blocks write are copied to
-    link: str  # the same folder as the page's text has to name it
+    setup: Path | None = None  # shell script that is run first, if it exists
+    skipped: list[str] = field(default_factory=list, init=False)  # why blocks were not run
     _interpreter: subprocess.Popen[str] | None = field(default=None, init=False)
 
     def run(self) -> str:
@@ -71,93 +103,94 @@ class Page:
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
         try:
-            text = BLOCK.sub(self._block, self.text)
+            if self.setup is not None and self.setup.is_file():
+                self._shell(str(self.setup), self.setup.read_text("utf-8"), 0)
+            return BLOCK.sub(self._block, self.text)
         finally:
             if self._interpreter is not None:
                 self._interpreter.communicate()
-        return IMAGE.sub(self._image, text)
 
     def _block(self, found: re.Match[str]) -> str:
-        language, text = found["head"], found["text"]
+        language, text, place = found["head"], found["text"], self._place(found)
         settings = dict(word.partition("=")[::2] for word in found["settings"].split())
-        unknown = settings.keys() - {"file", "hidden", "exit", "lines", "needs"}
-        if unknown:
-            raise ExampleError(f"{self._place(found)}: unknown setting {', '.join(sorted(unknown))}")
+        output = found["output"] or ""
+        if unknown := settings.keys() - SETTINGS:
+            raise ExampleError(f"{place}: unknown setting {', '.join(sorted(unknown))}")
         if "file" in settings:
             file = self.folder / settings["file"]
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, "utf-8")
-            shown = f"```{{code-block}} {language}\n:caption: {settings['file']}\n\n{text}```"
-        elif language in SHOWN_ONLY:
-            return found[0]
-        elif "needs" in settings and not any(info.address.startswith(settings["needs"]) for info in devices()):
-            print(f"  {self._place(found)}: not run, {why_no_device()}", file=sys.stderr)
-            shown = f"```{language}\n{text}```"
-        elif language == "console":
-            lines = "".join(self._console(found, text, settings))
-            shown = f"```console\n{lines}```"
-        elif language == "sh":
-            self._shell(found, text, int(settings.get("exit", 0)))
-            shown = f"```sh\n{text}```"
-        elif language == "python":
-            output = self._clean(self._python(found, text), settings)
-            shown = f"```python\n{text}```" + (f"\n\n```text\n{output}```" if output else "")
-        else:
-            raise ExampleError(f"{self._place(found)}: a block of {language} is neither run nor written to a file=NAME")
-        return "" if "hidden" in settings else shown
+        elif language not in SHOWN_ONLY:
+            try:
+                if "needs" in settings and not any(info.address.startswith(settings["needs"]) for info in devices()):
+                    raise ExampleError(f"{place}: no {settings['needs']} device")
+                text, output = self._run(language, text, place, settings, output)
+            except ExampleError as error:
+                if "needs" not in settings:
+                    raise
+                self.skipped.append(f"{str(error).splitlines()[0]}; the block stays as it is")
+        return f"{found['fence']}{language}{found['settings']}\n{text}{found['fence']}{output}"
 
-    def _console(self, found: re.Match[str], text: str, settings: dict[str, str]) -> Iterator[str]:
+    def _run(self, language: str, text: str, place: str, settings: dict[str, str], output: str) -> tuple[str, str]:
+        """Run a block; return its text and the block of output below it."""
+        most, code = int(settings.get("lines", 40)), int(settings.get("exit", 0))
+        if language == "console":
+            return "".join(self._console(place, text, most, code)), output
+        if language == "sh":
+            self._shell(place, text, code)
+            return text, output
+        if language != "python":
+            raise ExampleError(f"{place}: a block of {language} is neither run nor written to a file=NAME")
+        printed = self._clean(self._python(place, text), most)
+        return text, f"\n\n```text\n{printed}```" if printed else output
+
+    def _console(self, place: str, text: str, most: int, code: int) -> Iterator[str]:
         commands = re.findall(r"^\$ ((?:.*\\\n)*.*)\n", text, re.M)
         if not commands:
-            raise ExampleError(f"{self._place(found)}: no line begins with '$ '")
+            raise ExampleError(f"{place}: no line begins with '$ '")
         for number, command in enumerate(commands):
-            wanted = int(settings.get("exit", 0)) if number == len(commands) - 1 else 0
-            yield f"$ {command}\n{self._clean(self._shell(found, command, wanted), settings)}"
+            wanted = code if number == len(commands) - 1 else 0
+            yield f"$ {command}\n{self._clean(self._shell(place, command, wanted), most)}"
 
-    def _shell(self, found: re.Match[str], text: str, wanted: int) -> str:
+    def _shell(self, place: str, text: str, wanted: int) -> str:
         done = subprocess.run(
             ["bash", "-eu", "-o", "pipefail", "-c", text], cwd=self.folder, env=self._environment(), text=True,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, errors="replace", check=False,
         )  # fmt: skip
         if done.returncode != wanted:
-            problem = f"exit code {done.returncode}, not {wanted}:\n{text}\n{done.stdout}"
-            raise ExampleError(f"{self._place(found)}: {problem}")
+            raise ExampleError(f"{place}: exit code {done.returncode}, not {wanted}:\n{text}\n{done.stdout}")
         return done.stdout
 
-    def _python(self, found: re.Match[str], text: str) -> str:
+    def _python(self, place: str, text: str) -> str:
         if self._interpreter is None:
             self._interpreter = subprocess.Popen(
                 [sys.executable, "-c", _INTERPRETER], cwd=self.folder, env=self._environment(), text=True,
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             )  # fmt: skip
+        assert self._interpreter.stdin is not None and self._interpreter.stdout is not None
         self._interpreter.stdin.write(json.dumps(text) + "\n")
         self._interpreter.stdin.flush()
         answer = self._interpreter.stdout.readline()
         failed, printed = json.loads(answer) if answer else (True, "the interpreter ended")
         if failed:
-            raise ExampleError(f"{self._place(found)}:\n{text}\n{printed}")
+            raise ExampleError(f"{place}:\n{text}\n{printed}")
         return str(printed)
 
     def _environment(self) -> dict[str, str]:
         return os.environ | {"COLUMNS": "100", "MPLBACKEND": "agg", "NO_COLOR": "1", "TERM": "dumb"}
 
-    def _clean(self, output: str, settings: dict[str, str]) -> str:
+    def _clean(self, output: str, most: int) -> str:
         """What a command printed, without the folder's place and what is printed on the first run only."""
-        lines = [line for line in output.splitlines() if not _NOISE.match(line)]
-        most = int(settings.get("lines", 40))
+        lines = [line.rstrip() for line in output.splitlines() if not _NOISE.match(line)]
         if len(lines) > most:
             lines = [*lines[:most], "..."]
         text = "\n".join(lines).replace(str(self.folder), "/home/you/depth")
         return f"{text}\n" if text.strip() else ""
 
-    def _image(self, found: re.Match[str]) -> str:
-        made = self.folder / found[2]
-        if not made.is_file():
-            return found[0]
-        copy = found[2].replace("/", "_")
-        self.pictures.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(made, self.pictures / copy)
-        return f"{found[1]}{self.link}/{copy}{found[3]}"
-
     def _place(self, found: re.Match[str]) -> str:
         return f"{self.name}:{self.text.count(chr(10), 0, found.start()) + 1}"
+
+
+def outputs(text: str) -> list[str]:
+    """Return the blocks of a page with what is below them, in order."""
+    return [found[0] for found in BLOCK.finditer(text)]

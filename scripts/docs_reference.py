@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Write the reference of the documentation from the code itself: commands, presets, methods, data, outputs, Python.
+"""Write docs/reference from the code: commands, presets, methods, data, outputs, columns, Python.
 
-    scripts/docs_reference.py --output FOLDER
-    scripts/docs_reference.py --readme
+    scripts/docs_reference.py [--check]
 
-``scripts/docs`` calls it. ``--readme`` renews the README's table of commands instead.
+It also renews the README's table of commands. ``--check`` writes nothing, and fails if a file is not up to date; so
+does tests/test_docs.py.
 """
 
 import inspect
@@ -14,11 +14,11 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
-from pathlib import Path
 from typing import Any
 
 import _env  # first: continues in the checkout's environment
 import typer
+import yaml
 
 import depthcli
 from depthcli import testing
@@ -36,6 +36,7 @@ from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 from depthcli.io.formats.volumes import VOLUME_SUFFIXES
 from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.methods.confidence import measures as confidence_measures
 from depthcli.methods.registration.search import MEASURES
 from depthcli.run.folder import REPORT_FILES
 from depthcli.run.presets import find_config, list_presets
@@ -71,7 +72,8 @@ OUTPUTS = {
     "Depth maps": {str(int(bit)): text for bit, text in DEPTH_STATUS_HELP.items()},
     "Exit codes": {str(code): text for code, text in EXIT_CODES.items()},
 }
-COLUMNS = {
+REFERENCE, README = _env.ROOT / "docs" / "reference", _env.ROOT / "README.md"
+COLUMNS = yaml.safe_load((_env.ROOT / "scripts" / "report_columns.yaml").read_text("utf-8")) | {
     heading: {column.headings: column.about for column in columns}
     for heading, columns in {
         "Metrics (evaluate)": evaluation.METRICS,
@@ -85,20 +87,17 @@ COLUMNS = {
 
 
 def main() -> None:
-    options = _env.options(__doc__, output=None, readme=False)
-    if options.readme:
-        readme = _env.ROOT / "README.md"
-        readme.write_text(with_commands(readme.read_text("utf-8")), "utf-8")
-    if options.output:
-        write_pages(options.output)
-
-
-def write_pages(folder: Path) -> None:
-    """Write all pages into a folder."""
-    for name, text in pages().items():
-        file = folder / f"{name}.md"
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n", "utf-8")
+    check = _env.options(__doc__, check=False).check
+    wanted = {README: with_commands(README.read_text("utf-8"))}
+    wanted |= {REFERENCE / f"{name}.md": text for name, text in pages().items()}
+    wanted |= dict.fromkeys(set(REFERENCE.rglob("*.md")) - set(wanted), "")
+    stale = [file for file, text in wanted.items() if (file.read_text("utf-8") if file.exists() else "") != text]
+    for file in sorted(stale):
+        print(f"{file.relative_to(_env.ROOT)}: {'not up to date' if check else 'written'}")
+        if not check:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(wanted[file], "utf-8") if wanted[file] else file.unlink()
+    sys.exit("run scripts/docs_reference.py" if check and stale else 0)
 
 
 def with_commands(readme: str) -> str:
@@ -117,22 +116,23 @@ def pages() -> dict[str, str]:
         "python": python_page(),
         "presets": presets(),
         "configs": configs(),
-        "methods/index": _index(
-            "Methods", "The exchangeable parts of every command, by family; a config names them.", families
-        ),
         "data": data(),
         "protocols": protocol_page(),
         "outputs": "# Outputs\n\n" + _sections(OUTPUTS),
-        "columns": "# Columns of tables\n\n" + _sections(COLUMNS),
-        "plugins": f"# Tests of plug-ins\n\n{_about(testing)}\n\n```{{eval-rst}}\n"
-        ".. automodule:: depthcli.testing\n   :members:\n   :imported-members:\n```\n",
+        "columns": "# Columns of tables\n\nIn brackets: the unit.\n\n" + _sections(COLUMNS),
+        "plugins": f"# Tests of plug-ins\n\n{_about(testing)}\n\n"
+        + "\n".join(_documented(name, getattr(testing, name)) for name in testing.__all__),
     }
-    index = _index("Reference", "Generated from the code of the version that the page names.", found)
-    return {"index": index, **found, **{f"methods/{name}": text for name, text in families.items()}}
+    methods = _index("Methods", "The exchangeable parts of every command, by family; a config names them.", families)
+    index = _index("Reference", "Generated from the code by `scripts/docs_reference.py`.", found)
+    index = index.replace("- [Layouts", "- [Methods](methods/index.md)\n- [Layouts")
+    texts = {"index": index, **found, "methods/index": methods, **{f"methods/{k}": v for k, v in families.items()}}
+    return {name: re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n" for name, text in texts.items()}
 
 
-def _index(title: str, about: str, names: Iterable[str]) -> str:
-    return f"# {title}\n\n{about}\n\n```{{toctree}}\n:maxdepth: 1\n\n" + "\n".join(names) + "\n```\n"
+def _index(title: str, about: str, found: Mapping[str, str]) -> str:
+    links = (f"- [{text.partition(chr(10))[0].removeprefix('# ')}]({name}.md)\n" for name, text in found.items())
+    return f"# {title}\n\n{about}\n\n" + "".join(links)
 
 
 def command_line() -> str:
@@ -145,7 +145,7 @@ def command_line() -> str:
             context = typer.Context(command)
             records = (each.get_help_record(context) for each in command.get_params(context))
             rows = [(f"`{option}`", text) for option, text in filter(None, records)]
-            parts.append(f"(command-{name})=\n### `depthcli {name}`\n\n{help_of(name)}\n\n{_table(('', ''), rows)}")
+            parts.append(f"### `depthcli {name}`\n\n{help_of(name)}\n\n{_table(('', ''), rows)}")
     return "\n".join(parts)
 
 
@@ -156,12 +156,11 @@ def presets() -> str:
         "begins with `base: NAME`.\n"
     ]
     for command, found in groupby(list_presets(), key=itemgetter(0)):
-        parts.append(f"## `{command}`\n")
+        parts.append(f"\n## `{command}`\n\n")
         for _, name, about in found:
-            text = find_config(command, name).read_text("utf-8").rstrip()
-            details = f"<details><summary>The file</summary>\n\n```yaml\n{text}\n```\n\n</details>"
-            parts.append(f"### `{command} {name}`\n\n{_markdown(about)}\n\n{details}\n")
-    return "\n".join(parts)
+            file = find_config(command, name).relative_to(_env.ROOT)
+            parts.append(f"- [`{name}`](../../{file.as_posix()}): {_markdown(about)}\n")
+    return "".join(parts)
 
 
 def configs() -> str:
@@ -186,8 +185,10 @@ def family_page(package: str) -> str:
         aliases = f" Also called {', '.join(f'`{alias}`' for alias in method.aliases)}." if method.aliases else ""
         source = _about(sys.modules[method.__module__])
         parts.append(f"## `{name}`\n\n{_about(method)}{aliases}\n\n*Source:* {source}\n\n{_fields(method)}")
-    if package.endswith("registration.feature"):
-        parts.append("## Measures\n\n" + _table(("Measure", ""), ((f"`{n}`", text) for n, text in MEASURES.items())))
+    measures = {"depthcli.methods.registration.feature": MEASURES, "depthcli.methods.confidence": confidence_measures()}
+    if package in measures:
+        rows = ((f"`{name}`", about) for name, about in measures[package].items())
+        parts.append("## Measures\n\n" + _table(("measure", ""), rows))
     return "\n".join(parts)
 
 
@@ -255,23 +256,64 @@ def protocol_page() -> str:
 
 
 def python_page() -> str:
-    """Return the page of Python's public names, which Sphinx fills."""
+    """Return the page of Python's public names, from their docstrings."""
     configs = [model.__name__ for model in CONFIGS.values()]
     names = sorted(set(depthcli.__all__) - {"__version__", *configs})
     functions = [name for name in names if inspect.isroutine(getattr(depthcli, name))]
     errors = [name for name in names if name.endswith("Error")]
     results = [name for name in names if name not in functions and name not in errors]
     parts = ["# Python\n\n`import depthcli` takes milliseconds; what a function needs is loaded when it is called.\n"]
-    for title, found, kind, more in (
-        ("Functions", functions, "autofunction", ""),
-        ("Results", results, "autoclass", "\n   :members:"),
-        ("Errors", errors, "autoclass", ""),
-    ):
-        parts.append(f"## {title}\n")
-        parts += [f"```{{eval-rst}}\n.. {kind}:: depthcli.{name}{more}\n```\n" for name in found]
+    for title, found in (("Functions", functions), ("Results", results), ("Errors", errors)):
+        parts += [f"## {title}\n", *(_documented(name, getattr(depthcli, name)) for name in found)]
     listed = "\n".join(f"- `depthcli.{model.__name__}`: of `{command}`" for command, model in CONFIGS.items())
     parts.append(f"## Configs\n\nPydantic models with the keys of [Configs](configs.md).\n\n{listed}\n")
     return "\n".join(parts)
+
+
+def _documented(name: str, thing: Any) -> str:
+    """The section of a public function or class: its signature, docstring and public methods."""
+    place = thing.__module__ if thing.__module__.startswith("depthcli.testing") else "depthcli"
+    place = "depthcli.testing" if place != "depthcli" else place
+    parts = [f"### `{place}.{name}`\n"]
+    if inspect.isroutine(thing):
+        parts.append(f"```python\n{_signature(name, thing)}\n```\n")
+    parts.append(_docstring(thing))
+    for key in vars(thing) if inspect.isclass(thing) and not issubclass(thing, Exception) else ():
+        member = inspect.getattr_static(thing, key)
+        if key.startswith("_") or not (inspect.isroutine(member) or isinstance(member, property)):
+            continue
+        shown = _signature(key, member).replace("(self, ", "(").replace("(self)", "()") if callable(member) else key
+        parts.append(f"#### `{name}.{key}`\n\n```python\n{shown}\n```\n\n{_docstring(member)}")
+    return "\n".join(parts)
+
+
+def _signature(name: str, function: Any) -> str:
+    """The names and defaults of a function's parameters; their types and shapes are in the docstring."""
+    signature = inspect.signature(function)
+    bare = [each.replace(annotation=inspect.Parameter.empty) for each in signature.parameters.values()]
+    text = f"{name}{signature.replace(parameters=bare, return_annotation=inspect.Signature.empty)}".replace("'", '"')
+    return text if len(text) <= 100 else text.replace("(", "(\n    ", 1).replace(", ", ",\n    ")[:-1] + ",\n)"
+
+
+def _docstring(thing: Any) -> str:
+    """A docstring in numpy's style as Markdown."""
+    text = inspect.getdoc(thing) or ""
+    first, *rest = re.split(r"^([A-Z]\w+)\n-{3,}\n", text, flags=re.M)
+    parts = [_prose(first)]
+    for title, body in zip(rest[::2], rest[1::2], strict=True):
+        if title == "Examples":
+            parts.append(f"```python\n{body.strip()}\n```\n")
+        else:
+            entries = re.findall(r"^(\S.*?) : (.*(?:\n(?:[ ]+.*|(?=\n)))*)", body, re.M)
+            listed = "\n".join(f"- `{names}`: {_prose(about).strip()}" for names, about in entries)
+            parts.append(f"{title}:\n\n{listed or _prose(body)}\n")
+    return "\n".join(parts)
+
+
+def _prose(text: str) -> str:
+    """Paragraphs of a docstring as Markdown, with its examples as code."""
+    parts = text.strip().split("\n\n")
+    return "\n\n".join(f"```python\n{p}\n```" if p.startswith(">>>") else _markdown(p) for p in parts) + "\n"
 
 
 def _sections(sections: Mapping[str, Mapping[str, str]]) -> str:

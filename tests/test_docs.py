@@ -1,12 +1,14 @@
-"""The documentation's examples run."""
+"""The documentation: its reference is up to date, its links lead somewhere, its examples run."""
 
 import json
 import os
 import re
+import runpy
 import sys
 from pathlib import Path
 
 import _docs_examples
+import _docs_links
 import docs_reference
 import pytest
 
@@ -48,11 +50,11 @@ def test_every_name_of_the_program_is_in_the_reference():
     pages = docs_reference.pages()
     for name in own_names():
         command = command_of(name)
-        section = pages["command_line"].partition(f"(command-{name})=")[2].partition("(command-")[0]
+        section = pages["command_line"].partition(f"### `depthcli {name}`\n")[2].partition("\n###")[0]
         for option in command.params:
             assert (option.help or "").split("|")[0].rstrip() in section, (name, option.name)
     for command, preset, _ in list_presets():
-        assert f"### `{command} {preset}`" in pages["presets"]
+        assert f"(../../configs/{command}/{preset}.yaml)" in pages["presets"]
     sources = (path for path in (ROOT / "depthcli").rglob("__init__.py") if "method_of(" in path.read_text("utf-8"))
     families = {".".join(path.parent.relative_to(ROOT).parts) for path in sources}
     assert families <= set(docs_reference.METHOD_PACKAGES) | {"depthcli.core"}
@@ -76,41 +78,70 @@ def test_every_name_of_the_program_is_in_the_reference():
     assert all(f"depthcli.{name}" in pages["python"] for name in depthcli.__all__ if name != "__version__")
 
 
-def test_links_between_pages_lead_somewhere():
-    """Headings are named as Sphinx's parser names them; what it does not check itself."""
-    pages = {page.relative_to(DOCS).as_posix(): page.read_text("utf-8") for page in DOCS.rglob("*.md")}
-    pages |= {f"reference/{name}.md": text for name, text in docs_reference.pages().items()}
-    names = {
-        page: {re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in re.findall(r"^#+ (.*)$", text, re.M)}
-        | set(re.findall(r"^\(([\w-]+)\)=$", text, re.M))
-        for page, text in pages.items()
-    }
-    for page, text in pages.items():
-        for path, name in re.findall(r"\]\((?!https?:)([^)#\s]*\.md|)#([^)\s]+)\)", text):
-            target = os.path.normpath(os.path.join(os.path.dirname(page), path)) if path else page
-            assert name in names[target], (page, path, name)
+PENDING = {"index.md", "tutorial.md", "my_map_is_wrong.md", *(file.name for file in DOCS.glob("how_*/*.md"))}
+
+
+def test_the_reference_is_up_to_date():
+    pages = {DOCS / "reference" / f"{name}.md": text for name, text in docs_reference.pages().items()}
+    written = {file: file.read_text("utf-8") for file in (DOCS / "reference").rglob("*.md")}
+    stale = {file.name for file in pages.keys() | written.keys() if pages.get(file) != written.get(file)}
+    assert not stale, "run scripts/docs_reference.py"
+
+
+def test_every_link_leads_somewhere_in_the_repository():
+    """Pages, headings, pictures and other files, as a code host shows them."""
+    pages = [*ROOT.glob("*.md"), *DOCS.rglob("*.md"), ROOT / "scripts" / "README.md"]
+    assert not list(_docs_links.dead_links(ROOT, [page for page in pages if page.name not in PENDING]))
+
+
+def test_dead_links_are_found(tmp_path: Path):
+    (tmp_path / "b.md").write_text("# A `b c`, d\n# Twice\n# Twice\n```\n# no heading\n```\n")
+    page = tmp_path / "a.md"
+    alive = "[](b.md) [](b.md#a-b-c-d) [](b.md#twice-1) [](https://x.org/y) `[](code.md)`\n```sh\n[](block.md)\n```\n"
+    page.write_text(alive + "# Own\n[](#own) [](#none) [](b.md#no-heading) ![](c.png) [](../outside.md)")
+    (tmp_path.parent / "outside.md").touch()
+    dead = [line.removeprefix("a.md: ") for line in _docs_links.dead_links(tmp_path, [page])]
+    assert dead == ["#none", "b.md#no-heading", "c.png", "../outside.md"]
+
+
+def test_pictures_are_small():
+    assert sum(file.stat().st_size for file in (DOCS / "static").iterdir()) <= 2_000_000
 
 
 @pytest.fixture
 def page(tmp_path: Path):
-    def make(text: str) -> str:
-        return _docs_examples.Page("page.md", text, tmp_path / "run", tmp_path / "pictures", "/pictures").run()
+    setup = tmp_path / "setup.sh"
+    setup.write_text("echo made > made.txt\n")
+    return lambda text: _docs_examples.Page("page.md", text, tmp_path / "run", setup)
 
-    return make
 
-
-def test_blocks_of_a_page_run_in_order_and_show_what_they_print(page, tmp_path: Path):
+def test_blocks_of_a_page_run_in_order_and_their_output_is_written(page):
     text = page(
         "```yaml file=a/b.yaml\nbase: fast\n```\n"
-        "```console lines=2\n$ cat a/b.yaml; pwd\n$ seq 4\nold output\n```\n"
-        "```python\nx = 2\n```\n```python hidden\nopen('p.png', 'wb').write(b'p')\n```\n```python\nprint(x + 1)\n```\n"
-        "```sh exit=3\nexit 3\n```\n![p](p.png) ![q](q.png)\n```text\nas it is\n```\n"
+        "```console lines=2\n$ cat a/b.yaml made.txt; pwd\n$ seq 4\nold output\n```\n"
+        "```python\nx = 2\n```\n```python\nprint(x + 1)\n```\n\n```text\nold\n```\n"
+        "```sh exit=3\nexit 3\n```\n```text\nas it is\n```\n"
+    ).run()
+    assert text == (
+        "```yaml file=a/b.yaml\nbase: fast\n```\n"
+        "```console lines=2\n$ cat a/b.yaml made.txt; pwd\nbase: fast\nmade\n...\n$ seq 4\n1\n2\n...\n```\n"
+        "```python\nx = 2\n```\n```python\nprint(x + 1)\n```\n\n```text\n3\n```\n"
+        "```sh exit=3\nexit 3\n```\n```text\nas it is\n```\n"
     )
-    assert "```{code-block} yaml\n:caption: a/b.yaml\n\nbase: fast\n```" in text
-    assert "```console\n$ cat a/b.yaml; pwd\nbase: fast\n/home/you/depth\n$ seq 4\n1\n2\n...\n```" in text
-    assert "```python\nx = 2\n```\n\n```python\nprint(x + 1)\n```\n\n```text\n3\n```\n```sh\nexit 3\n```\n" in text
-    assert "![p](/pictures/p.png) ![q](q.png)\n```text\nas it is\n```" in text
-    assert (tmp_path / "pictures/p.png").read_bytes() == b"p"
+
+
+def test_a_block_without_its_device_stays_as_it_is(page):
+    text = "```console needs=abacus\n$ false\nold\n```\n"
+    example = page(text)
+    assert example.run() == text and "no abacus device" in example.skipped[0]
+
+
+def test_outputs_are_compared_without_what_differs_from_run_to_run():
+    table = "scene  size  seconds  memory\na      4x3      0.12  10 MiB\n\ntotal 3.00 px in 2.1 s\n"
+    assert _docs_examples.same_output(table, table.replace("0.12  10", "9.99  99").replace("2.1 s", "7 s"))
+    assert _docs_examples.same_output(table, table.replace("3.00", "3.05"))
+    for old, new in (("3.00", "3.40"), ("4x3", "4x5"), ("total", "sum"), ("a ", "b ")):
+        assert not _docs_examples.same_output(table, table.replace(old, new))
 
 
 @pytest.mark.parametrize(
@@ -127,7 +158,7 @@ def test_blocks_of_a_page_run_in_order_and_show_what_they_print(page, tmp_path: 
 )
 def test_an_example_that_fails_stops_the_page(page, block: str, said: str):
     with pytest.raises(_docs_examples.ExampleError, match=re.escape(said)):
-        page("\n" + block)
+        page("\n" + block).run()
 
 
 @pytest.mark.system
@@ -137,6 +168,13 @@ def test_pages_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("PATH", os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"])))
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     text = (DOCS / f"{name}.md").read_text("utf-8")
-    shown = _docs_examples.Page(f"{name}.md", text, tmp_path / "run", tmp_path / "pictures", "/pictures").run()
-    images = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", shown)
-    assert all(image.startswith("/pictures/") for image in images), images
+    shown = _docs_examples.Page(f"{name}.md", text, tmp_path / "run", DOCS / "examples" / f"{name}.sh").run()
+    pairs = zip(_docs_examples.outputs(text), _docs_examples.outputs(shown), strict=True)
+    assert all(_docs_examples.same_output(old, new) for old, new in pairs)
+
+
+@pytest.mark.system
+def test_the_overview_is_drawn_as_it_is_committed(monkeypatch: pytest.MonkeyPatch):
+    """One picture; ``docs/examples/pictures.py --check`` compares all."""
+    monkeypatch.setattr(sys, "argv", ["pictures.py", "--check", "--only", "overview"])
+    runpy.run_path(str(DOCS / "examples" / "pictures.py"), run_name="__main__")

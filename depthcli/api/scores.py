@@ -34,8 +34,8 @@ class Scores:
     """The scores of one estimate.
 
     ``error`` is absolute, in the protocol's unit, NaN where estimate or truth has no value: (H, W), or of registration
-    errors (M,) at those whose truth is known. ``picture`` is (H, W, 3): grey right, black wrong, blue occluded, white
-    unknown; None where the protocol draws none.
+    errors (M,) at those whose truth is known. ``picture`` is (H, W, 3): blue right, orange wrong, grey and purple the
+    same where occluded, black no value, white unknown; None if the protocol draws none.
     """
 
     protocol: str

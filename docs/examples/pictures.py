@@ -1,26 +1,146 @@
+#!/usr/bin/env python3
+"""Draw the pictures of the documentation, docs/static/*.png, from generated scenes.
+
+    docs/examples/pictures.py [--check] [--only NAME,NAME]
+
+Each function marked by ``@picture`` draws the file of its name. ``--check`` draws into memory and fails where a
+committed picture differs by more than 3 of 255 levels on average, is missing, or is drawn by no function.
+"""
+
+import functools
+import io
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import _env  # first: continues in the checkout's environment
 import cv2
-import matplotlib.pyplot as plt
+import matplotlib as mpl
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+mpl.use("agg")
+import matplotlib.pyplot as plt
+
+import depthcli
+from depthcli.cli import main as run
+
+FOLDER = _env.ROOT / "docs" / "static"
+SCRATCH = tempfile.TemporaryDirectory()
+TOLERANCE = 3.0  # levels of 255, mean: fonts and rounding of other machines
+PICTURES: dict[str, Callable[[], Any]] = {}  # name of the file -> function that returns a figure or RGB levels
+Shown = NDArray[Any]
 
 
-def scene(folder):
-    names = ("left.png", "right.png", "disp_left.pfm", "mask_nonocc.png")
-    left, right, truth, visible = (cv2.imread(f"{folder}/{name}", cv2.IMREAD_UNCHANGED) for name in names)
-    return left[..., ::-1], right[..., ::-1], truth, visible > 0
+def picture(draw: Callable[[], Any]) -> Callable[[], Any]:
+    """Register a function that returns a figure, or an (H, W, 3) uint8 RGB array."""
+    PICTURES[draw.__name__] = draw
+    return draw
 
 
-def wrong(values, truth, pixels):
-    return 100 * np.mean(~(np.abs(values - truth) <= 1)[pixels])
+@functools.cache
+def sample(*words: str) -> Path:
+    """Return the folder that ``depthcli sample`` fills with these options; it is made once."""
+    folder = Path(tempfile.mkdtemp(dir=SCRATCH.name))
+    command("sample", "--output", folder, *words)
+    return folder
 
 
-def row(file, maps, truth, pixels=None):
-    size = (3.2 * len(maps), 2.7)
-    figure, axes = plt.subplots(1, len(maps), figsize=size, layout="constrained")
-    for axis, (title, values) in zip(axes, maps.items(), strict=True):
-        counted = np.isfinite(values) if pixels is None else pixels
-        share = f"{wrong(values, truth, counted):.1f} % wrong"
-        axis.imshow(values, cmap="turbo", vmin=truth.min() - 3, vmax=truth.max())
-        axis.set(xticks=[], yticks=[])
-        axis.set_title(f"{title}\n{share}", fontsize=10)
-    figure.savefig(file, dpi=90)
-    plt.close(figure)
+def command(*words: object) -> None:
+    """Run a command of depthcli, quietly."""
+    if code := run([*map(str, words), "--quiet"]):
+        sys.exit(f"depthcli {' '.join(map(str, words))}: exit code {code}")
+
+
+def read(file: Path) -> Shown:
+    """Return an image in RGB, or a map with NaN where it has no value."""
+    values = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    if values.dtype == np.float32:
+        return np.where(np.isfinite(values), values, np.nan)
+    return values[..., ::-1].copy() if values.ndim == 3 else values
+
+
+def panels(columns: Sequence[tuple[Any, ...]], ranges: Sequence[tuple[Any, Any, str]] = (), width: float = 9.0) -> Any:
+    """Return a figure with a column for each (title, image or map, ...), and a row for each (low, high, colors)."""
+    rows = len(columns[0]) - 1
+    height, wide = columns[0][1].shape[:2]
+    size = (width, rows * width / len(columns) * height / wide + 0.55)
+    figure, axes = plt.subplots(rows, len(columns), figsize=size, squeeze=False, layout="constrained")
+    for k, (title, *shown) in enumerate(columns):
+        axes[0, k].set_title(title, fontsize=9)
+        for axis, values, (low, high, colors) in zip(axes[:, k], shown, ranges or [(0, 255, "gray")], strict=True):
+            scale = plt.get_cmap(colors).with_extremes(bad="black" if colors != "turbo" else "white")
+            axis.imshow(values if values.ndim == 3 else np.ma.masked_invalid(values), scale, vmin=low, vmax=high)
+            axis.set_axis_off()
+    return figure
+
+
+def wrong(values: Shown, truth: Shown, pixels: Shown) -> float:
+    """Return the percentage of pixels that are off by more than 1, or have no value."""
+    return float(100 * np.mean(~(np.abs(values - truth) <= 1)[pixels]))
+
+
+def encoded(drawn: Any) -> bytes:
+    """Return a figure or an array as a small PNG of at most 192 colors."""
+    if isinstance(drawn, np.ndarray):
+        image = Image.fromarray(drawn)
+    else:
+        file = io.BytesIO()
+        drawn.savefig(file, dpi=90)
+        plt.close(drawn)
+        image = Image.open(file).convert("RGB")
+    small = io.BytesIO()
+    image.quantize(192, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+    return small.getvalue()
+
+
+def problem(file: Path, drawn: bytes) -> str:
+    """Return how a committed picture differs from the one drawn now; empty if it does not."""
+    if not file.is_file():
+        return "missing"
+    old, new = (np.asarray(Image.open(source).convert("RGB"), np.float32) for source in (file, io.BytesIO(drawn)))
+    if old.shape != new.shape:
+        return f"{old.shape[1]} x {old.shape[0]} pixels, not {new.shape[1]} x {new.shape[0]}"
+    off = float(np.abs(old - new).mean())
+    return f"differs by {off:.1f} levels" if off > TOLERANCE else ""
+
+
+def main() -> None:
+    options = _env.options(__doc__, check=False, only=[""])
+    names = [name for name in PICTURES if options.only in ([""], []) or name in options.only]
+    problems = [f"{file.name}: no function draws it" for file in FOLDER.glob("*.png") if file.stem not in PICTURES]
+    for name in names:
+        file, drawn = FOLDER / f"{name}.png", encoded(PICTURES[name]())
+        if options.check and (found := problem(file, drawn)):
+            problems.append(f"{file.name}: {found}")
+        elif not options.check:
+            file.write_bytes(drawn)
+        print(f"{file.relative_to(_env.ROOT)}: {len(drawn) / 1000:.0f} kB", flush=True)
+    if options.check and problems:
+        sys.exit("\n".join([*problems, "docs/examples/pictures.py draws them again"]))
+
+
+@picture
+def overview() -> Shown:
+    """Left image, map of ``accurate``, its errors, and those of OpenCV's SGBM."""
+    look = ("--kind", "foreground", "--seed", "3", "--noise", "2", "--radiometric", "0.1")
+    scenes = sample("-n", "1", *look, "--width", "320", "--height", "240")
+    (folder,) = scenes.glob("foreground_*")
+    left, right = read(folder / "left.png"), read(folder / "right.png")
+    truth, truth_right = read(folder / "disp_left.pfm"), read(folder / "disp_right.pfm")
+    shown = [left]
+    for preset in ("accurate", "opencv-sgbm"):
+        found = depthcli.stereo(left, right, 64, preset)
+        if preset == "accurate":
+            shown.append((255 * plt.get_cmap("turbo")(found.values / truth.max())[..., :3]).round().astype(np.uint8))
+        shown.append(depthcli.evaluate(found, truth, truth_right=truth_right).picture)
+    gap = np.full((240, 6, 3), 255, np.uint8)
+    return np.hstack([part for each in shown for part in (each, gap)][:-1])
+
+
+if __name__ == "__main__":
+    main()
