@@ -3,11 +3,13 @@
 
     docs/examples/pictures.py [--check] [--only NAME,NAME]
 
-Each function marked by ``@picture`` draws the file of its name. ``--check`` draws into memory and fails where a
-committed picture differs by more than 3 of 255 levels on average, is missing, or is drawn by no function.
+Each function marked by ``@picture``, here and in pictures_*.py, draws the file of its name. ``--check`` draws into
+memory and fails where a committed picture differs by more than 3 of 255 levels on average, is missing, or is drawn by
+no function.
 """
 
 import functools
+import importlib
 import io
 import sys
 import tempfile
@@ -79,6 +81,22 @@ def panels(columns: Sequence[tuple[Any, ...]], ranges: Sequence[tuple[Any, Any, 
     return figure
 
 
+def scene(*words: str) -> tuple[Shown, Shown, Shown, Shown]:
+    """Return both views, the true disparities and the visible pixels of a generated stereo scene."""
+    size = ("--width", "240", "--height", "180", "--max-disparity", "32", "--noise", "3")
+    (folder,) = (each for each in sample("-n", "1", *size, *words).iterdir() if each.is_dir())
+    left, right, truth, visible = (
+        read(folder / f"{n}") for n in ("left.png", "right.png", "disp_left.pfm", "mask_nonocc.png")
+    )
+    return left, right, truth, visible > 0
+
+
+def maps(found: dict[str, Shown], truth: Shown, pixels: Shown) -> Any:
+    """Return a figure of disparity maps, with the percentage of these pixels that are wrong."""
+    columns = [(f"{title}\n{wrong(values, truth, pixels):.1f} % wrong", values) for title, values in found.items()]
+    return panels(columns, [(truth.min() - 3, truth.max(), "turbo")], 2.9 * len(columns))
+
+
 def wrong(values: Shown, truth: Shown, pixels: Shown) -> float:
     """Return the percentage of pixels that are off by more than 1, or have no value."""
     return float(100 * np.mean(~(np.abs(values - truth) <= 1)[pixels]))
@@ -111,6 +129,9 @@ def problem(file: Path, drawn: bytes) -> str:
 
 def main() -> None:
     options = _env.options(__doc__, check=False, only=[""])
+    sys.modules["pictures"] = sys.modules["__main__"]  # this module, for those that draw
+    for file in sorted(Path(__file__).parent.glob("pictures_*.py")):
+        importlib.import_module(file.stem)
     names = [name for name in PICTURES if options.only in ([""], []) or name in options.only]
     problems = [f"{file.name}: no function draws it" for file in FOLDER.glob("*.png") if file.stem not in PICTURES]
     for name in names:
