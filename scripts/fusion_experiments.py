@@ -65,14 +65,14 @@ def confidences(scenes: list[StereoScene]) -> None:
 def fusion(scenes: list[StereoScene]) -> None:
     """Print what comes from confidence, consensus and votes, a row a config."""
     configs = {cost: {"measures": [cost], **EQUAL} for cost in ALL}
-    configs["equal"] = preset("equal")
+    configs["equal"] = preset("ch6-equal")
     for confidence in ("pkr", "mlm", "lrc"):
         configs[f"confidence {confidence}"] = {"measures": ALL, "weights": "confidence", "vote_confidence": confidence,
                                                "blend": "after", "consensus": NO_VOTES}  # fmt: skip
     configs["select"] = {"measures": ALL, "weights": "select", "blend": "after", "consensus": NO_VOTES}
     configs["vote"] = {"measures": ALL, "weights": "vote"}
-    configs["window 21"] = preset("window")
-    configs["color, weights only"] = preset("weights-only")
+    configs["window 21"] = preset("ch6-consensus-window")
+    configs["color, weights only"] = preset("consensus", blend="after", consensus={"vote_cost": 0})
     configs["consensus"] = preset("consensus")
     configs["consensus, 1 more round"] = preset("consensus", consensus={"rounds": 1, "map_vote_cost": 0.4})
     rates: dict[str, list[float]] = {name: [] for name in configs}

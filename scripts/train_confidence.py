@@ -39,7 +39,7 @@ from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS,
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 
 METHODS = (
-    "opencv-sgbm", "ad-census", "opencv-bm", "thesis/cross", "opencv-sgbm-wls", "fast", "accurate", "fuse/accurate",
+    "opencv-sgbm", "ad-census", "opencv-bm", "cross", "opencv-sgbm-wls", "fast", "accurate", "fuse/accurate",
 )  # fmt: skip
 GROUPS = ((2, False), (3, False), (4, False), (1, True), (2, True), (4, True), (4, True))
 """Sizes of the groups that are judged, and whether the map of stereo fast and the median are added, as in a fusion."""

@@ -41,7 +41,7 @@ from depthcli.methods.fusion import Fusion
 from depthcli.methods.transparent.cross_modal import GREY, learned_weights, mix_channels
 from depthcli.simulate.transparent_scenes import glass_of_pair, sparse_samples
 
-PRESETS = ("nearest", "joint-bilateral", "textbook", "crf", "sparse")
+PRESETS = ("nearest", "joint-bilateral", "thesis/ch5", "crf", "sparse")
 CASES: dict[str, dict[str, Any]] = {
     "2 %": {"share": 0.02},
     "10 %": {"share": 0.10},
@@ -102,7 +102,7 @@ def glass(data: Path) -> None:
 
 def cross_modal(data: Path) -> None:
     """Print a row a pair: the kept matches, then MAE in pixels in the object and outside, by preset."""
-    configs = {name: config_of("transparent", name) for name in ("nearest", "joint-bilateral", "textbook", "kinect")}
+    configs = {name: config_of("transparent", name) for name in ("nearest", "joint-bilateral", "thesis/ch5", "kinect")}
     stereo = configs["kinect"].stereo
     found: dict[str, dict[str, float]] = {}
     for files in middlebury_scenes(data):

@@ -42,13 +42,31 @@ def test_there_are_presets():
 
 def test_names_are_found_in_any_case_and_bases_are_resolved():
     assert find_preset("stereo", "OpenCV_SGBM") == preset_folder() / "stereo" / "opencv-sgbm.yaml"
-    assert find_preset("stereo", "cross") == preset_folder() / "stereo" / "thesis" / "cross.yaml"
-    model = config_model("stereo")
+    assert find_preset("fuse", "CH6_all") == preset_folder() / "fuse" / "thesis" / "ch6-all.yaml"
+    model = config_model("fuse")
     assert model is not None
-    texts = [dump_config(load_config(model, find_config("stereo", n))) for n in ("segments", "segments-kp")]
+    texts = [dump_config(load_config(model, find_config("fuse", name))) for name in ("ch6-all", "ch6-cw")]
     differing = [pair for pair in zip(*(text.splitlines() for text in texts), strict=True) if pair[0] != pair[1]]
-    assert len(differing) == 1
-    assert "matching_cost" in differing[0][1]
+    assert differing == [("blend: after", "blend: before")]
+
+
+def test_presets_of_the_thesis_are_listed_by_chapter(capsys: pytest.CaptureFixture[str]):
+    """Chapter 3 has every cost and aggregation; from chapter 4 on each preset says that it is reconstructed."""
+    assert main(["presets", "thesis"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    names = [tuple(line.split()[:2]) for line in lines]
+    assert set(names) == {(command, name) for command, name in PRESETS if name.startswith("thesis/")}
+    costs, aggregations = ("ad", "ad-gradient", "ad-rank", "ad-census"), ("cw", "cross", "aw")
+    chapter_3 = {("stereo", f"thesis/ch3-{cost}-{way}") for cost in costs for way in aggregations}
+    assert chapter_3 == {name for name in names if "/ch3-" in name[1]}
+    assert {("refine-kinect", "thesis/ch4"), ("transparent", "thesis/ch5"), ("register-confidence", "thesis/ch7")} < {
+        *names
+    }
+    chapters = [name.partition("/")[2][:3] for _, name in names]
+    assert chapters == sorted(chapters)
+    reconstructed = ("ch4", "ch5", "ch6", "ch7")
+    for chapter, line in zip(chapters, lines, strict=True):
+        assert ("reconstructed" in line.lower()) == (chapter in reconstructed), line
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 Examples:
   depthcli presets
   depthcli presets fuse
+  depthcli presets thesis
   depthcli presets show stereo/accurate
 """
 
@@ -23,7 +24,10 @@ from depthcli.run.presets import presets as all_presets
 
 def presets(
     printing: Printing,
-    action: Annotated[str | None, Argument(metavar="show", help="To print one preset; or the command to list.")] = None,
+    action: Annotated[
+        str | None,
+        Argument(metavar="show", help="To print one preset; or a command, or thesis, of which to list the presets."),
+    ] = None,
     preset: Annotated[
         str | None,
         Argument(metavar="NAME", help="The preset: NAME, or COMMAND/NAME."),
@@ -34,16 +38,21 @@ def presets(
     if action == "show" and preset:
         reporter.data(_shown(preset))
         return 0
-    found = list_presets(action)
+    if action == THESIS.rstrip("/"):
+        found = sorted((row for row in list_presets() if row[1].startswith(THESIS)), key=lambda row: row[1])
+    else:
+        found = list_presets(action)
     if action is not None and (preset or not found):
-        raise ConfigError("give depthcli presets, depthcli presets COMMAND, or depthcli presets show NAME")
+        raise ConfigError(
+            "give depthcli presets, depthcli presets COMMAND, depthcli presets thesis, or depthcli presets show NAME"
+        )
     if printing.json:
         reporter.data(to_json([{"command": c, "preset": p, "about": about} for c, p, about in found]))
     else:
         width = max((len(f"{command} {name}") for command, name, _ in found), default=0)
         lines = [(name.startswith(THESIS), f"{f'{c} {name}':<{width}}  {about}") for c, name, about in found]
         groups = [[line for thesis, line in lines if thesis == group] for group in (False, True)]
-        reporter.data("\n".join([*groups[0], "", *groups[1]]).rstrip())
+        reporter.data("\n".join([*groups[0], "", *groups[1]]).strip())
     return 0
 
 

@@ -20,7 +20,7 @@ from depthcli.core.text import did_you_mean
 from depthcli.core.yaml_source import to_yaml
 
 THESIS = "thesis/"
-"""Prefix of presets that reproduce a table or figure of the thesis."""
+"""Prefix of presets with the methods of the thesis, and nothing else."""
 
 _GROUP = "depthcli.presets"  # of entry points such as "package:folder", which holds COMMAND/NAME.yaml
 

@@ -155,11 +155,9 @@ def glass_outline() -> Any:
 def fusion_weights() -> Any:
     """Three weights of two measures."""
     left, right, truth, visible = scene(*OTHER_LIGHT)
-    two = {"measures": ["absolute_difference", "census"]}
+    two = {"measures": ["absolute_difference", "census"], "blend": "after", "consensus.vote_cost": 0}
     found = {
-        f"weights: {name}": depthcli.fuse(
-            left, right, N_DISPARITIES, "thesis/weights-only", {**two, "weights": name}
-        ).values
+        f"weights: {name}": depthcli.fuse(left, right, N_DISPARITIES, "consensus", {**two, "weights": name}).values
         for name in ("equal", "select", "consensus")
     }
     return maps(found, truth, visible)

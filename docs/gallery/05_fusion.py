@@ -19,9 +19,9 @@ left, right = (cv2.imread(f"{folder}/{side}.png")[..., ::-1] for side in ("left"
 truth = cv2.imread(f"{folder}/disp_left.pfm", cv2.IMREAD_UNCHANGED)
 
 maps = {
-    "census alone": depthcli.fuse(left, right, 24, "thesis/single-census"),
-    "four measures, equal weights": depthcli.fuse(left, right, 24, "thesis/equal"),
-    "four measures, consensus": depthcli.fuse(left, right, 24, "thesis/consensus"),
+    "census alone": depthcli.fuse(left, right, 24, "thesis/ch6-confidences"),
+    "four measures, equal weights": depthcli.fuse(left, right, 24, "thesis/ch6-equal"),
+    "four measures, consensus": depthcli.fuse(left, right, 24, "consensus"),
 }
 figure, axes = plt.subplots(2, 3, figsize=(11, 5.5), layout="constrained")
 for column, (name, disparity) in zip(axes.T, maps.items(), strict=True):

@@ -308,12 +308,12 @@ def test_without_a_command_the_help_is_shown(capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize(("words", "completed", "not_completed"), [
     ("stereo ac", {"accurate"}, {"cross"}),
-    ("fuse thesis/con", {"thesis/consensus"}, {"accurate"}),
+    ("fuse thesis/ch6-c", {"thesis/ch6-cw", "thesis/ch6-cross"}, {"thesis/ch6-all", "accurate"}),
     ("presets show ac", {"accurate"}, {"fast"}),
     ("stereo fast --layout mid", {"middlebury-v2", "middlebury-v3"}, {"kitti-2015"}),
     ("evaluate run --protocol ki", {"kitti-2012", "kitti-2015"}, {"eth3d"}),
     ("stereo fast --max-disparity 9 --set optimization", {"optimization=", "optimization.p2="}, {"cost="}),
-    ("sweep thesis/consensus --command fuse --set meas", {"measures="}, {"cost="}),
+    ("sweep consensus --command fuse --set meas", {"measures="}, {"cost="}),
     ("stereo no-such-preset --set cost", set(), {"cost="}),
 ])  # fmt: skip
 def test_shells_complete_names_and_keys(words: str, completed: set[str], not_completed: set[str]):

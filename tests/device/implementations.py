@@ -156,9 +156,9 @@ def _pair(width, height, top):
     return StereoPair(scene.left, scene.right)
 
 
-@pytest.mark.parametrize("name", ["fast", "thesis/cross", "ad-census", "accurate", "thesis/adaptive-weight"])
+@pytest.mark.parametrize("name", ["fast", "cross", "ad-census", "accurate", "adaptive-weight"])
 def test_presets_run_wholly_on_the_device(device, name):
-    width, height = (140, 100) if name == "thesis/adaptive-weight" else (200, 150)
+    width, height = (140, 100) if name == "adaptive-weight" else (200, 150)
     pipeline, pair = preset("stereo", name).pipeline, _pair(width, height, 24)
     expected = pipeline(pair, 24)
     runs = [on_device(pipeline, pair, 24, device) for _ in range(2)]

@@ -141,6 +141,23 @@ def cross_arms(image, length, threshold, inner_length, inner_threshold):
     return arms
 
 
+def thesis_arms(image, length, threshold):
+    """Arms of eq. 3.8 and 3.9 of the thesis: (4, H, W) left, right, up, down; 0 only at the image border."""
+
+    def alike(here, there):
+        return all(0 <= at < size for at, size in zip(there, image.shape, strict=False)) and (
+            abs(image[there].astype(int) - image[here].astype(int)).max() <= threshold
+        )
+
+    arms = np.zeros((4, *image.shape[:2]), int)
+    for side, (dy, dx) in enumerate(((0, -1), (0, 1), (-1, 0), (1, 0))):
+        for y, x in np.ndindex(image.shape[:2]):
+            delta = [alike((y, x), (y + i * dy, x + i * dx)) for i in range(1, length + 1)]
+            arms[side, y, x] = 1 + np.argmax([n * np.prod(delta[:n]) for n in range(1, length + 1)])
+    arms[0, :, 0] = arms[1, :, -1] = arms[2, 0] = arms[3, -1] = 0
+    return arms
+
+
 def cross(costs, arms, horizontal_first, target=None):
     """One aggregation: mean over the union of the first arms along the second arm, pixel by pixel.
 

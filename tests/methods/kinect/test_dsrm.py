@@ -30,7 +30,7 @@ def errors(result, kinect: KinectSample) -> dict[str, float]:
 def test_leaving_out_unreliable_pixels_is_better_than_the_plain_method():
     kinect = sample()
     best, plain = (
-        errors(preset("refine-kinect", name).pipeline(kinect.frame()), kinect) for name in ("dsrm", "dsrm-plain")
+        errors(preset("refine-kinect", name).pipeline(kinect.frame()), kinect) for name in ("dsrm", "thesis/ch4")
     )
     assert best["gap"] < plain["gap"] and best["mismatch"] < plain["mismatch"]
 
@@ -77,7 +77,7 @@ def test_the_preset_is_the_default():
     assert preset("refine-kinect", "dsrm").pipeline == Dsrm()
 
 
-@pytest.mark.parametrize("name", ["dsrm", "dsrm-plain"])
+@pytest.mark.parametrize("name", ["dsrm", "thesis/ch4"])
 def test_status_says_what_was_done(name):
     frame = sample().frame()
     result = preset("refine-kinect", name).pipeline(frame)

@@ -141,6 +141,9 @@ def test_cross_arms(height, width, disparities, color):
     image = np.atleast_3d(blocky_pair(height, width, color, seed=disparities).left)
     for rule in ((7, 20, 3, 6), (34, 12, 34, 12), (1, 255, 0, 0)):
         np.testing.assert_array_equal(cross_arms(image, *rule), naive.cross_arms(image, *rule))
+        length, threshold, *_ = rule
+        literal = cross_arms(image, length, threshold, length, threshold, consecutive=False)
+        np.testing.assert_array_equal(literal, naive.thesis_arms(image, length, threshold))
 
 
 @pytest.mark.slow

@@ -43,9 +43,9 @@ def test_glass_is_found_and_nothing_else_is_touched(name, seed):
 def test_little_confidence_makes_samples_count_less():
     frame, truth, mask = glass(7, outliers=0.0)
     plain = np.full(frame.shape, 1, np.float32)
-    sure = pipeline("textbook")(replace(frame, sparse_confidence=plain)).depth.values
-    np.testing.assert_array_equal(sure, pipeline("textbook")(frame).depth.values)
-    unsure = pipeline("textbook")(replace(frame, sparse_confidence=0 * plain)).depth.values
+    sure = pipeline("thesis/ch5")(replace(frame, sparse_confidence=plain)).depth.values
+    np.testing.assert_array_equal(sure, pipeline("thesis/ch5")(frame).depth.values)
+    unsure = pipeline("thesis/ch5")(replace(frame, sparse_confidence=0 * plain)).depth.values
     assert np.mean(np.abs(unsure - truth)[mask]) > np.mean(np.abs(sure - truth)[mask])
 
 

@@ -18,6 +18,7 @@ from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_poin
 # First pass of intersections: the sum of an arm, above 9 bits of its length. An arm has at most 511 pixels of at most
 # 4080.
 _LENGTH_BITS = 9
+LARGEST_DIFFERENCE = 255  # of two grey levels: a threshold that nothing exceeds
 
 
 class Cross(Aggregator):
@@ -39,6 +40,11 @@ class Cross(Aggregator):
     inner_threshold: int = Field(
         6, ge=0, le=255, description="largest color difference beyond inner_length (tau2), grey levels"
     )
+    consecutive: bool = Field(
+        True,
+        description="also compare the consecutive pixels of an arm, by threshold; false: each with the center alone "
+        "(thesis, eq. 3.8)",
+    )
     iterations: int = Field(4, ge=1, le=16, description="number of aggregations, each of the previous one's means")
     support: Literal["reference", "intersection"] = Field(
         "reference", description="reference: arms of the left view; intersection: cut to those of the matched pixel"
@@ -49,7 +55,8 @@ class Cross(Aggregator):
         """Return the (4, H, W) uint8 arms of an (H, W, C) image."""
         if self.smoothing:
             image = np.asarray(cv2.medianBlur(image, 3), np.uint8)
-        return cross_arms(image, self.length, self.threshold, self.inner_length, self.inner_threshold)
+        limits = self.length, self.threshold, self.inner_length, self.inner_threshold
+        return cross_arms(image, *limits, consecutive=self.consecutive)
 
     def halo(self) -> int | None:
         # A support reaches as far as two arms that follow each other; arms see one pixel more, smoothing another.
@@ -225,38 +232,44 @@ def _intersected_means(spans, arms, target, along_rows, means):
 
 
 def cross_arms(
-    image: NDArray[np.uint8], length: int, threshold: int, inner_length: int, inner_threshold: int
+    image: NDArray[np.uint8],
+    length: int,
+    threshold: int,
+    inner_length: int,
+    inner_threshold: int,
+    consecutive: bool = True,
 ) -> NDArray[np.uint8]:
     """Return the arm lengths of every pixel of an (H, W, C) uint8 image: (4, H, W) uint8, left, right, up, down.
 
-    An arm grows while (1) the next pixel differs from the center by at most ``threshold`` and, from the
-    second step on, from the pixel before it as well, (2) it is no longer than ``length``, at most 255, (3) beyond
-    ``inner_length`` the difference from the center is at most ``inner_threshold``. Differences are the largest
-    over the channels. Every arm inside the image has at least one pixel, so that no support is a point.
-    (Zhang, Lu & Lafruit 2009, thesis, eq. 3.8-3.9, with the two-threshold rule of Mei et al. 2011.)
+    An arm grows while (1) the next pixel differs from the center by at most ``threshold`` and, if ``consecutive``,
+    from the second step on, from the pixel before it as well, (2) it is no longer than ``length``, at most 255,
+    (3) beyond ``inner_length`` the difference from the center is at most ``inner_threshold``. Differences are the
+    largest over the channels. Every arm inside the image has at least one pixel, so that no support is a point.
+    (Mei et al. 2011. With one threshold, and not ``consecutive``: thesis, eq. 3.8-3.9; Zhang, Lu & Lafruit 2009.)
     """
     planes = np.ascontiguousarray(image.transpose(2, 0, 1))
     arms = np.empty((4, *image.shape[:2]), np.uint8)
-    _grow(planes, arms, length, threshold, inner_length, inner_threshold)
+    step_threshold = threshold if consecutive else LARGEST_DIFFERENCE
+    _grow(planes, arms, length, threshold, inner_length, inner_threshold, step_threshold)
     return arms
 
 
 @jit
-def _step(center, neighbor, previous, alive, arm, limit, threshold):
-    # Arms grow to ``neighbor`` where it differs from ``center`` by at most limit, from ``previous`` by threshold.
+def _step(center, neighbor, previous, alive, arm, limit, step_threshold):
+    # Arms grow to ``neighbor`` where it differs from ``center`` by at most limit, from ``previous`` by step_threshold.
     for k in range(center.shape[0]):
         a, b, c = center[k], neighbor[k], previous[k]
         for i in range(alive.size):
             value = np.int16(b[i])
             far = np.uint8(np.int16(abs(np.int16(np.int16(a[i]) - value))) > limit)
-            jump = np.uint8(np.int16(abs(np.int16(np.int16(c[i]) - value))) > threshold)
+            jump = np.uint8(np.int16(abs(np.int16(np.int16(c[i]) - value))) > step_threshold)
             alive[i] = np.uint8(alive[i] & np.uint8(1 - np.uint8(far | jump)))
     for i in range(alive.size):
         arm[i] = np.uint8(arm[i] + alive[i])
 
 
 @parallel_jit
-def _grow(planes, arms, length, threshold, inner_length, inner_threshold):
+def _grow(planes, arms, length, threshold, inner_length, inner_threshold, step_threshold):
     # The arms of a whole row of pixels grow by one step at a time: the loop over pixels is branch-free SIMD, and
     # ``alive`` remembers which arms still grow.
     _, height, width = planes.shape
@@ -278,7 +291,7 @@ def _grow(planes, arms, length, threshold, inner_length, inner_threshold):
                 _step(
                     planes[:, y, first:end], planes[:, v, first + there : end + there],
                     planes[:, v - dy, first + before : end + before], alive[first:end], arm[first:end], limit,
-                    np.int16(threshold),
+                    np.int16(step_threshold),
                 )  # fmt: skip
                 if n == 1:
                     arm[first:end] = 1

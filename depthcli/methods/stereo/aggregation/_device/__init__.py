@@ -12,7 +12,7 @@ import numpy as np
 from depthcli.device import DeviceArray, Kernels
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.methods.stereo.aggregation.cross import Cross
+from depthcli.methods.stereo.aggregation.cross import LARGEST_DIFFERENCE, Cross
 from depthcli.methods.stereo.on_device import PIXELS, DevicePair, DeviceVolume, cells
 from depthcli.methods.stereo.volume import FixedPoint
 
@@ -80,7 +80,8 @@ def cross(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume
             device.launch(kernels, "median_3", (width, height), PIXELS, image, smooth, height, width)
             image = smooth
         arms.append(device.empty((4, height, width), np.uint8))
-        limits = method.length, method.threshold, method.inner_length, method.inner_threshold
+        step_threshold = method.threshold if method.consecutive else LARGEST_DIFFERENCE
+        limits = method.length, method.threshold, method.inner_length, method.inner_threshold, step_threshold
         device.launch(kernels, "grow_arms", (width, height, 4), (*PIXELS, 1), image, arms[-1], height, width, *limits)
 
     def prefix(name: str, source: DeviceArray, sums: DeviceArray, along: int) -> None:

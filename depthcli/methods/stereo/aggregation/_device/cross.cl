@@ -31,7 +31,7 @@ DEVICE int color_distance(GLOBAL const uchar *a, GLOBAL const uchar *b)
 }
 
 KERNEL void grow_arms(GLOBAL const uchar *RESTRICT image, GLOBAL uchar *RESTRICT arms, int height, int width,
-                      int length, int threshold, int inner_length, int inner_threshold)
+                      int length, int threshold, int inner_length, int inner_threshold, int step_threshold)
 {
     OWN_PIXEL;
     int side = GLOBAL_ID(2);
@@ -43,7 +43,7 @@ KERNEL void grow_arms(GLOBAL const uchar *RESTRICT image, GLOBAL uchar *RESTRICT
     for (int n = 1; n <= smaller(length, room); n++) {
         GLOBAL const uchar *next = pixel + step;
         if (color_distance(center, next) > (n <= inner_length ? threshold : inner_threshold) ||
-            color_distance(pixel, next) > threshold)
+            color_distance(pixel, next) > step_threshold)
             break;
         pixel = next;
         arm = n;
