@@ -17,14 +17,16 @@ from depthcli.device import Device, DeviceError
 from depthcli.methods.stereo.config import PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.networks import network_device, networks_in
-from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, complete_range
+from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, complete_range, matched_beyond
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.volume import StereoResult
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
 _MIN_MEASURED_SHARE = 0.5  # of the pixels; with fewer a map has a warning
-_MAX_SHARE_AT_END = 0.05  # of the measured pixels at an end of the search range; with more a map has a warning
+# Shares of the measured pixels at an end of the search range. Above the first, a map has a warning. Of ranges that end
+# at three quarters of the largest disparity a third has fewer: above the second, the pair is asked for its own range.
+_MAX_SHARE_AT_END, _SUSPECT_SHARE_AT_END = 0.05, 0.01
 
 
 def match_pair(
@@ -78,11 +80,16 @@ def _warnings(
             "not rectified, search range too small, or no texture?"
         )
     bounds = ((search.min_disparity, "min_disparity"), (search.max_disparity, "max_disparity"))
-    for share, (end, option) in zip(search.share_at_ends(found), bounds, strict=True):
+    shares = search.share_at_ends(found)
+    for share, (end, option) in zip(shares, bounds, strict=True):
         if share > _MAX_SHARE_AT_END:
             warnings.append(
                 f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
             )
+    if _SUSPECT_SHARE_AT_END < shares[1] <= _MAX_SHARE_AT_END and (top := matched_beyond(pair, search)) is not None:
+        warnings.append(
+            f"the images match at disparities up to {top}, searched up to {bounds[1][0]}; see max_disparity"
+        )
     if key_points and search.min_disparity > key_points["range_low"] and key_points["range_low"] < 0:
         warnings.append(f"the images match at disparities down to {key_points['range_low']}; see min_disparity")
     if search.min_disparity < 0:

@@ -120,11 +120,44 @@ class MatchedRange(NamedTuple):
         return MatchedRange(min(self.low, other.low), max(self.top, other.top), self.n_matches + other.n_matches)
 
 
+class _SmallMatches(NamedTuple):
+    """Disparities of the pixels that match at two small sizes of a pair, in pixels of the pair."""
+
+    low: float
+    top: float
+    unit: float  # one pixel of the larger size
+    n_matches: int
+    n_behind: int  # of them, those below ``-unit``
+
+
 def matched_range(pair: StereoPair) -> MatchedRange:
     """Return the range of the disparities that a pair has at two small sizes, with a margin.
 
+    InputError where too few pixels match, or a view is flat.
+    """
+    found = _small_matches(pair)
+    shares = _MARGIN_BELOW, _MARGIN_ABOVE
+    below, above = (max(_MIN_MARGIN * found.unit, share * (found.top - found.low)) for share in shares)
+    low, top = found.low - below, found.top + above
+    if found.n_behind < _LEAST_BEHIND * found.n_matches:
+        low = max(low, 0)
+    return MatchedRange(int(np.floor(low)), int(np.ceil(top)), found.n_matches)
+
+
+def matched_beyond(pair: StereoPair, search: SearchRange) -> int | None:
+    """Return the largest disparity that a pair has at two small sizes, where the range ends below it; else None."""
+    try:
+        found = _small_matches(pair)
+    except InputError:  # too few pixels match to say it
+        return None
+    return round(found.top) if found.top > search.max_disparity + found.unit else None
+
+
+def _small_matches(pair: StereoPair) -> _SmallMatches:
+    """Match a pair at two small sizes; InputError where too few pixels match, or a view is flat.
+
     The smaller one is matched over nearly all disparities, the larger one over those found there; pixels count on
-    which both sizes and both views agree. InputError where these are too few, or a view is flat.
+    which both sizes and both views agree.
     """
     for view, image in zip(("left", "right"), pair.grey8, strict=True):
         if image.min() == image.max():
@@ -146,11 +179,7 @@ def matched_range(pair: StereoPair) -> MatchedRange:
     values, counts = values[often], counts[often]
     group = np.cumsum(np.diff(values, prepend=values[:1]) > _GAP)
     kept = values[(np.bincount(group, counts) >= _LEAST_GROUP * len(agreed))[group]] * unit
-    below, above = (max(_MIN_MARGIN * unit, share * np.ptp(kept)) for share in (_MARGIN_BELOW, _MARGIN_ABOVE))
-    low, top = kept[0] - below, kept[-1] + above
-    if np.count_nonzero(agreed < -unit) < _LEAST_BEHIND * len(agreed):
-        low = max(low, 0)
-    return MatchedRange(int(np.floor(low)), int(np.ceil(top)), len(agreed))
+    return _SmallMatches(kept[0], kept[-1], unit, len(agreed), int(np.count_nonzero(agreed < -unit)))
 
 
 def _matched_small(pair: StereoPair, n_pixels: int, low: float, top: float) -> tuple[NDArray[np.float32], float]:

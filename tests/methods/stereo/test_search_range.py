@@ -14,7 +14,7 @@ from depthcli.io.formats.disparity import read_disparity, read_pfm, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.pictures import read_status
 from depthcli.methods.stereo.pipeline.local import Local
-from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_range
+from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_beyond, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.simulate.stereo_scenes import make_scene
 from tests.command_line import run
@@ -138,6 +138,23 @@ def test_the_range_holds_a_near_thing_without_corners_and_no_false_matches():
     left[20:26, 320:326] = right[20:26, 60:66]  # 0.04 % of the pixels say 260
     again = matched_range(StereoPair(left, right))
     assert (again.low, again.top) == (found.low, found.top)
+
+
+def test_ranges_that_end_before_near_things_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """20 % of the truth lie beyond three quarters of the largest disparity, 3 % of the measured pixels at that end."""
+    scene = make_scene("planes", 0, 240, 180, 40)
+    pair = StereoPair(scene.left, scene.right)
+    top = int(np.ceil(scene.disparity_left.max()))
+    near = matched_beyond(pair, SearchRange(0, round(0.75 * top)))
+    assert near is not None and abs(near - top) <= 3
+    assert matched_beyond(pair, SearchRange(0, top)) is None
+    assert matched_beyond(StereoPair(blobs(300, 200, 1), blobs(300, 200, 2)), SearchRange(0, 5)) is None
+    write_png(tmp_path / "l.png", scene.left)
+    write_png(tmp_path / "r.png", scene.right)
+    images = ("--left", tmp_path / "l.png", "--right", tmp_path / "r.png", "--name", "s")
+    for searched in (round(0.75 * top), top):
+        assert run("stereo", "fast", *images, "--max-disparity", str(searched), "-o", tmp_path / f"{searched}") == 0
+        assert ("see max_disparity" in capsys.readouterr().err) == (searched < top)
 
 
 def test_noise_has_no_range():
