@@ -3,8 +3,7 @@
 
     scripts/docs_reference.py [--check]
 
-It also renews the README's table of commands. ``--check`` writes nothing, and fails if a file is not up to date; so
-does tests/test_docs.py.
+``--check`` writes nothing, and fails if a file is not up to date; so does tests/test_docs.py.
 """
 
 import inspect
@@ -24,7 +23,7 @@ import depthcli
 from depthcli import testing
 from depthcli.cli import command_of
 from depthcli.commands import CONFIGS as CONFIG_NAMES
-from depthcli.commands import config_model, grouped_names, help_of, own_names
+from depthcli.commands import config_model, grouped_names, help_of
 from depthcli.core.errors import EXIT_CODES
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
@@ -72,7 +71,7 @@ OUTPUTS = {
     "Depth maps": {str(int(bit)): text for bit, text in DEPTH_STATUS_HELP.items()},
     "Exit codes": {str(code): text for code, text in EXIT_CODES.items()},
 }
-REFERENCE, README = _env.ROOT / "docs" / "reference", _env.ROOT / "README.md"
+REFERENCE = _env.ROOT / "docs" / "reference"
 COLUMNS = yaml.safe_load((_env.ROOT / "scripts" / "report_columns.yaml").read_text("utf-8")) | {
     heading: {column.headings: column.about for column in columns}
     for heading, columns in {
@@ -88,8 +87,7 @@ COLUMNS = yaml.safe_load((_env.ROOT / "scripts" / "report_columns.yaml").read_te
 
 def main() -> None:
     check = _env.options(__doc__, check=False).check
-    wanted = {README: with_commands(README.read_text("utf-8"))}
-    wanted |= {REFERENCE / f"{name}.md": text for name, text in pages().items()}
+    wanted = {REFERENCE / f"{name}.md": text for name, text in pages().items()}
     wanted |= dict.fromkeys(set(REFERENCE.rglob("*.md")) - set(wanted), "")
     stale = [file for file, text in wanted.items() if (file.read_text("utf-8") if file.exists() else "") != text]
     for file in sorted(stale):
@@ -98,14 +96,6 @@ def main() -> None:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(wanted[file], "utf-8") if wanted[file] else file.unlink()
     sys.exit("run scripts/docs_reference.py" if check and stale else 0)
-
-
-def with_commands(readme: str) -> str:
-    """Return the README with its table of commands as the code has it."""
-    table = _table(("command", "what it does"), [(f"`{name}`", help_of(name)) for name in own_names()]).rstrip("\n")
-    mark = "<!-- table: commands -->\n"
-    before, _, rest = readme.partition(mark)
-    return f"{before}{mark}{table}\n<!-- end -->{rest.partition('<!-- end -->')[2]}"
 
 
 def pages() -> dict[str, str]:

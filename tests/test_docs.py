@@ -10,6 +10,7 @@ from pathlib import Path
 import _docs_examples
 import _docs_links
 import docs_reference
+import figures
 import pytest
 
 import depthcli
@@ -105,7 +106,28 @@ def test_dead_links_are_found(tmp_path: Path):
 
 
 def test_pictures_are_small():
-    assert sum(file.stat().st_size for file in (DOCS / "static").iterdir()) <= 2_000_000
+    assert sum(file.stat().st_size for file in (DOCS / "static").rglob("*.*")) <= 2_000_000
+
+
+def test_measured_tables_have_their_place():
+    """The tables of figures.yaml are those between markers, with the columns that they have there."""
+    pages = "".join(page.read_text("utf-8") for page in figures.PAGES)
+    for name, table in figures.SETTINGS["tables"].items():
+        shown = pages.partition(f"<!-- begin {name} -->\n\n")[2].partition("\n")[0]
+        assert shown == f"| {' | '.join(map(str, table['columns']))} |", name
+        assert table["run"] in figures.SETTINGS["runs"]
+
+
+def test_a_table_is_taken_from_the_output_of_a_script():
+    text = (
+        "## Some title, %\n\n| name | a | b |\n| --- | ---: | ---: |\n| x | **1.234** | 2 |\n| y | 3 | <u>4.5</u> |\n"
+    )
+    settings = {"title": "Some", "columns": {"method": "name", "a / b": "a & b"}, "rows": {"y": "Y", "x": "X"}}
+    settings |= {"digits": 1, "fixed": [["Z", 9]]}
+    table = figures.markdown(figures.selected(figures.tables(text), settings))
+    assert table == "| method | a / b |\n| --- | ---: |\n| Y | 3 / 4.5 |\n| X | 1.2 / 2 |\n| Z | 9 |\n"
+    page = figures.with_table("a\n<!-- begin t -->\nold\n<!-- end -->\nb\n", "t", table)
+    assert page == f"a\n<!-- begin t -->\n\n{table}\n<!-- end -->\nb\n"
 
 
 @pytest.fixture
