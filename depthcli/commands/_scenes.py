@@ -23,6 +23,11 @@ from depthcli.run.console import Reporter
 
 _MIN_SCENES_TO_FREEZE = 1000  # scenes, whose objects take long to look through
 
+_OWN_NAMES: dict[type[Scene], str] = {  # kind of scene -> names that are easy to give, for messages
+    StereoScene: "NAME_L.* and NAME_R.*",
+    RgbdScene: "NAME/color.* and NAME/depth.*",
+}
+
 
 def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions) -> list[SceneT]:
     """Return the scenes that ``--input``, or the options for the files of a single scene, name.
@@ -59,7 +64,9 @@ def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions)
     except NoScenesError as error:
         found = patterns_in(local(place)) if issubclass(StereoScene, layouts.kind) else None
         hint = single if found is None else "--left {} --right {}".format(*map(shlex.quote, found))
-        raise NoScenesError(f"{error}; give files of other names by {hint}") from error
+        names = next((names for kind, names in _OWN_NAMES.items() if issubclass(kind, layouts.kind)), None)
+        other = f"call your own {names}, describe theirs in --layout FILE.yaml, or " if names else ""
+        raise NoScenesError(f"{error}; {other}give files of other names by {hint}") from error
 
 
 def scenes_at(

@@ -10,6 +10,7 @@ from typing import Any
 from depthcli.core.errors import InputError
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load
 from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.layouts.base import Folder
 from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 from depthcli.io.walk import discover_scenes, scenes_with_files
 from depthcli.run.console import Reporter
@@ -50,17 +51,18 @@ def scenes_with_truth(
 
 
 def _scene_of_file(truth: Path, protocol: AnyProtocol | None, settings: Settings, reporter: Reporter) -> Scene:
-    """Return the scene whose truth a file is, or one of that map without masks, of the settings' scale."""
+    """Return the scene whose truth a file is, or one of that map alone, of meta.json's or the settings' scale."""
     if holding := scenes_with_files([truth], ALL_KINDS):
         return holding[truth]
     if protocol is None:
         reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")
         protocol = load(_DEFAULT_PROTOCOL)(settings)
+    meta = Folder(truth.parent, truth.stem, "").meta
     common: dict[str, Any] = {"name": truth.stem, "folder": truth.parent, "protocol": protocol.name}
     if issubclass(protocol.kind, StereoScene):
-        codes = None if truth.suffix.lower() == ".pfm" else settings.scale
+        codes = None if truth.suffix.lower() == ".pfm" else meta.positive("disp_scale") or settings.scale
         return StereoScene(**common, left=truth, disparity_left=truth, disparity_scale=codes)
     if issubclass(protocol.kind, RgbdScene):
-        scale = settings.scale or _MILLIMETERS
+        scale = meta.positive("depth_scale") or settings.scale or _MILLIMETERS
         return RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=scale)
     raise InputError(f"{truth}: {protocol.name} needs a folder of scenes as the ground truth")

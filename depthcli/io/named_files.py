@@ -226,7 +226,8 @@ def patterns_in(folder: Path) -> tuple[str, str] | None:
     inside = sorted(Path(folder, name) for name in os.listdir(folder) if name[0] != ".")
     for left, right in itertools.combinations([path for path in inside if os.path.isdir(path)][:_MAX_FOLDERS], 2):
         with contextlib.suppress(ConfigError):
-            if any(one and other for _, one, other in match_patterns(left, right)):
+            # Two images in each of two folders are two pairs as likely as two folders of views.
+            if sum(bool(one and other) for _, one, other in match_patterns(left, right)) not in (0, 2):
                 endings = (Counter(file.path.suffix for file in _matching(place)) for place in (left, right))
                 one, other = (ending.most_common(1)[0][0] for ending in endings)
                 return f"{left}/*{one}", f"{right}/*{other}"

@@ -61,7 +61,7 @@ def discover_scenes(
     layouts : those that are tried, such as ``PAIRS``
     layout : name of a layout, or a YAML file of layouts; None recognizes it, for every folder by itself
     patterns : shell patterns, one of which the name, or its last part, must match
-    warn : called with a line about folders of runs, and about scenes on deeper levels, which are not used
+    warn : called with a line about folders of runs, and about scenes on other levels, which are not used
     """
     folder = local(folder)
     if not os.path.isdir(folder):
@@ -79,7 +79,7 @@ def discover_scenes(
         return discover_scenes(gathered(archives), layouts, layout, patterns, warn)
     if not found:
         names = ", ".join(each.name for each in wanted)
-        looked_for = f"files of the layouts {names}, which the reference of the documentation names"
+        looked_for = f"files of the layouts {names}: see docs/reference/data.md"
         if len(wanted) == 1:
             looked_for = f"{names}: {wanted[0].wants.replace('`', '').partition(';')[0]}"
         raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {looked_for})")
@@ -98,6 +98,8 @@ def _find(folder: Path, wanted: tuple[Layout, ...], layout: str | None, warn: Ca
     """Return the scenes of a folder, else those of the folders in it; ``layout`` is what the user named."""
     requested = wanted[0].name if layout else ""
     found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)
+    if found:
+        _tell_of_more(folder, found[0], wanted, requested, warn)
     found = found or _find_below(folder, (), wanted, requested, warn)
     if found and (beside := archives_in(folder)):  # what these were unpacked from, perhaps
         more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
@@ -119,6 +121,18 @@ def _find_below(
             warn(f"{child}: lies too deep, not used; to use it, give {folder} or {folder.parent} as the folder")
             break
     return found
+
+
+def _tell_of_more(
+    folder: Path, first: Scene, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]
+) -> None:
+    """Tell of the scenes of a folder's folders where it holds scenes itself, which alone are used."""
+    own = {file for file in vars(first).values() if isinstance(file, Path)}
+    for child in _subfolders(folder, lambda line: None):
+        if not any(child in file.parents for file in own):
+            scenes = _scenes_or_problem(child, child.name, wanted, requested)
+            if any(not scene.problem for scene in scenes):
+                warn(f"{child}: its scenes lie beside those of {folder} itself, not used; to use them, give it alone")
 
 
 def _scenes_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Scene]:

@@ -147,6 +147,14 @@ def test_maps_of_other_programs(tmp_path: Path, truth: Path):
     assert report.results[1].source == "a/disp0ours.pfm"
 
 
+def test_a_truth_of_no_scene_has_the_scale_of_its_meta_json(tmp_path: Path):
+    write_pfm(tmp_path / "map.pfm", TRUTH)
+    write_png(tmp_path / "true" / "gt.png", np.rint(TRUTH * 8).astype(np.uint8))
+    (tmp_path / "true" / "meta.json").write_text('{"disp_scale": 8}')
+    report = evaluated([tmp_path / "map.pfm"], tmp_path / "true" / "gt.png", None)
+    assert bad(report.results[0]) == 0
+
+
 def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     good = exact(truth)
     run = run_of(tmp_path / "run", {"b": good[:10]})

@@ -129,6 +129,19 @@ def test_a_scene_too_deep_is_told(tmp_path: Path):
     assert "lies too deep" in lines[0]
 
 
+def test_scenes_below_scenes_are_told(tmp_path: Path):
+    for folder in (tmp_path, tmp_path / "later"):
+        for view in "LR":
+            write_png(folder / f"a_{view}.png", COLOR)
+    own(tmp_path / "two" / "levels")
+    lines: list[str] = []
+    assert [s.name for s in find(tmp_path, warn=lines.append)] == ["a"]
+    assert len(lines) == 1 and str(tmp_path / "later") in lines[0] and "not used" in lines[0]
+    for view in ("left", "right"):
+        write_png(tmp_path / "views" / view / "7.png", COLOR)
+    assert len(find(tmp_path / "views", warn=lines.append)) == len(lines) == 1
+
+
 def test_several_patterns(tmp_path: Path):
     for name in ("a", "b", "c"):
         own(tmp_path / name)
@@ -268,3 +281,10 @@ def test_layouts_of_a_users_file(tmp_path: Path):
     np.testing.assert_array_equal(true(first).disparity, TRUTH)
     rows.write_text("mine: {left: 'cam/a_{id}.*', rihgt: x}")
     refused(ConfigError, r"mine\.yaml: mine: no field is called 'rihgt'", find, tmp_path / "set", str(rows))
+    rows.write_text("mine: {left: 'cam/a_{id}.*', right: 'other/b_{id}.*', max_disparity: far}")
+    refused(ConfigError, "mine: max_disparity: .*integer", find, tmp_path / "set", str(rows))
+    rows.write_text("mine: {left: 'cam/a_{id}.*', masks: 'other/b_{id}.*'}")
+    refused(ConfigError, r"mine: masks: .*\{mask\}.*mask\.NAME", find, tmp_path / "set", str(rows))
+    rows.write_text("mine: {left: 'cam/a_{id}.*', right: 'other/b_{id}.*', mask.glass: 'gt/{id}.*'}")
+    write_png(tmp_path / "set" / "gt" / "8.png", COLOR)
+    assert [list(each.masks) for each in find(tmp_path / "set", str(rows))] == [[], ["glass"]]

@@ -148,6 +148,19 @@ def poses_of(folder: Path) -> list:
     return [None if scene.pose is None else np.array(scene.pose).reshape(4, 4) for scene in find(folder)]
 
 
+def test_names_of_other_layouts_spoil_none(tmp_path: Path):
+    for second in (3, 4):  # one fraction of a second, which is no number of a frame
+        write_png(tmp_path / "tum" / "rgb" / f"{second}.25.png", COLOR)
+        write_png(tmp_path / "tum" / "depth" / f"{second}.24.png", DEPTH)
+        for folder in ("image", "depth"):
+            write_png(tmp_path / "other" / folder / f"{second}.png", DEPTH)
+    for folder, name in (("rgb", "25"), ("depth", "24")):
+        lines = [f"{second}.{name} {folder}/{second}.{name}.png" for second in (3, 4)]
+        (tmp_path / "tum" / f"{folder}.txt").write_text("\n".join(lines))
+    assert [scene.depth.name for scene in find(tmp_path / "tum")] == ["3.24.png", "4.24.png"]
+    refused(InputError, "no scenes found", find, tmp_path / "other")  # as SUN RGB-D, but for intrinsics.txt
+
+
 def test_tum_frames_have_the_pose_of_their_time(tmp_path: Path):
     place = tmp_path / "t"
     for k in range(4):

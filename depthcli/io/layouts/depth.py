@@ -86,11 +86,10 @@ def _named(found: Found) -> dict[str, Any]:
     return _meta(found.folder) | {"pose": None} | place
 
 
-def _sun(found: Found) -> dict[str, Any] | None:
-    folder = found.folder
-    if not folder.has("image", "depth", "intrinsics.txt"):
-        return _meta(folder) | {"rotated": True} if folder.requested == "sun-rgbd" else None
-    return _meta(folder) | {"rotated": True, "intrinsics": _matrix(folder.path / "intrinsics.txt")}
+def _sun(found: Found) -> dict[str, Any]:
+    file = found.folder.path / "intrinsics.txt"
+    camera = {"intrinsics": _matrix(file)} if file.name in found.folder.names else {}
+    return _meta(found.folder) | {"rotated": True} | camera
 
 
 def _matrix(path: Path) -> tuple[float, ...]:
@@ -123,6 +122,14 @@ class _Scannet(LayoutRow):
         place = "intrinsic/intrinsic_{}.txt" if "intrinsic" in folder.names else "intrinsics_{}.txt"
         color, depth = (_matrix(folder.path / place.format(kind)) if frames else None for kind in ("color", "depth"))
         return [replace(frame, intrinsics=color, depth_intrinsics=depth) for frame in frames]  # type: ignore[call-arg]
+
+
+class _Sun(LayoutRow):
+    """Frames that are known by their camera's file, since ``image`` and ``depth`` are names of other sets, too."""
+
+    def scenes(self, folder: Folder) -> list[Scene]:
+        known = folder.has("image", "depth", "intrinsics.txt") or folder.requested == self.name
+        return super().scenes(folder) if known else []
 
 
 class Tum(Layout):
@@ -250,7 +257,7 @@ FRAMES = Layouts.of(
         needs=("disparity*",),
         facts=lambda found: {**(_numbered(found) if "number" in found.keys else _meta(found.folder)), "raw": True},
     ),
-    LayoutRow(
+    _Sun(
         title="sun-rgbd", kind=RgbdScene,
         wants="`image/`, `depth/` and `intrinsics.txt`; with `--layout sun-rgbd` also `color.*`, `depth.*`",
         files=({"color": "image/{_}.*", "depth": "depth/{_}.*"}, {"color": "color.*", "depth": "depth.*"}),

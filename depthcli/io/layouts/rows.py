@@ -15,7 +15,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.yaml_source import read_config
@@ -90,7 +92,9 @@ class LayoutRow(Layout):
         """Yield placeholders and the two images of every scene."""
         first, second = self._views
         one = _files(folder, first, variant.get(first, ""))
-        other = _files(folder, second, variant.get(second, "")) if one or self.either else {}
+        if not one and (not self.either or "{" in variant[second]):
+            return  # before the others are asked, whose names may make no sense in this layout
+        other = _files(folder, second, variant.get(second, ""))
         if self.either and "{" in variant[second] and not one.keys() & other.keys():
             return
         for key in {**one, **other} if self.either else one:
@@ -245,12 +249,20 @@ def rows_in_file(path: Path) -> tuple[LayoutRow, ...]:
         types = {each.name: str(each.type) for each in fields(kind) if each.name not in _OWN_FIELDS}
         files: dict[str, str] = {}
         values: dict[str, Any] = {"protocol": "middlebury_v2" if kind is StereoScene else "depth", "name": ""}
+        hints = get_type_hints(kind)
         for key, value in given.items():
             if "Path" not in types.get(key, "") and not str(key).startswith(_MASK):
                 if key not in types:
-                    known = ", ".join(sorted(types))
+                    known = ", ".join(sorted([*types, f"{_MASK}NAME"]))
                     raise ConfigError(f"{path}: {title}: no field is called {key!r}; one of: {known}")
-                values[key] = value
+                try:
+                    values[key] = TypeAdapter(hints[key]).validate_python(value)
+                except ValidationError as error:
+                    raise ConfigError(f"{path}: {title}: {key}: {error.errors()[0]['msg']}") from error
+            elif key == _MASKS and "{mask}" not in str(value):
+                raise ConfigError(
+                    f"{path}: {title}: {key}: want {{mask}} in the name; of one mask say {_MASK}NAME: FILE"
+                )
             elif isinstance(value, str):
                 files[key] = value
             else:
