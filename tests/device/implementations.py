@@ -77,7 +77,8 @@ def test_costs_are_the_same_bytes(device, cost, height, width, disparities):
 
 AGGREGATIONS = [
     *(ConstantWindow(window=window) for window in (1, 5, 41)),
-    Cross(), Cross(iterations=1, smoothing=False, length=5), Cross(support="intersection", iterations=3),
+    Cross(), Cross(iterations=1, smoothing=False, length=5, consecutive=False),
+    Cross(support="intersection", iterations=3),
     AdaptiveWeight(window=5), AdaptiveWeight(window=35, norm="squared", color_space="rgb"),
 ]  # fmt: skip
 

@@ -38,14 +38,33 @@ def test_device_implementations_in_a_process_of_their_own():
 
 
 FILES = sorted(Path(str(importlib.resources.files("depthcli"))).rglob("*.cl"))
+MACROS = {
+    "adaptive_weight.cl": ("COST=ushort OUT=ushort SQUARED=0", "COST=float OUT=float SQUARED=1"),
+    "constant_window.cl": ("COST=ushort SUM=uint", "COST=uchar SUM=ushort"),
+    "cross.cl": ("SHIFT=3",),
+    "features.cl": ("GREY=ushort",),
+    "fill.cl": ("CHANNELS=3", "FEATURE=short CHANNELS=2"),
+    "medians.cl": ("WINDOW=5",),
+    "scanline.cl": ("COST=ushort ROOM=256 THREADS=256",),
+    "selection.cl": ("COST=float",),
+}
+"""The macros of files that have some, as the program sets them besides their defaults."""
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
 def test_cuda_takes_the_kernels(file):
+    """To machine code, so that registers and shared memory of a group suffice, too."""
     library = nvrtc.library()
     if library is None:
         pytest.skip("nvidia-cuda-nvrtc-cu12, which compiles for CUDA, is not installed")
-    assert nvrtc.messages(library, CUDA + COMMON + file.read_text("utf-8"), OPTIONS) == ""
+    for macros in ("", *MACROS.get(file.name, ())):
+        defined = "".join(f"#define {macro.replace('=', ' ')}\n" for macro in macros.split())
+        text = defined + CUDA + COMMON + file.read_text("utf-8")
+        assert nvrtc.messages(library, text, (*OPTIONS, "--gpu-architecture=sm_75")) == "", macros
+
+
+def test_files_with_macros_are_compiled_with_others_than_their_defaults():
+    assert {file.name for file in FILES if "\n#ifndef " in file.read_text("utf-8")} == {*MACROS}
 
 
 def pocl(error: str) -> MagicMock:

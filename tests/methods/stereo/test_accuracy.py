@@ -52,6 +52,67 @@ def test_presets_keep_their_accuracy(name, folder, max_error):
     assert mean_error(preset("stereo", name).pipeline, folder) <= max_error
 
 
+# Mean over the four scenes of bad > 1 px in all regions, %, which figure 3.3 of the thesis draws.
+CHAPTER_3 = {
+    "cw": {"ad": 17.7, "ad-gradient": 11.4, "ad-rank": 12.2, "ad-census": 11.6},
+    "cross": {"ad": 14.5, "ad-gradient": 9.6, "ad-rank": 10.4, "ad-census": 9.6},
+    "aw": {"ad": 12.0, "ad-gradient": 9.2, "ad-rank": 9.5, "ad-census": 9.1},
+}
+
+
+def error_everywhere(name, *settings):
+    """Errors of a preset of chapter 3 in all regions, scene by scene."""
+    pipeline = preset("stereo", f"thesis/ch3-{name}", *settings).pipeline
+    found = [rates(pipeline(pair, top).disparity.values, truth)["all"] for pair, truth, top in real_scenes().values()]
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def chapter_3():
+    return {way: {cost: error_everywhere(f"{cost}-{way}") for cost in costs} for way, costs in CHAPTER_3.items()}
+
+
+def test_chapter_3_keeps_its_errors(chapter_3):
+    """Both ways: these presets are the thesis's methods, which are to be neither improved nor spoilt."""
+    for way, costs in CHAPTER_3.items():
+        for cost, golden in costs.items():
+            assert chapter_3[way][cost].mean() == pytest.approx(golden, abs=0.4), (cost, way)
+
+
+def test_what_section_3_3_3_concludes_of_costs(chapter_3):
+    """AD is the worst on every scene; AD + census is the best or nearly so, with AD + rank close behind."""
+    for way, found in chapter_3.items():
+        others = [found[cost] for cost in ("ad-gradient", "ad-rank", "ad-census")]
+        assert all((found["ad"] > other).all() for other in others), way
+        means = {cost: errors.mean() for cost, errors in found.items()}
+        assert means["ad-census"] < min(means.values()) + 0.4
+        assert means["ad-census"] - 0.1 < means["ad-rank"] < means["ad-census"] + 1.2
+    # Where it does not hold: on Tsukuba AD + gradient is the best with every aggregation.
+    tsukuba = list(real_scenes()).index("Tsukuba")
+    assert all(min(found, key=lambda cost: found[cost][tsukuba]) == "ad-gradient" for found in chapter_3.values())
+
+
+def test_what_section_3_3_3_concludes_of_aggregations(chapter_3):
+    """CROSS and AW are alike, AW slightly better, and both are much better than CW."""
+    for cost in CHAPTER_3["cw"]:
+        window, cross, weights = (chapter_3[way][cost].mean() for way in ("cw", "cross", "aw"))
+        assert weights < cross < window - 1.5
+    assert chapter_3["cross"]["ad-census"].mean() < chapter_3["aw"]["ad-census"].mean() + 1
+
+
+def test_windows_of_figure_3_3():
+    """CW is best near 11 x 11; AW gets better up to 33 x 33."""
+
+    def means(name, windows):
+        return [error_everywhere(name, f"aggregation.window={window}").mean() for window in windows]
+
+    for cost in ("ad-census", "ad-gradient"):
+        small, near, large = means(f"{cost}-cw", (5, 11, 21))
+        assert near < small - 0.5 and near < large - 0.5
+    errors = means("ad-census-aw", (3, 11, 33))
+    assert errors == sorted(errors, reverse=True)
+
+
 def test_dedc_is_better_than_matching_costs():
     """Table 2.1: what the DEDC data term brings, over all four scenes."""
     dedc, costs = (mean_error(preset("stereo", f"segments-{name}").pipeline) for name in ("dedc", "baseline"))
