@@ -111,7 +111,7 @@ def pages() -> dict[str, str]:
         "outputs": "# Outputs\n\n" + _sections(OUTPUTS),
         "columns": "# Columns of tables\n\nIn brackets: the unit.\n\n" + _sections(COLUMNS),
         "plugins": f"# Tests of plug-ins\n\n{_about(testing)}\n\n"
-        + "\n".join(_documented(name, getattr(testing, name)) for name in testing.__all__),
+        + "\n".join(_documented(name, getattr(testing, name)) for name in testing.__all__).replace("### ", "## "),
     }
     methods = _index("Methods", "The exchangeable parts of every command, by family; a config names them.", families)
     index = _index("Reference", "Generated from the code by `scripts/docs_reference.py`.", found)
