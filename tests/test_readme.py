@@ -23,7 +23,7 @@ def test_named_files_exist():
 
 
 def _makefile() -> str:
-    page = (ROOT / "docs/how_to/makefile.md").read_text("utf-8")
+    page = (ROOT / "docs/how_to/batches.md").read_text("utf-8")
     return page.partition("```make file=Makefile\n")[2].partition("```")[0]
 
 
@@ -31,8 +31,8 @@ def _makefile() -> str:
 @pytest.mark.skipif(shutil.which("make") is None, reason="no make")
 def test_the_makefile_evaluates_although_a_scene_fails(made_scenes: Path, tmp_path: Path):
     for name in ("planes_0", "planes_1"):
-        shutil.copytree(made_scenes / name, tmp_path / "data/middlebury_v2" / name)
-    damaged = tmp_path / "data/middlebury_v2/planes_0/left.png"
+        shutil.copytree(made_scenes / name, tmp_path / "scenes" / name)
+    damaged = tmp_path / "scenes/planes_0/left.png"
     image = damaged.read_bytes()
     damaged.write_bytes(b"damaged")
     (tmp_path / "experiments").mkdir()

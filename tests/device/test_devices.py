@@ -88,16 +88,6 @@ def test_a_processor_that_pocl_does_not_know_is_no_device(monkeypatch, error):
         depthcli.device.opencl._handles.cache_clear()
 
 
-PAGE = """
-import sys
-from pathlib import Path
-sys.path.insert(0, "scripts")
-from _docs_examples import Page
-text, folder = Path("docs/how_to/gpu.md").read_text("utf-8"), Path(sys.argv[1])
-Page("gpu.md", text, folder / "run", folder / "pictures", "").run()
-"""
-
-
 @pytest.mark.system
 def test_without_devices_all_that_needs_one_is_skipped_with_the_reason(tmp_path):
     for name in ("pyopencl", "cupy"):
@@ -106,13 +96,10 @@ def test_without_devices_all_that_needs_one_is_skipped_with_the_reason(tmp_path)
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{root}", "PATH": path}
     tests = ["tests/device/test_devices.py", "tests/test_scripts.py", "-k", "process_of_their_own or gpu_is_measured"]
-    for command in (
-        [sys.executable, "-m", "pytest", "-q", "-rs", "-n0", "-p", "no:cacheprovider", *tests],
-        [sys.executable, "-c", PAGE, str(tmp_path)],
-    ):
-        run = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=_LIMIT)
-        assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-3000:]
-        assert "pyopencl is not installed" in run.stdout + run.stderr
+    command = [sys.executable, "-m", "pytest", "-q", "-rs", "-n0", "-p", "no:cacheprovider", *tests]
+    run = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=_LIMIT)
+    assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-3000:]
+    assert "pyopencl is not installed" in run.stdout + run.stderr
 
 
 class Memory(Device):
