@@ -235,6 +235,10 @@ class _Scoring:
         files = {name: (protocol.files, names[name]) for name, (_, protocol) in usable.items()}
         for run, place in self.runs.items():
             given = self.naming[run] = self.choices.naming.get(run, MapNaming())
+            rows = self.reports[run]
+            if rows and not any(name in rows for known in names.values() for name in known):
+                here, there = (", ".join([*of][:3]) + ", ..." * (len(of) > 3) for of in (rows, names))
+                self.hints.append(f"{run}: a run of other scenes ({here}) than those of the truth ({there})")
             if place.is_dir() and not self.reports[run]:
                 self.naming[run] = recognized(run, place, given, files, fits)
                 if self.naming[run] != given:

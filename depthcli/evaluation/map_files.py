@@ -105,7 +105,8 @@ class DisparityFiles(MapFiles):
 class MapNaming:
     """How the maps of one run are named and coded, as far as that was given; None: as for all runs."""
 
-    pattern: str = ""  # path of the map of ``{scene}`` in the run folder, with its ending; empty: the protocol's
+    # Path of the map of ``{scene}`` in the run folder, with its ending or ``.*``; empty: the protocol's.
+    pattern: str = ""
     scale: float | None = None  # codes per unit, of maps of any kind
     invalid: float | None = None  # value that stands for no value
 
@@ -116,7 +117,9 @@ class MapNaming:
 
     def files(self, default: MapFiles) -> MapFiles:
         """Return where the maps of the run lie, ``default`` where no pattern was given."""
-        return MapFiles((self.pattern,), ("",)) if self.pattern else default
+        any_ending = self.pattern.endswith(".*")
+        of_pattern = MapFiles((self.pattern.removesuffix(".*"),), default.suffixes if any_ending else ("",))
+        return of_pattern if self.pattern else default
 
 
 def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:

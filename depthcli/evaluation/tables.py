@@ -14,7 +14,7 @@ from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.curves import ConfidenceCurve, HiddenPixels, Reliability
 from depthcli.evaluation.render import FORMATS, Number, Table, TableColumn, markdown_code, markdown_link, markdown_text
-from depthcli.evaluation.scores import COMMON_MEAN, MEAN, Key
+from depthcli.evaluation.scores import COMMON_MEAN, ESTIMATED_ONLY, MEAN, Key
 from depthcli.evaluation.statistics import mean_of_known
 
 NAMES = ("headline", "overview", "metrics", "scenes", "further", "confidence", "hidden", "missing")
@@ -25,6 +25,7 @@ TEST_COLUMNS = ("wins", "losses", "p (Holm)", "verdict")
 """Headings of what the tests against the best run say."""
 
 _TESTS_NOTE = "wins, losses: scenes on which"  # beginning of what a note says of them, up to its end
+_MIN_GAPS = 1.0  # % of the pixels that one run has and another lacks, from which a note says so
 _WIDTH = 100  # characters of a line of the headline table
 
 
@@ -110,7 +111,7 @@ def summary(section: Section) -> Table:
     if len(section.regions) > 1 and with_tests:
         title += f", ranked by {'the mean of ' * (len(figures) > 1)}{', '.join(figures)}"
     note = "; ".join(filter(None, [protocol.presentation.note, "" if complete else MISSING]))
-    note = ". ".join(filter(None, [note, _tests_note(section)]))
+    note = ". ".join(filter(None, [note, _gaps_note(section), _tests_note(section)]))
     return Table.of_columns(title, columns, note, "headline")
 
 
@@ -133,6 +134,19 @@ def _tests_note(section: Section) -> str:
         f"{_TESTS_NOTE} {section.protocol.headline.heading} ({mean}) is better or worse than the best run's; "
         f"p: Wilcoxon signed-rank test over the scenes, Holm-corrected for {ranking.n_tests} "
         f"test{'s' * (ranking.n_tests != 1)}. {ranking.verdict()}"
+    )
+
+
+def _gaps_note(section: Section) -> str:
+    """Return that maps with gaps are not comparable, where gaps cost nothing and the runs' differ; else nothing."""
+    key = section.protocol.headline, section.regions[0]
+    shares = [section.score(run, section.places[-1], key).density for run in section.runs]
+    known = [share for share in shares if not math.isnan(share)]
+    if not key[0].convention.startswith(ESTIMATED_ONLY) or not known or max(known) - min(known) < _MIN_GAPS:
+        return ""
+    return (
+        f"Each run is scored where it has values, {min(known):.1f} to {max(known):.1f} % of the pixels: gaps are not "
+        "counted, and often lie where the others are worst"
     )
 
 
@@ -302,7 +316,7 @@ def headline_text(report: EvaluationReport) -> str:
         table = summary(section)
         spare = ["avg rank", f"density {section.regions[0]} %", "seconds"]
         spare += [_region_heading(section, region) for region in section.regions[:0:-1]]
-        note = ". ".join(filter(None, [MISSING * (len(section.places) > 1), _tests_note(section)]))
+        note = ". ".join(filter(None, [MISSING * (len(section.places) > 1), _gaps_note(section), _tests_note(section)]))
         return replace(table, note=note).fitted(_WIDTH, spare, ["run"]).text(_WIDTH)
     fitted = (each.fitted(_WIDTH, ["protocol", "losses", "mean of"], ["data set", "run"]) for each in overview(report))
     return "".join(table.text(_WIDTH) for table in fitted)

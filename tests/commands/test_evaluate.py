@@ -22,7 +22,7 @@ from depthcli.evaluation.evaluate import Choices, evaluate_runs
 from depthcli.evaluation.protocols import EMPTY, RIGHT, WRONG, Settings, kind_colors
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
-from depthcli.evaluation.tables import chosen_text, report_tables
+from depthcli.evaluation.tables import chosen_text, headline_text, report_tables
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
@@ -226,6 +226,26 @@ def test_scene_names_match_with_and_without_their_data_set(tmp_path: Path, truth
         assert report.failed == []
 
 
+def test_a_run_of_other_scenes_is_told(tmp_path: Path, truth: Path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "report.json").write_text(json.dumps({"scenes": [{"scene": "c", "status": "done"}]}))
+    (hint,) = evaluated([run], truth, None).hints
+    assert "(c)" in hint and "(a, b)" in hint
+    (run / "report.json").write_text(json.dumps({"scenes": [{"scene": "b", "status": "failed"}]}))
+    assert evaluated([run], truth, None).hints == ()
+
+
+def test_gaps_that_cost_nothing_are_told(tmp_path: Path, truth: Path):
+    holes = exact(truth)
+    holes[:, 8:16] = np.nan
+    full = run_of(tmp_path / "full", {"a": exact(truth) + 1, "b": exact(truth)})
+    runs = [full, run_of(tmp_path / "holes", {"a": holes, "b": exact(truth)})]
+    for protocol, told in (("eth3d", True), ("middlebury_v2", False)):
+        assert ("gaps are not" in headline_text(evaluated(runs, truth, None, protocol)).replace("\n", " ")) == told
+    assert "gaps are not" not in headline_text(evaluated([full, "b=" + str(full)], truth, None, "eth3d"))
+
+
 def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
     seen = []
@@ -417,6 +437,7 @@ def test_maps_under_any_name(tmp_path: Path, truth: Path, capsys, place: str, op
         return found, document["warnings"]
 
     given, warnings = scores("--maps", f"other={place}")
+    assert scores("--maps", f"other={Path(place).with_suffix('.*')}") == (given, warnings)
     assert max(given) < 0.01
     assert warnings == []
     taken, (hint,) = scores()
