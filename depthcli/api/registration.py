@@ -149,7 +149,7 @@ def registration_confidence(
     ----------
     fixed, warped : the fixed volume, and the moving one after registration on the same grid: (Z, Y, X) arrays, or
         images of SimpleITK, which have their geometry with them
-    spacing : distance (z, y, x) of the voxels of arrays, mm
+    spacing : distance (z, y, x) of the voxels of arrays, mm: ``image.GetSpacing()[::-1]`` of SimpleITK
     preset : name of a preset of ``depthcli register-confidence``, path of a YAML file, or a config
     overrides : config keys -> values, as ``--set`` has them
     origin : of arrays: position x, y, z of the first voxel, mm

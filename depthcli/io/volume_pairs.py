@@ -20,6 +20,7 @@ from depthcli.io.scenes import VolumePairScene
 
 _LABEL_TOLERANCE = 1e-3  # of a whole number: what rounding leaves of a label
 _MAX_LABELS = 2000  # more are the gray values of a scan; atlases have some hundreds
+_MAX_PAIRING = 0.7  # distance of landmarks over that of random pairs of them; 0.05 to 0.4 of pairs that were registered
 _MAX_LABEL = 1 << 24  # whole numbers up to here are exact in float32
 
 
@@ -111,11 +112,36 @@ def true_errors(scene: VolumePairScene, convention: str = "auto") -> Registratio
     matches = read_landmarks(scene.landmarks_moving, fixed.grid if moving is None else moving.grid, raw)
     if len(points) != len(matches):
         raise InputError(f"{scene.landmarks_moving}: {len(matches)} landmarks, but {len(points)} of the fixed one")
-    if moving is not None and (text := _outside(matches, moving.grid, "moving")):
-        warn(f"{scene.landmarks_moving}: {text}")
     transform = read_moving_transform(scene.transform, scene.displacement, convention, fixed, moving)
-    moved = np.array([transform.TransformPoint(point) for point in points.tolist()])
+    moved, back = (np.array([transform.TransformPoint(p) for p in some.tolist()]) for some in (points, matches))
+    text = "" if moving is None else _outside(matches, moving.grid, "moving")
+    if text := text or _unpaired(points, matches, moved, back):
+        warn(f"{scene.landmarks_moving}: {text}")
     return RegistrationTruth(fixed.grid, points, np.linalg.norm(moved - matches, axis=1).astype(np.float32))
+
+
+def _unpaired(
+    points: NDArray[np.float64], matches: NDArray[np.float64], moved: NDArray[np.float64], back: NDArray[np.float64]
+) -> str:
+    """Return why landmarks (N, 3), mm, and their ``matches`` seem to be no pairs, in a line, or empty.
+
+    ``moved`` and ``back`` are both through the transform, which leads from ``points`` to ``matches``.
+    """
+    error, before, exchanged = (
+        float(np.linalg.norm(one - other, axis=1).mean())
+        for one, other in ((moved, matches), (points, matches), (back, points))
+    )
+    if exchanged < error / 2 and error > before:
+        return f"exchanged with those of the fixed volume they fit ({exchanged:.1f} mm apart, not {error:.1f} mm)"
+    random = float(np.mean([np.linalg.norm(moved - match, axis=1).mean() for match in matches]))
+    if len(points) > 2 and error > _MAX_PAIRING * random:
+        return (
+            f"{error:.1f} mm from those of the fixed volume, random pairs {random:.1f} mm: are they of the same "
+            "patient, in the same order, and in mm?"
+        )
+    if error > before:
+        return f"the registration takes the landmarks apart: {error:.1f} mm, without it {before:.1f} mm"
+    return ""
 
 
 def landmarks(scene: VolumePairScene, grid: Grid) -> NDArray[np.float64] | None:
@@ -125,18 +151,22 @@ def landmarks(scene: VolumePairScene, grid: Grid) -> NDArray[np.float64] | None:
     points = read_landmarks(scene.landmarks_fixed, grid, scene.fixed.suffix.lower() == ".img")
     if text := _outside(points, grid, "fixed"):
         raise InputError(f"{scene.landmarks_fixed}: {text}")
+    whole = len(points) > 3 and np.array_equal(points, np.rint(points))
+    if whole and not np.allclose(index := grid.to_index(points), np.rint(index), rtol=0, atol=0.01):
+        warn(f"{scene.landmarks_fixed}: only whole numbers, which are no centers of voxels: are they voxels, not mm?")
     return points
 
 
 def _outside(points: NDArray[np.float64], grid: Grid, name: str) -> str:
     """Return how many landmarks (N, 3), mm, LPS, lie outside the volume ``name``, in a line; empty where none does."""
-    outside, turned = (
+    outside, turned, counted = (
         ~np.all((places >= -0.5) & (places <= np.array(grid.shape) - 0.5), axis=1)
-        for places in (grid.to_index(points), grid.to_index(points * [-1, -1, 1]))
+        for places in (grid.to_index(points), grid.to_index(points * [-1, -1, 1]), points[:, ::-1])
     )
     if not outside.any():
         return ""
-    hint = "" if turned.any() else "; with x and y negated they fit: positions must be LPS, not RAS"
+    hint = "" if counted.any() else "; as voxels they fit: positions must be in mm"
+    hint = hint if turned.any() else "; with x and y negated they fit: positions must be LPS, not RAS"
     first = int(np.flatnonzero(outside)[0]) + 1
     count = f"{int(outside.sum())} of {len(points)} landmarks lie outside the {name} volume"
     return f"{count}, the first is point {first}{hint}"

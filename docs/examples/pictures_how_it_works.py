@@ -208,7 +208,7 @@ def volumes() -> tuple[Any, Any, Any, Any, Any]:
     images = [
         SimpleITK.ReadImage(str(folder / f"{n}.nii.gz")) for n in ("fixed", "moving_warped", "mask", "error_true")
     ]
-    return *(SimpleITK.GetArrayFromImage(image).astype(np.float32) for image in images), images[0].GetSpacing()
+    return *(SimpleITK.GetArrayFromImage(image).astype(np.float32) for image in images), images[0].GetSpacing()[::-1]
 
 
 def slices(columns: Sequence[tuple[str, Any, str, float]]) -> Any:

@@ -1,7 +1,10 @@
 """Every program's fields and transforms against SimpleITK, on a warp that is known."""
 
 import struct
+import tempfile
 import warnings
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -247,6 +250,38 @@ def test_an_inverted_transform_is_said(tmp_path):
         with collected_warnings() as lines:
             read_moving_transform(tmp_path / f"{name}.tfm", None, "auto", *both)
         assert [("inverted" in line) for line in lines] == [True] * (name == "wrong")
+
+
+def lines_about(values, grid):
+    """What is said of a field, (Z, Y, X, 3) mm on ``grid``, of the known volumes."""
+    with tempfile.TemporaryDirectory() as folder, collected_warnings() as lines:
+        write_array(Path(folder, "field.mha"), grid, values.astype(np.float32))
+        read_moving_transform(None, Path(folder, "field.mha"), "itk", *volumes())
+    return lines
+
+
+def test_a_field_that_does_not_belong_to_the_volumes_is_said():
+    away = [replace(GRID, origin=(GRID.origin[0] + mm, *GRID.origin[1:])) for mm in (-8.0, 500.0)]
+    assert not lines_about(displacement(), GRID)
+    assert "outside the field" in lines_about(displacement(), away[0])[0]
+    refused(InputError, r"field.mha: the whole fixed volume", lines_about, displacement(), away[1])
+    assert "unit mm" in lines_about(displacement() / 1000, GRID)[0]
+    wild = np.random.default_rng(0).uniform(-8, 8, displacement().shape)
+    assert "left out" in lines_about(wild, GRID)[0]
+    refused(InputError, r"field.mha: .* no point", lines_about, displacement() + 500, GRID)
+
+
+def test_landmarks_of_spreadsheets_and_of_3d_slicer(tmp_path):
+    file = tmp_path / "landmarks_fixed.fcsv"
+    head = "# Markups fiducial file version = 4.10\n# CoordinateSystem = {}\n# columns = id,x,y,z,ow,ox\n"
+    for text in (
+        "x;y;z\n-11,5;24,5;35\n",
+        "# x,y,z\n-11.5,24.5,35\n",
+        head.format("LPS") + "1,-11.5,24.5,35,0,0\n",
+        head.format("0") + "1,11.5,-24.5,35,0,0\n",
+    ):
+        file.write_text(text)
+        assert read_landmarks(file, GRID).tolist() == [[-11.5, 24.5, 35]]
 
 
 def test_landmarks_in_every_unit(tmp_path):

@@ -11,10 +11,11 @@ import pytest
 from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair
+from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.files_behind import kinect_files, transform_files, volume_files
 from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.io.scenes import VolumePairScene
-from depthcli.io.volume_pairs import LoadedPair, label_masks
+from depthcli.io.volume_pairs import LoadedPair, label_masks, true_errors
 from tests.command_line import refused
 
 with warnings.catch_warnings():
@@ -194,6 +195,36 @@ SIZE = (6, 5, 4)
 VALUES = np.random.default_rng(0).uniform(1, 2, SIZE[::-1]).astype(np.float32)
 META = "ObjectType = Image\nNDims = 3\nDimSize = 6 5 4\nElementType = MET_FLOAT\nElementSpacing = 1 1 1\n"
 NRRD = "NRRD0004\ntype: float\ndimension: 3\nsizes: 6 5 4\nendian: little\nspacings: 1 1 1\n"
+
+
+def test_landmarks_that_are_no_pairs_are_said(tmp_path: Path):
+    """Of a registration that moves points by 9 mm along x, in a volume without a moving one beside it."""
+    grid = Grid((40, 40, 20), (1.5, 1.5, 2.5), (-20.0, 30.0, 7.0))
+    write_array(tmp_path / "fixed.mha", grid, np.random.default_rng(0).random(grid.shape, np.float32))
+    SimpleITK.WriteTransform(SimpleITK.TranslationTransform(3, (9.0, 0.0, 0.0)), str(tmp_path / "t.tfm"))
+    files = {f"landmarks_{name}": tmp_path / f"{name}.csv" for name in ("fixed", "moving")}
+    scene = VolumePairScene(
+        name="a", folder=tmp_path, fixed=tmp_path / "fixed.mha", transform=tmp_path / "t.tfm", **files
+    )
+    places = np.random.default_rng(1).uniform(0, 19, (12, 3))
+    points = grid.to_point(places)
+    along = np.array([9.0, 0.0, 0.0])
+    matches = points + along + 0.1
+    voxels = np.rint(points)
+    for fixed, moving, words in (
+        (points, matches, None),
+        (matches - along, points - along, "exchanged"),
+        (points, matches[::-1], "same order"),
+        (points, points, "apart"),
+        (voxels, voxels + along, "voxels, not mm"),
+    ):
+        np.savetxt(files["landmarks_fixed"], fixed, delimiter=",")
+        np.savetxt(files["landmarks_moving"], moving, delimiter=",")
+        with collected_warnings() as lines:
+            true_errors(scene)
+        assert len(lines) == (words is not None) and all(words in line for line in lines)
+    np.savetxt(files["landmarks_fixed"], places[:, ::-1], delimiter=",")
+    refused(InputError, "as voxels they fit", true_errors, scene)
 
 
 def put(path: Path, header: str, data: bytes = b"") -> Path:

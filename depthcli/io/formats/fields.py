@@ -46,6 +46,9 @@ READINGS = {
 
 _MIN_RATIO = 1.1  # mutual information of the better reading over that of the named one, to refuse the named one
 _MIN_GAIN = 0.02  # and by how much it must be more, nats
+_MIN_FIT = 0.1  # mutual information, nats, below which two volumes have little in common
+_MAX_OUTSIDE = 0.1  # share of the fixed volume that may lie outside the field
+_MIN_SHIFT = 0.1  # voxels that the largest displacement of a registration exceeds
 _N_SAMPLES = 60_000  # voxels that the readings of a field are compared at
 _N_INVERSIONS = 8  # steps of the fixed-point iteration, each of which at least halves the error of smooth fields
 _N_BINS = 24  # of the histogram of each volume
@@ -124,7 +127,7 @@ def read_moving_transform(
     With both files, the displacement comes first and the transform after it (ANTs: ``1Warp``, ``0GenericAffine``).
     The ``convention`` auto (of auto, itk, ants, niftyreg, voxels) takes what the header says; where the moving volume
     is there, another reading that fits it clearly better is an error. With any convention, and for transforms, there is
-    a warning where the moving volume fits clearly better through the inverse, or with displacements negated.
+    a warning where the moving volume fits clearly better through the inverse, with displacements negated or left out.
     """
     sitk = simple_itk()
     after = None if transform is None else read_transform(transform)
@@ -145,15 +148,35 @@ def read_moving_transform(
         if convention == "auto" and moving is not None:
             with naming(displacement):
                 _check_reading(field, reading, fixed, moving, after)
-        chain.append(sitk.DisplacementFieldTransform(itk_image(in_millimeters(field, reading), field.grid)))
+        shifts = in_millimeters(field, reading)
+        with naming(displacement):
+            if reason := _doubtful_extent(field.grid, shifts, fixed.grid):
+                warn(f"{shown(displacement)}: {reason}")
+        chain.append(sitk.DisplacementFieldTransform(itk_image(shifts, field.grid)))
     if not chain:
         raise InputError("neither a transform nor a displacement field")
     combined = sitk.CompositeTransform(chain)
     if moving is not None:
-        file = displacement or transform
-        if reason := _reversed(combined, fixed, moving):
-            warn(f"{shown(file or '')}: {reason}")
+        with naming(displacement or transform or ""):
+            if reason := _misfit(combined, fixed, moving):
+                warn(f"{shown(displacement or transform or '')}: {reason}")
     return combined
+
+
+def _doubtful_extent(grid: Grid, shifts: NDArray[np.float64], fixed: Grid) -> str:
+    """Return a warning where a field covers a part of the fixed volume or is about 0; InputError: it covers none."""
+    axes = (np.arange(0.0, n, max(1, n // 32)) for n in fixed.shape)
+    at = grid.to_index(fixed.to_point(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)))
+    outside = float(np.mean(~np.all((at >= -0.5) & (at <= np.array(grid.shape) - 0.5), axis=1)))
+    where = "where nothing is displaced; its origin and spacing must be in the frame of the fixed volume"
+    if outside == 1:
+        raise InputError(f"the whole fixed volume lies outside the field, {where}")
+    if outside > _MAX_OUTSIDE:
+        return f"{100 * outside:.0f} % of the fixed volume lies outside the field, {where}"
+    largest = float(np.sqrt((shifts**2).sum(axis=-1).max()))
+    if largest < _MIN_SHIFT * min(fixed.spacing):
+        return f"the largest displacement is {largest:.2g} mm: is its unit mm, and is it the field of a registration?"
+    return ""
 
 
 def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, after: Any) -> None:
@@ -175,13 +198,16 @@ def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, afte
             if after is not None:
                 moved = np.array([after.TransformPoint(point) for point in moved.tolist()])
             scores[way] = _information(target, nearest(moving.values, moving.grid.to_index(moved)))
+    still = _information(target, nearest(moving.values, moving.grid.to_index(points[inside])))
     best = max(scores, key=lambda reading: scores[reading])
     if best not in (named, "negated") and _clearly_better(scores[best], scores[named]):
         option, own = ("niftyreg" if reading == "positions" else reading for reading in (best, named))
+        weak = scores[best] < _MIN_FIT or not _clearly_better(scores[best], still)
         raise InputError(
             f"its header says {READINGS[named]}, but read as {READINGS[best]} it fits the volumes clearly better "
-            f"(mutual information {scores[best]:.2f} against {scores[named]:.2f}); see --field {option}, or --field "
-            f"{own} to keep to the header"
+            f"(mutual information {scores[best]:.2f} against {scores[named]:.2f}, {still:.2f} without it)"
+            + ("; no reading fits well: does it belong to these volumes, and is its unit mm?" if weak else "")
+            + f"; see --field {option}, or --field {own} to keep to the header"
         )
 
 
@@ -189,8 +215,8 @@ def _clearly_better(fit: float, other: float) -> bool:
     return fit > max(_MIN_RATIO * other, other + _MIN_GAIN)
 
 
-def _reversed(transform: Any, fixed: Volume, moving: Volume) -> str:
-    """Return a warning where the inverse or the negated displacements fit the volumes clearly better, or empty."""
+def _misfit(transform: Any, fixed: Volume, moving: Volume) -> str:
+    """Return a warning where inverse, negated or no displacements fit the volumes clearly better, or empty."""
     every = math.ceil((math.prod(fixed.grid.size) / _N_SAMPLES) ** (1 / 3))
     x, y, z = (-(-n // every) for n in fixed.grid.size)
     spacing = fixed.grid.spacing[0] * every, fixed.grid.spacing[1] * every, fixed.grid.spacing[2] * every
@@ -205,17 +231,18 @@ def _reversed(transform: Any, fixed: Volume, moving: Volume) -> str:
         at = grid.to_index(points + back)
         back = -np.stack([trilinear(away[..., axis], at) for axis in range(3)], axis=1).astype(np.float64)
     target = fixed.values[::every, ::every, ::every].ravel()
-    ways = {"": own, "inverted": back, "with its displacements negated": -own}
-    scores = {
-        way: _information(target, nearest(moving.values, moving.grid.to_index(points + shift)))
-        for way, shift in ways.items()
-    }
+    ways = {"": own, "inverted": back, "with its displacements negated": -own, "left out": 0 * own}
+    warped = {way: nearest(moving.values, moving.grid.to_index(points + shift)) for way, shift in ways.items()}
+    if np.isnan(warped[""]).all():
+        raise InputError("it takes no point of the fixed volume into the moving volume; do the three belong together?")
+    scores = {way: _information(target, values) for way, values in warped.items()}
     best = max(scores, key=lambda way: scores[way])
     if not best or not _clearly_better(scores[best], scores[""]):
         return ""
+    left_out = "does it belong to these volumes?"
     return (
         f"{best} it fits the volumes clearly better (mutual information {scores[best]:.2f} against {scores['']:.2f}); "
-        "it must lead from the fixed to the moving volume"
+        + (left_out if best == "left out" else "it must lead from the fixed to the moving volume")
     )
 
 
@@ -228,7 +255,7 @@ def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
     cells = first * _N_BINS + np.clip(second, 0, _N_BINS - 1)
     p = np.bincount(cells, minlength=_N_BINS**2).reshape(_N_BINS, _N_BINS) / len(cells)
     known, independent = p > 0, p.sum(axis=1, keepdims=True) * p.sum(axis=0, keepdims=True)
-    return float(np.sum(p[known] * np.log(p[known] / independent[known])))
+    return max(0.0, float(np.sum(p[known] * np.log(p[known] / independent[known]))))  # not -0.00
 
 
 def read_transform(path: Path) -> Any:
@@ -310,6 +337,7 @@ def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.floa
         if lines and lines[0].lower() in ("point", "index"):
             points = _points(lines[2:], [0, 1, 2], 3)
             return grid.to_point(points[:, ::-1]) if lines[0].lower() == "index" else points
+        said, lines = _slicer_head(lines)
         columns, first = [0, 1, 2], 0
         try:
             [float(part) for part in _split(lines[0] if lines else "0")]
@@ -320,10 +348,20 @@ def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.floa
         points = _points(lines[first:], columns, first + 1)
         if raw and suffix_of(path) == ".txt":
             return grid.to_point(points[:, ::-1] - 1)
-        return points
+        return points * [-1, -1, 1] if said.get("CoordinateSystem") in ("RAS", "0") else points
+
+
+def _slicer_head(lines: list[str]) -> tuple[dict[str, str], list[str]]:
+    """Return what the comments ``# key = value`` of an .fcsv of 3D Slicer say, and the lines with names of columns."""
+    comments = [line.lstrip("# ") for line in lines if line.startswith("#")]
+    said = {key.strip(): value.strip() for key, equals, value in (text.partition("=") for text in comments) if equals}
+    names = [said["columns"]] if "columns" in said else [text for text in comments if "=" not in text]
+    return said, names + [line for line in lines if not line.startswith("#")]
 
 
 def _split(line: str) -> list[str]:
+    if ";" in line:  # as spreadsheets write where the comma is the decimal point
+        return [part.strip().replace(",", ".") for part in line.split(";")]
     return [part.strip() for part in (line.split(",") if "," in line else line.split())]
 
 

@@ -13,7 +13,7 @@ from depthcli.io.scenes import LEFT_OUT, Scene, VolumePairScene
 _VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img", ".png", ".jpg", ".jpeg")
 _FIELDS = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")
 _TRANSFORMS = (".tfm", ".txt", ".h5", ".hdf5", ".mat", ".xfm")
-_POINTS = (".csv", ".txt", ".pts")
+_POINTS = (".csv", ".txt", ".pts", ".fcsv")
 _SUFFIXES = {
     "fixed": _VOLUMES, "moving_warped": _VOLUMES, "moving": _VOLUMES, "displacement": _FIELDS, "transform": _TRANSFORMS,
     "mask": _VOLUMES, "landmarks_fixed": _POINTS, "landmarks_moving": _POINTS, "error_true": _VOLUMES,
