@@ -1,8 +1,8 @@
 """What the scripts that measure share: presets, scenes of the groups, times in turns, tables."""
 
-import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,21 @@ from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.walk import discover_scenes
 from depthcli.run.presets import find_config
 
+THESIS = yaml.safe_load((_env.ROOT / "scripts" / "thesis.yaml").read_text("utf-8"))
+Rows = dict[str, dict[str, float]]  # row -> column -> number
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A measurement of each of some items, independent of the others, for scripts/thesis."""
+
+    chapter: str
+    items: Callable[[Path], Iterable[tuple[str, Any]]]  # of the folder of data sets: names, and what is measured
+    measure: Callable[[Any], Rows]
+    checked: int = 0  # number of items, the first ones, that --check measures again; 0: times, or too slow
+    on_page: bool = True
+
+
 GROUPS = yaml.safe_load((_env.ROOT / "scripts" / "stereo_groups.yaml").read_text())
 
 
@@ -26,11 +41,11 @@ def config_of(command: str, name: str, *settings: str) -> Any:
     return load_config(config_model(command), find_config(command, name), settings)
 
 
-def matcher(name: str) -> Callable[[Any, int], Any]:
+def matcher(name: str, *settings: str) -> Callable[[Any, int], Any]:
     """Return what computes a map of a pair and its range: a preset, ``fuse/NAME`` for one of fuse, or a file."""
     if name.startswith("fuse/"):
-        return with_network(config_of("fuse", name.removeprefix("fuse/")))
-    return config_of("stereo", name).pipeline  # type: ignore[no-any-return]
+        return with_network(config_of("fuse", name.removeprefix("fuse/"), *settings))
+    return config_of("stereo", name, *settings).pipeline  # type: ignore[no-any-return]
 
 
 def scenes_in(folder: Path, *names: str) -> list[Any]:
@@ -84,8 +99,9 @@ def kept(folder: Path | None, name: str, make: Callable[[], dict[str, Any]]) -> 
 
 def mean_known(values: Iterable[float] | np.ndarray) -> float:
     """Return the mean of the numbers that are finite; NaN where there are none."""
-    there = [float(value) for value in values if np.isfinite(value)]
-    return statistics.fmean(there) if there else float("nan")
+    numbers = np.asarray(values if isinstance(values, np.ndarray) else list(values), np.float64)
+    known = numbers[np.isfinite(numbers)]
+    return float(known.mean()) if known.size else float("nan")
 
 
 def show(title: str, header: Sequence[str], rows: Iterable[Sequence[str]], note: str = "") -> None:

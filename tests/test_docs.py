@@ -115,6 +115,14 @@ def test_measured_tables_have_their_place():
         assert table["run"] in figures.SETTINGS["runs"]
 
 
+def test_the_tables_of_the_thesis_show_what_was_measured():
+    thesis = runpy.run_path(str(ROOT / "scripts" / "thesis"))
+    measured = thesis["Measured"](json.loads((DOCS / "static" / "thesis" / "measured.json").read_text("utf-8")))
+    made = thesis["blocks"](measured)
+    for page in thesis["PAGES"]:
+        assert thesis["renewed"](page.read_text("utf-8"), made) == page.read_text("utf-8"), "run scripts/thesis DATA"
+
+
 def test_a_table_is_taken_from_the_output_of_a_script():
     text = (
         "## Some title, %\n\n| name | a | b |\n| --- | ---: | ---: |\n| x | **1.234** | 2 |\n| y | 3 | <u>4.5</u> |\n"

@@ -13,6 +13,7 @@ from typer.main import get_command
 
 from depthcli.cli import app
 from depthcli.device import opencl
+from tests.scenes import DATA
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = sorted(
@@ -98,6 +99,14 @@ def script(name: str, *words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "scripts" / name), *words]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, cwd=ROOT)
+
+
+@pytest.mark.system
+@pytest.mark.skipif(not DATA.is_dir(), reason="no data sets in ../shared/data")
+def test_the_page_on_the_thesis_is_up_to_date():
+    """Some of the scenes, frames and registrations of each chapter are measured again."""
+    done = script("thesis", str(DATA), "--check")
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.system

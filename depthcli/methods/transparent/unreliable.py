@@ -15,7 +15,7 @@ from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Sample
 from depthcli.core.maps import Doubles, Floats, Image8, Ints, Mask
 from depthcli.core.method import ConfigModel
 
-# The first three are those of the figures of scripts/transparent_experiments.py, which varies none of them.
+# The first three are those of chapter 5 in scripts/thesis, which varies none of them.
 _MAX_SAMPLE_EVIDENCE = 4.0  # of one sample for a region, standard deviations
 _MIN_EXPECTED_SAMPLES = 4.0  # a piece of a region whose area should hold as many is dropped if it holds one or none
 _SCORE_RANGE = -2, 4  # smallest and largest score of a pixel, half squared deviations
