@@ -1,4 +1,4 @@
-"""A fully connected CRF over depth labels, the method of the thesis (thesis, section 5.1.2)."""
+"""A fully connected CRF over depth labels, as of section 5.1.2 of the thesis, whose text is missing."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class DenseCrf(TransparentPipeline):
     """A dense CRF: labels are steps of inverse depth, costs come from sensor, samples and planes, similar pixels agree.
 
     With ``unreliable`` the sensor's costs are dropped where it is unreliable; only these pixels and its gaps are
-    labelled, with a band around, and elsewhere the sensor's value stays. Without it every pixel is labelled, as the
-    thesis describes it.
+    labelled, with a band around, and elsewhere the sensor's value stays. Without it every pixel is labelled, as in
+    ``thesis/ch5``.
     """
 
     renamed: ClassVar[dict[str, str]] = {"suspicion": "unreliable", "flag": "separation"}
