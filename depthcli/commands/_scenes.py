@@ -75,7 +75,7 @@ def scenes_at(
     """Return the scenes of a folder, or those that a table of files lists."""
     if is_table(place):
         if not issubclass(StereoScene, layouts.kind):
-            raise ConfigError(f"{place}: want a folder")
+            raise ConfigError(f"{place}: tables list stereo pairs only; expected a folder with one folder per scene")
         return _chosen(cast("list[SceneT]", scenes_of_table(place)), patterns, place)
     # Folders that cannot be read are among them as scenes with a ``problem``, which are reported and not computed.
     found = cast("list[SceneT]", discover_scenes(place, layouts, layout, patterns, reporter.info))

@@ -32,7 +32,7 @@ ConfigArgument: TypeAlias = Annotated[
 ]
 InputOption: TypeAlias = Annotated[
     Path | None,
-    Option("--input", "-i", metavar="DIR", help="Folder, archive or URL of scenes, or CSV of pairs (-: stdin)."),
+    Option("--input", "-i", metavar="DIR", help="Folder, archive or URL; or CSV of stereo pairs (-: stdin)."),
 ]
 LayoutOption: TypeAlias = Annotated[
     str | None,

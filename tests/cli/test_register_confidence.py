@@ -273,6 +273,12 @@ def test_bad_landmarks_stop_no_map_and_say_what_is_wrong(tmp_path, capsys, landm
     assert not (tmp_path / "run" / "pair" / "points.csv").exists()
 
 
+def test_a_table_of_pairs_says_what_is_wanted(tmp_path, capsys):
+    (tmp_path / "pairs.csv").write_text("fixed,moving\na.mha,b.mha\n")
+    assert main(["register-confidence", "axes", "-i", str(tmp_path / "pairs.csv"), "-o", str(tmp_path / "run")]) == 2
+    assert "folder" in (said := capsys.readouterr().err) and "stereo" in said
+
+
 def test_landmarks_of_a_warped_volume_say_what_they_need(tmp_path, capsys):
     small_pair(tmp_path / "pair")
     for name in ("landmarks_fixed", "landmarks_moving"):
