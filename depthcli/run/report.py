@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,21 @@ from depthcli.run.json_csv import Row, to_csv, to_json, to_json_line
 from depthcli.run.records import read_json, records_below
 
 
-def write_report(folder: Path, command: str, run: str) -> None:
-    """Write the report of all scenes of a run that have a record; OutputError where that is impossible."""
+def write_report(folder: Path, command: str, run: str) -> list[Row]:
+    """Write the report of all scenes of a run that have a record, and return its rows; OutputError where impossible."""
     rows = sorted((record.row for record in records_below(folder, run)), key=lambda row: str(row["scene"]))
     document = report_document(command, rows)
     lines = ",\n  ".join(map(to_json_line, rows))
     text = to_json(document | {"scenes": []}).replace('"scenes": []', f'"scenes": [\n  {lines}\n ]')
     write_text(folder / REPORT_FILES[0], text)
     write_text(folder / REPORT_FILES[1], to_csv(rows))
+    return rows
+
+
+def is_gone(source: str) -> bool:
+    """Return whether a source of a row was removed: neither the file is there nor an archive, but a folder above it."""
+    above = Path(source).parents
+    return not os.path.exists(source) and any(map(os.path.isdir, above[:2])) and not any(map(os.path.isfile, above))
 
 
 def report_document(command: str, rows: Sequence[Row]) -> dict[str, Any]:

@@ -34,7 +34,7 @@ from depthcli.run.records import (
     remove_leftovers,
     write_record,
 )
-from depthcli.run.report import write_report
+from depthcli.run.report import is_gone, write_report
 from depthcli.run.workers import GOES_ON, Task, Work, compute_here, compute_in_processes
 
 # Digests that are remembered: calibrations and videos belong to several scenes that follow each other.
@@ -141,7 +141,7 @@ class _Run:
             with self.lock.reporting():
                 self._take_from_others()
                 try:
-                    write_report(self.plan.output, command, self.plan.identity)
+                    self._tell_of_gone(write_report(self.plan.output, command, self.plan.identity))
                 except OutputError as error:  # a scene that cannot be written reports that itself
                     self.no_report = str(error)
             self.warnings.close()
@@ -234,6 +234,16 @@ class _Run:
                 of_task = known is not None and (known.run, known.inputs) == (task.run, task.inputs)
                 self._take(known.row if known and of_task else task.failed("its process ended; run the command again"))
                 del self.elsewhere[name]
+
+    def _tell_of_gone(self, rows: Iterable[Row]) -> None:
+        """Tell of scenes of earlier calls whose input was removed: the report and the folder still have them."""
+        here = {scene.name for scene in self.scenes}
+        if gone := [row["scene"] for row in rows if row["scene"] not in here and is_gone(str(row.get("source")))]:
+            more = f" and {len(gone) - 1} more" if len(gone) > 1 else ""
+            self.reporter.info(
+                f"{self.plan.output}: the report still has {gone[0]}{more}, without an input now; to drop results, "
+                "remove their folder and run this again"
+            )
 
     def _take(self, row: Row) -> None:
         self.rows[row["scene"]] = row

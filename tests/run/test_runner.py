@@ -5,6 +5,7 @@ import errno
 import functools
 import json
 import os
+import shutil
 import signal
 import threading
 from dataclasses import dataclass
@@ -248,6 +249,20 @@ def test_a_result_does_not_outlive_its_input(folder: Folder):
     assert folder.run()["a"]["status"] == "failed"
     assert [path.name for path in (folder.output / "a").iterdir()] == [RECORD_FILE]
     assert folder.report()["scenes"][0]["status"] == "failed"
+
+
+def test_results_without_an_input_are_told(folder: Folder, capsys: pytest.CaptureFixture[str]):
+    folder.run()
+    folder.reporter = Reporter(0)
+    folder.run(only="abc")  # the input of d is there
+    assert "without an input" not in capsys.readouterr().err
+    (folder.root / "in" / "d").unlink()
+    folder.run(only="abc")
+    assert "still has d, without an input" in capsys.readouterr().err
+    shutil.rmtree(folder.output / "d")
+    folder.run(only="abc")
+    assert "without an input" not in capsys.readouterr().err
+    assert [row["scene"] for row in folder.report()["scenes"]] == list("abc")
 
 
 @pytest.mark.slow
