@@ -83,7 +83,7 @@ def evaluate(
     settings = Settings(of_all.scale, (resolution or "").upper() or None, threshold, _size(resize), of_all.invalid)
     scored_by = None if protocol is None else load(protocol)(settings)
     truth = local(truth)
-    found = scenes_with_truth(truth, scenes or ["*"], layout, scored_by, settings, reporter)
+    found = scenes_with_truth(truth, scenes or ["*"], layout, scored_by, settings, reporter, places.values())
     choices = Choices(
         scored_by,
         settings,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 from depthcli.io.walk import discover_scenes, scenes_with_files
 from depthcli.run.console import Reporter
 
-_DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's folder, without --protocol
+_DEFAULT_PROTOCOLS = "middlebury-v2", "depth"  # of a truth file that lies in no scene's folder, without --protocol
 _MILLIMETERS = 1000.0  # codes a meter of a depth map that is the truth, if the settings have no scale
 
 
@@ -26,6 +26,7 @@ def scenes_with_truth(
     protocol: AnyProtocol | None = None,
     settings: Settings | None = None,
     reporter: Reporter | None = None,
+    maps: Iterable[Path] = (),
 ) -> list[Scene]:
     """Return the scenes of a folder that have ground truth, or cannot be used; or the scene of one file of it.
 
@@ -36,10 +37,11 @@ def scenes_with_truth(
     patterns : shell patterns of scene names
     layout : layout of the folder; None recognizes it
     protocol : by which all are scored, so that it says their kind; None: by what every scene names
+    maps : what is compared with the truth; the name of a file can say that both are depth
     """
     settings, reporter = settings or Settings(), reporter or Reporter(-1)
     if os.path.isfile(truth):
-        return [_scene_of_file(truth, protocol, settings, reporter)]
+        return [_scene_of_file(truth, protocol, settings, reporter, maps)]
     tried = ALL_KINDS if protocol is None else ALL_KINDS.of_kind(protocol.kind)
     there = discover_scenes(truth, tried, layout, patterns, reporter.info)
     found = [scene for scene in there if scene.problem or scene.has_truth]
@@ -50,13 +52,18 @@ def scenes_with_truth(
     return found
 
 
-def _scene_of_file(truth: Path, protocol: AnyProtocol | None, settings: Settings, reporter: Reporter) -> Scene:
+def _scene_of_file(
+    truth: Path, protocol: AnyProtocol | None, settings: Settings, reporter: Reporter, maps: Iterable[Path]
+) -> Scene:
     """Return the scene whose truth a file is, or one of that map alone, of meta.json's or the settings' scale."""
     if holding := scenes_with_files([truth], ALL_KINDS):
         return holding[truth]
     if protocol is None:
-        reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")
-        protocol = load(_DEFAULT_PROTOCOL)(settings)
+        of_depth = any(each.name.lower().startswith("depth") for each in (truth, truth.parent, *maps))
+        name = _DEFAULT_PROTOCOLS[of_depth]
+        what = "depth" if of_depth else "disparities"
+        reporter.info(f"{truth}: in no scene's folder; scored as {what}, by {name}, unless --protocol is given")
+        protocol = load(name)(settings)
     meta = Folder(truth.parent, truth.stem, "").meta
     common: dict[str, Any] = {"name": truth.stem, "folder": truth.parent, "protocol": protocol.name}
     if issubclass(protocol.kind, StereoScene):

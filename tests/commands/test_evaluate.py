@@ -384,6 +384,19 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
     assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
 
 
+@pytest.mark.parametrize(("name", "true", "protocol"), [
+    ("depth", "gt", "depth"), ("m", "depth_true", "depth"), ("m", "gt", "middlebury-v2"),
+])  # fmt: skip
+def test_files_called_depth_are_no_disparities(tmp_path: Path, capsys, name: str, true: str, protocol: str):
+    for file in (tmp_path / "a" / f"{name}.png", tmp_path / "b" / f"{true}.png"):
+        write_png(file, np.full(SHAPE, 700, np.uint16))
+    line = ["evaluate", str(tmp_path / "a" / f"{name}.png"), "--truth", str(tmp_path / "b" / f"{true}.png"), "--json"]
+    assert main(line) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["results"][0]["protocol"] == protocol
+    assert f"by {protocol}, unless --protocol" in printed.err
+
+
 def test_formats_settings_and_comparison(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
     good = exact(truth)
     one = run_of(tmp_path / "one", {"a": good, "b": good + 2})
