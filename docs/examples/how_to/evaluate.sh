@@ -9,12 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-Path("nets/ours").mkdir(parents=True)
+for name in ("ours", "sgm"):
+    Path("nets", name).mkdir(parents=True)
 for scene in sorted(Path("scenes").glob("*_*")):
     left, right = (cv2.imread(str(scene / f"{view}.png"), 0) for view in ("left", "right"))
-    disparity = cv2.StereoSGBM_create(0, 32, 5, 200, 800).compute(left, right)
-    Path("nets/sgm", scene.name).mkdir(parents=True)
-    cv2.imwrite(f"nets/sgm/{scene.name}/disparity.tiff", disparity.astype(np.float32) / 16)
+    disparity = cv2.StereoSGBM_create(0, 32, 5, 200, 800).compute(left, right).astype(np.float32) / 16
+    cv2.imwrite(f"nets/sgm/{scene.name}.tiff", np.where(disparity > 0, disparity, np.nan))
     codes = cv2.imread(f"runs/accurate/{scene.name}/disp_left.png", cv2.IMREAD_UNCHANGED)
     cv2.imwrite(f"nets/ours/{scene.name}.png", cv2.GaussianBlur(codes, (0, 0), 1.0))
 names = (
