@@ -57,7 +57,7 @@ def load_volumes(scene: VolumePairScene, convention: str = "auto", max_voxels: i
     fixed = read_volume(scene.fixed)
     grid = fixed.grid
     blocks = blocks_of(grid, max_voxels)
-    inside = None if scene.mask is None else _read_like(scene.mask, grid) > 0
+    inside = None if scene.mask is None else _read_mask(scene.mask, grid)
     if inside is not None and not inside.any():
         raise InputError(f"{scene.mask}: no voxel is set")
     first = block_means(usable(fixed.values, inside, scene.fixed), blocks)
@@ -69,7 +69,10 @@ def load_volumes(scene: VolumePairScene, convention: str = "auto", max_voxels: i
         del fixed
     else:
         raise InputError(f"{scene.folder}: neither moving_warped.* nor moving.* with its transform")
-    second = block_means(usable(moved, inside, source), blocks)
+    moved = usable(moved, inside, source)
+    if np.isin(moved, (moved.min(), moved.max())).all():
+        warn(f"{source}: only the values {moved.min():g} and {moved.max():g}: is it a mask, not the moving volume?")
+    second = block_means(moved, blocks)
     return joined(first, second, inside, grid, blocks)
 
 
@@ -178,6 +181,15 @@ def _read_like(file: Path, fixed: Grid) -> NDArray[np.float32]:
     if not volume.grid.same_as(fixed):
         raise InputError(f"{file}: another grid than the fixed volume's ({volume.grid.describe_difference(fixed)})")
     return volume.values
+
+
+def _read_mask(file: Path, fixed: Grid) -> NDArray[np.bool_]:
+    """Return where a mask is above 0, with a warning where its values are those of a scan."""
+    values = _read_like(file, fixed)
+    low, high = float(values.min()), float(values.max())
+    if low < 0 or (high > 1 and not np.array_equal(values, np.rint(values))):
+        warn(f"{file}: values from {low:g} to {high:g}: is it a mask? Voxels above 0 count as inside")
+    return values > 0
 
 
 def _warped(scene: VolumePairScene, file: Path, fixed: Volume, convention: str) -> tuple[NDArray[np.float32], Path]:

@@ -15,7 +15,7 @@ from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.files_behind import kinect_files, transform_files, volume_files
 from depthcli.io.formats.volumes import read_volume, write_array
 from depthcli.io.scenes import VolumePairScene
-from depthcli.io.volume_pairs import LoadedPair, label_masks, true_errors
+from depthcli.io.volume_pairs import LoadedPair, label_masks, load_volumes, true_errors
 from tests.command_line import refused
 
 with warnings.catch_warnings():
@@ -225,6 +225,22 @@ def test_landmarks_that_are_no_pairs_are_said(tmp_path: Path):
         assert len(lines) == (words is not None) and all(words in line for line in lines)
     np.savetxt(files["landmarks_fixed"], places[:, ::-1], delimiter=",")
     refused(InputError, "as voxels they fit", true_errors, scene)
+
+
+def test_masks_and_scans_in_each_other_s_place_are_said(tmp_path: Path):
+    grid, scan = Grid((6, 5, 4), (1.0, 1.0, 1.0)), volume() * 100
+    for name, values in (("scan", scan), ("mask", (scan > 0).astype(np.float32)), ("labels", np.rint(np.abs(scan)))):
+        write_array(tmp_path / f"{name}.mha", grid, values)
+    for warped, mask, words in (
+        ("scan", "labels", ()),
+        ("scan", "scan", ("scan.mha",)),
+        ("mask", "mask", ("mask.mha",)),
+    ):
+        files = {"fixed": "scan", "moving_warped": warped, "mask": mask}
+        paths = {role: tmp_path / f"{name}.mha" for role, name in files.items()}
+        with collected_warnings() as lines:
+            load_volumes(VolumePairScene(name="a", folder=tmp_path, **paths))
+        assert len(lines) == len(words) and all(word in line for word, line in zip(words, lines, strict=True))
 
 
 def put(path: Path, header: str, data: bytes = b"") -> Path:
