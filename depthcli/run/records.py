@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from depthcli.core.errors import InputError, OutputError
-from depthcli.io.formats.files import file_states, flush, open_regular, remove_temporaries, write_text
+from depthcli.io.formats.files import file_states, flush, flush_all, open_regular, remove_temporaries, write_text
 from depthcli.run.json_csv import Row, to_json
 
 RECORD_FILE = "record.json"
@@ -151,13 +151,13 @@ def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -
     OutputError, and nothing was moved: the folder holds results of another run and ``overwrite`` is not set, or files
     that no record claims have the names of results.
 
-    The files are on the disk before the record says so: a power cut leaves no record beside empty files.
+    Files and record are on the disk, and then their names, before they are moved: a power cut leaves no record in
+    ``folder`` beside empty files.
     """
-    for path in [*(made / name for name in record.files), *_folders(made, record)]:
-        flush(path)
     write_record(made, record)
-    flush(made / RECORD_FILE)
-    flush(made)
+    flush_all(made / name for name in (*record.files, RECORD_FILE))
+    for path in _folders(made, record):
+        flush(path)
     earlier = read_record(folder)
     if earlier is not None and earlier.run != record.run and not overwrite:
         raise OutputError(f"{folder}: {OTHER_RUN}")
