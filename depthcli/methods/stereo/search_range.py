@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, cast
 
@@ -19,6 +20,7 @@ from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.volume import RefinementContext, StereoResult
 
 _SMALL, _LARGER = 5_000, 20_000  # pixels of the two sizes at which a pair is matched to find its range
+_WINDOWS = 7, 5  # pixels, of the census at these sizes
 _MIN_SHIFT, _MAX_SHIFT = -0.5, 0.75  # disparities searched at the smaller size, shares of the width
 _TAIL = 0.002  # share of the matches at the smaller size that are ignored at either end: some are wrong
 _MIN_MATCHES, _MIN_MATCHED = 50, 0.1  # pixels, and their share of the larger size; of noise 4 % match by chance
@@ -163,10 +165,15 @@ def _small_matches(pair: StereoPair) -> _SmallMatches:
         if image.min() == image.max():
             raise InputError(f"every pixel of the {view} image is {image.max()}: there is nothing to match")
     width = pair.shape[1]
-    small, scale = _matched_small(pair, _SMALL, _MIN_SHIFT * width, _MAX_SHIFT * width)
-    ends = np.quantile(small[~np.isnan(small)], (_TAIL, 1 - _TAIL)) if (~np.isnan(small)).any() else (0.0, 0.0)
-    low, top = max(ends[0] - 4 * scale, _MIN_SHIFT * width), min(ends[1] + 4 * scale, _MAX_SHIFT * width)
-    larger, unit = _matched_small(pair, _LARGER, low, top)
+    views = _reduced(pair.grey8, _LARGER)
+    fewer = _reduced(views, _SMALL)
+    unit, scale = (width / each[0].shape[1] for each in (views, fewer))  # pixels of the pair
+    low, top = _MIN_SHIFT * width, _MAX_SHIFT * width
+    small = _matched(fewer, low / scale, top / scale, _WINDOWS[0]) * np.float32(scale)
+    known = small[~np.isnan(small)]
+    ends = np.quantile(known, (_TAIL, 1 - _TAIL)) if known.size else (0.0, 0.0)
+    low, top = max(ends[0] - 4 * scale, low), min(ends[1] + 4 * scale, top)
+    larger = _matched(views, low / unit, top / unit, _WINDOWS[1]) * np.float32(unit)
     enlarged = cv2.resize(small, (larger.shape[1], larger.shape[0]), interpolation=cv2.INTER_NEAREST)
     agreed = larger[np.abs(larger - enlarged) <= scale]
     if len(agreed) < max(_MIN_MATCHES, _MIN_MATCHED * larger.size):
@@ -182,25 +189,28 @@ def _small_matches(pair: StereoPair) -> _SmallMatches:
     return _SmallMatches(kept[0], kept[-1], unit, len(agreed), int(np.count_nonzero(agreed < -unit)))
 
 
-def _matched_small(pair: StereoPair, n_pixels: int, low: float, top: float) -> tuple[NDArray[np.float32], float]:
-    """Return the disparities of the pair reduced to ``n_pixels``, and how many of its pixels are one of them.
-
-    The map is (H', W') float32, pixels of the pair, NaN where the views disagree; ``low`` .. ``top`` are searched.
-    """
-    height, width = pair.shape
+def _reduced(views: Sequence[Image], n_pixels: int) -> tuple[Image, Image]:
+    """Return both views with at most ``n_pixels``."""
+    height, width = views[0].shape
     shrink = min(1.0, (n_pixels / (height * width)) ** 0.5)
-    size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
-    scale = width / size[0]
-    left, right = (cast(Image, cv2.resize(image, size, interpolation=cv2.INTER_AREA)) for image in pair.grey8)
-    search = SearchRange(int(np.floor(low / scale)), int(np.ceil(top / scale)))
-    small = search.shift(StereoPair(left, right))
-    cost = Census(window=(7, 7))(small, search.shifted_max_disparity + 1)
-    volume = Scanline(p1=25, p2=120, paths=4, edge_threshold=15, edge_divisor=6)(cost, small)
+    size = max(1, round(width * shrink)), max(1, round(height * shrink))
+    left, right = (cast(Image, cv2.resize(image, size, interpolation=cv2.INTER_AREA)) for image in views)
+    return left, right
+
+
+def _matched(views: tuple[Image, Image], low: float, top: float, window: int) -> NDArray[np.float32]:
+    """Return the disparities of a small pair from ``low`` to ``top``, (H, W) float32, NaN where the views disagree."""
+    width, search = views[0].shape[1], SearchRange(int(np.floor(low)), int(np.ceil(top)))
+    pair = search.shift(StereoPair(*views))
+    cost = Census(window=(window, window))(pair, search.shifted_max_disparity + 1)
+    volume = Scanline(p1=25, p2=120, paths=4, edge_threshold=15, edge_divisor=6)(cost, pair)
     values, back = winners(volume.costs)
-    found = DisparityMap(values.astype(np.float32), np.zeros(small.shape, np.uint8))
-    found = LeftRightCheck()(found, RefinementContext(small, volume, back))
-    found = search.restore(StereoResult(found), size[0]).disparity
-    return np.where(found.measured, found.values, np.float32(np.nan)) * np.float32(scale), scale
+    found = DisparityMap(values.astype(np.float32), np.zeros(pair.shape, np.uint8))
+    disparity = LeftRightCheck()(found, RefinementContext(pair, volume, back)).values + np.float32(search.min_disparity)
+    cut = max(search.min_disparity, 0)  # columns of the left view that the shifted pair lacks
+    disparity = np.pad(disparity, ((0, 0), (cut, 0)), constant_values=np.nan)[:, max(-search.min_disparity, 0) :]
+    disparity[np.arange(width, dtype=np.float32) - disparity > width - 0.5] = np.nan  # beyond the right view
+    return disparity
 
 
 def complete_range(

@@ -157,6 +157,17 @@ def test_ranges_that_end_before_near_things_are_warned_of(tmp_path: Path, capsys
         assert ("see max_disparity" in capsys.readouterr().err) == (searched < top)
 
 
+def test_the_smaller_size_is_made_from_the_larger_one(monkeypatch: pytest.MonkeyPatch):
+    """Reducing the images themselves takes as long as matching them."""
+    sizes, resize = list[tuple[int, ...]](), cv2.resize
+    monkeypatch.setattr(
+        cv2, "resize", lambda image, *more, **options: sizes.append(image.shape) or resize(image, *more, **options)
+    )
+    scene = make_scene("planes", 1, 240, 180, 40)
+    matched_range(StereoPair(scene.left, scene.right))
+    assert sizes.count((180, 240)) == 2
+
+
 def test_noise_has_no_range():
     with pytest.raises(InputError, match="max_disparity"):
         matched_range(StereoPair(blobs(300, 200, 1), blobs(300, 200, 2)))
