@@ -334,7 +334,7 @@ def chosen_text(
     Parameters
     ----------
     names : names of tables, or their beginnings up to a dash; ``all``: all. Empty: all of a format are the wide ones
-    columns : headings of the columns to show beside the first one; empty: all
+    columns : headings of the columns to show beside the first one and ``run``; empty: all
     form : name of one of ``FORMATS``, in which tables of scenes and metrics are wide; None: aligned text, titles and
         notes wrapped
     caption : title in place of the table's own
@@ -362,7 +362,7 @@ def chosen_text(
         known = dict.fromkeys(heading for table in tables for heading in table.header[1:])
         if absent := [name for name in columns if name not in known]:
             raise ConfigError(f"--columns: no {', '.join(absent)} in these tables, which have {', '.join(known)}")
-        tables = [table.only(columns) for table in tables if set(columns) & set(table.header[1:])]
+        tables = [table.only([*columns, "run"]) for table in tables if set(columns) & set(table.header[1:])]
         if not set(columns) & set(TEST_COLUMNS):
             tables = [replace(table, note=table.note.partition(_TESTS_NOTE)[0].rstrip(". ")) for table in tables]
     if caption is not None:

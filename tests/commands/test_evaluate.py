@@ -101,6 +101,7 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     perfect = run_of(tmp_path / "perfect", {"a": good, "b": good})
     wrong = run_of(tmp_path / "half", {"a": half, "b": half})
     report = evaluated([perfect, wrong], truth, tmp_path / "out")
+    assert chosen_text(report, ["scenes"], ["all"]).splitlines()[1].split() == ["scene", "run", "all"]
     assert report.failed == report.warnings == []
     assert "mean of 6" in text_of(report)
     written = {(r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]): r for r in rows(tmp_path / "out")}
