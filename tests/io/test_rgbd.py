@@ -158,6 +158,9 @@ def test_names_of_other_layouts_spoil_none(tmp_path: Path):
         lines = [f"{second}.{name} {folder}/{second}.{name}.png" for second in (3, 4)]
         (tmp_path / "tum" / f"{folder}.txt").write_text("\n".join(lines))
     assert [scene.depth.name for scene in find(tmp_path / "tum")] == ["3.24.png", "4.24.png"]
+    assert {scene.depth_scale for scene in find(tmp_path / "tum")} == {5000}
+    (tmp_path / "tum" / "meta.json").write_text('{"depth_scale": 1000}')
+    assert {scene.depth_scale for scene in find(tmp_path / "tum")} == {1000}
     refused(InputError, "no scenes found", find, tmp_path / "other")  # as SUN RGB-D, but for intrinsics.txt
 
 

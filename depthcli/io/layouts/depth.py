@@ -137,8 +137,8 @@ class Tum(Layout):
 
     kind = RgbdScene
     wants = (
-        "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter; where known "
-        "`groundtruth.txt` (poses)"
+        "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter, unless "
+        "`meta.json` says it; where known `groundtruth.txt` (poses)"
     )
 
     @property
@@ -165,7 +165,7 @@ class Tum(Layout):
         for number, (time, color, depth_time, depth) in enumerate(pairs):
             late = abs(time - depth_time) > _TUM_DELAY
             problem = f"{folder.path / color}: the nearest depth is {abs(time - depth_time):.3f} s off" if late else ""
-            facts = _meta(folder) | {"depth_scale": _TUM_SCALE, "pose": poses.at(time), "number": number}
+            facts = {"depth_scale": _TUM_SCALE, **_meta(folder), "pose": poses.at(time), "number": number}
             files = {"color": folder.path / color, "depth": folder.path / depth}
             name = f"{folder.prefix}{time:.6f}"
             scenes.append(self.scene(folder, name=name, problem=problem, sequence=folder.name, **files, **facts))
