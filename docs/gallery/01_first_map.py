@@ -2,7 +2,7 @@
 A disparity map
 ===============
 
-Two views of a generated scene in, and for every pixel how far it moves from one to the other.
+Match two views of a generated scene: how far does each pixel move from one to the other?
 """
 
 import subprocess

@@ -2,7 +2,7 @@
 Confidence and the sparsification curve
 =======================================
 
-A good confidence measure is low where the map is wrong: without the least sure pixels, fewer of the rest are wrong.
+A good confidence measure is low at wrong pixels, so that fewer of the surest pixels are wrong.
 """
 
 import subprocess

@@ -2,7 +2,7 @@
 Fusion of measures
 ==================
 
-Two matching costs alone, with equal weights, and fused by consensus, where the measures of a pixel vote for each other.
+One matching cost, four with equal weights, and four fused by consensus, in which the measures of a pixel vote.
 """
 
 import subprocess

@@ -2,7 +2,7 @@
 Expected error of a registration
 ================================
 
-A volume is displaced by a known smooth field. The error is estimated from both volumes alone, and compared with it.
+A known smooth field displaces a volume. Estimate the error from both volumes alone, and compare it with the field.
 """
 
 import cv2

@@ -2,7 +2,7 @@
 Sweep of a parameter
 ====================
 
-Every value is a run of its own. ``sweep.csv`` has a row a run; the maps lie in ``runs``.
+Each value is a run. ``sweep.csv`` has one row per run, and ``runs`` has the maps.
 """
 
 import csv
