@@ -1,6 +1,6 @@
 """The sub-commands, one file each; the only place where files meet algorithms.
 
-A public module here is a command: it holds a function of its own name, whose parameters typer reads as arguments and
+A public module here is a command: it defines a function of its own name, whose parameters typer reads as arguments and
 options (``_shared_options``, ``_options``), and the module's docstring is its help. The function returns the exit code.
 Nothing heavy is imported before it runs: each imports the module that does the work where it needs it.
 
@@ -49,7 +49,7 @@ CommandT = TypeVar("CommandT", bound=Callable[..., int])
 
 
 def names() -> list[str]:
-    """Return the names of all commands, as typed: our own, sorted, then those of plug-ins."""
+    """Return the names of all commands, as typed: our own, sorted, then the commands of plug-ins."""
     return [*own_names(), *(plugin.name.replace("_", "-") for plugin in plugins_in(GROUP))]
 
 
@@ -93,7 +93,7 @@ def config_model(name: str) -> type[BaseModel] | None:
 
 
 def find(name: str) -> Callable[..., int] | None:
-    """Return the function of a command, ours or a plug-in's; None where there is none of that name."""
+    """Return the function of a command, ours or a plug-in's; None if no command has that name."""
     plain = name.replace("-", "_")
     if plain.replace("_", "-") in own_names():
         found: Callable[..., int] = getattr(importlib.import_module(f"{__name__}.{plain}"), plain)

@@ -72,7 +72,7 @@ def run_batch(
 
     Parameters
     ----------
-    source : the options that the scenes were found by, whose folder may hold ground truth
+    source : the options that the scenes were found by, whose folder may have ground truth
     """
     reporter, how = options.reporter, options.execution
     if options.dry_run:
@@ -117,7 +117,7 @@ def run_batch(
 def _print_results(
     batch: Batch[Any], rows: Sequence[Row], options: RunOptions, evaluation: EvaluationReport | None, flags: Flags
 ) -> None:
-    """Print the report as JSON, or else the tables of the evaluation or of the run, and what was flagged."""
+    """Print the report as JSON, or the tables of the evaluation or of the run, and the flagged rows."""
     reporter = options.reporter
     evaluation = evaluation if evaluation is not None and evaluation.results else None
     if options.json:
@@ -135,7 +135,7 @@ def _print_results(
 
 
 def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> Row:
-    """Return what a run would do: its config, why the folder would be refused, and a row for every scene.
+    """Return what a run would do: its config, why it would reject the folder, and a row for every scene.
 
     A row has ``scene``, ``status`` (``DONE``, ``TO_DO`` or ``BROKEN``), ``memory`` (bytes or None) and ``problem``.
     """
@@ -153,7 +153,7 @@ def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: E
         rows.append(row)
     refused = ""
     if refusal(output, planned.work.text):
-        refused = f"{output}: holds a run made with another config; needs --overwrite"
+        refused = f"{output}: has a run of another config; needs --overwrite"
     config, place = batch.config, None if output == NOWHERE else str(output)
     values = config.model_dump(mode="json", by_alias=True) if isinstance(config, BaseModel) else dict(config)
     return {"command": batch.command, "config": values, "output": place, "refused": refused, "scenes": rows}

@@ -38,18 +38,18 @@ _CELLS = (8, 6)
 
 
 def board_of(options: BoardOptions) -> Board:
-    """Return the board that the options describe; ConfigError where there is none like it."""
+    """Return the board that the options describe; ConfigError if no board is like that."""
     match = _BOARD.fullmatch(options.board.strip())
     if match is None:
-        raise ConfigError(f"--board: want 9x6 (inner corners) or charuco:7x5 (squares) (got {options.board!r})")
+        raise ConfigError(f"--board: expected 9x6 (inner corners) or charuco:7x5 (squares) (got {options.board!r})")
     square, counts = _length("square", options.square), (int(match[2]), int(match[3]))
     columns, rows = (count - 1 for count in counts) if match[1] else counts
     low, high = _COUNTS
     if not (low <= min(columns, rows) and low < max(columns, rows) <= high):
-        raise ConfigError(f"--board: {options.board} has too few or too many corners; want {low + 1}x{low} or more")
+        raise ConfigError(f"--board: {options.board} has too few or too many corners; expected {low + 1}x{low} or more")
     if not match[1]:
         if options.marker is not None or options.dictionary != "4X4_50":
-            raise ConfigError("--marker and --dictionary are those of a ChArUco board: --board charuco:7x5")
+            raise ConfigError("--marker and --dictionary describe a ChArUco board: --board charuco:7x5")
         return Chessboard(columns, rows, square)
     if options.marker is None:
         raise ConfigError("--board charuco: give the edge of its markers, too: --marker 18mm")
@@ -69,7 +69,7 @@ def _length(name: str, text: str) -> float:
     match = _LENGTH.fullmatch(text)
     meters = float(match[1]) * UNITS[match[2]] if match else 0.0
     if not 0 < meters <= _LARGEST:
-        raise ConfigError(f"--{name}: want a length with its unit, such as 25mm (got {text!r})")
+        raise ConfigError(f"--{name}: expected a length with its unit, such as 25mm (got {text!r})")
     return meters
 
 
@@ -120,7 +120,7 @@ def look(view: CameraPhotos, board: Board, files: Mapping[str, Path | None], rep
     if len(view.corners) < MIN_PHOTOS:
         hint = "--board counts inner corners, one less than squares, and all of them must be in the photo"
         if isinstance(board, CharucoBoard):
-            hint = "are --board (squares), --marker and --dictionary those of the print?"
+            hint = "do --board (squares), --marker and --dictionary match the print?"
         raise InputError(
             f"{board.words} was found in {len(view.corners)} of {len(sizes)} photos of the {view.name}; at least "
             f"{MIN_PHOTOS} are needed; {hint}"

@@ -37,14 +37,14 @@ def calibrate_cameras(
     if len(folders) > 2:
         raise ConfigError("PHOTOS: one folder, or one of each camera")
     if target.suffix.lower() not in (".yml", ".yaml"):
-        raise ConfigError(f"--output: the calibration is YAML: want FILE.yml (got {target})")
+        raise ConfigError(f"--output: the calibration is YAML: expected FILE.yml (got {target})")
     report_file, picture_file = (target.with_name(f"{target.stem}_{end}") for end in ("report.json", "coverage.png"))
     for file in (target, report_file, picture_file):
         if os.path.lexists(file) and not overwrite:
             raise ConfigError(f"{file}: is there already; choose another --output, or --overwrite it")
     photos, unnamed = find_photos(folders)
     for file in unnamed:
-        reporter.info(f"{file}: left out, since its name does not say which camera took it")
+        reporter.info(f"{file}: left out, because its name does not tell which camera took it")
     views = [CameraPhotos("left", "camera")]
     if any(each.right for each in photos):
         views = [CameraPhotos("left", "left camera"), CameraPhotos("right", "right camera")]
@@ -74,7 +74,7 @@ def calibrate_cameras(
         reporter.data(table_of(report))
     print_summary(report, views, reporter)
     use = "for depthcli rectify --calibration" if found.rig else "one camera, K1 and D1"
-    reporter.info(f"{target}: {use}; beside it are {report_file.name} and {picture_file.name}")
+    reporter.info(f"{target}: {use}; see also {report_file.name} and {picture_file.name}")
     return SOME_FAILED if any(view.unreadable for view in views) else 0
 
 
@@ -112,5 +112,5 @@ def _with_rig(board: Board, left: CameraPhotos, right: CameraPhotos) -> Calibrat
             "was the board moved between the photos of a pair? see pair_error in the report"
         )
     if rectified.mirrored:
-        warnings.append("the right camera stands to the left of the left one; exchange the photos of the two")
+        warnings.append("the right camera is to the left of the left one; exchange the photos of the two")
     return Calibrated((left, right), fit, errors, warnings)

@@ -1,4 +1,4 @@
-"""What ``calibrate`` says of the cameras that it found: report, table, doubts, and a picture of the corners."""
+"""Report of ``calibrate`` on the cameras that it found: figures, table, doubts, and a picture of the corners."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def report_of(found: Calibrated, board: Board, photos: Sequence[str], unnamed: S
 
 
 def _doubts(view: CameraPhotos) -> list[str]:
-    """Return what makes a camera doubtful."""
+    """Return why a camera is doubtful."""
     fit, which = view.fit, "" if view.name == "camera" else f"{view.name}: "
     lines, why, focal = [], "", float(fit.camera.matrix[0, 0])
     if fit.focal_deviations is not None and max(fit.focal_deviations) > _MAX_DEVIATION * focal:
@@ -80,7 +80,7 @@ def _doubts(view: CameraPhotos) -> list[str]:
 
 
 def _camera(view: CameraPhotos, camera: Camera) -> Row:
-    """Return what the report says of a camera: pixels, degrees; the errors are those of the fit to its own photos."""
+    """Return the entry of a camera in the report: pixels, degrees; errors belong to the fit to its own photos."""
     fit, (fx, fy), (cx, cy) = view.fit, np.diag(camera.matrix)[:2], camera.matrix[:2, 2]
     row: Row = {"side": view.side, "size": list(view.size), "fx": fx, "fy": fy, "cx": cx, "cy": cy}
     row |= {"focal_lengths_alone": np.diag(fit.camera.matrix)[:2].tolist()} if camera is not fit.camera else {}
@@ -91,7 +91,7 @@ def _camera(view: CameraPhotos, camera: Camera) -> Row:
 
 
 def _photo(name: str, found: Calibrated) -> Row:
-    """Return what the report says of a photo or pair: errors in pixels, and why it does not count."""
+    """Return the entry of a photo or pair in the report: errors in pixels, and why it does not count."""
     views, rig, row_errors = found.views, found.rig, found.row_errors
     errors = {view.side: view.fit.outliers | view.fit.errors for view in views}
     row: Row = {

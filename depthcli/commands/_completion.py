@@ -1,4 +1,4 @@
-"""What a shell completes of a command line: names of presets, layouts and protocols, and keys of a config."""
+"""Completion of a command line in a shell: names of presets, layouts and protocols, and keys of a config."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``confidence`` computes: how sure disparity maps made before are."""
+"""The computation of ``confidence``: how sure given disparity maps are."""
 
 from __future__ import annotations
 

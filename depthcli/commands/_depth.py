@@ -56,7 +56,7 @@ def prepare(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> tuple[To
 
 @dataclass(frozen=True)
 class ToDepth(Batch[DisparityScene]):
-    """Turns disparity maps into depth and point clouds; ``config`` holds the options, None where one is not given."""
+    """Turns disparity maps into depth and point clouds; ``config`` has the options, None for one that is not given."""
 
     command = "depth"
     columns = (
@@ -76,7 +76,7 @@ class ToDepth(Batch[DisparityScene]):
         return {"cameras": f"{scene.cameras}"}
 
     def memory(self, scene: DisparityScene) -> None:
-        """Return None, since it is little more than the map itself; InputError where there is no calibration."""
+        """Return None, since it is little more than the map itself; InputError without a calibration."""
         if self.config["focal"] is None:
             self._geometry(scene, (1, 1))
 
@@ -125,7 +125,7 @@ class ToDepth(Batch[DisparityScene]):
         if median is not None and not MIN_DEPTH <= median <= MAX_DEPTH:
             warnings.append(
                 f"the median depth is {median:.4g} m, with a focal length of {geometry.left.fx:.4g} px and a baseline "
-                f"of {geometry.baseline:.4g} m; is the calibration that of this map?"
+                f"of {geometry.baseline:.4g} m; does the calibration belong to this map?"
             )
         return Outcome(facts, clock.seconds, warnings)
 
@@ -138,7 +138,7 @@ class ToDepth(Batch[DisparityScene]):
             return scene.geometry
         if scene.calibration is None:
             raise InputError(
-                f"{scene.folder}: no calibration beside the images; give --calibration, or --focal, --baseline"
+                f"{scene.folder}: no calibration with the images; give --calibration, or --focal, --baseline"
             )
         return read_geometry(scene.calibration, scene.cameras)
 

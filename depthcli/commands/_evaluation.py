@@ -1,4 +1,4 @@
-"""What commands do with an evaluation beside computing it: choose its files, print its tables."""
+"""Files and printed tables of an evaluation."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def viewers(
 ) -> list[Viewer]:
     """Return what shows the maps of an evaluation: the contact sheet, and the page that ``--html`` requests.
 
-    ConfigError where there is no folder for the page, or ``html_budget`` is no size.
+    ConfigError if the page has no folder, or ``html_budget`` is no size.
     """
     if not html:
         return [ContactSheet()]
     if output is None:
-        raise ConfigError("--html wants --output, the folder to write the page into")
+        raise ConfigError("--html needs --output, the folder to write the page into")
     return [ContactSheet(), Page(reporter.command_line, parse_bytes(html_budget, "--html-budget"), run)]
 
 

@@ -1,4 +1,4 @@
-"""What ``fuse maps`` computes: the best of several disparity maps made before."""
+"""The computation of ``fuse maps``: the best of several given disparity maps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Disparity maps made before, which ``confidence`` and ``fuse maps`` take: how they are found and decoded."""
+"""Find and decode the disparity maps that ``confidence`` and ``fuse maps`` take."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _RIGHT_FILES = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right"
 
 
 def largest(text: str | None) -> int | None:
-    """Return the largest disparity that the command line gives, or None; ConfigError for what is no number."""
+    """Return the largest disparity that the command line gives, or None; ConfigError if it is no number."""
     if text is None:
         return None
     if not text.isdigit() or not 1 <= int(text) <= 16383:
@@ -52,12 +52,12 @@ def largest(text: str | None) -> int | None:
 
 @dataclass(frozen=True)
 class GivenMaps(Batch[MapsScene]):
-    """What ``confidence`` and ``fuse maps`` have in common; ``config`` holds the options, None for one not given."""
+    """Common base of ``confidence`` and ``fuse maps``; ``config`` has the options, None for one not given."""
 
     palette = STATUS_PALETTE
     shown_as = "middlebury-v2"
     n_added: ClassVar[int] = 0
-    """Number of maps that are compared beside the given ones."""
+    """Number of maps that are compared with the given ones."""
 
     config: Mapping[str, Any]
 
@@ -66,7 +66,7 @@ class GivenMaps(Batch[MapsScene]):
         return [scene.pair for scene in scenes]
 
     def settings(self, scene: MapsScene) -> dict[str, str]:
-        """Return by what the maps are read, and the range of the scene."""
+        """Return the readers of the maps, and the range of the scene."""
         maps = scene.maps if scene.right_map is None else (*scene.maps, scene.right_map)
         coding = ", ".join(f"{one.scale} {one.invalid}" for one in maps)
         return {"max_disparity": str(scene.max_disparity), "coding": coding}
@@ -92,8 +92,8 @@ def find_maps(
 ) -> list[MapsScene]:
     """Return the scenes that the command line names, with their maps.
 
-    A scene needs a map of one of the runs ``first`` at least; those of the runs ``others``, and of the right views by
-    the run ``right``, may be absent. ConfigError or InputError where there is no such run, or no scene, or several
+    A scene needs a map of at least one of the runs ``first``; maps of the runs ``others``, and of the right views by
+    the run ``right``, may be absent. ConfigError or InputError if such a run or a scene is missing, or several
     files may be a run's maps.
     """
     places, right_places = find_runs([*first, *others]), find_runs([right]) if right else {}
@@ -126,11 +126,11 @@ class _Run:
 
     name: str
     place: Path
-    files: MapFiles  # where maps of the view usually lie
+    files: MapFiles  # usual places of maps of the view
     naming: MapNaming
 
     def map_of(self, names: Sequence[str]) -> GivenMap | None:
-        """Return the map of a scene that may have these names; None where there is none."""
+        """Return the map of a scene that may have these names, or None."""
         single = os.path.isfile(self.place)
         path = self.place if single else self.naming.files(self.files).find(self.place, names)
         if path is None:
@@ -159,7 +159,7 @@ class _Run:
         of_scenes = {name: (usual, names[name]) for name in usable}
         found = recognized(self.name, self.place, self.naming, of_scenes, fits)
         if found != self.naming:
-            reporter.info(f"{self.name}: taken as its maps: {found.pattern} (--pattern says otherwise)")
+            reporter.info(f"{self.name}: taken as its maps: {found.pattern} (--pattern sets others)")
         return replace(self, naming=found)
 
 
@@ -175,8 +175,8 @@ def loaded(one: GivenMap, shape: tuple[int, ...]) -> NDArray[np.float32]:
 def _read_map(one: GivenMap) -> NDArray[np.float32]:
     """Return a map, (H, W) float32, pixels, NaN = no value.
 
-    Where nothing is said about what stands for no value, a constant at or below 0 that stands alone does, in maps of
-    other programs; a warning says so.
+    If no option names the value that means none, a constant at or below 0 that is alone there means none in maps of
+    other programs, with a warning.
     """
     values = read_disparity(one.path, one.scale)
     if one.invalid is not None:

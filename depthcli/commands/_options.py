@@ -1,4 +1,4 @@
-"""Groups of options of the commands that run over scenes: which scenes, how they are computed, what is kept."""
+"""Groups of options of the commands that run over scenes: which scenes, how they are computed, which files are kept."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class FrameOptions(SceneOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Printing):
-    """How the scenes are computed, where the results go, and what is reported of them.
+    """How the scenes are computed, where the results go, and how they are reported.
 
     ``evaluate`` and ``html`` become options of commands whose group declares them so, see :class:`ScoredRunOptions`.
     """

@@ -58,7 +58,7 @@ def pair_config(
 
 @dataclass(frozen=True)
 class MatchPairs(Batch[StereoScene]):
-    """Matches pairs and writes the left view's maps; a command says by what."""
+    """Matches pairs and writes the left view's maps; a command chooses the method."""
 
     columns = (SIZE, *map(percent, ("density", "measured")))
     palette = STATUS_PALETTE
@@ -77,11 +77,11 @@ class MatchPairs(Batch[StereoScene]):
         return None
 
     def device_column(self) -> Row:
-        """Return what the report says of the device."""
+        """Return the report's columns of the device."""
         return {}
 
     def memory(self, scene: StereoScene) -> int | None:
-        """Estimate by the left image's size; None where the pair itself says the range."""
+        """Estimate by the left image's size; None if the range comes from the pair itself."""
         low, top = self.given_range(scene)
         if not (isinstance(low, int) and isinstance(top, int)):
             return None
@@ -97,7 +97,7 @@ class MatchPairs(Batch[StereoScene]):
         return files
 
     def settings(self, scene: StereoScene) -> dict[str, str]:
-        """Return the search range, which may come from a file beside the images."""
+        """Return the search range, which may come from a file in the folder of the images."""
         low, top = self.given_range(scene)
         return {"max_disparity": str(top), **({} if low == 0 else {"min_disparity": str(low)})}
 
@@ -105,7 +105,7 @@ class MatchPairs(Batch[StereoScene]):
         """Return the ends of the range that the config, or else the scene, gives.
 
         Where neither gives the upper one it is "auto", and None for a pair that a calibration rectifies: then both ends
-        are as the pair itself says.
+        come from the pair itself.
         """
         low, top = self.config.min_disparity, self.config.max_disparity
         low = scene.min_disparity if low is None else low
@@ -115,8 +115,8 @@ class MatchPairs(Batch[StereoScene]):
     def range_frames(self, scene: StereoScene) -> tuple[StereoScene, ...]:
         """Return the frames of the scene's sequence that give its range together; none where they do not.
 
-        They give that of pairs that a calibration rectifies, and of videos, but an end that the user calls "auto" is
-        that of each pair by itself.
+        They give the range of pairs that a calibration rectifies, and of videos, but an end that the user calls "auto"
+        comes from each pair by itself.
         """
         config = self.config
         if config.max_disparity is not None or config.min_disparity == "auto" or scene.max_disparity is not None:
@@ -129,7 +129,7 @@ class MatchPairs(Batch[StereoScene]):
         Raises
         ------
         InputError
-            The images cannot be used, too few pixels match where they say the range, or ``memory`` is too little.
+            The images cannot be used, too few pixels match for the range, or ``memory`` is too little.
         """
         config, clock, facts, warnings = self.config, Clock(), dict[str, Any](), list[str]()
         matcher, limits = self.matcher(scene), limits_of(config, memory, self.device())

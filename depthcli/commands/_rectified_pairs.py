@@ -50,7 +50,7 @@ class RectifiedPair(NamedTuple):
     warnings: list[str]
 
     def save(self, folder: Path) -> None:
-        """Write the left image and the calibration that holds after rectification."""
+        """Write the rectified left image and its calibration."""
         write_png(folder / "left.png", self.left)
         write_geometry(folder / "calib.txt", self.rig.geometry)
 
@@ -66,7 +66,7 @@ def rectified_pair(calibration: Calibration, scene: StereoScene) -> RectifiedPai
         facts = row_errors(points, rig.points(*points))
         warnings = calibration_warnings(facts)
     if scene.has_truth:
-        warnings.append("the map is that of the rectified image, the scene's ground truth is not: do not compare them")
+        warnings.append("the map belongs to the rectified image, but the ground truth does not: do not compare them")
     return RectifiedPair(pair, view, rig, facts, warnings)
 
 

@@ -147,6 +147,6 @@ def _flatness_warnings(left: Points, right: Points) -> list[str]:
     if high - low >= _MIN_SPREAD:
         return []
     return [
-        f"the disparities of most matched key points lie within {high - low:.1f} px: the cameras stand at one "
+        f"the disparities of most matched key points are within {high - low:.1f} px: the cameras are at one "
         "place, or see one flat thing; there is no depth to be found"
     ]

@@ -55,7 +55,7 @@ def prepare(
     check_limits(found.near, found.far)
     parse_mask(found.mask)  # a wrong share is an error before any frame is opened
     scenes = find_scenes(FRAMES, frames, run)
-    if getattr(frames, "color", None) is not None:  # the cameras may lie in a meta.json beside the files
+    if getattr(frames, "color", None) is not None:  # a meta.json in the folder of the files may describe the cameras
         scenes = [replace(s, **cameras(Folder(s.folder, s.name, "", "").meta)) for s in scenes]
     if depth_intrinsics is not None:
         camera = camera_of("--depth-intrinsics", depth_intrinsics)
@@ -83,7 +83,7 @@ class RefineKinect(Batch[FrameOrSequence]):
         return sorted(frames, key=lambda frame: frame.name)
 
     def settings(self, scene: FrameOrSequence) -> dict[str, str]:
-        """Return what the layout or the options say of the cameras."""
+        """Return the cameras that the layout or the options describe."""
         frames = scene.frames if isinstance(scene, SequenceScene) else (scene,)
         first = frames[0]
         scale = self.config.depth_scale or first.depth_scale

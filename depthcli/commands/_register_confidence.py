@@ -78,7 +78,7 @@ class RegisterConfidence(Batch[VolumePairScene]):
     config: RegisterConfidenceConfig
 
     def memory(self, scene: VolumePairScene) -> int:
-        """Estimate by the size that the fixed volume says."""
+        """Estimate by the size in the header of the fixed volume."""
         return peak_bytes(self.config, *loaded_size(scene, self.config.pipeline.voxel_limit))
 
     def settings(self, scene: VolumePairScene) -> dict[str, str]:
@@ -113,7 +113,7 @@ class RegisterConfidence(Batch[VolumePairScene]):
         return [f"{row['scene']}: left out, as a region: {value}" for row, value in found if value]
 
     def notes(self, scenes: Sequence[VolumePairScene], rows: Sequence[Row]) -> list[str]:
-        """Return a line for each label map of which some pairs hold the first label alone, so that it has no number."""
+        """Return a line for each label map of which some pairs have the first label alone, so that it has no number."""
         start = "region_volume_"
         own = {str(row["scene"]): {key.removeprefix(start) for key in row if key.startswith(start)} for row in rows}
         masks = {scene.name: {name for name, _ in scene.regions} for scene in scenes if own.get(scene.name)}
@@ -123,7 +123,7 @@ class RegisterConfidence(Batch[VolumePairScene]):
         for name in sorted(numbered):
             if alone := [scene for scene, names in own.items() if name in names]:
                 others = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
-                what = f"mask_{name} holds one label in {alone[0]}{others}"
+                what = f"mask_{name} has one label in {alone[0]}{others}"
                 lines.append(f"{what}: the region {name} there, not {name}_1; name its labels in meta.json")
         return lines
 
@@ -147,7 +147,7 @@ def _region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volum
                     figures.setdefault(f"region_error_{file}", twice)
                     continue
                 chosen = mask
-                if max(loaded.blocks) > 1:  # blocks of which the mask holds half; a small one: those it holds most of
+                if max(loaded.blocks) > 1:  # blocks half in the mask; of a small mask, the fullest blocks
                     shares = block_means(mask, loaded.blocks)
                     chosen = (shares > 0) & (shares >= min(0.5, float(shares.max())))
                 known = error[chosen]

@@ -15,7 +15,7 @@ from depthcli.run.console import SIZE, percent
 from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene, sample_scenes
 
 _BY_SCENE = frozenset({"count", "kind", "seed", "from_"})
-"""Options that choose scenes and say nothing about one of them beyond its settings."""
+"""Options that choose scenes and change none beyond its settings."""
 
 
 def prepare(options: SampleOptions) -> tuple[Sample, list[SampleScene]]:
@@ -51,7 +51,7 @@ class Sample(Batch[SampleScene]):
     config: Mapping[str, Any]
 
     def settings(self, scene: SampleScene) -> dict[str, str]:
-        """Return what the scene is made by beside the config."""
+        """Return the facts that make the scene, apart from the config."""
         return {key: str(value) for key, value in scene.settings.items()}
 
     def compute(self, scene: SampleScene, folder: Path, memory: int) -> Outcome:

@@ -32,7 +32,7 @@ _OWN_NAMES: dict[type[Scene], str] = {  # kind of scene -> names that are easy t
 def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions) -> list[SceneT]:
     """Return the scenes that ``--input``, or the options for the files of a single scene, name.
 
-    ``layouts`` are those of the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``.
+    ``layouts`` belong to the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def _chosen(scenes: Sequence[SceneT], patterns: Sequence[str], place: Path | str
 
 
 def camera_of(option: str, text: str) -> tuple[float, float, float, float]:
-    """Return fx, fy, cx, cy of an option; ConfigError where they cannot be those of a camera."""
+    """Return fx, fy, cx, cy of an option; ConfigError if no camera can have them."""
     try:
         fx, fy, cx, cy = (float(number) for number in text.split(","))
     except ValueError:
@@ -100,10 +100,10 @@ def camera_of(option: str, text: str) -> tuple[float, float, float, float]:
 
 
 def say_typical_cameras(scenes: Sequence[RgbdScene], reporter: Reporter) -> None:
-    """Warn of frames without intrinsics, whose clouds take those of a typical Kinect."""
+    """Warn of frames without intrinsics, whose clouds take the intrinsics of a typical Kinect."""
     own = [scene for scene in scenes if not (scene.problem or scene.raw)]
     if n_without := sum(frame.intrinsics is None for frame in own):
         reporter.info(
-            f"warning: {n_without} of {len(own)} frames have no intrinsics; point clouds take those of a "
+            f"warning: {n_without} of {len(own)} frames have no intrinsics; point clouds assume a "
             "typical Kinect (fx, fy 525 at a width of 640); see --intrinsics, or meta.json"
         )

@@ -60,7 +60,7 @@ def evaluated(
 def _without_truth(
     batch: Batch[SceneT], scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path
 ) -> RunWithoutTruth:
-    """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
+    """Return the views of scenes without truth for the page; a sequence is shown frame by frame."""
     by_name, shown, row_of = {str(row["scene"]): row for row in rows}, list[Scene](), dict[str, Row]()
     for scene in scenes:
         row = by_name.get(scene.name, {})

@@ -46,7 +46,7 @@ SetOption: TypeAlias = Annotated[
     Option(metavar="KEY=VALUE", help="Override one key of the config; repeatable."),
 ]
 MaxDisparityOption: TypeAlias = Annotated[
-    str | None, Option(metavar="N", help="Largest disparity searched, or auto: as the pair says.")
+    str | None, Option(metavar="N", help="Largest disparity searched, or auto: from the pair.")
 ]
 WithinOption: TypeAlias = Annotated[
     float, Option(metavar="PX", min=0.25, max=8, help="Error up to which a value of a given map is right, pixels.")
@@ -61,7 +61,7 @@ PluginOption: TypeAlias = Annotated[
     list[Path] | None,
     Option(metavar="FILE.py", help="Python file with methods, layouts or commands of your own; repeatable."),
 ]
-"""Read by ``cli`` before all else, since the file may hold the command itself."""
+"""Read by ``cli`` before all else, since the file may define the command itself."""
 
 
 def option(default: Any, *names: str, **settings: Any) -> Any:
@@ -71,7 +71,7 @@ def option(default: Any, *names: str, **settings: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Printing:
-    """What a command prints."""
+    """Options of the output on the terminal."""
 
     json: bool = option(False, "--json", help="Print one JSON document instead of a table.")
     verbose: bool = option(False, "--verbose", "-v", help="Print details on stderr.")

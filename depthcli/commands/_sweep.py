@@ -29,7 +29,7 @@ from depthcli.run.json_csv import Row, to_csv, to_json
 _RUNS = "runs"  # the folder with one run folder per combination
 _OWN = "own-values"  # name of the run of the config as it is
 _TABLES = ("sweep.json", "sweep.csv")
-_MAX_SHOWN = 20  # runs in the printed table; files hold all
+_MAX_SHOWN = 20  # runs in the printed table; files list all
 
 
 class _Run(NamedTuple):
@@ -169,6 +169,6 @@ def _text(section: Section, compared: Row) -> str:
             key, *spread = of_key if place == 0 else ("", "", "")
             lines.append((key, row["value"], str(row["runs"]), Number(row["mean"]), Number(row["best"]), *spread))
     header = ("key", "value", "runs", f"mean {headline.heading_with_unit}", "best", "spread of means", "% of variance")
-    note = "spread: largest difference of the means; % of variance: what the key explains alone"
+    note = "spread: largest difference of the means; % of variance: the share that the key explains alone"
     keys = Table("Sensitivity, the strongest first", header, tuple(lines), note)
     return f"{runs.text()}\n{keys.text()}"

@@ -1,4 +1,4 @@
-"""The combinations of a sweep, the names of their runs, and what their figures say of every key."""
+"""The combinations of a sweep, the names of their runs, and the influence of every key on their figures."""
 
 from __future__ import annotations
 

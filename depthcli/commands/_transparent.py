@@ -68,7 +68,7 @@ class Transparent(Batch[RgbdScene]):
     config: TransparentConfig
 
     def files(self, scene: RgbdScene) -> dict[str, Path]:
-        """Return the files of the frame with those of its sparse depth, unless stereo gives that."""
+        """Return the files of the frame, and of its sparse depth unless that comes from stereo."""
         sparse = {"sparse": scene.sparse, "sparse_confidence": scene.sparse_confidence}
         if self._by_mask:
             sparse = {"objects": scene.masks.get(TRANSPARENT)}

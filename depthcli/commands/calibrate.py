@@ -1,7 +1,7 @@
 """Calibrate one camera or two from photos of a board.
 
 The board is a chessboard or a ChArUco board. The result is the file that `rectify` and `stereo --calibration` read;
-beside it are a report and a picture of where the corners were.
+a report and a picture of the corners are written to the same folder.
 
 Examples:
   depthcli calibrate photos --board 9x6 --square 25mm -o stereo.yml
@@ -32,7 +32,7 @@ def calibrate(
             "--output",
             "-o",
             metavar="FILE.yml",
-            help="Calibration to write; the report lies beside it.",
+            help="Calibration to write; the report goes to its folder.",
             callback=local_output,
         ),
     ],

@@ -1,4 +1,4 @@
-"""Say how sure disparity maps made before are.
+"""Estimate how sure given disparity maps are.
 
 Maps are found as evaluate finds them: run folders of ours, PFM, PNG, npy and TIFF files of other programs.
 

@@ -1,6 +1,6 @@
 """Turn disparity maps into metric depth and point clouds.
 
-The calibration lies beside the images that the run was made from (``calib.txt`` of Middlebury, ETH3D and of
+The calibration is in the folder of the run's images (``calib.txt`` of Middlebury, ETH3D and of
 ``rectify``, KITTI's files), or is given by options.
 
 Examples:

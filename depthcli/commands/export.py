@@ -87,7 +87,7 @@ def export(
 def _find_maps(
     run: Path, bench: Benchmark, splits: Sequence[str], seconds: float | None
 ) -> tuple[list[Entry], list[str]]:
-    """Return the maps of the benchmark's scenes, and what is wrong; a split that has one scene must be complete."""
+    """Return the maps of the benchmark's scenes, and all problems; a split that has one scene must be complete."""
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such folder")
     rows, files = read_report(run), load(bench.protocol).files

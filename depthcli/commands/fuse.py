@@ -1,4 +1,4 @@
-"""Fuse several cost measures, or maps made before.
+"""Fuse several cost measures, or given maps.
 
 With the name maps in place of a config, disparity maps of any programs are fused pixel by pixel; they are found as
 evaluate finds them. One alone is completed and corrected.

@@ -1,6 +1,6 @@
 """Generate scenes with exact ground truth.
 
-Without the name of a kind these are stereo pairs; options that a kind does not take are refused.
+Without the name of a kind these are stereo pairs; options of another kind are errors.
 
 Examples:
   depthcli sample --output scenes --count 4 --noise 2

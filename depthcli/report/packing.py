@@ -1,4 +1,4 @@
-"""How the page holds a scene: arrays as deflated 16-bit codes in base64, pictures as data URIs, in a file a scene.
+"""How the page stores a scene: arrays as deflated 16-bit codes in base64, pictures as data URIs, in a file a scene.
 
 ``page.js`` unpacks the arrays.
 """
@@ -30,7 +30,7 @@ _MAX_CODE = 65535
 def pack(values: NDArray[np.floating[Any]], low: float, high: float, levels: int = _MAX_CODE) -> Packed:
     """Return (H, W) numbers as 16-bit codes: ``value = origin + code * step``, and code 0 for NaN.
 
-    Values in [low, high] span at most ``levels`` codes. Values outside go on with the same step down to code 1 and up
+    Values in [low, high] span at most ``levels`` codes. Values outside have the same step down to code 1 and up
     to code 65535, where they are clipped. The step is a power of two, so that disparities in 256ths of a pixel, or
     depths in millimeters, come back as they are where the range allows.
 
@@ -44,7 +44,7 @@ def pack(values: NDArray[np.floating[Any]], low: float, high: float, levels: int
 
 def _packed(values: NDArray[np.floating[Any]], origin: float, step: float) -> Packed:
     known = ~np.isnan(values)
-    # Codes of infinite values are clipped, those of NaN overwritten.
+    # Codes of infinite values are clipped; NaN is overwritten.
     with np.errstate(invalid="ignore", over="ignore"):
         scaled = np.clip(np.rint((values.astype(np.float64) - origin) / step), 1, _MAX_CODE)
     codes = np.where(known, scaled, 0).astype(np.uint16)

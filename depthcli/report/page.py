@@ -29,14 +29,14 @@ from depthcli.report.scene_view import SceneView, view_with_truth
 from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
 from depthcli.run.flags import Flags
 
-_ASSETS = "assets"  # folder beside the page, of the pictures that do not fit into it
+_ASSETS = "assets"  # folder of the pictures that do not fit into the page
 _BUDGET = 50_000_000  # size of the scenes' pictures in the page, bytes: browsers open such a file within seconds
 _MAX_CONFIG = 100_000  # characters of a config that are shown
 _MAX_CELLS = 40_000  # of the tables of one section; more make the page slow
 
 
 class Page:
-    """``report.html``: a ``Viewer`` of the scenes of an evaluation, and of those of a run that have no truth.
+    """``report.html``: a ``Viewer`` of the scenes of an evaluation, and of a run's scenes without truth.
 
     The pictures of every scene are written to the folder ``assets`` when it is complete, so that few are in memory at a
     time, and embedded at the end; the folder stays where the page would become larger than ``budget``.
@@ -89,7 +89,7 @@ class Page:
         report : the evaluation; None if no scene has a ground truth
         scores : all of it as JSON
         configs : run -> its resolved config, or empty
-        flags : the flagged scenes, which are shown first; None: those of the report
+        flags : the flagged scenes, which are shown first; None: as in the report
         """
         self._save(self._scene)
         flags = flags or (report.flags if report else Flags())
@@ -149,7 +149,7 @@ def _pixel_kinds(views: Sequence[SceneView]) -> list[list[tuple[str, ...]]]:
 
 
 def _section_data(section: Section) -> dict[str, Any]:
-    """Return what the template shows of a section: runs from the best to the worst, tables, plots."""
+    """Return the data of a section for the template: runs from the best to the worst, tables, plots."""
     headline, runs, order = section.protocol.headline, section.runs, section.ranking.runs
     figures = {run: section.overall(run).value for run in runs}
     known = [run for run in order if not math.isnan(figures[run])]
@@ -175,7 +175,7 @@ def _section_data(section: Section) -> dict[str, Any]:
 
 
 def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
-    """Return what the template shows of a scene: small pictures, and each run's headline in every region."""
+    """Return the data of a scene for the template: small pictures, and each run's headline in every region."""
     runs = []
     for r in report.results:
         if r.scene == view.name and r.protocol == view.protocol.name:

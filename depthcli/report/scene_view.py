@@ -1,7 +1,7 @@
 """A scene as the page shows it: its maps packed for the script, and small pictures for readers without one.
 
 A scene with ground truth shows the maps of several runs and their errors; one without shows the map of one run, with
-what the run says of it.
+the run's own figures of it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from depthcli.report.packing import PackedScene, jpeg, map_picture, pack, pack_b
 
 _CONFIDENCE_LEVELS = 4096  # of a packed confidence; noise below them would only fill the page
 _MAX_THUMB = 240  # pixels of a small picture's longer side
-_MARGIN = 0.5  # values up to this share of the truth's range beside it are packed, those beyond as out of range
+_MARGIN = 0.5  # values up to this share of the truth's range outside it are packed, others as out of range
 _MAX_SHEET = 1056  # pixels, width of the preview of a volume in the page
 _MAX_CONFIDENCES = 4  # with a small picture and a mean; the others are in the viewer
 _QUANTILES = (1, 99)  # percent, of the values that span the colors where nothing else gives their scale
@@ -58,7 +58,7 @@ class Slice:
 def slices(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Slice]:
     """Return the planes that are shown: an image itself; of a volume (Z, Y, X) slices across every axis.
 
-    The middle slices are among them. Where a volume has more than about ``max_pixels`` in all of them together, every
+    The middle slices are among them. If a volume has more than about ``max_pixels`` in all of them together, every
     second, third ... slice is taken.
     """
     if len(shape) == 2:
@@ -75,7 +75,7 @@ def slices(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Slice]
 
 
 class _Errors(NamedTuple):
-    """What the small picture of a run's errors is drawn from, once their scale is known."""
+    """Data of the small picture of a run's errors, which is drawn once their scale is known."""
 
     kind: Picture  # of pixel
     error: NDArray[np.floating[Any]]
@@ -88,7 +88,7 @@ class SceneView:
     Parameters
     ----------
     protocol : by which it is scored, or its map is shown
-    known, hidden : pixels with known truth, and those of them that are occluded; of the shape of the maps
+    known, hidden : pixels with known truth, and the occluded ones among them; of the shape of the maps
     true : the truth, of that shape, NaN where it is not known; None: everywhere
     axes : of a volume
     scale : lowest and highest value of the colors
@@ -103,8 +103,8 @@ class SceneView:
         (height of a pixel over its width), ``width``, ``height``, ``factor`` (it is thinned by), ``image`` (data URI),
         packed ``sensor``, ``truth`` and ``region`` (1: known, 2: occluded), and ``runs``: name -> packed ``values``,
         ``error``, ``wrong``, ``status``, and ``confidence`` by measure
-    thumbs : run (empty: the scene itself) -> what a small picture shows -> data URI
-    above : what stands before the figures: empty, or "> " where they are lower bounds
+    thumbs : run (empty: the scene itself) -> title of a small picture -> data URI
+    above : prefix of the figures: empty, or "> " where they are lower bounds
     figures, note : without truth: heading with unit -> number, by which scenes are ordered, and their explanation
     mean_confidence : without truth: heading -> mean of a confidence map
     legend : without truth: words -> CSS color of the statuses in the small picture
@@ -187,7 +187,7 @@ class SceneView:
         confidences: Mapping[str, NDArray[Any]],
         dense: ShownMap | None = None,
     ) -> None:
-        """Add one run's map, with the status and confidence maps beside it; ``dense``: shown instead of few points."""
+        """Add one run's map, with its status and confidence maps; ``dense``: shown instead of few points."""
         protocol, known, cut = self.protocol, self.known, self._start.index
         on_grid: Any = protocol.presentation.on_grid
         error = np.where(known, on_grid(protocol.error(estimate, truth), truth), np.nan)
@@ -224,7 +224,7 @@ class SceneView:
         for said, plane in chosen.items():
             finite = plane[np.isfinite(plane)]
             self.mean_confidence[f"{said}, mean"] = float(finite.mean()) if finite.size else np.nan
-        if shown.axes and (preview := _preview(path.with_name("preview.png"))):  # three slices say more than one
+        if shown.axes and (preview := _preview(path.with_name("preview.png"))):  # three slices show more than one
             self.sheet, self.thumbs = preview, {}
             return
         low, high = (_significant(self.data[end], 4) for end in ("low", "high"))
@@ -308,7 +308,7 @@ class SceneView:
         file = self.protocol.files.status(path) if self.palette else None
         try:
             status = None if file is None else read_status(file)
-        except InputError:  # the map counts, the status beside it is an extra
+        except InputError:  # the map counts, its status is an extra
             return None
         if status is None or status.shape != self.known.shape:
             return None
@@ -319,7 +319,7 @@ class SceneView:
 
 
 def view_with_truth(protocol: AnyProtocol, scene: Scene, truth: Any) -> SceneView | None:
-    """Return the view of a scene without runs; None if its points lie on no grid."""
+    """Return the view of a scene without runs; None if its points are on no grid."""
     shown = protocol.presentation
     known, hidden = (shown.on_grid(pixels, truth) for pixels in shown_pixels(protocol, truth))
     if known is None or hidden is None:

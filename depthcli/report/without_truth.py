@@ -1,4 +1,4 @@
-"""Scenes without truth as the page shows them: with what the run says of its own maps, the worst first."""
+"""Scenes without truth as the page shows them: with the run's own figures of its maps, the worst first."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _DOUBTS = {"inside_mean": 1, "mean_error": 1, "measured": -1, "density": -1}
 
 
 class RunWithoutTruth(NamedTuple):
-    """Scenes of a run without truth, with what the run says of them."""
+    """Scenes of a run without truth, with the run's own figures of them."""
 
     name: str
     folder: Path
-    protocol: AnyProtocol  # says where maps lie and how they are shown; it scores nothing here
+    protocol: AnyProtocol  # gives the places of maps and how they are shown; it scores nothing here
     palette: Palette | None  # colors and words of the status maps; None: the protocol's
     scenes: Sequence[Scene]
     rows: Mapping[str, Row]  # scene -> its row of the run's report
@@ -41,7 +41,7 @@ class RunWithoutTruth(NamedTuple):
 
 @dataclass(frozen=True)
 class ScenesWithoutTruth:
-    """What the page shows of a run's scenes: a table, and the views of those with pictures, in its order."""
+    """A run's scenes on the page: a table, and the views of scenes with pictures, in its order."""
 
     run: str
     warnings: Sequence[str]

@@ -1,10 +1,10 @@
-"""Run a command over many scenes: skip what is done, compute the rest, record, report. Knows no algorithm.
+"""Run a command over many scenes: skip finished scenes, compute the rest, record, report. Knows no algorithm.
 
 The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a ``batch`` and its scenes from a command:
 
 1. ``folder`` locks the run folder, writes ``run.yaml``, or refuses the folder of another config.
-2. ``runner`` digests every file that the scene depends on. Where ``record.json`` of the scene (``records``) has the
-   same run and digests, and its files match, it is done, and its row is that of the record.
+2. ``runner`` digests every file that the scene depends on. If ``record.json`` of the scene (``records``) has the
+   same run and digests, and its files match, it is done, and its row comes from the record.
 3. ``workers`` compute the others here or in processes (``--jobs``), ``cluster`` on dask (``--scheduler``). Each calls
    ``compute_scene``, which gives the command an empty hidden folder in the run folder, and moves the files to
    ``<run folder>/<scene>``, the record last. Any failure becomes a row with its reason.
@@ -12,6 +12,6 @@ The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a `
 
 A kill at any moment leaves files that one of these steps recognizes when the same command is started again.
 
-Beside them: ``console`` is what the terminal shows, ``resources`` cores and memory, ``json_csv``
+Others: ``console`` is the output on the terminal, ``resources`` cores and memory, ``json_csv``
 writes rows, ``presets`` finds the configs that are shipped.
 """

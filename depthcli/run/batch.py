@@ -1,4 +1,4 @@
-"""What a command computes of every scene, as a run knows it: this, and nothing else of the command."""
+"""The computation of a command for every scene: all that a run knows of the command."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SceneT = TypeVar("SceneT", bound="Scene")
 
 @dataclass
 class Outcome:
-    """What the report says of one scene: columns that are the same in every run, time by stage, and warnings."""
+    """The row of one scene in the report: columns that are the same in every run, time by stage, and warnings."""
 
     facts: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
@@ -36,7 +36,7 @@ class Execution:
 
     jobs: int = 1  # worker processes; 1 computes in this process
     threads: int | None = None  # of each process; None divides the cores among them
-    max_memory: int | None = None  # bytes, of all processes together; None: what is available
+    max_memory: int | None = None  # bytes, of all processes together; None: all that is available
     overwrite: bool = False
     shard: tuple[int, int] | None = None  # (I, N): every N-th scene, from the I-th; other processes have the others
     fail_fast: bool = False
@@ -75,11 +75,11 @@ class Batch(ABC, Generic[SceneT]):
     """A command's work on its scenes, which ``run`` is given; it goes to worker processes, so that it is picklable."""
 
     command: ClassVar[str]
-    columns: ClassVar[tuple[Column, ...]] = ()  # of the printed table, beside scene, status, seconds and memory
+    columns: ClassVar[tuple[Column, ...]] = ()  # of the printed table, in addition to scene, status, seconds and memory
     palette: ClassVar[Palette | None] = None  # colors of the status maps
     legend: ClassVar[tuple[int, ...] | None] = None  # combinations of status bits that their legend shows
-    shown_as: ClassVar[str] = ""  # protocol that says how the page shows maps without truth
-    page_columns: ClassVar[tuple[Column, ...] | None] = None  # that this page shows beside its own; None: ``columns``
+    shown_as: ClassVar[str] = ""  # protocol by which the page shows maps without truth
+    page_columns: ClassVar[tuple[Column, ...] | None] = None  # shown on this page with its own; None: ``columns``
 
     config: Any
     """The config, a mapping for commands without one; it decides with all versions which run this is."""
@@ -89,11 +89,11 @@ class Batch(ABC, Generic[SceneT]):
         """Compute a scene with at most ``memory`` bytes, and write its files into an empty folder."""
 
     def files(self, scene: SceneT) -> dict[str, Path]:
-        """Return role -> file, for all files whose content the result depends on beside those that the config names."""
+        """Return role -> file, for all files that the result depends on, except files that the config names."""
         return scene.input_files
 
     def settings(self, scene: SceneT) -> dict[str, str]:
-        """Return what the result depends on beside config and files: facts that the layout found."""
+        """Return the facts of the layout that the result depends on, in addition to config and files."""
         return {}
 
     def memory(self, scene: SceneT) -> int | None:

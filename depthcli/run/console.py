@@ -1,4 +1,4 @@
-"""What the terminal shows: messages, progress and tables. Data go to stdout, everything else to stderr."""
+"""Output on the terminal: messages, progress and tables. Data go to stdout, everything else to stderr."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from depthcli.core.registry import PluginWarning
 from depthcli.core.text import kind_of_warning, one_line, printable, without_file
 from depthcli.run.json_csv import Row
 
-_HEARTBEAT = 30.0  # seconds between lines where there is no terminal
+_HEARTBEAT = 30.0  # seconds between lines without a terminal
 _MAX_ROWS = 50  # of a table; of longer ones only the failed scenes and a summary are shown
 
 
@@ -36,8 +36,8 @@ def silence_warnings() -> None:
 class Reporter:
     """Prints messages and progress on stderr and data on stdout.
 
-    The computation goes on when the reader of either has closed it. ``level`` is -1: only errors, 0: also messages,
-    1: also details. ``command_line`` holds the words of this call as a shell takes them, for reports.
+    The computation continues when the reader of either has closed it. ``level`` is -1: only errors, 0: also messages,
+    1: also details. ``command_line`` has the words of this call as a shell takes them, for reports.
     """
 
     command_line: ClassVar[str] = ""
@@ -91,7 +91,7 @@ class Reporter:
                 raise IncompleteError(f"stdout: cannot be written ({error.strerror or error})") from error
 
     def start(self, total: int, done: int, what: str) -> None:
-        """Begin to show how many scenes of a command are done: a bar on a terminal, else a line every 30 seconds."""
+        """Begin to show how many scenes of a command are done: a bar on a terminal, lines elsewhere."""
         self._what, self._total, self._done, self._failed, self._said = what, total, done, 0, time.monotonic()
         with contextlib.suppress(OSError, ValueError):  # stderr was closed
             if self.level >= 0 and sys.stderr.isatty():
@@ -175,7 +175,7 @@ def percent(key: str, title: str = "") -> Column:
 
 
 def number(key: str, form: str, title: str = "") -> Column:
-    """Return the column of a number in a format such as ``{:.2f} px``; its title is that of the key, or ``title``."""
+    """Return the column of a number in a format such as ``{:.2f} px``; its title is the key's, or ``title``."""
     return Column(title or key.replace("_", " "), lambda row: "-" if row.get(key) is None else form.format(row[key]))
 
 

@@ -1,4 +1,4 @@
-"""Flags: the rows of a report that a condition such as ``measured<0.6`` holds for, so that a person looks at them."""
+"""Flags: the rows of a report that meet a condition such as ``measured<0.6``, so that a person looks at them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def conditions_of(texts: Sequence[str] | None, fail_flagged: bool) -> list[Condi
 
 
 class Flagged(NamedTuple):
-    """A flagged row: its scene, its run (empty if there is only one), and the conditions that hold, with its values."""
+    """A flagged row: its scene, its run (empty if there is only one), and the conditions that it meets, with values."""
 
     scene: str
     run: str
@@ -76,7 +76,7 @@ class Flags(NamedTuple):
         return "\n".join(["", f"flagged: {len(rows) or 'none'} of {self.n_rows}", *table, ""])
 
     def exit_code(self, failed: bool, fail_flagged: bool, all_rows: bool = True) -> int:
-        """Return the exit code of a command; values that some rows lack may be in those of other processes."""
+        """Return the exit code of a command; values that some rows lack may be in rows of other processes."""
         if failed:
             return SOME_FAILED
         return FLAGGED if fail_flagged and (self.flagged or (self.unanswered and all_rows)) else 0

@@ -1,7 +1,7 @@
 """The processes that write into the folder of a run, and their locks.
 
-Processes with the same config may share a folder. Each holds a shared lock of it; the first one is alone and sets the
-folder up while the others wait. A scene is computed by the process that holds its byte of the file of locks. The
+Processes with the same config may share a folder. Each keeps a shared lock of it; the first one is alone and sets the
+folder up while the others wait. A scene is computed by the process that has locked its byte of the file of locks. The
 operating system frees all locks of a process that ends, however it ends.
 """
 
@@ -42,7 +42,7 @@ except ImportError:  # Windows
 REPORT_FILES = ("report.json", "report.csv")
 LEGEND_FILE = "legend.png"
 EVALUATION = "evaluation"
-"""Folder in that of a run, of its scores and its page."""
+"""Folder of a run's scores and page, in the run folder."""
 FOLDER_FILES = (RUN_FILE, *REPORT_FILES, LEGEND_FILE, EVALUATION)
 """Names in the folder of a run that no scene may have."""
 LOCKS_FILE = ".locks"
@@ -113,12 +113,12 @@ class FolderLock:
         return True
 
     def set_up(self, text: str, overwrite: bool) -> None:
-        """Make the folder that of the run whose ``run.yaml`` has this text, and admit other processes of the run.
+        """Make it the folder of the run whose ``run.yaml`` has this text, and admit other processes of the run.
 
         Raises
         ------
         ConfigError
-            It holds results of another config, and ``overwrite`` is not set; files that no run wrote have the names of
+            It has results of another config, and ``overwrite`` is not set; files that no run wrote have the names of
             a run's; or other processes write a run of another config there.
         """
         output, known = self.output, saved_config(self.output)
@@ -132,7 +132,7 @@ class FolderLock:
             for record in records_below(output, digest(known.encode())):  # of the run that is replaced
                 remove_results(output / record.scene)
             write_text(output / RUN_FILE, text)
-            flush(output / RUN_FILE)  # without it, the records would be those of a run that nobody knows
+            flush(output / RUN_FILE)  # without it, the records would belong to an unknown run
         if saved_config(output) != text:
             raise ConfigError(f"{output}: another depthcli writes a run of another config there now; choose another")
         self.share()
@@ -186,16 +186,16 @@ class FolderLock:
 
 
 def _byte(name: str) -> int:
-    """Return the byte of the file of locks that stands for a scene."""
+    """Return the byte of the file of locks for a scene."""
     return 1 + int.from_bytes(hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest()[:7], "big")
 
 
 @contextlib.contextmanager
 def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Callable[[str], None]) -> Iterator[Path]:
-    """Give a hidden folder to write into; what it holds at the end of the block replaces earlier results.
+    """Give a hidden folder to write into; its files at the end of the block replace earlier results.
 
-    For commands that make one set of files rather than scenes; ``patterns`` are those of the paths of their results.
-    Where the block raises, ``folder`` stays as it was. ConfigError before the block: the folder holds results of
+    For commands that make one set of files rather than scenes; ``patterns`` match the paths of their results.
+    If the block raises, ``folder`` stays as it was. ConfigError before the block: the folder has results of
     another command, or files that no record claims under the names of results. OutputError: it cannot be written.
     """
 
@@ -211,7 +211,7 @@ def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Ca
         try:
             known = read_record(folder)
             if known is not None and known.run != command:
-                raise ConfigError(f"{folder}: holds results of another command; choose another --output")
+                raise ConfigError(f"{folder}: has results of another command; choose another --output")
             fresh = not any(os.path.lexists(folder / name) for name in (RECORD_FILE, CLAIM_FILE))
             there = {path for pattern in patterns for path in folder.glob(pattern) if not path.is_dir()}
             if fresh and there:
@@ -233,17 +233,17 @@ def saved_config(folder: Path) -> str:
 
 
 def refusal(folder: Path, text: str) -> str:
-    """Return why a folder holds another run than ``text``, which only ``--overwrite`` replaces; or empty."""
+    """Return why a folder has another run than ``text``, which only ``--overwrite`` replaces; or empty."""
     known = saved_config(folder)
     if not os.path.lexists(folder / RUN_FILE) or known == text or not holds_results(folder):
         return ""
     if not known:
-        return f"holds a run made with another config (its {RUN_FILE} cannot be read)"
+        return f"has a run of another config (its {RUN_FILE} cannot be read)"
     old, new = known.splitlines(), text.splitlines()
     removed = [line.strip() for line in old if line not in new and not line.startswith("#")]
     added = [line.strip() for line in new if line not in old and not line.startswith("#")]
-    changes = f"it says {'; '.join(removed[:3])!r}, this run {'; '.join(added[:3])!r}"
-    return f"holds a run made with another config ({changes})"
+    changes = f"it has {'; '.join(removed[:3])!r}, this run {'; '.join(added[:3])!r}"
+    return f"has a run of another config ({changes})"
 
 
 def holds_results(folder: Path) -> bool:

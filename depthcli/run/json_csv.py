@@ -16,7 +16,7 @@ Row: TypeAlias = dict[str, Any]
 
 
 def share(values: Any) -> float:
-    """Return the mean of an array, such as the share of pixels that are True, as reports hold it."""
+    """Return the mean of an array, such as the share of pixels that are True, as in reports."""
     return round(float(values.mean()), 6)
 
 
@@ -57,7 +57,7 @@ def _finite(value: Any) -> Any:
 
 
 def to_csv(rows: Sequence[Mapping[str, object]]) -> str:
-    """Return rows as CSV with a header; columns stand in the order of their first appearance.
+    """Return rows as CSV with a header; columns are in the order of their first appearance.
 
     Mappings become ``outer_inner`` columns, lists one text; no text becomes a formula of a spreadsheet.
     """

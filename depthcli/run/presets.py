@@ -1,4 +1,4 @@
-"""Presets: the configs that are shipped with the package, and those of plug-ins."""
+"""Presets: the configs of the package and of plug-ins."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from depthcli.core.yaml_source import to_yaml
 THESIS = "thesis/"
 """Prefix of presets with the methods of the thesis, and nothing else."""
 
-_GROUP = "depthcli.presets"  # of entry points such as "package:folder", which holds COMMAND/NAME.yaml
+_GROUP = "depthcli.presets"  # of entry points such as "package:folder", with files COMMAND/NAME.yaml
 
 
 def preset_folder() -> Path:
-    """Return the folder of presets: inside the installed package, or beside it in a checkout."""
+    """Return the folder of presets: inside the installed package, or next to it in a checkout."""
     package = Path(__file__).resolve().parent.parent
     shipped = package / "configs"
     return shipped if shipped.is_dir() else package.parent / "configs"
@@ -52,7 +52,7 @@ class Preset:
 
 
 def presets() -> list[Preset]:
-    """Return our presets, then those of plug-ins; one whose name is taken is called ``package:name``."""
+    """Return our presets, then the presets of plug-ins; one whose name is taken is called ``package:name``."""
     root, found = preset_folder(), []
     for file in (*root.glob("*/*.yaml"), *root.glob(f"*/{THESIS}*.yaml")):
         command, _, name = file.relative_to(root).with_suffix("").as_posix().partition("/")
@@ -85,7 +85,7 @@ def _files_of(plugin: Plugin) -> list[Path]:
 def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
     """Return command, name and first comment line of every preset.
 
-    They are ordered by command, those of the thesis behind the others; those of plug-ins come last, with package and
+    They are ordered by command, presets of the thesis after the others; those of plug-ins come last, with package and
     version before the comment.
     """
     found = []
@@ -163,7 +163,7 @@ def _field_lines(model: BaseModel, flat: str = "", gap: Sequence[str] = ()) -> l
                 inside = [str(element)]
                 if isinstance(element, BaseModel):
                     inside = _method_lines(element) + _field_lines(element)
-                # Comments stand before the dash, so that the element starts with its first key.
+                # Comments come before the dash, so that the element starts with its first key.
                 first = next(k for k, line in enumerate(inside) if not line.startswith("#"))
                 lines += [*inside[:first], f"- {inside[first]}", *(f"  {line}" for line in inside[first + 1 :])]
         else:

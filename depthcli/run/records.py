@@ -1,8 +1,8 @@
-"""Records of results: what they were made from and consist of, by which a later run resumes and replaces no other file.
+"""Records of results: their inputs and files, by which a later run resumes and replaces no other file.
 
-The folder of a scene holds its results and ``record.json``, which is written last; so does an evaluation. Results are
+The folder of a scene has its results and ``record.json``, which is written last; so does an evaluation. Results are
 made in a hidden folder and then moved. A record is not trusted when it is read: it may name only files in its own
-folder, holds a digest of itself and of each of them, and is ignored where a digest does not match.
+folder, has a digest of itself and of each of them, and is ignored if a digest does not match.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ RECORD_FILE = "record.json"
 CLAIM_FILE = ".claim.json"
 """The record of results that are being written or removed: they are not done, but their files may be replaced."""
 
-OTHER_RUN = "holds a scene of another run; choose another --output, or --overwrite it"
+OTHER_RUN = "has a scene of another run; choose another --output, or --overwrite it"
 PARTIAL_PREFIX = ".partial-"
 """Start of the names of hidden folders in which results are made; one without a process is left by a killed run."""
 
@@ -148,11 +148,11 @@ def hidden_folder(folder: Path) -> Path:
 def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -> None:
     """Move results from the hidden folder ``made`` to ``folder``, in the place of files that a record claims.
 
-    OutputError, and nothing was moved: the folder holds results of another run and ``overwrite`` is not set, or files
+    OutputError, and nothing was moved: the folder has results of another run and ``overwrite`` is not set, or files
     that no record claims have the names of results.
 
     Files and record are on the disk, and then their names, before they are moved: a power cut leaves no record in
-    ``folder`` beside empty files.
+    ``folder`` without its files.
     """
     write_record(made, record)
     flush_all(made / name for name in (*record.files, RECORD_FILE))
@@ -167,7 +167,7 @@ def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -
     folder.parent.mkdir(parents=True, exist_ok=True)
     try:
         made.rename(folder)
-    except OSError:  # the folder exists and holds files of others
+    except OSError:  # the folder exists and has files of others
         folder.mkdir(exist_ok=True)
         # Where this is interrupted, the next run knows by the claim that the files are its own.
         os.replace(made / RECORD_FILE, folder / CLAIM_FILE)
@@ -187,7 +187,7 @@ def _folders(folder: Path, record: Record) -> list[Path]:
 
 
 def record_failure(folder: Path, record: Record, overwrite: bool) -> None:
-    """Write the record of a scene that failed, in the place of what the run made of other inputs before, if possible.
+    """Write the record of a scene that failed, in place of an earlier result from other inputs, if possible.
 
     Results of another run stay, and so do files that no record claims.
     """
@@ -204,7 +204,7 @@ def remove_results(folder: Path) -> None:
 
     The record becomes a claim first: where this is interrupted the results are not done, but still known.
     """
-    for _ in range(2):  # what a claim that was left behind lists, then what the record lists
+    for _ in range(2):  # files in a claim that was left behind, then in the record
         folders = {folder}
         for name in _claims(folder, (CLAIM_FILE,)):
             (folder / name).unlink(missing_ok=True)
@@ -240,19 +240,19 @@ def not_ours(names: Sequence[str]) -> str:
     """Return why files that no run wrote are not replaced, and what to do."""
     more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
     return (
-        f"{', '.join(names[:_MAX_NAMED])}{more} would be replaced, but no record says that depthcli wrote "
+        f"{', '.join(names[:_MAX_NAMED])}{more} would be replaced, but no record shows that depthcli wrote "
         f"{'it' if len(names) == 1 else 'them'}; move {'it' if len(names) == 1 else 'them'} away, or choose another "
         "folder of results (only results are ever replaced)"
     )
 
 
 def _claims(folder: Path, names: Sequence[str] = (CLAIM_FILE, RECORD_FILE)) -> set[str]:
-    """Return the files in a folder that the records of these names say a run wrote."""
+    """Return the files in a folder that a run wrote, by the records of these names."""
     return {file for name in names if (record := read_record(folder, name)) is not None for file in record.files}
 
 
 def _foreign_files(folder: Path, files: Mapping[str, str]) -> list[str]:
-    """Return those of ``files``, name -> digest, that would replace a file that no record claims.
+    """Return the members of ``files``, name -> digest, that would replace a file that no record claims.
 
     A file with the same content counts as ours: nothing is lost. So do the results of a scene whose record was lost.
     """

@@ -1,4 +1,4 @@
-"""The files ``report.json`` and ``report.csv``: the rows of a run, which are those of its scenes' records."""
+"""The files ``report.json`` and ``report.csv``: the rows of a run, from its scenes' records."""
 
 from __future__ import annotations
 

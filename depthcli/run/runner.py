@@ -1,6 +1,6 @@
 """A run: skip finished scenes, compute the others, isolate failures, show progress, report.
 
-A scene is computed in a hidden folder beside the others and then moved into place, its record written last. A run can
+A scene is computed in a hidden folder of the run and then moved into place, its record written last. A run can
 therefore be killed at any moment and started again: scenes whose record matches the config and the inputs are kept,
 all others are computed again. Processes with the same config may share the folder.
 """
@@ -56,7 +56,7 @@ def run_scenes(
     Raises
     ------
     ConfigError
-        The folder holds another run or the result of another input of the same name, or contains the inputs.
+        The folder has another run or the result of another input of the same name, or contains the inputs.
     OutputError
         The folder cannot be used; or the disk became full, and the run stopped there.
     IncompleteError
@@ -84,7 +84,7 @@ class Plan:
         self._digest = lru_cache(maxsize=_MAX_REMEMBERED)(digest_and_state)
 
     def check_names(self, scenes: Sequence[Any]) -> None:
-        """Raise ConfigError where a name cannot name a folder, or the folder is a link or holds the scene's input."""
+        """Raise ConfigError if a name cannot name a folder, or the folder is a link or contains the scene's input."""
         for scene in scenes:
             parts = scene.name.split("/")
             if any(not part or part.startswith(".") or "\0" in part for part in parts):
@@ -129,7 +129,7 @@ class _Run:
         self.no_report = ""  # why it cannot be written
 
     def rows_of_all(self) -> tuple[list[Row], list[str]]:
-        """Compute what is not done, write the report, and return what ``run_scenes`` does."""
+        """Compute unfinished scenes, write the report, and return the same as ``run_scenes``."""
         command = self.plan.work.batch.command
         computed = self._computed(self._tasks())
         try:
@@ -172,7 +172,7 @@ class _Run:
             source = known.row.get("source") if known is not None and known.run == task.run and known.files else None
             if source and source != task.source and not replaces:
                 raise ConfigError(
-                    f"{plan.output}: holds the result of another {scene.name!r}, made from {source}; this one is "
+                    f"{plan.output}: has the result of another {scene.name!r}, made from {source}; this one is "
                     f"{task.source}; choose another --output, or --overwrite it"
                 )
             tasks.append(task)
@@ -181,7 +181,7 @@ class _Run:
         return tasks
 
     def _computed(self, tasks: Sequence[Task]) -> Generator[Row, None, None]:
-        """Return what yields the rows of the tasks, computed as the options say."""
+        """Return an iterator over the rows of the tasks, computed by the options."""
         todo, plan = self._claimed(tasks), self.plan
         how, jobs = plan.work.how, min(plan.work.how.jobs, len(tasks))
         if how.scheduler is not None and tasks:
@@ -250,7 +250,7 @@ class _Run:
         self.warnings.add(row["scene"], row.get("warnings") or [])
 
     def _sum_up(self) -> None:
-        """Say what was left out, or raise for it."""
+        """Report scenes that were left out, or raise for them."""
         n_failed = sum(row["status"] == "failed" for row in self.rows.values())
         n_all = len({scene.name for scene in self.scenes})
         left = n_all - len(self.rows) - len(self.elsewhere)

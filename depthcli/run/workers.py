@@ -50,9 +50,9 @@ BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
 GOES_ON = "the same command goes on where it stopped"
 
-# Packages whose versions decide what a run computes; part of the run's identity.
+# Packages whose versions change results; part of the run's identity.
 _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
-_MAX_TRACE_NAME = 200  # bytes of a scene's name in that of its traceback; a file's name has 255
+_MAX_TRACE_NAME = 200  # bytes of a scene's name in the name of its traceback; a file's name has 255
 _HEAD_START = 1.0  # seconds in which the first worker can show that kernels have to be compiled
 _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up the memory
 
@@ -86,7 +86,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Task:
-    """One scene to compute in the folder ``hidden``; ``inputs`` are role -> digest of what the result depends on."""
+    """One scene to compute in the folder ``hidden``; ``inputs`` are role -> digest of inputs of the result."""
 
     scene: Scene
     output: Path
@@ -371,7 +371,7 @@ def _ctrl_c_later() -> Iterator[None]:
 def _serve(pipe: connection.Connection, work: Work) -> None:
     """Compute the tasks that come through the pipe, until the parent closes it."""
 
-    def end_with(parent: Any) -> None:  # which may be killed: nobody must go on writing
+    def end_with(parent: Any) -> None:  # which may be killed: no worker may continue to write
         parent.join()
         os._exit(1)
 

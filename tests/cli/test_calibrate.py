@@ -148,7 +148,7 @@ def test_damaged_photos_are_left_out_and_said(few: Path, tmp_path: Path, capsys:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--board", "9by6", "--square", "25mm"), "--board: want 9x6 (inner corners)"),
+        (("--board", "9by6", "--square", "25mm"), "--board: expected 9x6 (inner corners)"),
         (("--board", "9x6", "--square", "25"), "a length with its unit, such as 25mm (got '25')"),
         (("--board", "charuco:7x5", "--square", "25mm"), "--marker 18mm"),
         (("--board", "charuco:30x20", "--square", "2cm", "--marker", "1cm"), "4X4_50 has 50 markers, the board 300"),

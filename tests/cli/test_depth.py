@@ -154,7 +154,7 @@ def test_the_run_has_moved(matched: tuple[Path, Path], tmp_path: Path, capsys):
     copy = tmp_path / "run"
     shutil.copytree(made / "planes_0", copy / "planes_0", ignore=shutil.ignore_patterns("record.json"))
     assert run("depth", copy, "-o", tmp_path / "a", "-q") == 3
-    assert "no calibration beside the images; give --calibration" in capsys.readouterr().err
+    assert "no calibration with the images; give --calibration" in capsys.readouterr().err
     assert run("depth", copy, "-o", tmp_path / "b", "-i", scenes, "--ply", "-q") == 0
     assert run("depth", tmp_path / "absent", "-o", tmp_path / "c") == 2
     assert run("depth", scenes, "-o", tmp_path / "c") == 2

@@ -101,7 +101,7 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path,
     assert main([*command[:-1], str(tmp_path / "small"), "--max-memory", "100MiB"]) == 3
     assert "100 MiB may be used" in capsys.readouterr().err
     assert main([*command, "--set", "optimization.p2=3", "--dry-run"]) == 0
-    assert "made with another config; needs --overwrite" in capsys.readouterr().err
+    assert "another config; needs --overwrite" in capsys.readouterr().err
     assert main([*command, "--list-scenes", "--shard", "2/2"]) == 0
     assert len(capsys.readouterr().out.split()) == 1
 
@@ -115,7 +115,7 @@ def test_dry_runs_of_commands_without_a_config(two_scenes: Path, tmp_path: Path,
     assert main(["depth", str(run), "-o", str(output), "--dry-run"]) == 0
     plan = capsys.readouterr().err
     assert "2 scenes: 2 cannot be used" in plan
-    assert "no calibration beside the images" in plan
+    assert "no calibration with the images" in plan
     by_hand = ("--focal", "500", "--baseline", "0.1")
     assert main(["depth", str(run), "-o", str(output), *by_hand, "--dry-run", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

@@ -285,7 +285,7 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
         assert contents(tmp_path / "mine") == {name: b"mine"}
         shutil.rmtree(tmp_path / "mine")
     write_record(run, Record("", "another", {}, {}, {}))
-    refused(ConfigError, "holds results of another command", evaluated, [run], truth, run)
+    refused(ConfigError, "results of another command", evaluated, [run], truth, run)
 
 
 def test_nothing_to_evaluate(tmp_path: Path, truth: Path):

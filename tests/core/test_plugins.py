@@ -299,7 +299,7 @@ def test_a_run_records_its_plugins(file: Path, scenes: Path, tmp_path: Path, cap
     del sys.modules["depthcli_plugin_mine"]
     file.write_text(file.read_text() + "# changed\n")
     assert main(run) == 2
-    assert "another config (it says 'mine.py: " in capsys.readouterr().err
+    assert "another config (it has 'mine.py: " in capsys.readouterr().err
 
 
 def test_layouts_and_formats_are_recorded_where_they_are_used(file: Path, scenes: Path, tmp_path: Path):

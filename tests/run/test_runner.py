@@ -191,7 +191,7 @@ def test_damaged_files_are_made_again(folder: Folder, damaged: str, content: byt
 def test_another_config_needs_overwrite(folder: Folder):
     folder.run()
     before = folder.bytes()
-    with pytest.raises(ConfigError, match=r"another config \(it says 'factor: 2', this run 'factor: 3'\).*--overwrite"):
+    with pytest.raises(ConfigError, match=r"another config \(it has 'factor: 2', this run 'factor: 3'\).*--overwrite"):
         folder.run(factor=3)
     assert folder.bytes() == before
     (folder.output / "a" / "notes.txt").write_text("mine")
@@ -460,7 +460,9 @@ def test_files_that_no_record_claims_are_never_replaced(folder: Folder, overwrit
         (folder.output / name / file).write_text('{"my": 1}')
     rows = folder.run(overwrite=overwrite)
     assert [rows[name]["status"] for name in "abcd"] == ["failed", "failed", "done", "done"]
-    assert "a: out.txt would be replaced, but no record says that depthcli wrote it; move it away" in rows["a"]["error"]
+    assert (
+        "a: out.txt would be replaced, but no record shows that depthcli wrote it; move it away" in rows["a"]["error"]
+    )
     assert "b: record.json would be" in rows["b"]["error"]
     for name, file in (("a", "out.txt"), ("b", "record.json"), ("c", "notes.txt")):
         assert (folder.output / name / file).read_text() == '{"my": 1}'
@@ -486,7 +488,7 @@ def test_scenes_of_another_run_need_overwrite(folder: Folder, monkeypatch: pytes
     before = folder.bytes()
     with monkeypatch.context() as patched:
         patched.setattr("depthcli.run.runner.digest_and_state", lambda file: pytest.fail(f"{file} was digested before"))
-        refused(ConfigError, "d: holds a scene of another run", folder.run, factor=3)
+        refused(ConfigError, "d: has a scene of another run", folder.run, factor=3)
     assert folder.bytes() | before == folder.bytes()
     folder.run(factor=3, overwrite=True)
     assert (folder.output / "a/out.txt").read_text() == "a" * 9
