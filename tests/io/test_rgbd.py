@@ -26,7 +26,7 @@ from depthcli.io.rgbd_frames import (
     read_kinect_calibration,
     read_kinect_raw,
 )
-from depthcli.io.scenes import RgbdScene, RgbIrScene
+from depthcli.io.scenes import RgbdScene, RgbIrScene, SequenceScene, sequences
 from depthcli.io.walk import discover_scenes
 from tests.command_line import refused, run
 from tests.contracts.layouts import check_layout
@@ -162,6 +162,17 @@ def test_names_of_other_layouts_spoil_none(tmp_path: Path):
     (tmp_path / "tum" / "meta.json").write_text('{"depth_scale": 1000}')
     assert {scene.depth_scale for scene in find(tmp_path / "tum")} == {1000}
     refused(InputError, "no scenes found", find, tmp_path / "other")  # as SUN RGB-D, but for intrinsics.txt
+
+
+@pytest.mark.parametrize("color", ["color", "rgb"])
+def test_names_that_are_times_are_in_the_order_of_time(tmp_path: Path, color: str):
+    times = ["1305031101.900000", "1305031102.100000", "1305031103.100000"]
+    for time in times:
+        write_png(tmp_path / "s" / color / f"{time}.png", COLOR)
+        write_png(tmp_path / "s" / "depth" / f"{time}.png", DEPTH)
+    (sequence,) = sequences(find(tmp_path))
+    assert isinstance(sequence, SequenceScene)
+    assert [frame.name for frame in sequence.frames] == [f"s/{time}" for time in times]
 
 
 def test_tum_frames_have_the_pose_of_their_time(tmp_path: Path):

@@ -13,7 +13,7 @@ from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import numbers
 from depthcli.io.formats.poses import Poses, read_poses
 from depthcli.io.layouts.base import Folder, Layout, Layouts, Meta
-from depthcli.io.layouts.rows import Found, LayoutRow
+from depthcli.io.layouts.rows import NUMBER, Found, LayoutRow
 from depthcli.io.scenes import RgbdScene, RgbIrScene, Scene
 
 _TUM_SCALE = 5000.0  # codes a meter, of the benchmark's files
@@ -75,14 +75,19 @@ def _frame(found: Found) -> dict[str, Any] | None:
 
 
 def _numbered(found: Found) -> dict[str, Any]:
-    number = int(found.keys["number"])
-    return _meta(found.folder) | {"sequence": found.folder.name, "number": number, "pose": None}
+    place = {"sequence": found.folder.name, "number": _in_order(found.keys["number"])}
+    return _meta(found.folder) | {"pose": None} | place
+
+
+def _in_order(number: str) -> int:
+    """Return the number of a frame; of one with a time, the microseconds."""
+    return int(number) if number.isdigit() else round(float(number) * 1e6)
 
 
 def _named(found: Found) -> dict[str, Any]:
     """Return the facts of a frame in folders of frames; names that are numbers are those of a sequence."""
-    number = re.fullmatch(r"(?:frame[-_]?)?(\d+)", found.keys["name"])
-    place = {"sequence": found.folder.name, "number": int(number[1])} if number else {}
+    number = re.fullmatch(rf"(?:frame[-_]?)?({NUMBER})", found.keys["name"])
+    place = {"sequence": found.folder.name, "number": _in_order(number[1])} if number else {}
     return _meta(found.folder) | {"pose": None} | place
 
 

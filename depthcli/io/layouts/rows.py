@@ -1,9 +1,9 @@
 """Layouts as rows of a table: names of files with placeholders.
 
 ``image_2/{frame}_10.png`` names the left images of KITTI, and ``image_3/{frame}_10.png`` the right one of the same
-frame. Placeholders match a part of a name, ``{number}`` digits alone, ``{_}`` anything that the other files do not have
-to repeat, and ``{path}`` any folders between; ``.*`` at the end stands for the endings of the role's kind of file, and
-``|`` separates names that are tried in turn. A row without placeholders describes one scene, the folder itself.
+frame. Placeholders match a part of a name, ``{number}`` digits or a time, ``{_}`` anything that the other files do not
+have to repeat, and ``{path}`` any folders between; ``.*`` at the end stands for the endings of the role's kind of file,
+and ``|`` separates names that are tried in turn. A row without placeholders describes one scene, the folder itself.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
 
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
+NUMBER = r"\d{9,}\.\d+|\d+"  # of a frame: digits, or the time in seconds, of which the fraction is no number
 _MASK = "mask."  # before the name of a mask in a role
 _MASKS = "masks"  # role of all masks, whose names are ``{mask}``
 _OWN_FIELDS = ("folder", "layout", "problem")  # of scenes, which no file of layouts says
@@ -99,7 +100,7 @@ class LayoutRow(Layout):
             return
         for key in {**one, **other} if self.either else one:
             views = {role: files[key] for role, files in ((first, one), (second, other)) if key in files}
-            digits = re.search(r"(\d+)\D*$", next(iter(views.values())).stem)
+            digits = re.search(rf"({NUMBER})\D*$", next(iter(views.values())).stem)
             yield dict(key) | ({"number": digits[1]} if digits and "number" in dict(key) else {}), views
 
     def _scene(self, folder: Folder, variant: Mapping[str, str], keys: _Keys, views: dict[str, Path]) -> Scene | None:
@@ -191,7 +192,8 @@ def _files(folder: Folder, role: str, names: str) -> dict[_Key, Path]:
         if "{" not in name and (single := _file(folder, role, name, {})) is not None:
             known[()] = single
         for keys, file in _matches(folder, name, _suffixes(role)) if "{" in name else ():
-            key = tuple((k, str(int(v)) if k == "number" else v) for k, v in keys.items())  # 7 and 007 are a pair
+            # 7 and 007 are a pair.
+            key = tuple((k, str(int(v)) if k == "number" and v.isdigit() else v) for k, v in keys.items())
             if (other := known.setdefault(key, file)) is not file:
                 raise InputError(f"{file.parent}: both {other.name} and {file.name}; keep one")
         if known:
@@ -234,7 +236,7 @@ def _folders(folder: Folder, part: str) -> Iterator[tuple[_Keys, Folder]]:
 def _pattern(name: str) -> re.Pattern[str]:
     """Return the regular expression of a name with placeholders."""
     pieces = _PLACEHOLDER.split(name)
-    kinds = {"number": r"(?P<number>\d+)", "_": ".*?"}
+    kinds = {"number": rf"(?P<number>{NUMBER})", "_": ".*?"}
     made = [re.escape(p) if k % 2 == 0 else kinds.get(p, f"(?P<{p}>.+?)") for k, p in enumerate(pieces)]
     return re.compile("".join(made))
 
