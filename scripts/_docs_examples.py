@@ -12,8 +12,8 @@ What follows the language of a block says how it is run:
 | any, with ``file=NAME`` | written into the folder, not run |
 | ``text``, ``bibtex``, ``math`` | shown |
 
-``exit=N`` expects that exit code, ``lines=N`` shows at most so many lines of each output, and ``needs=opencl`` leaves a
-block as it stands where no such device works.
+``exit=N`` expects that exit code, and ``lines=N`` shows at most so many lines of each output. What needs a device or a
+cluster is shown as ``text``: the pages are built without.
 """
 
 import json
@@ -27,15 +27,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from depthcli.device import devices
-
 BLOCK = re.compile(
     r"^(?P<fence>```+)(?P<head>[a-z]\w*)(?P<settings>[^\n`]*)\n(?P<text>.*?)^(?P=fence)[ ]*$"
     r"(?P<output>\n\n```text\n.*?^```$)?",
     re.M | re.S,
 )
 SHOWN_ONLY = ("text", "bibtex", "math")
-SETTINGS = {"file", "exit", "lines", "needs"}
+SETTINGS = {"file", "exit", "lines"}
 _NOISE = re.compile(r"first use of these settings here: compiling|compiled \d+ kernels in ")
 _MEASURED = re.compile(r"\b\d+(?:\.\d+)? (?:s|ms|min|kB|MB|MiB|GiB)\b|\d{4}-\d\d-\d\d[T ][\d:.]+")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?|\.\d+")
@@ -92,7 +90,6 @@ class Page:
     text: str
     folder: Path  # empty, or not there yet
     setup: Path | None = None  # shell script that is run first, if it exists
-    skipped: list[str] = field(default_factory=list, init=False)  # why blocks were not run
     _interpreter: subprocess.Popen[str] | None = field(default=None, init=False)
 
     def run(self) -> str:
@@ -121,14 +118,7 @@ class Page:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, "utf-8")
         elif language not in SHOWN_ONLY:
-            try:
-                if "needs" in settings and not any(info.address.startswith(settings["needs"]) for info in devices()):
-                    raise ExampleError(f"{place}: no {settings['needs']} device")
-                text, output = self._run(language, text, place, settings, output)
-            except ExampleError as error:
-                if "needs" not in settings:
-                    raise
-                self.skipped.append(f"{str(error).splitlines()[0]}; the block stays as it is")
+            text, output = self._run(language, text, place, settings, output)
         return f"{found['fence']}{language}{found['settings']}\n{text}{found['fence']}{output}"
 
     def _run(self, language: str, text: str, place: str, settings: dict[str, str], output: str) -> tuple[str, str]:

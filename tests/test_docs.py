@@ -157,12 +157,6 @@ def test_blocks_of_a_page_run_in_order_and_their_output_is_written(page):
     )
 
 
-def test_a_block_without_its_device_stays_as_it_is(page):
-    text = "```console needs=abacus\n$ false\nold\n```\n"
-    example = page(text)
-    assert example.run() == text and "no abacus device" in example.skipped[0]
-
-
 def test_outputs_are_compared_without_what_differs_from_run_to_run():
     table = "scene  size  seconds  memory\na      4x3      0.12  10 MiB\n\ntotal 3.00 px in 2.1 s\n"
     assert _docs_examples.same_output(table, table.replace("0.12  10", "9.99  99").replace("2.1 s", "7 s"))
