@@ -120,27 +120,22 @@ def real_frames(data: Path) -> Iterator[tuple[str, Any]]:
 
 
 def real(item: tuple[int, RgbdFrame]) -> Rows:
-    """Return MAE, mm, at pixels taken out of a frame: blocks, bands beside edges, blocks without the color image."""
+    """Return MAE, mm, at pixels taken out of a frame: blocks, and bands beside edges."""
     count, frame = item
     rows: Rows = {}
-    for column, patterns in (("blocks", PATTERNS), ("bands", 2), ("no color", PATTERNS)):
+    for column, patterns in (("blocks", PATTERNS), ("bands", 2)):
         found: dict[str, list[float]] = {}
         for pattern in range(patterns):
             holes = _bands(frame, pattern) if column == "bands" else _blocks(frame, PATTERNS * count + pattern)
-            depth = np.where(holes, np.float32(np.nan), frame.depth)
-            holed = RgbdFrame(frame.color, depth, frame.fb, frame.intrinsics)
-            if column == "no color":
-                holed = RgbdFrame.without_color(depth, frame.fb, frame.intrinsics)
+            holed = RgbdFrame(frame.color, np.where(holes, np.float32(np.nan), frame.depth), frame.fb, frame.intrinsics)
             for name, run in methods().items():
                 if run is not None and name not in ("inpaint", "realsense"):
                     error = 1000 * np.abs(run(holed).depth.values[holes] - frame.depth[holes])
                     found.setdefault(name, []).append(mean_known(error))
         for name, values in found.items():
             rows.setdefault(name, {})[column] = mean_known(values)
-    for column in ("blocks", "bands", "no color"):  # a board alone is a plane
-        if rows["nearest"][column] > 1:
-            for cells in rows.values():
-                cells[f"{column} ratio"] = cells[column] / rows["nearest"][column]
+            if mean_known(found["nearest"]) > 1:  # a board alone is a plane
+                rows[name][f"{column} ratio"] = mean_known(values) / mean_known(found["nearest"])
     return rows
 
 
