@@ -55,7 +55,7 @@ def weights(source, out, left, right, radius, first):
                                 right[y, x - d, c] - right[v, u - d, c]
                             ) ** 2
                         space = np.float32(2 * ((x - u) ** 2 + (y - v) ** 2))
-                        weight = np.exp(-(color / np.float32(900) + space / np.float32(576)))
+                        weight = np.exp(-(color / np.float32(900) + space / np.float32(300)))
                         total += weight * source[v, u, d]
                         norm += weight
                 out[i, x, d] = total / norm

@@ -18,7 +18,7 @@ with warnings.catch_warnings():
 
 @pytest.fixture(scope="module")
 def liver():
-    from scripts.register_pairs import pairs
+    from _thesis_registration import pairs
 
     if not (DATA / "medical" / "liver_4dmri" / "dataset19").is_dir():
         pytest.skip("medical/liver_4dmri/dataset19 is not in ../shared/data")
@@ -28,7 +28,7 @@ def liver():
 @pytest.mark.slow
 def test_expected_error_after_a_registration_stopped_early(liver):
     """Spearman of eshift is .78 to .86 on this set, and above that of cost0."""
-    from scripts.register_pairs import EARLY, THREADS, register
+    from _thesis_registration import EARLY, THREADS, register
 
     before = sitk.ProcessObject.GetGlobalDefaultNumberOfThreads()
     sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(THREADS)

@@ -54,7 +54,7 @@ def test_sums_over_crosses(pair, costs):
 
 
 def test_means_with_weights(pair, costs):
-    method = AdaptiveWeight(window=5, norm="squared", color_space="rgb", gamma_color=900, gamma_space=576)
+    method = AdaptiveWeight(window=5, norm="squared", color_space="rgb", gamma_color=900, gamma_space=300)
     out = np.zeros((6, W, D), np.float32)
     left, right = (image.astype(np.float32) for image in pair.color8)
     loops.weights(costs.astype(np.float32), out, left, right, 2, 4)
