@@ -4,13 +4,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
+import matplotlib
 import numpy as np
 from _experiments import THESIS, Experiment, Rows, matcher, scenes_in
 from _thesis_times import figure_3_2, frames, local
+from PIL import Image
 
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.plots import Line, line_plot
-from depthcli.evaluation.protocols import headlines
+from depthcli.evaluation.protocols import headlines, picture
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.statistics import average_ranks
 from depthcli.io.stereo_pairs import load_pair
@@ -20,6 +23,7 @@ SCENES = ("Tsukuba", "Venus", "Teddy", "Cones")
 MASKS = ("nonocc", "all", "disc")
 CH2 = {"baseline": "thesis/ch2-baseline", "KP": "thesis/ch2-kp", "DEDC": "thesis/ch2-dedc",
        "DEDC and KP": "thesis/ch2-kp-dedc"}  # fmt: skip
+PICTURED = ("thesis/ch2-kp-dedc", "thesis/ch3-ad-census-cross")
 OURS = ("segments", "fast", "accurate", "fuse/accurate")
 COSTS = ("ad", "ad-gradient", "ad-rank", "ad-census")
 WAYS = ("cw", "cross", "aw")
@@ -73,6 +77,23 @@ def figure(m: Any) -> str:
     lines = [Line(f"{cost} {way}", WINDOWS, [m.mean("fig-3.3", f"{cost} {way}", f"all {w if way != 'cross' else 0}")
              for w in WINDOWS]) for cost in COSTS for way in WAYS]  # fmt: skip
     return line_plot(lines, "Figure 3.3: winner takes all", "window side, px", "bad > 1 px, all, %")
+
+
+def pictures(data: Path) -> Any:
+    """Return the scenes of v2 as in figures 2.3 and 3.4: left image, truth, maps of both chapters and their errors."""
+    rows = []
+    for _, scene in of_v2(data):
+        pair, judge = load_pair(scene), MiddleburyV2Protocol()
+        truth = judge.truth(scene)
+        maps = [matcher(name)(pair, scene.max_disparity).disparity.values for name in PICTURED]
+        top = np.nanmax(truth.values)
+        shown = [
+            (255 * matplotlib.colormaps["gray"](each / top)[..., :3]).astype(np.uint8) for each in (truth.values, *maps)
+        ]
+        wrong = [picture(judge, each, truth) for each in maps]
+        panels = (pair.color8[0], shown[0], shown[1], wrong[0], shown[2], wrong[1])
+        rows.append(np.hstack([cv2.resize(each, (160, 128), interpolation=cv2.INTER_AREA) for each in panels]))
+    return Image.fromarray(np.vstack(rows)).quantize(64) if rows else None
 
 
 def names(m: Any) -> dict[str, Any]:
