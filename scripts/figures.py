@@ -18,7 +18,6 @@ import yaml
 
 PAGES = (_env.ROOT / "docs" / "figures.md", _env.ROOT / "README.md")
 SETTINGS = yaml.safe_load((_env.ROOT / "scripts" / "figures.yaml").read_text("utf-8"))
-CHAPTER = re.compile(r"\[(\d)\]\(#(chapter-\d-([a-z0-9-]+))\)")
 Rows = list[list[str]]  # the first one is the header
 
 
@@ -36,18 +35,11 @@ def main() -> None:
         page.write_text(text, "utf-8")
 
 
-def chapter_link(found: re.Match[str]) -> str:
-    """Return the README's link to a chapter on the page of the thesis."""
-    return f"[{found[1]} {found[3].replace('-', ' ')}](docs/thesis.md#{found[2]})"
-
-
 def output(run: str, data: Path, kept: Path | None) -> str:
     """Return what a script prints, or what it printed when its output was kept."""
     file = None if kept is None else kept / f"{run}.txt"
     if file is not None and file.exists():
         return file.read_text("utf-8")
-    if SETTINGS["runs"][run].endswith(".md"):
-        return CHAPTER.sub(chapter_link, (_env.ROOT / SETTINGS["runs"][run]).read_text("utf-8"))
     words = [word.replace("DATA", str(data)) for word in SETTINGS["runs"][run].split()]
     print(f"scripts/{SETTINGS['runs'][run]}", file=sys.stderr, flush=True)
     command = [sys.executable, str(_env.ROOT / "scripts" / words[0]), *words[1:]]
@@ -61,7 +53,7 @@ def output(run: str, data: Path, kept: Path | None) -> str:
 def tables(text: str) -> dict[str, Rows]:
     """Return title -> header and rows of the Markdown tables of a text, without marks of the best ones."""
     found: dict[str, Rows] = {}
-    for title, body in re.findall(r"^(?:## |<!-- begin )(.*?)(?: -->)?\n\n((?:\|.*\n)+)", text, re.M):
+    for title, body in re.findall(r"^## (.*)\n\n((?:\|.*\n)+)", text, re.M):
         rows = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in body.splitlines()]
         clean = [[re.sub(r"\*\*|</?u>|\\", "", cell) for cell in row] for row in rows]
         found[title] = [clean[0], *clean[2:]]
