@@ -8,6 +8,11 @@ import pytest
 from depthcli.cli import main
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put tests that take minutes first: processes that run out of tests take others from the rest."""
+    items.sort(key=lambda item: item.get_closest_marker("first") is None)
+
+
 def sampled(place: pytest.TempPathFactory, *options: str) -> Path:
     """A folder that ``depthcli sample`` fills."""
     folder = place.mktemp("made")
