@@ -161,7 +161,7 @@ class MatchPairs(Batch[StereoScene]):
             **({"min_disparity": search.min_disparity} if search.min_disparity or key_points else {}),
             **facts,
             **key_points,
-            "density": round(found.density, 6),
+            "density": share(found.valid),
             "measured": share(found.measured),
             **({"bits": pair.bits} if partly_used(pair) else {}),
             **{name: float(value) for name, value in found.details.figures.items()},

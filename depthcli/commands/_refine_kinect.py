@@ -153,7 +153,7 @@ class RefineKinect(Batch[FrameOrSequence]):
                 for bit in DepthStatus
                 if bit and bit.name and bit != DepthStatus.SAMPLED
             },
-            "density": round(found.density, 6),
+            "density": share(found.valid),
             **{name: float(value) for name, value in found.details.figures.items()},
             **found.details.words,
         }

@@ -121,7 +121,7 @@ class Transparent(Batch[RgbdScene]):
             "filled": share((found.status & DepthStatus.GAP_FILLED) != 0),
             "replaced": share(found.corrected),
             "from_stereo": share((found.status & DepthStatus.SAMPLED) != 0),
-            "density": round(found.density, 6),
+            "density": share(found.valid),
             **{name: float(value) for name, value in found.details.figures.items()},
         }
         warnings = list(found.warnings)

@@ -82,17 +82,23 @@ class _Errors(NamedTuple):
     high: float  # 90 % quantile over wrong pixels, NaN: there are none
 
 
+class ShownTruth(NamedTuple):
+    """What is known of a scene, in the shape of its maps, and the scale of their colors."""
+
+    known: Mask  # pixels with known truth
+    hidden: Mask  # the occluded ones among them
+    values: NDArray[Any] | None  # NaN where the truth is not known; None: everywhere
+    axes: tuple[SliceAxis, ...]  # of a volume
+    scale: Range  # lowest and highest value of the colors
+
+
 class SceneView:
     """One scene, filled run by run.
 
     Parameters
     ----------
     protocol : by which it is scored, or its map is shown
-    known, hidden : pixels with known truth, and the occluded ones among them; of the shape of the maps
-    true : the truth, of that shape, NaN where it is not known; None: everywhere
-    axes : of a volume
-    scale : lowest and highest value of the colors
-    palette : colors and words of the status maps
+    palette : colors and words of the status maps; None: the protocol's
 
     Attributes
     ----------
@@ -113,19 +119,11 @@ class SceneView:
     packed : the data in a file, where they are once the view is closed
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        protocol: AnyProtocol,
-        known: Mask,
-        hidden: Mask,
-        true: NDArray[Any] | None,
-        axes: tuple[SliceAxis, ...],
-        scale: Range,
-        palette: Palette,
-    ) -> None:
-        self.scene, self.protocol, self.known, self.hidden, self.palette = scene, protocol, known, hidden, palette
-        self.name, shown, (low, high) = scene.name, protocol.presentation, scale
+    def __init__(self, scene: Scene, protocol: AnyProtocol, truth: ShownTruth, palette: Palette | None = None) -> None:
+        known, hidden, true, axes, (low, high) = truth
+        self.scene, self.protocol, self.known, self.hidden = scene, protocol, known, hidden
+        self.name, shown = scene.name, protocol.presentation
+        self.palette = shown.palette if palette is None else palette
         self.image = shown.image(scene)  # (H, W, 3) RGB or (Z, Y, X) grey levels, or None
         sensor = shown.sensor(scene)  # a map of the scene's shape, or None
         sensor = None if sensor is None or sensor.shape != known.shape else sensor
@@ -327,7 +325,7 @@ def view_with_truth(protocol: AnyProtocol, scene: Scene, truth: Any) -> SceneVie
     true = shown.on_grid(truth.values, truth)
     scale = range_of(None if true is None else true[known])
     true = None if true is None else np.where(known, true, np.nan)
-    return SceneView(scene, protocol, known, hidden, true, shown.axes(truth), scale, shown.palette)
+    return SceneView(scene, protocol, ShownTruth(known, hidden, true, shown.axes(truth), scale))
 
 
 def _with_margin(low: float, high: float) -> Range:

@@ -16,7 +16,7 @@ from depthcli.evaluation.render import Number, Table, TableColumn
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.pictures import Palette
 from depthcli.io.scenes import Scene
-from depthcli.report.scene_view import SceneView, scale_of
+from depthcli.report.scene_view import SceneView, ShownTruth, scale_of
 from depthcli.run.console import SECONDS, Column
 from depthcli.run.json_csv import Row
 
@@ -104,8 +104,7 @@ def _view(run: RunWithoutTruth, scene: Scene) -> SceneView:
     with collected_warnings():
         shown = presentation.show(path, scene, protocol.files)
         nothing, scale = np.zeros(shown.values.shape, np.bool_), presentation.scale or scale_of(shown.values)
-        palette = presentation.palette if run.palette is None else run.palette
-        view = SceneView(scene, protocol, nothing, nothing, None, shown.axes, scale, palette)
+        view = SceneView(scene, protocol, ShownTruth(nothing, nothing, None, shown.axes, scale), run.palette)
         view.add_shown(run.name, path, shown)
         view.above = "> " * (scene.name in run.lower_bounds)
     return view

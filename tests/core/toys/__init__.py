@@ -1,7 +1,5 @@
 """A family of methods to test the config mechanism with."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from depthcli.core.method import Method, method_of

@@ -1,7 +1,5 @@
 """Disparity maps that have to be right to an eighth of a pixel."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth

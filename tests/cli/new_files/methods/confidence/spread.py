@@ -1,7 +1,5 @@
 """Spread of the costs."""
 
-from __future__ import annotations
-
 from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
 
 
