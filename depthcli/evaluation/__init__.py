@@ -1,19 +1,19 @@
 """Comparison of runs with ground truth: maps of the runs and scenes with truth in, scores, tables and plots out.
 
-``truth`` finds the scenes, ``evaluate.evaluate_runs`` does the rest; arrays hold NaN where they have no value:
+``truth`` finds the scenes, ``evaluate.evaluate_runs`` does the rest; arrays have NaN for no value:
 
-1. ``map_files`` names the runs, and the places where a run folder may hold the map of a scene.
+1. ``map_files`` names the runs, and the places where a run folder may have the map of a scene.
 2. A protocol (``protocols``, one file per benchmark or kind of truth) reads the scene's truth, once, and the run's map:
    (H, W) float32 disparities in pixels, (H, W) float32 depths in meters, or (N,) float32 errors in millimeters at
    points of a volume.
 3. It scores the map by region (``nonocc``, ``all`` ...): a ``Score`` (``scores``) for every metric, and the
    sparsification ``curves`` of the confidence maps. All that is known of one map is a ``MapResult``.
-4. ``comparison``: a ``Section`` holds the results of one data set under one protocol, with means and ranks by the
+4. ``comparison``: a ``Section`` has the results of one data set under one protocol, with means and ranks by the
    protocol's rule and the tests of ``statistics``; an ``EvaluationReport`` all sections.
 5. ``tables`` arranges the numbers, ``render`` writes any table as text, Markdown, LaTeX or CSV, ``plots`` draws.
    A protocol's words, units and colors are its ``Presentation``. The page and the contact sheet (room ``report``) are
    viewers, which get the maps while they are scored.
 
-``benchmarks`` stands apart: which files a submission to a benchmark holds. Begin with
+``benchmarks`` is separate: the files of a submission to a benchmark. Begin with
 ``protocols/middlebury_v2.py``, the shortest protocol; ``columns`` explains all metrics and regions.
 """

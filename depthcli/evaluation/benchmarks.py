@@ -30,7 +30,7 @@ class Entry(NamedTuple):
     file: Path
     seconds: float = math.nan  # run time, where it is known
     image: Path | None = None  # the left image, where it is known
-    size: tuple[int, int] | None = None  # (width, height) of the image, where it or the run's report says it
+    size: tuple[int, int] | None = None  # (width, height) of the image, if it or the run's report is there
 
 
 class Submission(NamedTuple):
@@ -45,13 +45,13 @@ class Submission(NamedTuple):
 class Benchmark:
     """One benchmark; maps are (H, W) in pixels, NaN = no value."""
 
-    protocol: str  # name of the evaluation protocol, which knows where a run holds its maps
+    protocol: str  # name of the evaluation protocol, which knows the places of a run's maps
     scenes: Mapping[str, tuple[str, ...]]  # of every split, which is submitted whole or not at all
     timed: bool  # every map needs its run time
     limits: Callable[[Entry, NDArray[np.float32], Submission], list[str]]  # returns what breaks the benchmark's rules
     # Returns path in the archive -> content for the files of one map.
     files: Callable[[Entry, NDArray[np.float32], Submission], dict[str, bytes]]
-    together: Callable[[Submission], list[str]] = lambda _: []  # returns what is wrong with a submission as a whole
+    together: Callable[[Submission], list[str]] = lambda _: []  # returns the problems of a submission as a whole
 
     def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
         """Return the reasons why a map cannot be submitted."""
@@ -63,7 +63,7 @@ class Benchmark:
         if np.isnan(values).all():
             found.append("no pixel has a value")
         if self.timed and math.isnan(entry.seconds):
-            found.append("no run time: the run has no report of this scene; say it with --seconds")
+            found.append("no run time: the run has no report of this scene; set it with --seconds")
         return found + self.limits(entry, values, submission)
 
 
@@ -74,7 +74,7 @@ _MIDDLEBURY_SCENES = {
            "Djembe", "DjembeL", "Hoops", "Livingroom", "Newkuba", "Plants", "Staircase"),
 }  # fmt: skip
 MIDDLEBURY_FACTORS: Mapping[str, int] = {"F": 1, "H": 2, "Q": 4}
-"""Resolution of Middlebury v3 -> size of the full images / that of this resolution."""
+"""Resolution of Middlebury v3 -> size of the full images / size at this resolution."""
 
 # Full images of 2014 are 2632 to 2964 pixels wide; three come from older sets.
 _WIDTH = 2800
@@ -88,7 +88,7 @@ def middlebury_resolution(scene: str, width: int) -> str:
 
 
 def _middlebury_problems(submission: Submission) -> list[str]:
-    """Return what is wrong with a submission to Middlebury v3 as a whole: the method's name, several resolutions.
+    """Return the problems of a submission to Middlebury v3 as a whole: the method's name, several resolutions.
 
     The name is part of files' names, in which ``_s`` marks sparse maps.
     """
@@ -145,10 +145,10 @@ def _eth3d_files(entry: Entry, values: NDArray[np.float32], submission: Submissi
 
 
 def _not_in_codes(entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
-    """Return reasons for values that a code of KITTI cannot hold, and for maps of training images of the same names."""
+    """Return reasons for values beyond the codes of KITTI, and for maps of training images of the same names."""
     found = []
     if (np.rint(values.astype(np.float64) * KITTI_SCALE) > 65535).any():
-        found.append(f"disparities up to {np.nanmax(values):.4g}; a 16-bit code holds less than 256")
+        found.append(f"disparities up to {np.nanmax(values):.4g}; 16-bit codes end below 256")
     if entry.image is not None and "training" in entry.image.parts:
         found.append(f"made from {entry.image}, a training image; the benchmark takes the test images' maps")
     return found
@@ -179,7 +179,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
 
 
 def benchmark(name: str) -> Benchmark:
-    """Return the benchmark of that name; ConfigError where there is none."""
+    """Return the benchmark of that name; ConfigError if there is no such benchmark."""
     found = BENCHMARKS.get(name.lower().replace("_", "-"))
     if found is None:
         raise ConfigError(f"--for: no benchmark called {name!r}; one of: {', '.join(BENCHMARKS)}")

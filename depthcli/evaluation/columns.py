@@ -1,4 +1,4 @@
-"""What the columns of an evaluation mean: scores by metric and region, and those of every table around them."""
+"""Meaning of the columns of an evaluation: scores by metric and region, and the other columns of every table."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ class ColumnHelp:
     """The explanation of a column."""
 
     name: str  # the heading; of columns that differ in a number or name, with that in capitals, such as ``bad T``
-    about: str  # one line: what the numbers are of
+    about: str  # one line: the meaning of the numbers
     unit: str = ""
-    also: tuple[str, ...] = ()  # other headings of the same numbers, such as that of the printed table
-    pattern: str = ""  # regular expression of all headings, where ``name`` stands for several
+    also: tuple[str, ...] = ()  # other headings of the same numbers, such as in the printed table
+    pattern: str = ""  # regular expression of all headings, if ``name`` is for several
 
     @property
     def headings(self) -> str:
@@ -104,9 +104,9 @@ TABLES = (
     Column("wins", "scenes on which the run's figure is better than the best run's"),
     Column("losses", "scenes on which the run's figure is worse than the best run's"),
     Column("p (Holm)", "p value of the Wilcoxon test against the best run, corrected for the number of tests"),
-    Column("verdict", "what the test says: not significant, worse, better in most scenes, or that scenes are too few"),
+    Column("verdict", "result of the test: not significant, worse, better in most scenes, or that scenes are too few"),
     Column("confidence", "name of a confidence measure: of the file confidence_NAME"),
-    Column("of", "what the sparsification curve is of: bad, the share of wrong pixels, or error, the mean error"),
+    Column("of", "quantity of the sparsification curve: bad, the share of wrong pixels, or error, the mean error"),
     Column("AUC", "area under the sparsification curve over all shares of pixels, the surest first"),
     Column("optimal", "the area for an order by the error itself, the smallest possible"),
     Column("random", "the area for pixels in random order: their mean"),
@@ -119,7 +119,7 @@ TABLES = (
     Column("precision", "of the pixels that status.png calls hidden in the right view, the share that are", "%"),
     Column("recall", "of the pixels that are hidden in the right view, the share that status.png calls so", "%"),
     Column("F1", "harmonic mean of precision and recall of the hidden pixels", "%"),
-    Column("said hidden %", "share of the pixels that status.png calls hidden", "%"),
+    Column("said hidden %", "share of the pixels that status.png marks as hidden", "%"),
     Column("truly hidden %", "share of the pixels that are hidden in the right view by the truth", "%"),
     Column("reason", "why there is no map, or no score"),
     Column("true class", "class of the true error: rows; the columns are the classes of the expected one"),
@@ -128,12 +128,12 @@ TABLES = (
     Column("mean true error", "mean true error of the points of a bin", "mm"),
     Column("points", "number of points"),
 )  # fmt: skip
-"""Columns of the printed tables, of ``report.md``, LaTeX and the page, beside metrics, regions and names of scenes."""
+"""Columns of the printed tables, of ``report.md``, LaTeX and the page, except metrics, regions and names of scenes."""
 
 SCORES = (
     Column("run", "name of the run"),
     Column("data_set", "folder of the scenes"),
-    Column("scene", "name of the scene; *mean: over all scenes, *common mean: over those of which all runs have a map"),
+    Column("scene", "name of the scene; *mean: over all scenes, *common mean: over scenes with maps of all runs"),
     Column("protocol", "rules by which it was scored"),
     Column("metric", "name of the metric; failed: no map; AREA:CONFIDENCE:KIND: area of a curve, or ece; hidden NAME"),
     Column("threshold", "of the metric, in the protocol's unit; empty: it has none"),
@@ -145,7 +145,7 @@ SCORES = (
     Column("density", "share of the region's pixels that have a value", "%"),
     Column("convention", "how pixels without a value are counted"),
     Column("map", "file of the map in the run folder"),
-    Column("note", "what has to be known beside the number"),
+    Column("note", "what a reader must know about the number"),
 )
 """Columns of ``scores.csv``."""
 
@@ -168,15 +168,15 @@ SWEEP = (
     Column("spread of means", "largest difference of the means of a key's values"),
     Column("% of variance", "share of the figures' variance that the key explains alone", "%"),
     Column("data_set", "folder of the scenes"),
-    Column("own_values", "whether the run is that of the config's own values"),
+    Column("own_values", "whether the run has the config's own values"),
     Column("missing", "number of scenes without a map"),
 )
-"""Columns of the tables of ``sweep`` beside those of an evaluation."""
+"""Further columns of the tables of ``sweep``."""
 
 
 def heading_help(heading: str) -> str:
     """Return unit and explanation of a column of an evaluation's tables; empty where it is the name of a scene."""
-    plain = re.sub(r" \(\d+ of \d+\)$", "", heading)  # a number of scenes; or a unit stands behind a comma
+    plain = re.sub(r" \(\d+ of \d+\)$", "", heading)  # a number of scenes; or a unit after a comma
     names = dict.fromkeys((heading, plain, plain.rpartition(", ")[0] or plain))
     columns = (*TABLES, *METRICS, *REGIONS)
     found = next((column for name in names for column in columns if column.fits(name)), None)

@@ -22,11 +22,11 @@ class Section:
 
     The mean over all scenes (``MEAN``) counts a scene without a map as wholly wrong. That over the common scenes
     (``COMMON_MEAN``), of which every run has a map, compares what was computed, as ranks do. A mean in one region is
-    over those of the scenes that have truth in it.
+    over the scenes that have truth in it.
 
     Attributes
     ----------
-    scenes, common : names of all scenes, and of those of which every run has a map
+    scenes, common : names of all scenes, and of scenes of which every run has a map
     missing : run -> names of the scenes of which it has no map
     places : the means that differ, ``MEAN`` first
     regions : names of the regions, in the protocol's order; the first is the main region
@@ -99,7 +99,7 @@ class Section:
 
     @cached_property
     def ranking(self) -> Ranking:
-        """The runs from the best single figure to the worst; those without one last, by that of the common scenes."""
+        """The runs from the best single figure to the worst; runs without one last, by the common scenes."""
         sign = self.protocol.headline.sign
         both = {run: [sign * self.overall(run, place).value for place in (MEAN, COMMON_MEAN)] for run in self.runs}
         order = sorted(self.runs, key=lambda run: [(math.isnan(v), 0.0 if math.isnan(v) else v) for v in both[run]])
@@ -171,7 +171,7 @@ class EvaluationReport:
     results: tuple[MapResult, ...]
     protocols: dict[str, AnyProtocol]  # by name, all that the results name
     truth: str  # folder or file of the ground truth, as people may see it
-    hints: tuple[str, ...] = ()  # what was assumed, and what looks wrong with the way scenes are scored, one line each
+    hints: tuple[str, ...] = ()  # assumptions, and doubts about the way scenes are scored, one line each
     plugins: dict[str, str] = field(default_factory=dict)  # package -> version, of those that took part
     flags: Flags = field(default_factory=Flags)
     unwritten: dict[str, str] = field(default_factory=dict)  # file of a page or sheet -> why it could not be written
@@ -192,9 +192,9 @@ class EvaluationReport:
         return [*self.hints, *(f"{run}: {scene}: {line}" for run, scene, line in self._of_maps(with_reports=True))]
 
     def warning_lines(self, with_reports: bool = True) -> list[str]:
-        """Return ``warnings``, one line for those of a run that differ in numbers and scenes alone.
+        """Return ``warnings``, one line for warnings of a run that differ in numbers and scenes alone.
 
-        ``with_reports=False`` leaves out those that the runs' own reports hold.
+        ``with_reports=False`` leaves out warnings of the runs' own reports.
         """
         found, of_maps = list(self.hints), self._of_maps(with_reports)
         for name in self.runs:
@@ -227,7 +227,7 @@ class EvaluationReport:
         return made + [row for section in self.sections for row in section.records()]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain values; NaN where there is no number."""
+        """Return everything as plain values; NaN for no number."""
         parts = [section.to_dict() for section in self.sections]
         names = ("means", "headlines", "by_threshold", "comparisons")
         return {

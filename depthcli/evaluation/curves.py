@@ -34,7 +34,7 @@ class Sparsification:
 
     percentages: tuple[int, ...]
     errors: tuple[float, ...]  # mean error among these shares of the pixels
-    best: tuple[float, ...]  # that of the best possible ranking
+    best: tuple[float, ...]  # of the best possible ranking
     mean: float  # error of all pixels, which is the area of a random ranking
     auc: float  # area of ``errors``
     optimal: float  # area of ``best``
@@ -54,7 +54,7 @@ class Sparsification:
 
     @property
     def aurg(self) -> float:
-        """Area between the curve and that of a random ranking (Poggi et al., CVPR 2020): more is better."""
+        """Area between the curve and the curve of a random ranking (Poggi et al., CVPR 2020): more is better."""
         return self.mean - self.auc
 
 
@@ -200,9 +200,9 @@ class ConfidenceCurve:
 
 
 class HiddenPixels(NamedTuple):
-    """How well a map's status says what the right view does not see; numbers of pixels with known truth."""
+    """How well a map's status marks pixels that the right view does not see; numbers of pixels with known truth."""
 
-    both: int  # said to be hidden, and hidden in truth
+    both: int  # marked as hidden, and hidden in truth
     said: int
     true: int
     pixels: int
@@ -219,7 +219,7 @@ class HiddenPixels(NamedTuple):
         return cls(*map(sum, zip(*parts, strict=True)))
 
     def shares(self) -> dict[str, float]:
-        """Return precision, recall and F1, and the shares of pixels said to be hidden and hidden, percent."""
+        """Return precision, recall and F1, and the shares of pixels marked as hidden and hidden, percent."""
         parts = {"precision": (self.both, self.said), "recall": (self.both, self.true),
                  "F1": (2 * self.both, self.said + self.true), "said": (self.said, self.pixels),
                  "true": (self.true, self.pixels)}  # fmt: skip
@@ -227,7 +227,7 @@ class HiddenPixels(NamedTuple):
 
 
 def hidden_pixels(status: NDArray[np.uint8], regions: Mapping[str, NDArray[np.bool_]]) -> HiddenPixels | None:
-    """Compare what a status map says about what the right view does not see with the truth: ``all`` less ``nonocc``.
+    """Compare the pixels that a status map marks as unseen by the right view with the truth: ``all`` less ``nonocc``.
 
     None if that is not known, nothing is hidden, or the status has another size.
     """

@@ -57,7 +57,7 @@ class Viewer(typing.Protocol):
     def add_map(
         self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, NDArray[Any]]
     ) -> None:
-        """Add one run's map to the scene: its scores, its file, and what the protocol read."""
+        """Add one run's map to the scene: its scores, its file, and the data that the protocol read."""
 
     def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
         """Write the file: the report, all of it as JSON, and run -> its resolved config, or empty."""
@@ -69,7 +69,7 @@ class Choices:
 
     protocol: AnyProtocol | None = None  # that scores all scenes; None: what every scene names
     settings: Settings = field(default_factory=Settings)
-    naming: Mapping[str, MapNaming] = field(default_factory=dict)  # of a run's maps; what is not given is recognized
+    naming: Mapping[str, MapNaming] = field(default_factory=dict)  # of a run's maps; the rest is recognized
     rows: Mapping[str, Row] | None = None  # scene -> row of the report of the only run; None: read from the runs
     conditions: Sequence[Condition] = ()  # on scores and on columns of the runs' reports, by which scenes are flagged
     viewers: Sequence[Viewer] = ()  # which show the maps, if there is a folder for the results
@@ -98,7 +98,7 @@ def evaluate_runs(
     Raises
     ------
     ConfigError
-        ``output`` holds files that no evaluation wrote under the names of its results; nothing is computed then.
+        ``output`` has files that no evaluation wrote under the names of its results; nothing is computed then.
     InputError
         No run, or one of which several files may be the maps. A map that is missing or unreadable is no error: it
         becomes a result with its reason (``report.failed``).
@@ -133,7 +133,7 @@ def evaluate_runs(
 
 @contextlib.contextmanager
 def can_be_missed(file: str, unwritten: dict[str, str], reporter: Reporter) -> Iterator[None]:
-    """Note in ``unwritten`` why a page or sheet could not be written, and say it: maps and scores do without."""
+    """Note in ``unwritten`` why a page or sheet could not be written, and warn: maps and scores do not need it."""
     try:
         yield
     except DepthcliError as error:
@@ -144,8 +144,8 @@ def can_be_missed(file: str, unwritten: dict[str, str], reporter: Reporter) -> I
 def _flag_columns(report: EvaluationReport, known: Mapping[str, Mapping[str, Row]]) -> list[Row]:
     """Return the rows that conditions see: scores, and the runs' own rows, also of scenes that were not scored.
 
-    A metric without a region behind it is that of the protocol's main region; ``bad 2 (0.5)``, whose threshold in
-    pixels of a smaller image stands in brackets, is ``bad 2``, too. ``known``: run -> scene -> row of its report.
+    A metric without a region belongs to the protocol's main region; ``bad 2 (0.5)``, whose threshold in
+    pixels of a smaller image is in brackets, is ``bad 2``, too. ``known``: run -> scene -> row of its report.
     """
     rows = {(run, scene): {**row, "run": run} for run, of_run in known.items() for scene, row in of_run.items()}
     for section in report.sections:
@@ -172,7 +172,7 @@ class _Scoring:
     choices: Choices
     naming: dict[str, MapNaming] = field(default_factory=dict)  # of a run's maps
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)  # by name, those that were used
-    hints: list[str] = field(default_factory=list)  # what was assumed, one line each
+    hints: list[str] = field(default_factory=list)  # assumptions, one line each
     maps: set[Path] = field(default_factory=set)  # files that were read
     unlike: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # protocol -> scenes that look otherwise
     unwritten: dict[str, str] = field(default_factory=dict)  # file of a viewer -> why it could not be written
@@ -219,7 +219,7 @@ class _Scoring:
         return replace(report, flags=flag_rows(self.choices.conditions, _flag_columns(report, known), reporter))
 
     def _recognize_maps(self, scenes: Sequence[Scene], names: Mapping[str, list[str]]) -> None:
-        """Find the pattern of the maps of every run that holds none under a usual name; InputError if several fit."""
+        """Find the pattern of the maps of every run that has none under a usual name; InputError if several fit."""
         usable: dict[str, tuple[Scene, AnyProtocol]] = {}
         for scene in scenes:
             with contextlib.suppress(DepthcliError):
@@ -238,11 +238,11 @@ class _Scoring:
             rows = self.reports[run]
             if rows and not any(name in rows for known in names.values() for name in known):
                 here, there = (", ".join([*of][:3]) + ", ..." * (len(of) > 3) for of in (rows, names))
-                self.hints.append(f"{run}: a run of other scenes ({here}) than those of the truth ({there})")
+                self.hints.append(f"{run}: a run of other scenes ({here}) than the truth ({there})")
             if place.is_dir() and not self.reports[run]:
                 self.naming[run] = recognized(run, place, given, files, fits)
                 if self.naming[run] != given:
-                    self.hints.append(f"{run}: taken as its maps: {self.naming[run].pattern} (--maps says otherwise)")
+                    self.hints.append(f"{run}: taken as its maps: {self.naming[run].pattern} (--maps sets others)")
 
     def _reader(self, protocol: AnyProtocol, options: MapNaming) -> AnyProtocol:
         """Return the protocol with the settings of one run, by which its maps are read."""
@@ -337,7 +337,7 @@ class _Scoring:
 
 @contextlib.contextmanager
 def _warned() -> Iterator[None]:
-    """Turn an error of a file beside a map, which the scores do without, into a warning."""
+    """Turn an error of a file of a map that the scores do not need into a warning."""
     try:
         yield
     except DepthcliError as error:

@@ -1,4 +1,4 @@
-"""The runs that are evaluated, and where their maps lie: which file is scored for a scene, and which belong to it."""
+"""The runs that are evaluated, and the places of their maps: the scored file of a scene, and its companions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ValueT = TypeVar("ValueT")
 
 @dataclass(frozen=True)
 class MapFiles:
-    """Names under which a run folder may hold the maps of its scenes."""
+    """Names under which a run folder may have the maps of its scenes."""
 
     places: tuple[str, ...]  # path of the map of ``{scene}`` in the run folder, without the ending; the first is taken
     suffixes: tuple[str, ...]  # endings of a map; the first that exists is taken
@@ -39,7 +39,7 @@ class MapFiles:
 
     @property
     def endings(self) -> tuple[str, ...]:
-        """All endings of a map: ``suffixes`` and, for maps of one channel, those of plug-ins' formats."""
+        """All endings of a map: ``suffixes`` and, for maps of one channel, the endings of plug-ins' formats."""
         return (*self.suffixes, *sorted(map_formats())) if ".pfm" in self.suffixes else self.suffixes
 
     def candidates(self, folder: Path, scene: str) -> Iterator[Path]:
@@ -61,7 +61,7 @@ class MapFiles:
         return f" (looked for {', '.join(named).replace('{scene}', 'SCENE')}{several})"
 
     def confidences(self, path: Path) -> dict[str, Path]:
-        """Return name -> file of the confidence maps beside a map: ``confidence_<name>.pfm`` or ``.npy``.
+        """Return name -> file of the confidence maps in the folder of a map: ``confidence_<name>.pfm`` or ``.npy``.
 
         That of ``confidence.pfm`` is called ``confidence``.
         """
@@ -72,25 +72,25 @@ class MapFiles:
         return {file.stem.removeprefix("confidence_"): file for file in named}
 
     def status(self, path: Path) -> Path | None:
-        """Return the status map beside a map; None where there is none."""
+        """Return the status map in the folder of a map, or None."""
         file = path.parent / "status.png"
         return file if self._in_run_folder(path) and file.is_file() else None
 
     def _in_run_folder(self, path: Path) -> bool:
-        """Return whether the map is named as in a run folder, so that the files beside it belong to it."""
+        """Return whether the map is named as in a run folder, so that the other files of its folder belong to it."""
         return any(Path(place).stem == path.stem for place in self.places)
 
 
 @dataclass(frozen=True)
 class DisparityFiles(MapFiles):
-    """Disparity maps of our runs and as the benchmarks' submissions hold them."""
+    """Disparity maps of our runs and of the benchmarks' submissions."""
 
     places: tuple[str, ...] = ("{scene}/disp_left", "{scene}", "disp_0/{scene}", "low_res_two_view/{scene}")
     suffixes: tuple[str, ...] = MAP_SUFFIXES
     other_places: tuple[str, ...] = ("{scene}/disp0METHOD.pfm",)
 
     def candidates(self, folder: Path, scene: str) -> Iterator[Path]:
-        """Yield also result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, else ``disp0METHOD_s.pfm``."""
+        """Yield also result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, then ``disp0METHOD_s.pfm``."""
         yield from super().candidates(folder, scene)
         inside = folder / scene
         kit = sorted(path for path in inside.glob("disp0*.pfm") if not path.stem.startswith("disp0GT"))
@@ -108,15 +108,15 @@ class MapNaming:
     # Path of the map of ``{scene}`` in the run folder, with its ending or ``.*``; empty: the protocol's.
     pattern: str = ""
     scale: float | None = None  # codes per unit, of maps of any kind
-    invalid: float | None = None  # value that stands for no value
+    invalid: float | None = None  # value that means none
 
     def over(self, other: MapNaming) -> MapNaming:
-        """Return what this one says, and where it says nothing, what the other does."""
+        """Return these settings, completed by the other ones."""
         invalid = other.invalid if self.invalid is None else self.invalid
         return MapNaming(self.pattern or other.pattern, self.scale or other.scale, invalid)
 
     def files(self, default: MapFiles) -> MapFiles:
-        """Return where the maps of the run lie, ``default`` where no pattern was given."""
+        """Return the places of the run's maps, ``default`` without a pattern."""
         any_ending = self.pattern.endswith(".*")
         of_pattern = MapFiles((self.pattern.removesuffix(".*"),), default.suffixes if any_ending else ("",))
         return of_pattern if self.pattern else default
@@ -188,14 +188,14 @@ def recognized(
 
     Parameters
     ----------
-    options : what was given for the run
-    scenes : scene -> where its maps may lie, and the names that it may have in the run folder
+    options : of the run, as given
+    scenes : scene -> places of its maps, and the names that it may have in the run folder
     fits : whether a file can be read as the map of a scene with such options
 
     Raises
     ------
     InputError
-        Several patterns are as frequent, and not exactly one of them is that of files that can be read; the message
+        Several patterns are as frequent, and not exactly one of them matches files that can be read; the message
         names the files and gives a ``--maps``.
     """
     try:
@@ -232,7 +232,7 @@ def recognized(
         return replace(options, pattern=fitting[0])
     why = f"{len(fitting)} kinds of file can be the maps" if fitting else "no file there can be read as a map"
     files_there, best = ", ".join(paths[:_N_SHOWN]), (fitting or likely)[0]
-    raise InputError(f"{shown(folder)}: {why} ({files_there}, ...); say which: --maps '{run}={best}'")
+    raise InputError(f"{shown(folder)}: {why} ({files_there}, ...); choose one: --maps '{run}={best}'")
 
 
 def _map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:
@@ -251,7 +251,7 @@ def given_naming(
     scales: Sequence[str] | None,
     invalids: Sequence[str] | None,
 ) -> tuple[MapNaming, dict[str, MapNaming]]:
-    """Return what the options for names and codes of maps say of all runs, and run -> what they say of it alone."""
+    """Return the options for names and codes of maps of all runs, and run -> options of it alone."""
     pattern, own_pattern = _by_run(pattern_option, patterns or (), runs, _pattern_of)
     scale, own_scale = _by_run("--scale", scales or (), runs, _positive)
     invalid, own_invalid = _by_run("--invalid", invalids or (), runs, float)
@@ -267,7 +267,7 @@ def _by_run(
     Parameters
     ----------
     texts : each ``VALUE``, or ``NAME=VALUE``
-    parse : makes a value of a text, or raises ValueError with what is expected
+    parse : makes a value of a text, or raises ValueError with the expected form
 
     Raises
     ------

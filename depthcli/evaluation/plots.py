@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d1f", "#000000")
 _MARKERS = "osD^vPX*"
 _BOUND = "#777777"
-_MAX_CURVES = 6  # of a plot beside its bounds; the tables have all
+_MAX_CURVES = 6  # of a plot, without its bounds; the tables have all
 _SHARE_AXIS = "most confident pixels, %"
 _SETTINGS: dict[str, Any] = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 10}
 _SETTINGS |= {"axes.spines.top": False, "axes.spines.right": False}
@@ -63,7 +63,7 @@ def _boxes(section: Section, what: str) -> str:
 
 
 def _by_threshold(section: Section, lines: Mapping[str, Sequence[Score]]) -> str:
-    """Return lines of what the protocol has at many thresholds; dots: those of the tables."""
+    """Return lines of the protocol's rates at many thresholds; dots: thresholds of the tables."""
     some = next(iter(lines.values()))[0]
     keys = [(m, region) for m, region in section.keys if m.threshold is not None and region == some.region]
     keys = [key for key in keys if key[0] == replace(some.metric, threshold=key[0].threshold)]
@@ -191,7 +191,7 @@ def _best(n_curves: int) -> str:
 
 @contextmanager
 def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, list[str]]]:
-    """Axes to draw in, and a list that holds the SVG's text afterwards; ``fixed``: the margins are."""
+    """Axes to draw in, and a list that receives the SVG's text; ``fixed``: the margins are."""
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure

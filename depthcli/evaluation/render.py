@@ -64,7 +64,7 @@ class Table:
         return cls(title, header, list(zip(*cells, strict=True)), note, better, scenes, name)
 
     def only(self, headings: Collection[str]) -> Table:
-        """Return the table with its first column and those of the headings."""
+        """Return the table with its first column and the columns of the headings."""
         chosen = [j for j, heading in enumerate(self.header) if j == 0 or heading in headings]
 
         def part(cells: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -120,7 +120,7 @@ class Table:
         return [round(min(share, 1.0), 2) for share in worse]
 
     def text(self, width: int = 10_000) -> str:
-        """Return aligned columns for a terminal, those of numbers set to the right; title and note wrapped at width."""
+        """Return aligned columns for a terminal, numbers set to the right; title and note wrapped at width."""
         lines = [tuple(map(one_line, line)) for line in (self.header, *self.rows)]
         widths = [max(len(line[j]) for line in lines) for j in range(len(self.header))]
         right = _numeric(self)
@@ -182,7 +182,7 @@ def _width(table: Table) -> int:
 
 
 def _numeric(table: Table) -> list[bool]:
-    """Return whether each column holds numbers alone; the first never does."""
+    """Return whether each column has numbers alone; the first never does."""
     return [j > 0 and all(map(_NUMERIC.fullmatch, table.column(j))) for j in range(len(table.header))]
 
 
@@ -228,5 +228,5 @@ def markdown_code(name: str) -> str:
 
 
 def markdown_link(path: str) -> str:
-    """Return a relative path as the target of a link, whatever bytes it holds."""
+    """Return a relative path as the target of a link, of whatever bytes."""
     return quote(os.fsencode(path))

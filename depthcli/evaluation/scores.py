@@ -23,12 +23,12 @@ MISSING_APART = "missing counted apart (invalid)"
 ESTIMATED_ONLY = "estimated pixels only"
 
 MEAN, COMMON_MEAN = "*mean", "*common mean"
-"""Scenes of the records that hold means: over all scenes, and over those of which every run has a map."""
+"""Scenes of the records of means: over all scenes, and over scenes of which every run has a map."""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """What a score is a value of; scores of equal metrics are averaged and compared."""
+    """The quantity of a score; scores of equal metrics are averaged and compared."""
 
     name: str  # ``bad``, ``D1``, ``avgerr`` ...
     unit: str  # ``%``, ``px``, ``mm`` ... or empty
@@ -45,7 +45,7 @@ class Metric:
 
     @property
     def heading_with_unit(self) -> str:
-        """The heading, with the unit behind a comma where there is one."""
+        """The heading, with its unit, if any, after a comma."""
         return f"{self.heading}, {self.unit}" if self.unit else self.heading
 
     @property
@@ -187,7 +187,7 @@ def record(where: Mapping[str, str], score: Score | None, source: str = "", note
     """Return one number of an evaluation as a row of ``scores.csv``, empty where there is nothing to write.
 
     ``where`` has ``run``, ``data_set``, ``scene`` (or a mean) and ``protocol``, ``source`` is the map's path inside the
-    run folder. Without a score the note says why there is none.
+    run folder. Without a score, the note has the reason.
     """
     cells = {"metric": "failed"} if score is None else score.row()
     if where["scene"] == COMMON_MEAN:
@@ -208,15 +208,15 @@ class MapResult:
     source: str = ""  # path of the map inside its run folder
     scores: tuple[Score, ...] = ()  # the worst of every metric if the map is missing; empty without a usable truth
     dense: tuple[Score, ...] = ()  # of the headline's metric at many thresholds, for plots
-    curves: tuple[ConfidenceCurve, ...] = ()  # of the confidence maps beside the map
-    hidden: HiddenPixels | None = None  # how well the map's status says what the right view does not see
+    curves: tuple[ConfidenceCurve, ...] = ()  # of the map's confidence maps
+    hidden: HiddenPixels | None = None  # how well the map's status marks pixels that the right view does not see
     seconds: float = math.nan  # by the run's report
     size: int = 0  # number of pixels (or voxels) of the scene, with known truth or without; 0 without a map
-    n_disparities: int = 0  # that the run searched; 0 where its report does not say
+    n_disparities: int = 0  # that the run searched; 0 if its report has no number
     warning: str = ""  # what looks wrong with the map
-    run_warnings: tuple[str, ...] = ()  # what the run's own report says of it
+    run_warnings: tuple[str, ...] = ()  # of the run's own report
     error: str = ""  # why there is no map to score
-    pooling_data: Any = field(default=None, repr=False, compare=False)  # what the protocol needs to pool scenes
+    pooling_data: Any = field(default=None, repr=False, compare=False)  # data by which the protocol pools scenes
 
     @property
     def picture(self) -> str:

@@ -19,7 +19,7 @@ _MAX_NAMES = 3  # of runs in a sentence
 
 
 def mean_of_known(values: Iterable[float]) -> float:
-    """Return the mean of the values that are not NaN; NaN where there is none."""
+    """Return the mean of the values that are not NaN; NaN without any."""
     known = [v for v in values if not math.isnan(v)]
     return math.fsum(known) / len(known) if known else math.nan
 
@@ -33,7 +33,7 @@ def average_ranks(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
 
     Returns
     -------
-    (methods,) float64, NaN where there are no columns
+    (methods,) float64, NaN without columns
     """
     if values.shape[1] == 0:
         return np.full(values.shape[0], np.nan)
@@ -77,8 +77,8 @@ class PairedTest:
     ties: int
     mean_difference: float  # of b - a (negative: b is better)
     worst_ratio: float  # largest b / a over the scenes (NaN where a is 0 everywhere)
-    # Rank-biserial correlation, -1 to 1: the ranks of b's losses less those of its wins, as a share of all ranks; the
-    # sign says which of the two the test speaks for (negative: b). 0 where all are ties.
+    # Rank-biserial correlation, -1 to 1: b's ranks of losses less those of wins, as a share of all ranks; the
+    # sign shows which of the two is better (negative: b). 0 if all are ties.
     rank_difference: float
     p_value: float  # two-sided Wilcoxon signed-rank test; ties are left out. NaN where no scene is compared
 
@@ -86,7 +86,7 @@ class PairedTest:
 def compare(a: Sequence[float], b: Sequence[float]) -> PairedTest:
     """Compare two methods scene by scene; lower is better, pairs with a NaN are left out.
 
-    The p value is exact up to 50 differences, or 10 where some are of one size; else a normal approximation. It is 1
+    The p value is exact up to 50 differences, or 10 if some are of one size; beyond, a normal approximation. It is 1
     below two differences.
     """
     pairs = [(x, y) for x, y in zip(a, b, strict=True) if not (math.isnan(x) or math.isnan(y))]
@@ -135,7 +135,7 @@ class Ranking:
     Parameters
     ----------
     runs : names, the best first
-    by_scene : run -> figure of every scene, lower is better, NaN where there is none
+    by_scene : run -> figure of every scene, lower is better, NaN for none
     """
 
     def __init__(self, runs: Sequence[str], by_scene: Mapping[str, Sequence[float]]) -> None:
@@ -150,7 +150,7 @@ class Ranking:
         return self.p_values[run] < SIGNIFICANT
 
     def word(self, run: str) -> str:
-        """Return what the test says of a run, in a word or two."""
+        """Return the verdict of the test on a run, in a word or two."""
         if run not in self.tests:
             return "best"
         if not self.tests[run].scenes:
@@ -162,7 +162,7 @@ class Ranking:
         return "worse" if self.tests[run].rank_difference > 0 else "better in most"
 
     def verdict(self) -> str:
-        """Return what the tests say, in a sentence or two; empty where there is one run."""
+        """Return the results of the tests, in a sentence or two; empty for one run."""
         if not self.tests:
             return ""
         if not self.n_tests:

@@ -18,14 +18,14 @@ from depthcli.evaluation.scores import COMMON_MEAN, ESTIMATED_ONLY, MEAN, Key
 from depthcli.evaluation.statistics import mean_of_known
 
 NAMES = ("headline", "overview", "metrics", "scenes", "further", "confidence", "hidden", "missing")
-"""Names of tables; behind them may stand a region or run and a data set, as in ``metrics-nonocc``."""
+"""Names of tables, which a region or run and a data set may follow, as in ``metrics-nonocc``."""
 
 MISSING = "*: scenes without a map count as wholly wrong; where a metric has no worst value there is no mean over all"
 TEST_COLUMNS = ("wins", "losses", "p (Holm)", "verdict")
-"""Headings of what the tests against the best run say."""
+"""Headings of the tests against the best run."""
 
-_TESTS_NOTE = "wins, losses: scenes on which"  # beginning of what a note says of them, up to its end
-_MIN_GAPS = 1.0  # % of the pixels that one run has and another lacks, from which a note says so
+_TESTS_NOTE = "wins, losses: scenes on which"  # beginning of their part of a note, up to its end
+_MIN_GAPS = 1.0  # % of the pixels that one run has and another lacks, from which there is a note
 _WIDTH = 100  # characters of a line of the headline table
 
 
@@ -82,7 +82,7 @@ def section_tables(section: Section) -> list[Table]:
 def summary(section: Section) -> Table:
     """Return the headline by region, the single figure, average rank, and the test against the best run.
 
-    The best run is the first. Where maps are missing, a second row of a run has the means over the common scenes.
+    The best run is the first. If maps are missing, a second row of a run has the means over the common scenes.
     """
     protocol, main, figures, places = section.protocol, section.regions[0], section.figure_regions, section.places
     headline = protocol.headline
@@ -125,7 +125,7 @@ def _test(section: Section, run: str) -> tuple[str, str, str, str]:
 
 
 def _tests_note(section: Section) -> str:
-    """Return how the runs were tested, and what came out; empty where there is one run."""
+    """Return how the runs were tested, and the results; empty for one run."""
     ranking, figures = section.ranking, section.figure_regions
     if not ranking.tests:
         return ""
@@ -138,7 +138,7 @@ def _tests_note(section: Section) -> str:
 
 
 def _gaps_note(section: Section) -> str:
-    """Return that maps with gaps are not comparable, where gaps cost nothing and the runs' differ; else nothing."""
+    """Return that maps with gaps are not comparable, if gaps cost nothing and differ; otherwise nothing."""
     key = section.protocol.headline, section.regions[0]
     shares = [section.score(run, section.places[-1], key).density for run in section.runs]
     known = [share for share in shares if not math.isnan(share)]
@@ -146,7 +146,7 @@ def _gaps_note(section: Section) -> str:
         return ""
     return (
         f"Each run is scored where it has values, {min(known):.1f} to {max(known):.1f} % of the pixels: gaps are not "
-        "counted, and often lie where the others are worst"
+        "counted, and are often where the others are worst"
     )
 
 
@@ -174,7 +174,7 @@ def overview(report: EvaluationReport) -> list[Table]:
     if len(report.runs) > 1:
         columns += map(TableColumn, TEST_COLUMNS, zip(*(_test(*row) for row in rows), strict=True))
         note.append(
-            f"{_TESTS_NOTE} the run's figure is better or worse than that of the data set's first, the "
+            f"{_TESTS_NOTE} the run's figure is better or worse than the figure of the data set's first, the "
             "best; p: Wilcoxon signed-rank test over the scenes, Holm-corrected within a data set"
         )
     return [Table.of_columns("Headline by data set", columns, ". ".join(note), "overview")]
@@ -206,7 +206,7 @@ def further_tables(report: EvaluationReport) -> list[Table]:
         "sparsification over the estimated pixels, of wrong ones (bad: by the headline's rule) and of the error; AUC: "
         "integral over all shares; random: their mean; AUSE, AURG: distance to optimal and random; 5-100: trapezoid "
         "over 5..100 %, as LAF-Net and the survey of Poggi et al. take it; ECE: expected calibration error, where the "
-        "confidence is a probability; a mean's is that of all pixels together"
+        "confidence is a probability; a mean's is over all pixels together"
     )
     hidden_note = (
         "pixels that the right view does not see, by status.png (occluded, or out of view) against the truth (in all, "
@@ -285,7 +285,7 @@ def _wide(
     columns: Sequence[tuple[str, str, Key]],
     ranks: dict[str, list[float]],
 ) -> Table:
-    """Return scores by run, the columns being (heading, scene or mean, key), with ranks and times beside them.
+    """Return scores by run, the columns being (heading, scene or mean, key), with ranks and times.
 
     Times are the mean seconds of a scene, of a megapixel, and of 10^9 pixels x disparities.
     """
@@ -305,7 +305,7 @@ def _wide(
         made.append(TableColumn(heading, cells, key[0].larger_is_better, place if place in section.scenes else ""))
     made += [TableColumn(heading, [Number(value, 1) for value in values], False) for heading, values in ranks.items()]
     made += [TableColumn(heading, list(map(Number, values)), False) for heading, values in known.items()]
-    note = "*: no map, counted as wholly wrong; means over scenes that all runs have beside"
+    note = "*: no map, counted as wholly wrong; see the means over scenes that all runs have"
     return Table.of_columns(title, made, note * (len(section.places) > 1), name)
 
 
@@ -334,7 +334,7 @@ def chosen_text(
     Parameters
     ----------
     names : names of tables, or their beginnings up to a dash; ``all``: all. Empty: all of a format are the wide ones
-    columns : headings of the columns to show beside the first one and ``run``; empty: all
+    columns : headings of the columns to show, in addition to the first one and ``run``; empty: all
     form : name of one of ``FORMATS``, in which tables of scenes and metrics are wide; None: aligned text, titles and
         notes wrapped
     caption : title in place of the table's own
@@ -373,7 +373,7 @@ def chosen_text(
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Raise ConfigError where a name can be that of no table."""
+    """Raise ConfigError if no table can have a name."""
     wrong = [name for name in names if name.partition("-")[0] not in (*NAMES, "all")]
     if wrong:
         raise ConfigError(f"--tables: expected all, {', '.join(NAMES)} (got {', '.join(wrong)})")

@@ -1,4 +1,4 @@
-"""The scenes with ground truth that runs are compared on: those of a folder, or the one of a single file."""
+"""The scenes with ground truth that runs are compared on, of a folder or of a single file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 from depthcli.io.walk import discover_scenes, scenes_with_files
 from depthcli.run.console import Reporter
 
-_DEFAULT_PROTOCOLS = "middlebury-v2", "depth"  # of a truth file that lies in no scene's folder, without --protocol
+_DEFAULT_PROTOCOLS = "middlebury-v2", "depth"  # of a truth file in no scene's folder, without --protocol
 _MILLIMETERS = 1000.0  # codes a meter of a depth map that is the truth, if the settings have no scale
 
 
@@ -30,14 +30,14 @@ def scenes_with_truth(
 ) -> list[Scene]:
     """Return the scenes of a folder that have ground truth, or cannot be used; or the scene of one file of it.
 
-    InputError where there is no scene with ground truth.
+    InputError if no scene has ground truth.
 
     Parameters
     ----------
     patterns : shell patterns of scene names
     layout : layout of the folder; None recognizes it
-    protocol : by which all are scored, so that it says their kind; None: by what every scene names
-    maps : what is compared with the truth; the name of a file can say that both are depth
+    protocol : by which all are scored, and their kind follows; None: by the protocol of every scene
+    maps : files compared with the truth; a name can show that both are depth
     """
     settings, reporter = settings or Settings(), reporter or Reporter(-1)
     if os.path.isfile(truth):

@@ -456,7 +456,7 @@ def test_maps_under_any_name(tmp_path: Path, truth: Path, capsys, place: str, op
     assert warnings == []
     taken, (hint,) = scores()
     assert taken == given
-    assert hint == f"other: taken as its maps: {place} (--maps says otherwise)"
+    assert hint == f"other: taken as its maps: {place} (--maps sets others)"
 
 
 def test_each_run_has_its_own_scale_and_invalid_value(tmp_path: Path, truth: Path):

@@ -108,7 +108,7 @@ def test_kitti(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, fo
     write_pfm(run / scenes[4] / "disp_left.pfm", np.full((3, 12), np.nan, np.float32))
     assert export(run, name, tmp_path / "b.zip") == 2
     said = capsys.readouterr().err
-    assert "000003_10: disparities up to 256; a 16-bit code holds less than 256" in said
+    assert "000003_10: disparities up to 256; 16-bit codes end below 256" in said
     assert "000004_10: no pixel has a value" in said
 
 

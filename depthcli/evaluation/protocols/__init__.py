@@ -1,9 +1,9 @@
 """Protocols: how a benchmark, or a kind of ground truth, scores a map and how that is shown; one file each.
 
-The folder is the registry. ``_disparity`` has what the protocols of disparity maps share: ``middlebury_v2``,
+The folder is the registry. ``_disparity`` has the common part of the protocols of disparity maps: ``middlebury_v2``,
 ``middlebury_v3``, ``eth3d``, ``kitti_2012``, ``kitti_2015``, ``scene_flow`` and ``booster``. ``depth`` scores depth
-maps, ``registration`` expected registration errors. ``load`` returns the class of a name, :class:`Protocol` says what
-it has to have, :class:`Presentation` its words, units and colors.
+maps, ``registration`` expected registration errors. ``load`` returns the class of a name, :class:`Protocol` lists
+its members, :class:`Presentation` its words, units and colors.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class ShownMap:
 
 
 def planes_beside(path: Path, files: MapFiles) -> dict[str, NDArray[Any]]:
-    """Return name -> confidence map beside a map; those that cannot be read are left out."""
+    """Return name -> confidence map in the folder of a map, without those that cannot be read."""
     found = {}
     for name, file in files.confidences(path).items():
         with contextlib.suppress(InputError):
@@ -108,12 +108,12 @@ class Presentation:
     note: str = ""  # explanation of the numbers, below the tables
     digits: int = 2  # decimals of the scores
     mean_heading: str = "mean"  # of the means over the scenes
-    scene_rows: bool = True  # tables have a row for every scene beside those of the means
-    quantity: str = "value"  # what a map holds, in a word
+    scene_rows: bool = True  # tables have a row for every scene in addition to the means
+    quantity: str = "value"  # quantity of a map, in a word
     threshold_axis: str = "threshold"  # label of a plot's axis
     error_pictures: bool = False  # a picture of right, wrong and missing pixels is written for every map
     visible_region: str = ""  # name of the region that both views see, pixels outside being shown as occluded; or empty
-    palette: Palette = field(default_factory=dict)  # colors and words of the status map beside a map
+    palette: Palette = field(default_factory=dict)  # colors and words of a map's status map
     opacity: float = 1.0  # initial one of a map's colors over the scene's image, 0 to 1
     verdicts: tuple[str, str] = ("right", "wrong")  # words for a pixel that is right, and for one that is wrong
     scale: tuple[float, float] | None = None  # of the colors if no truth is known; None: by the map
@@ -121,16 +121,16 @@ class Presentation:
     show: Callable[[Path, Scene, MapFiles], ShownMap] = lambda path, _, files: ShownMap(
         read_plane(path), planes_beside(path, files)
     )
-    # Returns what is shown beneath maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey levels of a volume; or None.
+    # Returns the picture beneath maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey levels of a volume; or None.
     image: Callable[[Scene], NDArray[np.uint8] | None] = _first_image
     # Returns the map of a sensor that methods refine, (H, W) in the unit, NaN = none; None: there is no such map.
     sensor: Callable[[Scene], NDArray[np.floating[Any]] | None] = lambda _: None
     # Returns an array of a region's shape as an image or volume, NaN or False where it has no point, given the truth;
-    # None: the points lie on no grid and cannot be shown.
+    # None: the points are on no grid and cannot be shown.
     on_grid: Callable[[NDArray[Any], Any], NDArray[Any] | None] = lambda points, _: points if points.ndim > 1 else None
-    axes: Callable[[Any], tuple[SliceAxis, ...]] = lambda _: ()  # of what is shown if it is a volume, given the truth
+    axes: Callable[[Any], tuple[SliceAxis, ...]] = lambda _: ()  # of the picture if it is a volume, given the truth
     at_points: Callable[[Any], bool] = lambda _: False  # whether the truth is of few points: the whole map is shown
-    # Returns further tables of a run, from what the protocol keeps of every scene with a map.
+    # Returns further tables of a run, from the protocol's data of every scene with a map.
     tables: Callable[[str, Sequence[Any]], list[Table]] = lambda _, __: []
 
     @property
@@ -174,12 +174,12 @@ TruthT = TypeVar("TruthT", bound=Truth)
 class Settings:
     """Options of an evaluation; every protocol takes those that apply to it (``Protocol.takes``)."""
 
-    scale: float | None = None  # codes per unit of maps that hold integer codes; None: by the file's kind and the scene
+    scale: float | None = None  # codes per unit of maps of integer codes; None: by the file's kind and the scene
     resolution: str | None = None  # size of the ground truth if a benchmark has several (Middlebury v3: F, H or Q)
     threshold: float | None = None  # of the headline, in the protocol's unit, instead of the benchmark's
     resize: tuple[int, int] | None = None  # (width, height) of depth maps and truth, nearest neighbor (ClearGrasp)
     invalid: float | None = None  # value of disparity files that is no value, before ``scale``; NaN: there is none
-    any_scale: bool = False  # ``scale`` is of all files, not only of those that may hold integer codes
+    any_scale: bool = False  # ``scale`` applies to all files, not only to integer codes
 
     def __post_init__(self) -> None:
         if self.resolution not in (None, "F", "H", "Q"):
@@ -197,7 +197,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
     """
 
     kind: ClassVar[type[Scene]]  # of scene that is scored
-    files: ClassVar[MapFiles]  # where a run folder may hold the maps
+    files: ClassVar[MapFiles]  # places of the maps in a run folder
     presentation: ClassVar[Presentation]
     read_truth: Callable[[Any], Any]  # reads the ground truth of a scene of that kind as stored
     headline: Metric  # the metric that ranks runs; ``scores`` has it for every region
@@ -206,7 +206,7 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
     averages_regions: ClassVar[bool] = False  # the single figure of a run is the mean over all regions
     curve_regions: ClassVar[tuple[str, ...]] = ()  # of the confidence curves; empty: the main region
     weights: ClassVar[Mapping[str, float]] = {}  # short name of a scene -> its weight in means, if not 1
-    # Makes one score of those of one metric and region in several scenes, with the scenes' weights.
+    # Makes one score of the scores of one metric and region in several scenes, with the scenes' weights.
     pool: ClassVar[staticmethod[[Sequence[Score], Sequence[float]], Score]] = staticmethod(mean_of_scenes)
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -305,7 +305,7 @@ def missing_scores(protocol: AnyProtocol, truth: Truth, dense: bool = False) -> 
 
 
 def shown_pixels(protocol: AnyProtocol, truth: Truth) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the pixels of any region, and those of them that the other view does not see."""
+    """Return the pixels of any region, and the pixels among them that the other view does not see."""
     known: NDArray[np.bool_] = np.logical_or.reduce(list(truth.regions.values()))
     visible = truth.regions.get(protocol.presentation.visible_region)
     return known, np.zeros_like(known) if visible is None else known & ~visible
@@ -335,7 +335,7 @@ _REGISTRY = Registry[AnyProtocol](__name__)
 
 
 def names() -> list[str]:
-    """Return the names of all protocols, with dashes, those of plug-ins last."""
+    """Return the names of all protocols, with dashes, plug-ins last."""
     return [name.replace("_", "-") for name in _REGISTRY.names()]
 
 

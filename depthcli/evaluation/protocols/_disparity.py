@@ -1,4 +1,4 @@
-"""What the stereo protocols share: disparity maps and their truth, and warnings about wrong scales."""
+"""Common part of the stereo protocols: disparity maps and their truth, and warnings about wrong scales."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class DisparityTruth:
     looks_like: str = ""  # other protocols that such a truth is usually scored by
 
     def reference(self, region: str) -> Disparity:
-        """Return the values that a region is compared with: those of ``noc`` for its regions."""
+        """Return the values that a region is compared with: the values of ``noc`` for its regions."""
         return self.noc if self.noc is not None and region.startswith("noc") else self.values
 
     @cached_property
@@ -107,7 +107,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         return replace(self.thresholded_metric, threshold=threshold)
 
     def masks(self, stored: StereoTruth) -> Masks:
-        """Return name -> mask of every region, from what the files give."""
+        """Return name -> mask of every region, from the files."""
         return {**stored.masks, "all": stored.masks.get("all", ~np.isnan(stored.disparity))}
 
     def truth(self, scene: Scene) -> DisparityTruth:
@@ -168,7 +168,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         return -np.inf if np.nanmin(truth.values, initial=np.float32(0)) < 0 else 0.0
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Return the values that are compared, here the estimate without what is below the lowest value."""
+        """Return the values that are compared, here the estimate without values below the lowest one."""
         fitted = self.resized(estimate, truth)
         with np.errstate(invalid="ignore"):
             return np.where(fitted < self.lowest(truth), np.float32(np.nan), fitted)
@@ -221,7 +221,7 @@ _SCALES = (2.0, 3.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)  # factors of cod
 def scale_warning(estimate: Disparity, truth: Disparity) -> str | None:
     """Return a warning where the estimate looks like the truth in another unit, the most frequent mistake.
 
-    That is so where the ratio estimate / truth of half of the pixels lies within 8 % of one factor: a power of two,
+    That is so if the ratio estimate / truth of half of the pixels is within 8 % of one factor: a power of two,
     3, one of their reciprocals, or -1 for a swapped sign. None: no warning.
     """
     with np.errstate(invalid="ignore"):

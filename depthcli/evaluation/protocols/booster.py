@@ -10,7 +10,7 @@ from depthcli.evaluation.protocols._disparity import PRESENTATION, DisparityProt
 class BoosterProtocol(DisparityProtocol):
     """Bad-pixel rates at 2, 4, 6 and 8 px and average errors; missing values count as bad.
 
-    The regions are those of the files: all pixels with a true disparity, those that both views show, and the classes of
+    The regions come from the files: all pixels with a true disparity, pixels that both views show, and the classes of
     materials from ``class_0`` to ``class_3`` (transparent or a mirror).
     """
 

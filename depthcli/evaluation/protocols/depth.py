@@ -30,7 +30,7 @@ _RATIOS = (1.05, 1.10, 1.25, 1.25**2, 1.25**3)  # of delta, as in ClearGrasp and
 _WRONG_RATIO = 1.05  # from which on a pixel is shown as wrong: the smallest of delta
 _METERS = (".pfm", ".npy")  # endings of maps in meters
 _CODES_OR_METERS = (".npz", ".tif", ".tiff")
-_CODES_PER_METER = 1000.0  # millimeters, where neither file nor settings say otherwise
+_CODES_PER_METER = 1000.0  # millimeters, unless the file or settings have another scale
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class DepthTruth:
 
 
 def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
-    """Return a run's map in mm, with the expected error that lies beside it as ``sigma.pfm``."""
+    """Return a run's map in mm, with the error in ``sigma.pfm`` of its folder."""
     scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
     values, sigma = 1000.0 * read_depth(path, scale).astype(np.float64), path.with_name("sigma.pfm")
     figures, error, note = {"no value, %": 100.0 * float(np.isnan(values).mean())}, None, ""
@@ -81,7 +81,7 @@ def _sensor(scene: Scene) -> NDArray[np.float64] | None:
 class DepthProtocol(Protocol[Depth, DepthTruth]):
     """Mean and root-mean-square errors, relative errors, and shares of pixels within a ratio of the truth.
 
-    The metrics are those of the depth completion literature: MAE and RMSE in millimeters, REL the mean of
+    The metrics come from the depth completion literature: MAE and RMSE in millimeters, REL the mean of
     ``|z - z_true| / z_true``, and delta, the percentage of pixels with ``max(z / z_true, z_true / z)`` below 1.05, 1.10
     and 1.25 (ClearGrasp's ``eval_depth_completion.py``, TransCG's ``utils/metrics.py``) and below 1.25 squared and
     cubed (the convention of NYU). Where the sensor's focal length x baseline is known, ``MAE px`` and ``bad 1 px``
@@ -198,7 +198,7 @@ def _mean(tally: Tally, metric: Metric, values: NDArray[np.floating[Any]]) -> Sc
 
 
 def _delta(tally: Tally, ratios: NDArray[np.float64], limit: float) -> Score:
-    """Return the percentage of ``ratios``, those of the estimated pixels, below a limit."""
+    """Return the percentage of ``ratios`` of the estimated pixels below a limit."""
     metric = Metric("delta", "%", round(limit, 4), ESTIMATED_ONLY, larger_is_better=True, label=f"delta {limit:.4g}")
     return tally.number(metric, 100.0 * float(np.mean(ratios < limit)) if ratios.size else np.nan, ratios.size)
 

@@ -15,7 +15,7 @@ MISSING_NOT_COUNTED = "estimated pixels only; an empty map counts as bad"
 
 
 class Eth3dProtocol(DisparityProtocol):
-    """Bad pixels among the estimated ones, with the coverage beside them.
+    """Bad pixels among the estimated ones, with their coverage.
 
     Values, negative ones included, are neither clipped nor rounded; one beyond the image's width counts as missing.
     A map without any value is 100 % bad. The quantile A_q is element floor(q n / 100) of the n sorted errors.

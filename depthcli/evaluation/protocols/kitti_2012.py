@@ -25,7 +25,7 @@ from depthcli.io.stereo_pairs import StereoTruth
 
 INTERPOLATED = "background-interpolated"
 NOTHING_ESTIMATED = 0.0
-"""Figure of the estimated pixels where there is none: the kits divide no error by no less than one pixel."""
+"""Figure of the estimated pixels without any: the kits divide no error by no less than one pixel."""
 
 _EMPTY = np.float32(-1)  # value of a row without any, as the kit writes it
 
@@ -79,7 +79,7 @@ class Kitti2012Protocol(DisparityProtocol):
         return 0.0
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Return the values that a 16-bit PNG holds: codes 1 to 65535, 256 a pixel."""
+        """Return the values that a 16-bit PNG can store: codes 1 to 65535, 256 a pixel."""
         values = self.resized(estimate, truth)
         codes = np.clip(np.rint(values.astype(np.float64) * KITTI_SCALE), 1, 65535) / KITTI_SCALE
         return np.where(known_kitti(values), codes, np.nan).astype(np.float32)
@@ -123,7 +123,7 @@ def interpolate_background(disparity: Disparity) -> Disparity:
 
     Along rows, a run between two values gets the smaller of them; then the first and last value of a
     row are extended to its borders; then the first and last filled row of a column to top and bottom.
-    Only a row without any value that lies between others stays empty.
+    Only a row without any value between others stays empty.
     """
     known = ~np.isnan(disparity)
     width = disparity.shape[1]

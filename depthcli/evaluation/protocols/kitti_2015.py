@@ -44,7 +44,7 @@ class Kitti2015Protocol(Kitti2012Protocol):
 
     A quotient of exactly 5 % counts as wrong: in single precision it is a little above. ``occ_bg`` and ``occ_fg`` are
     the background and the objects of ``occ``, likewise for ``noc``; they are never averaged into one figure. The
-    outliers and average errors of KITTI 2012 stand beside D1, pooled too. The pooled density counts all pixels of
+    outliers and average errors of KITTI 2012 are reported with D1, pooled too. The pooled density counts all pixels of
     frames without any estimate, as the kit's sums do; where no frame has one, the estimated pixels score 0.
     """
 

@@ -17,7 +17,7 @@ class MiddleburyV2Protocol(DisparityProtocol):
     """Bad-pixel rates.
 
     A pixel is bad if ``|d - d_true| > t`` or if it has no value (Scharstein & Szeliski, IJCV 2002, eq. 2; the
-    online evaluation's rule for missing values). The average and root-mean-square errors beside them are over the
+    online evaluation's rule for missing values). The average and root-mean-square errors are over the
     estimated pixels. Masks that the files do not give are derived where both views' truth is known.
     """
 
@@ -58,6 +58,6 @@ def derive_masks(
         other = right[rows, np.clip(target, 0, left.shape[1] - 1)]
         with np.errstate(invalid="ignore"):
             nonocc = known & (target >= 0) & (np.abs(other - left) <= 1)
-    with np.errstate(over="ignore"):  # damaged truth may hold any number
+    with np.errstate(over="ignore"):  # damaged truth may have any number
         disc = discontinuity_mask(filled, nonocc, known)
     return {"nonocc": nonocc, "all": known, "disc": disc}

@@ -62,7 +62,7 @@ class MiddleburyV3Protocol(DisparityProtocol):
     def masks(self, stored: StereoTruth) -> Masks:
         """Return the masks of the files; without ``nonocc``, as in the sets of 2014 and 2021, it is derived.
 
-        It is derived from the truth of both views, as that of Middlebury v2.
+        It is derived from the truth of both views, as in Middlebury v2.
         """
         masks = super().masks(stored)
         if "nonocc" not in masks and stored.right is not None and stored.right.shape == stored.disparity.shape:

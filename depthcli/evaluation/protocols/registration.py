@@ -73,10 +73,10 @@ class PreparedTruth:
 
 
 class ExpectedErrorFiles(MapFiles):
-    """Volumes of expected errors, with one confidence volume beside each."""
+    """Volumes of expected errors, with one confidence volume each."""
 
     def confidences(self, path: Path) -> dict[str, Path]:
-        """Return the volume beside ``expected_error`` that is called ``confidence``, if there is one."""
+        """Return the volume ``confidence`` in the folder of ``expected_error``, or None."""
         file = path.with_name(path.name.replace("expected_error", "confidence", 1))
         return {"confidence": file} if file != path and file.is_file() else {}
 
@@ -119,7 +119,7 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     mean, high = (float(known.mean()), float(np.quantile(known, 0.95))) if known.size else (math.nan, math.nan)
     confidence = {name: _turned(file) for name, file in files.confidences(path).items()}
     note = (
-        f"{_CAUTION}; in the body: mean over the mask, or else over tissue and what it encloses, and its 95 % quantile"
+        f"{_CAUTION}; in the body: mean over the mask, or over tissue and all that it encloses, and its 95 % quantile"
     )
     figures = {"expected error in the body, mm": mean, "95 % quantile, mm": high}
     return ShownMap(values, confidence, None, _axes(grid), figures, note)
@@ -179,7 +179,7 @@ def point_scores(region: str, expected: Errors, true: Errors) -> list[Score]:
 class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
     """Agreement of expected and true errors, mm, at landmarks, or at every voxel where the true error is dense.
 
-    TRE, the true errors themselves, say how good the registration is, and are the same for every method; TRE30 is the
+    TRE, the true errors themselves, measure the registration, and are the same for every method; TRE30 is the
     mean of the worst 30 % (Learn2Reg's robustness). Means over several pairs are taken over all of their points
     together.
     """
@@ -271,7 +271,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         ]
 
     def mean(self, results: Sequence[MapResult]) -> list[Score]:
-        """Compute every metric over all points of the scenes; those of a scene without any value count as the worst.
+        """Compute every metric over all points of the scenes; points of a scene without any value count as the worst.
 
         Of more than ``_MAX_POOLED`` points every scene gives the same share, drawn without regard to the other scenes.
         """
@@ -308,7 +308,7 @@ def _drawn(points: tuple[Errors, Errors], share: float) -> tuple[Errors, Errors]
 
 
 def _with_missing(score: Score, share: float, n_points: int) -> Score:
-    """Return the score where a share of the points lies in scenes without any value; NaN without a worst value."""
+    """Return the score if a share of the points is in scenes without any value; NaN without a worst value."""
     if share == 0:
         return replace(score, region_pixels=n_points)
     worst = math.nan if score.metric.worst is None else score.metric.worst
