@@ -1,7 +1,8 @@
-"""README, CONTRIBUTING and pages: the files that they name exist, and the example of a Makefile works."""
+"""README, CONTRIBUTING and pages: the files and options that they name exist, the example of a Makefile works."""
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from depthcli.cli import command_of
 from tests.command_line import statuses
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -20,6 +22,15 @@ def test_named_files_exist():
     names = set(re.findall(r"(?<![\w/])((?:scripts|depthcli|tests|configs|docs)/[\w./-]*[\w/])", text))
     missing = {name for name in names if not (ROOT / name).exists()}
     assert missing == {"depthcli/methods/stereo/cost/squared_difference.py"}  # the example of CONTRIBUTING.md
+
+
+def test_the_commands_of_the_readme_have_these_options():
+    lines = re.findall(r"^depthcli ([a-z]\S*)(.*)$", README, re.MULTILINE)
+    assert {"stereo", "evaluate", "depth"} <= {name for name, _ in lines}
+    for name, line in lines:
+        options = {option for each in command_of(name).params for option in each.opts}
+        used = {word for word in shlex.split(line, comments=True) if word.startswith("-")}
+        assert used <= options, (name, used - options)
 
 
 def _makefile() -> str:
