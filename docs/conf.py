@@ -7,17 +7,14 @@ from typing import Any
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
-from sphinx_gallery.sorting import FileNameSortKey
 
 import depthcli
 
 project = "depthcli"
 copyright = "the depthcli authors"
 release = version = depthcli.__version__
-extensions = [
-    "myst_parser", "sphinx_copybutton", "sphinx_gallery.gen_gallery",
-]  # fmt: skip
-exclude_patterns = ["gallery/*", "files"]
+extensions = ["myst_parser", "sphinx_copybutton"]
+exclude_patterns = ["files"]
 nitpicky = True
 html_theme = "furo"
 html_title = f"depthcli {release}"
@@ -31,18 +28,6 @@ myst_heading_anchors = 6
 suppress_warnings = ["config.cache"]
 copybutton_prompt_text = "$ "
 copybutton_only_copy_prompt_lines = True
-sphinx_gallery_conf = {
-    "examples_dirs": "gallery",
-    "gallery_dirs": "gallery_pages",
-    "filename_pattern": r"/\w+\.py$",
-    "within_subsection_order": FileNameSortKey,
-    "show_memory": False,
-    "parallel": 2,
-    "download_all_examples": False,
-    "show_signature": False,
-    "abort_on_example_error": True,
-    "remove_config_comments": True,
-}
 
 
 def _equation(code: str, display: str) -> str:

@@ -57,6 +57,16 @@ class ExampleError(Exception):
     """An example of a page that fails, or a block that nothing would run."""
 
 
+def environment(folder: Path) -> dict[str, str]:
+    """Return the environment of examples: this checkout's code, and its program, which is written into a folder."""
+    root, program = Path(__file__).resolve().parent.parent, folder / "bin" / "depthcli"
+    program.parent.mkdir(parents=True, exist_ok=True)
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m depthcli "$@"\n', "utf-8")
+    program.chmod(0o755)
+    path = os.pathsep.join([*map(str, (program.parent, Path(sys.executable).parent)), os.environ["PATH"]])
+    return os.environ | {"PATH": path, "PYTHONPATH": os.pathsep.join(map(str, (root, root / "docs" / "examples")))}
+
+
 def same_output(shown: str, printed: str) -> bool:
     """Return whether two outputs agree up to seconds, memory, and 2 % of other numbers."""
     first, second = (list(_comparable(text.splitlines())) for text in (shown, printed))

@@ -1,6 +1,4 @@
-"""
-Expected error of a registration
-================================
+"""Expected error of a registration.
 
 A known smooth field displaces a volume. Estimate the error from both volumes alone, and compare it with the field.
 """

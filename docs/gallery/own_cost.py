@@ -1,6 +1,4 @@
-"""
-A cost measure of your own
-==========================
+"""A cost measure of your own.
 
 One file with one class is a plug-in: with ``--plugin``, a config can name it.
 """

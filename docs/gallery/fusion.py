@@ -1,6 +1,4 @@
-"""
-Fusion of measures
-==================
+"""Fusion of measures.
 
 One matching cost, four with equal weights, and four fused by consensus, in which the measures of a pixel vote.
 """

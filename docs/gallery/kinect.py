@@ -1,6 +1,4 @@
-"""
-Refinement of a Kinect's depth map
-==================================
+"""Refinement of a Kinect's depth map.
 
 Gaps are filled and widened foreground is corrected; the status map says which pixel is which.
 """

@@ -1,6 +1,4 @@
-"""
-A transparent object
-====================
+"""A transparent object.
 
 The sensor sees through glass. A second, sparse depth map shows where, and fills the region.
 """

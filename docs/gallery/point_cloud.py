@@ -1,6 +1,4 @@
-"""
-Point cloud of a rig
-====================
+"""Point cloud of a rig.
 
 Disparities become meters by focal length and baseline; the measured pixels become colored points.
 """

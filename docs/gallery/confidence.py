@@ -1,6 +1,4 @@
-"""
-Confidence and the sparsification curve
-=======================================
+"""Confidence and the sparsification curve.
 
 A good confidence measure is low at wrong pixels, so that fewer of the surest pixels are wrong.
 """
