@@ -146,7 +146,7 @@ def refine_depth(
         depth_camera = Intrinsics(*numbers(list(depth_intrinsics), "depth_intrinsics", (4,)).tolist())
     if depth_to_color is not None:
         if len(depth_to_color) != 2:
-            raise InputError(f"depth_to_color: want rotation and translation (got {len(depth_to_color)} parts)")
+            raise InputError(f"depth_to_color: expected rotation and translation (got {len(depth_to_color)} parts)")
         turn, shift = (np.ravel(np.asarray(part)).tolist() for part in depth_to_color)
         rotation = numbers(turn, "depth_to_color: rotation", (9,)).tolist()
         place = tuple(rotation), tuple(numbers(shift, "depth_to_color: translation", (3,)).tolist())
@@ -244,22 +244,22 @@ def complete_transparent(
     frame: SparseFrame | RgbIrFrame
     if config.stereo is None and config.pipeline.needs == "objects":
         if objects is None:
-            raise InputError("this config wants a mask of the transparent objects: give objects")
+            raise InputError("this config needs a mask of the transparent objects: give objects")
         inside, nothing = as_map(objects, "objects", measured.shape) != 0, np.full_like(measured, np.nan)
         if not (np.isfinite(measured) & ~inside).any():
             raise InputError("objects: no pixel outside of them has a depth")
         frame = SparseFrame(image, measured, fb or sensor_fb(camera), camera, sparse=nothing, objects=inside)
     elif config.stereo is None:
         if second is None:
-            raise InputError("this config wants sparse depth: give sparse, or a preset with stereo")
+            raise InputError("this config needs sparse depth: give sparse, or a preset with stereo")
         surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
         frame = SparseFrame(image, measured, fb or sensor_fb(None), camera, sparse=second, sparse_confidence=surer)
     else:
         if infrared is None:
-            raise InputError("this config wants an infrared image: give infrared, or sparse with another preset")
+            raise InputError("this config needs an infrared image: give infrared, or sparse with another preset")
         if (calibration is None) == (fb is None):
             both = "the calibration of both cameras, or fb of a rectified pair"
-            raise ConfigError(f"an infrared image wants either {both}")
+            raise ConfigError(f"an infrared image needs either {both}")
         grey, rig = infrared_image(as_image(infrared, "infrared")), None
         if calibration is not None:
             found = read_color_infrared_rig(Path(calibration), (width, height), (grey.shape[1], grey.shape[0]))

@@ -60,7 +60,7 @@ class MapConfidence:
             raise ConfigError("share and threshold exclude each other")
         for name, value in (("share", share), ("threshold", threshold)):
             if value is not None and not 0 <= value <= 1:
-                raise ConfigError(f"{name}: want a number from 0 to 1 (got {value:g})")
+                raise ConfigError(f"{name}: expected a number from 0 to 1 (got {value:g})")
         limit = threshold or 0.0
         known = self.probability[np.isfinite(self.values)]
         if share is not None and known.size:
@@ -102,7 +102,7 @@ def map_confidence(
     Parameters
     ----------
     left, right : the images, as for :func:`stereo`; right None: there is none, and the map is judged by its shape and
-        the left image alone, which say far less. Witnesses, most measures and what is hidden want a right image
+        the left image alone, which say far less. Witnesses, most measures and hidden pixels need a right image
     disparity : (H, W) pixels, the left view's map; NaN, infinite and negative ones = no value
     max_disparity : largest disparity that is compared with, pixels; None: as the pair says; values above are wrong
     witnesses : maps of the same view by other methods, which make the judgment better
@@ -122,7 +122,7 @@ def map_confidence(
     True
     """
     if right is None and (witnesses or right_disparity is not None):
-        raise ConfigError("right: witnesses and right_disparity want a right image")
+        raise ConfigError("right: witnesses and right_disparity need a right image")
     images = as_image(left, "left") if right is None else as_pair(left, right)
     given = {"disparity": disparity, **{f"witnesses[{k}]": one for k, one in enumerate(witnesses)}}
     shape = (images.shape[0], images.shape[1])
@@ -233,7 +233,7 @@ def fused(
 ) -> Disparity:
     """Return one map of several, of which some have a (H, W) ``status``; errors as of :func:`judged`."""
     if not 1 <= len(maps) <= MAX_MAPS:
-        raise InputError(f"maps: want 1 to {MAX_MAPS} (got {len(maps)})")
+        raise InputError(f"maps: expected 1 to {MAX_MAPS} (got {len(maps)})")
     top, clean, warnings = _prepared(pair, maps, max_disparity, within)
     size = f"{pair.shape[1]} x {pair.shape[0]} pixels, {top + 1} disparities"
     check_memory(peak_bytes(pair.shape, top, len(clean) + N_ADDED), memory, size)
@@ -254,7 +254,7 @@ def _prepared(
     Where none is given, the pair says it, not the maps, whose scale may be wrong; the maps do where the pair cannot.
     """
     if not 0.25 <= within <= 8:
-        raise ConfigError(f"within: want 0.25 to 8 pixels (got {within:g})")
+        raise ConfigError(f"within: expected 0.25 to 8 pixels (got {within:g})")
     if max_disparity is not None and not max_disparity >= 1:
         raise InputError(f"max_disparity: must be at least 1 (got {max_disparity})")
     finite = {name: one[np.isfinite(one)] for name, one in maps.items()}

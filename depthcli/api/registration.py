@@ -280,7 +280,7 @@ def _volume(
         given, placed = tuple(spacing)[::-1], tuple(origin)
     numbers = np.array([*given, *placed, *axes.ravel()], np.float64)
     if numbers.shape != (15,) or not np.isfinite(numbers).all() or min(given) <= 0 or abs(np.linalg.det(axes)) < 1e-6:
-        raise InputError(f"{name}: want three positive spacings, an origin of three numbers and three axes")
+        raise InputError(f"{name}: expected three positive spacings, an origin of three numbers and three axes")
     x, y, z = (float(v) for v in given)
     at = (float(placed[0]), float(placed[1]), float(placed[2]))
     depth, height, width = values.shape

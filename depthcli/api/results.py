@@ -161,7 +161,7 @@ class Disparity(Shown, DisparityMap):
         elif calibration is not None:
             geometry = read_geometry(Path(calibration), (2, 3))
         if geometry is None:
-            raise ConfigError("to_depth wants either a calibration file, or focal (pixels) and baseline (meters)")
+            raise ConfigError("to_depth needs either a calibration file, or focal (pixels) and baseline (meters)")
         geometry = geometry.for_size(width, height)
         depth = geometry.depth(np.where(chosen_pixels(self, mask, self.confidence), self.values, np.float32(np.nan)))
         return Depth(depth, self.status, geometry.left, self.left)

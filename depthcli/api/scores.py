@@ -175,7 +175,7 @@ def _points(
     if given.shape != wanted.shape or given.size == 0:
         raise InputError(f"estimate: shape {given.shape}, but the truth has {wanted.shape}")
     if isinstance(mask, Mapping):
-        raise InputError("mask: registration errors have one region; want an array")
+        raise InputError("mask: registration errors have one region; expected an array")
     expected, error = (as_volume(np.atleast_2d(each), n) for each, n in ((given, "estimate"), (wanted, "truth")))
     if mask is not None:
         error = np.where(np.asarray(mask).reshape(error.shape) > 0, error, np.float32(np.nan))

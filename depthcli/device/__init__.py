@@ -223,7 +223,7 @@ def find_device(wanted: str) -> DeviceInfo | None:
         return next((info for info in devices() if info.is_gpu), None)
     kind, _, number = wanted.partition(":")
     if kind not in KINDS or not (number.isdigit() or wanted == kind):
-        raise ConfigError(f"device {wanted}: want cpu, auto, opencl or cuda, or one of several by opencl:N, cuda:N")
+        raise ConfigError(f"device {wanted}: expected cpu, auto, opencl or cuda, or one of several by opencl:N, cuda:N")
     found, why_none = _found(kind)
     for info in sorted(found, key=lambda info: not info.is_gpu):
         if wanted in (info.address, kind):

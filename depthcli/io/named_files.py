@@ -80,13 +80,13 @@ def _named_volumes(values: Mapping[str, Any]) -> list[Scene]:
     fixed, apply = values.get("fixed"), values.get("apply")
     both = {"displacement", "transform"} <= files.keys()
     if apply is not None and not (both and apply in LEFT_OUT):
-        raise ConfigError(f"--apply: want {', '.join(LEFT_OUT)}, of a pair with --displacement and --transform")
+        raise ConfigError(f"--apply: expected {', '.join(LEFT_OUT)}, of a pair with --displacement and --transform")
     if fixed is None:
         if files:
-            raise ConfigError(f"--{next(n for n in roles if roles[n] in files)} wants --fixed beside it")
+            raise ConfigError(f"--{next(n for n in roles if roles[n] in files)} needs --fixed, too")
         return []
     if "moving_warped" not in files and not ("moving" in files and files.keys() & {"displacement", "transform"}):
-        raise ConfigError("--fixed wants --warped, or --moving with --displacement or --transform, beside it")
+        raise ConfigError("--fixed needs --warped, or --moving with --displacement or --transform")
     if both and apply is None:
         raise ConfigError("both --displacement and --transform: leave one out, or say which counts by --apply")
     files.pop(LEFT_OUT.get(apply or "", ""), None)
@@ -98,7 +98,7 @@ def _together(values: Mapping[str, Any], *names: str) -> bool:
     given = [name for name in names if values.get(name) is not None]
     if given and len(given) < len(names):
         missing = " and ".join(f"--{name}" for name in names if name not in given)
-        raise ConfigError(f"--{given[0]} wants {missing} beside it")
+        raise ConfigError(f"--{given[0]} needs {missing}, too")
     return bool(given)
 
 
@@ -129,7 +129,7 @@ def _pair(name: str, left: Path | None, right: Path | None, fields: Mapping[str,
         if re.fullmatch(r"[-+]?[0-9]{1,7}", text) and abs(int(text)) <= MAX_DISPARITY:
             known[key] = int(text)
         else:
-            problem = f"{there}: {key}: want a whole number up to {MAX_DISPARITY} (got {text[:40]!r})"
+            problem = f"{there}: {key}: expected a whole number up to {MAX_DISPARITY} (got {text[:40]!r})"
     if "calibration" in fields:
         known["calibration"] = folder / fields["calibration"]
     return StereoScene(name=name, folder=there.parent, left=left or there, right=right, problem=problem, **known)
@@ -172,7 +172,7 @@ def scenes_of_table(path: Path) -> list[StereoScene]:
         for number, row in enumerate(rows, 1):
             fields.append({key: word.strip() for key, word in zip(columns, row, strict=False) if word.strip()})
             if len(row) > len(columns) or not {"left", "right"} <= fields[-1].keys():
-                raise InputError(f"pair {number}: want {', '.join(columns)} (got {','.join(row)[:60]!r})")
+                raise InputError(f"pair {number}: expected {', '.join(columns)} (got {','.join(row)[:60]!r})")
         taken = Counter(each["name"] for each in fields if "name" in each)
         if twice := [name for name, count in taken.items() if count > 1]:
             raise InputError(f"two lines are called {twice[0][:100]!r}")

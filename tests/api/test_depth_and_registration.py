@@ -117,8 +117,11 @@ def test_what_is_a_measured_depth_is_the_same_for_the_command(tmp_path: Path):
         ((COLOR, np.zeros((8, 9), np.uint16)), "depth: no pixel has a depth"),
         (([COLOR], DEPTH), "two lists of as many"),
         (([COLOR, COLOR[:5]], [DEPTH, DEPTH[:5]]), "frame 1: 9 x 5, but frame 0 is 9 x 8"),
-        ((COLOR, DEPTH, {"depth_intrinsics": (1, 2, 3)}), "depth_intrinsics: want 4 finite numbers"),
-        ((COLOR, DEPTH, {"depth_to_color": np.eye(4)}), "depth_to_color: want rotation and translation .got 4 parts"),
+        ((COLOR, DEPTH, {"depth_intrinsics": (1, 2, 3)}), "depth_intrinsics: expected 4 finite numbers"),
+        (
+            (COLOR, DEPTH, {"depth_to_color": np.eye(4)}),
+            "depth_to_color: expected rotation and translation .got 4 parts",
+        ),
     ],
 )
 def test_wrong_frames_and_cameras_are_refused(arguments: tuple[Any, ...], message: str):
@@ -128,8 +131,8 @@ def test_wrong_frames_and_cameras_are_refused(arguments: tuple[Any, ...], messag
 
 
 def test_what_a_preset_needs_is_said():
-    refused(depthcli.InputError, "wants sparse depth", depthcli.complete_transparent, COLOR, DEPTH, preset="sparse")
-    refused(depthcli.InputError, "wants an infrared image", depthcli.complete_transparent, COLOR, DEPTH)
+    refused(depthcli.InputError, "needs sparse depth", depthcli.complete_transparent, COLOR, DEPTH, preset="sparse")
+    refused(depthcli.InputError, "needs an infrared image", depthcli.complete_transparent, COLOR, DEPTH)
     with pytest.raises(depthcli.ConfigError, match="either the calibration of both cameras, or fb"):
         depthcli.complete_transparent(COLOR, DEPTH, infrared=COLOR[..., 0])
     refused(depthcli.ConfigError, "override depth_scale", depthcli.refine_depth, COLOR, DEPTH, depth_scale=-1)

@@ -152,7 +152,7 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
         (("stereo", "opencv-sgmb", "-i", ".", "-o", "x"), "did you mean 'opencv-sgbm'?"),
         (("stereo", "absent.yaml", "-i", ".", "-o", "x"), "absent.yaml: neither a file nor a preset"),
         (("stereo", FAST, "-o", "x"), "give --input DIR, or --left FILE and --right FILE"),
-        (("stereo", FAST, "-i", ".", "--left", "a", "-o", "x"), "--left wants --right"),
+        (("stereo", FAST, "-i", ".", "--left", "a", "-o", "x"), "--left needs --right"),
         (("stereo", FAST, "-i", ".", "--left", "a", "--right", "b", "-o", "x"), "exclude each other"),
         (("stereo", FAST, "-i", "absent", "-o", "x"), "absent: no such folder"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--set", "blok=3"), "--set blok: no such key (got 3); did you mean"),

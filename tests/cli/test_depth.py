@@ -123,7 +123,7 @@ def test_where_the_calibration_comes_from(matched: tuple[Path, Path], tmp_path: 
     assert (tmp_path / "c/planes_0/depth.pfm").read_bytes() != maps[0]
     (tmp_path / "calib.txt").write_text(V3.replace("178.089", "wide"))
     assert run("depth", *one, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "c", "--overwrite") == 3
-    assert "calib.txt: baseline: want 1 number (got 'wide')" in capsys.readouterr().err
+    assert "calib.txt: baseline: expected 1 number (got 'wide')" in capsys.readouterr().err
     assert run("depth", *one, "--focal", "700", "-o", tmp_path / "d") == 2
     assert run("depth", *one, *by_hand, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "d") == 2
 

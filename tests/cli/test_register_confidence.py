@@ -102,7 +102,7 @@ def test_a_field_and_a_transform_are_refused_unless_one_counts(tmp_path, capsys)
         for pair in (*discover_scenes(folder, ALL_KINDS), *named_scenes(VolumePairScene, given | {"apply": apply})):
             assert not pair.problem
             assert {role for role in files if getattr(pair, role) is not None} == counting
-    with pytest.raises(ConfigError, match="--apply: want displacement, transform, both"):
+    with pytest.raises(ConfigError, match="--apply: expected displacement, transform, both"):
         named_scenes(VolumePairScene, given | {"apply": "field"})
 
 
@@ -165,8 +165,8 @@ def test_special_values_cause_no_warning(tmp_path, special):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--fixed", "a.nii"], "--fixed wants --warped, or --moving"),
-        (["--warped", "a.nii"], "--warped wants --fixed"),
+        (["--fixed", "a.nii"], "--fixed needs --warped, or --moving"),
+        (["--warped", "a.nii"], "--warped needs --fixed"),
         (["--fixed", "a.nii", "--warped", "b.nii", "--field", "spm"], "field"),
     ],
 )

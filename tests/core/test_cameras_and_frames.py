@@ -37,7 +37,7 @@ def test_impossible_cameras_are_refused(matrix, distortion, fisheye, said):
     [
         ({"rotation": 2 * np.eye(3)}, "not a rotation"),
         ({"rotation": -np.eye(3)}, "not a rotation"),
-        ({"rotation": np.eye(2)}, "want R"),
+        ({"rotation": np.eye(2)}, "expected R"),
         ({"translation": np.zeros(3)}, "at one place"),
         ({"translation": np.array([np.nan, 0, 0])}, "at one place"),
         ({"right": Camera(MATRIX, (0,) * 4, None, True)}, "cannot be rectified together"),

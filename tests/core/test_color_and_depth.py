@@ -115,7 +115,7 @@ def test_a_map_of_the_same_aspect_is_taken_as_registered():
         ((48, 60), COLOR, None, None, "60 x 48, but the color image is 480 x 360; .* depth_intrinsics"),
         ((48, 64), COLOR, Intrinsics(0, 1, 2, 3), None, "positive focal lengths"),
         ((48, 64), COLOR, DEPTH, ((0.0,) * 9, (0.0,) * 3), "not a rotation matrix"),
-        ((48, 64), COLOR, DEPTH, (PLACE[0], (30.0, 0, 0)), "want meters"),
+        ((48, 64), COLOR, DEPTH, (PLACE[0], (30.0, 0, 0)), "expected meters"),
         ((48, 64), COLOR, DEPTH, (PLACE[0], (0.0, 0, -9)), "no point of the depth map lies in the color image"),
     ],
 )

@@ -164,7 +164,7 @@ def test_what_names_mean(two_devices, monkeypatch):
     with pytest.raises(DeviceError, match="nothing there"):
         find_device("cuda")
     for name in ("gpu", "opencl:", "opencl:x", "cuda:-1"):
-        with pytest.raises(ConfigError, match="want cpu, auto"):
+        with pytest.raises(ConfigError, match="expected cpu, auto"):
             find_device(name)
     monkeypatch.setattr(depthcli.device.opencl, "find_devices", lambda: ([SLOW], ""))
     assert find_device("auto") is None  # without a card the processor

@@ -152,9 +152,9 @@ def test_size_is_limited_before_reading(tmp_path: Path):
     path = tmp_path / "huge.png"
     with path.open("wb") as file:
         file.truncate(1 << 40)  # sparse
-    assert "want at most" in told(read_bytes, path)
+    assert "expected at most" in told(read_bytes, path)
     (tmp_path / "small").write_bytes(bytes(11))
-    with pytest.raises(InputError, match="11 bytes, want at most 10"):
+    with pytest.raises(InputError, match="11 bytes, expected at most 10"):
         read_bytes(tmp_path / "small", max_bytes=10)
     assert len(read_bytes(tmp_path / "small", max_bytes=11)) == 11
     if Path("/proc/self/pagemap").exists():  # a regular file of size 0 that never ends

@@ -167,7 +167,7 @@ def test_npz_files(tmp_path: Path):
     np.savez(tmp_path / "unnamed.npz", x=values, y=values)
     for name in ("one", "named"):
         np.testing.assert_array_equal(read_disparity(tmp_path / f"{name}.npz"), values)
-    with pytest.raises(InputError, match=r"an .npz file of 2 arrays \(x, y\); want a single one"):
+    with pytest.raises(InputError, match=r"an .npz file of 2 arrays \(x, y\); expected one"):
         read_disparity(tmp_path / "unnamed.npz")
     whole = (tmp_path / "one.npz").read_bytes()
     for n_bytes in (10, len(whole) // 2, len(whole) - 3):
@@ -212,7 +212,7 @@ def test_rotated_codes_and_what_are_none(tmp_path: Path):
     np.testing.assert_array_equal(read_depth(tmp_path / "sun.png", rotate=3)[0, 1:], codes[0, 1:] / np.float32(1000))
     for bad in (np.array([[-1]]), np.array([[70000]]), np.array([[1.5]])):
         np.save(tmp_path / "bad.npy", bad)
-        refused(InputError, r"bad\.npy: want codes", read_kinect_raw, tmp_path / "bad.npy")
+        refused(InputError, r"bad\.npy: expected codes", read_kinect_raw, tmp_path / "bad.npy")
 
 
 def test_meters(tmp_path: Path):

@@ -84,7 +84,7 @@ def test_tables(tmp_path: Path):
     table.write_text("a.png,b.png\na.png,c.png\n")
     assert [p.name for p in scenes_of_table(table)] == ["1_a", "2_a"]
     for text, said in (
-        ("left,right,depht\na,b,c\n", "no such column: depht"), ("a.png\n", "pair 1: want left, right"),
+        ("left,right,depht\na,b,c\n", "no such column: depht"), ("a.png\n", "pair 1: expected left, right"),
         ("", "no pair"),
         ("left,right,name\na,b,x\nc,d,x\n", "two lines are called 'x'"),
     ):  # fmt: skip

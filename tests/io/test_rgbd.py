@@ -214,7 +214,7 @@ def test_numbered_frames_have_poses_by_order_or_by_number(tmp_path: Path, lines:
 
 @pytest.mark.parametrize(("text", "said"), [
     ("", "poses.txt: holds no pose"),
-    ("0 1 2 3 0 0 0 1\n1 x 2 3 0 0 0 1\n", "line 2: want"),
+    ("0 1 2 3 0 0 0 1\n1 x 2 3 0 0 0 1\n", "line 2: expected"),
     ("0 1 2 3 0 0 0 2\n", "quaternion"),
     ("1 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n", "two poses of one time"),
     ("1 0 0 0\n0 1 0 0\n0 0 1 0\n", "not 4 rows"),
@@ -255,10 +255,13 @@ DEPTH_CAMERA = {"fx": 20, "fy": 20, "cx": 15, "cy": 10}
     ("meta", "said"),
     [
         ({"depth_intrinsics": DEPTH_CAMERA}, "want those of the color camera"),
-        ({"depth_intrinsics": {**DEPTH_CAMERA, "fx": 0}}, "meta.json: depth_intrinsics: fx: want a positive number"),
-        ({"depth_intrinsics": {"fx": 3}}, "meta.json: depth_intrinsics: want all of fx, fy, cx, cy"),
-        ({"depth_to_color": 3}, "meta.json: depth_to_color: want rotation and translation"),
-        ({"depth_to_color": {"rotation": np.eye(3).tolist()}}, "meta.json: depth_to_color: translation: want 3"),
+        (
+            {"depth_intrinsics": {**DEPTH_CAMERA, "fx": 0}},
+            "meta.json: depth_intrinsics: fx: expected a positive number",
+        ),
+        ({"depth_intrinsics": {"fx": 3}}, "meta.json: depth_intrinsics: expected all of fx, fy, cx, cy"),
+        ({"depth_to_color": 3}, "meta.json: depth_to_color: expected rotation and translation"),
+        ({"depth_to_color": {"rotation": np.eye(3).tolist()}}, "meta.json: depth_to_color: translation: expected 3"),
     ],
 )
 def test_cameras_of_meta_json_that_cannot_be(tmp_path: Path, meta: dict[str, object], said: str):
@@ -476,7 +479,7 @@ def test_sixteen_bits_use_their_own_range(tmp_path):
     ("change", "infrared", "said"),
     [
         (None, (28, 36), "no calibration"),
-        ({"color": None}, (28, 36), "color: want K"),
+        ({"color": None}, (28, 36), "color: expected K"),
         ({"t": [80, 0, 0]}, (28, 36), "baseline of 80 m; the translation is in meters"),
         ({"infrared": {"K": K, "size": [640, 480]}}, (28, 36), r"calibrated for a infrared image of \[640, 480\]"),
         ({"infrared": {"K": K, "distortion": [1, 2, 3]}}, (28, 36), "coefficients"),

@@ -157,7 +157,7 @@ def test_four_dimensions_and_vectors(tmp_path):
     SimpleITK.WriteImage(series, str(tmp_path / "four.nii.gz"))
     unreadable(tmp_path / "four.nii.gz", "4-D")
     write_array(tmp_path / "field.mha", Grid((6, 5, 4), (1.0, 1.0, 1.0)), volume(True))
-    unreadable(tmp_path / "field.mha", "3 values a voxel, want 1")
+    unreadable(tmp_path / "field.mha", "3 values a voxel, expected 1")
 
 
 def test_dirlab_raw(tmp_path):
@@ -169,7 +169,7 @@ def test_dirlab_raw(tmp_path):
     np.testing.assert_array_equal(read.values, values)
     assert read.grid.spacing == (0.97, 0.97, 2.5)
     (tmp_path / "case.img").write_bytes(values.tobytes()[:-2])
-    unreadable(tmp_path / "case.img", "46 bytes, want 48")
+    unreadable(tmp_path / "case.img", "46 bytes, expected 48")
 
 
 def labels_of(values, regions=()):
@@ -333,4 +333,4 @@ def test_other_kinds_of_volume_are_not_tried(tmp_path: Path):
     write_array(tmp_path / "a.mha", Grid(SIZE, (1.0, 1.0, 1.0)), VALUES)
     for name in ("a.dcm", "a.vtk", "a"):
         (tmp_path / name).write_bytes((tmp_path / "a.mha").read_bytes())
-        refused(InputError, r"want \.nii", read_volume, tmp_path / name)
+        refused(InputError, r"expected \.nii", read_volume, tmp_path / name)

@@ -67,7 +67,7 @@ def check_place(rotation: NDArray[np.float64], translation: NDArray[np.float64])
     if not is_rotation(rotation):
         raise InputError("depth_to_color: the rotation is not a rotation matrix")
     if not np.linalg.norm(translation) <= _MAX_TRANSLATION:
-        raise InputError(f"depth_to_color: the translation is longer than {_MAX_TRANSLATION:g} m; want meters")
+        raise InputError(f"depth_to_color: the translation is longer than {_MAX_TRANSLATION:g} m; expected meters")
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or min(np.diag(self.matrix)) <= 0:
-            raise InputError("calibration: want a finite 3 x 3 camera matrix with positive focal lengths")
+            raise InputError("calibration: expected a finite 3 x 3 camera matrix with positive focal lengths")
         if abs(np.linalg.det(self.matrix)) < 1e-9:
             raise InputError("calibration: the camera matrix is singular")
         counts = _COEFFICIENT_COUNTS[self.fisheye]

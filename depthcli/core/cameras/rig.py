@@ -31,7 +31,7 @@ class Rig:
 
     def __post_init__(self) -> None:
         if self.rotation.shape != (3, 3) or self.translation.shape != (3,):
-            raise InputError("calibration: want R (3, 3) and T (3,)")
+            raise InputError("calibration: expected R (3, 3) and T (3,)")
         if not is_rotation(self.rotation):
             raise InputError("calibration: R is not a rotation")
         if not np.isfinite(self.translation).all() or not np.linalg.norm(self.translation) > 0:

@@ -49,7 +49,7 @@ class PairGeometry:
     def __post_init__(self) -> None:
         numbers = (self.left.fx, self.left.fy, self.left.cx, self.left.cy, self.baseline, self.offset)
         if not np.isfinite(numbers).all():
-            raise InputError("calibration: want finite numbers")
+            raise InputError("calibration: expected finite numbers")
         if self.left.fx <= 0 or self.left.fy <= 0:
             raise InputError(f"calibration: a focal length of {min(self.left.fx, self.left.fy):g} pixels")
         if self.baseline <= 0:

@@ -148,13 +148,13 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
             if fields.get("rectified") is True:
                 fb = _number(fields, "fb")
                 if not 0 < fb < 1e9:
-                    raise InputError(f"fb: want focal length x baseline, pixel meters (got {fb:g})")
+                    raise InputError(f"fb: expected focal length x baseline, pixel meters (got {fb:g})")
                 return fb
             cameras = []
             for name, image_size in (("color", color_size), ("infrared", infrared_size)):
                 camera = fields.get(name)
                 if not isinstance(camera, dict):
-                    raise InputError(f"{name}: want K, distortion, size (got {str(camera)[:40]!r})")
+                    raise InputError(f"{name}: expected K, distortion, size (got {str(camera)[:40]!r})")
                 if (size := camera.get("size")) not in (None, list(image_size)):
                     raise InputError(f"calibrated for a {name} image of {str(size)[:40]}, got one of {image_size}")
                 with naming(name):
@@ -220,7 +220,7 @@ def _opencv_rig(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -
     if missing := [part for part, name in names.items() if not name]:
         unknown = f"{_UNKNOWN}: " if len(missing) == len(names) else ""
         raise InputError(
-            f"{unknown}no {', '.join(missing)}; want K1 D1 K2 D2 R T (or M1 ..., cameraMatrix1 ...) as OpenCV, "
+            f"{unknown}no {', '.join(missing)}; expected K1 D1 K2 D2 R T (or M1 ..., cameraMatrix1 ...) as OpenCV, "
             "camera_matrix as ROS, cam0 as Kalibr, or K_02 as KITTI"
         )
     size = None
@@ -249,11 +249,11 @@ def _kalibr_rig(file: dict[str, Any]) -> Rig:
     for name in ("cam0", "cam1"):
         fields = file.get(name)
         if not isinstance(fields, dict):
-            raise InputError(f"no {name}; want a camchain of two cameras")
+            raise InputError(f"no {name}; expected a camchain of two cameras")
         with naming(name):
             model, lens = str(fields.get("camera_model")), str(fields.get("distortion_model"))
             if model != "pinhole" or lens not in _KALIBR:
-                raise InputError(f"{model}, {lens}: want pinhole with {', '.join(_KALIBR)}")
+                raise InputError(f"{model}, {lens}: expected pinhole with {', '.join(_KALIBR)}")
             matrix = Intrinsics(*_field(fields, "intrinsics", (4,))).matrix
             distortion = np.zeros(4) if lens == "none" else _field(fields, "distortion_coeffs", (4,))
             size = image_sides(fields.get("resolution"), "resolution")
@@ -271,7 +271,7 @@ def _ros_rig(files: Sequence[dict[str, Any]]) -> Rig:
         with naming(name):
             model = str(fields.get("distortion_model", "plumb_bob"))
             if model not in _ROS:
-                raise InputError(f"distortion_model {model}: want {', '.join(_ROS)}")
+                raise InputError(f"distortion_model {model}: expected {', '.join(_ROS)}")
             size = image_sides([fields.get("image_width"), fields.get("image_height")], "image_width, image_height")
             cameras.append(_camera(fields, "camera_matrix", "distortion_coefficients", size, _ROS[model]))
             rotations.append(_field(fields, "rectification_matrix", (3, 3)))
@@ -298,7 +298,7 @@ def _booster_geometry(fields: dict[str, Any]) -> PairGeometry:
     for name in ("proj_matL", "proj_matR"):  # (3, 3), (3, 4) or (4, 4)
         values = _field(fields, name)
         if values.size not in (9, 12, 16):
-            raise InputError(f"{name}: want a projection of 3 x 4 numbers (got {values.size})")
+            raise InputError(f"{name}: expected a projection of 3 x 4 numbers (got {values.size})")
         projections.append(values.reshape(-1, 3 if values.size == 9 else 4))
     left, right = projections
     baseline = _number(fields, "baselineLR") / _MILLIMETERS

@@ -35,7 +35,7 @@ _COMMON_SCALES = (1000.0, 5000.0, 8000.0, 10_000.0, 256.0, 100.0)
 def codes_of(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
     """Return integers as codes of 16 bits; InputError for other numbers."""
     if values.dtype.kind not in "iu" or (values.dtype.itemsize > 1 and (values.min() < 0 or values.max() > 65535)):
-        raise InputError(f"{shown(path)}: want codes from 0 to 65535, got {values.dtype}")
+        raise InputError(f"{shown(path)}: expected codes from 0 to 65535, got {values.dtype}")
     return values.astype(np.uint16)
 
 
@@ -48,7 +48,7 @@ def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) ->
     """
     values = read_plane(path)
     if values.dtype.kind == "b":
-        raise InputError(f"{shown(path)}: true or false, want depths")
+        raise InputError(f"{shown(path)}: true or false, expected depths")
     if values.dtype.kind in "iu":
         if scale is None and values.dtype.itemsize == 1:
             raise InputError(f"{shown(path)}: 8-bit depth needs a scale (codes per meter)")
@@ -113,7 +113,7 @@ def check_fb(path: Path | str, fb: float, depth: NDArray[np.float32]) -> None:
     if disparity > width:
         warn(
             f"{shown(path)}: fb {fb:g} makes the median disparity {disparity:.4g} px, wider than the image of {width} "
-            "px; want focal length x baseline in pixels x meters"
+            "px; expected focal length x baseline in pixels x meters"
         )
 
 

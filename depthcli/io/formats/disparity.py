@@ -118,7 +118,7 @@ def _decode_npy(data: bytes) -> NDArray[Any]:
         names = stored.files if len(stored.files) == 1 else [name for name in _MAP_NAMES if name in stored.files]
         if len(names) != 1:
             raise InputError(
-                f"an .npz file of {len(stored.files)} arrays ({', '.join(stored.files)[:200]}); want a single one, or "
+                f"an .npz file of {len(stored.files)} arrays ({', '.join(stored.files)[:200]}); expected one, or "
                 f"one of them called {', '.join(_MAP_NAMES)}"
             )
         if (size := max(info.file_size for info in stored.zip.infolist())) > _MAX_UNPACKED_BYTES:
@@ -133,7 +133,7 @@ def _decode_npy(data: bytes) -> NDArray[Any]:
 def _numbers(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
     if array.ndim != dimensions or array.dtype.kind not in "biuf" or not array.size:
         want = "(H, W)" if dimensions == 2 else "(H, W, D)"
-        raise InputError(f"want an {want} array of numbers, got {array.dtype} of shape {array.shape}")
+        raise InputError(f"expected an {want} array of numbers, got {array.dtype} of shape {array.shape}")
     return array
 
 
@@ -147,7 +147,7 @@ def _decode_pfm(data: bytes, path: Path | str) -> NDArray[np.float32]:
         warn(f"{shown(path)}: the PFM has {got - want} bytes more than its {width} x {height} values; they are ignored")
     values = np.frombuffer(data, dtype, n_values, start).reshape(height, width, channels)[::-1]
     if channels == 3 and not np.array_equal(values, np.repeat(values[..., :1], 3, axis=2), equal_nan=True):
-        raise InputError("a colour PFM, want one channel")
+        raise InputError("a colour PFM, expected one channel")
     plane: NDArray[np.float32] = values[..., 0].astype(np.float32, order="C")
     return plane
 
@@ -160,7 +160,7 @@ def write_pfm(path: Path | str, values: NDArray[np.floating[Any]]) -> None:
 def encode_pfm(values: NDArray[np.floating[Any]]) -> bytes:
     """Return the bytes that :func:`write_pfm` writes."""
     if values.ndim != 2:
-        raise ValueError(f"want (H, W), got {values.shape}")
+        raise ValueError(f"expected (H, W), got {values.shape}")
     plane = values.astype("<f4")
     plane[np.isnan(plane)] = np.inf
     header = f"Pf\n{plane.shape[1]} {plane.shape[0]}\n-1\n".encode()
@@ -175,7 +175,7 @@ def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) 
 def encode_disparity_png(disparity: NDArray[np.floating[Any]]) -> bytes:
     """Return the bytes that :func:`write_disparity_png` writes."""
     if disparity.ndim != 2:
-        raise ValueError(f"want (H, W), got {disparity.shape}")
+        raise ValueError(f"expected (H, W), got {disparity.shape}")
     known = np.isfinite(disparity)
     codes = np.zeros(disparity.shape, np.uint16)
     codes[known] = np.clip(np.rint(disparity[known].astype(np.float64) * KITTI_SCALE), 1, 65535).astype(np.uint16)

@@ -102,7 +102,7 @@ def _npz(path: Path) -> NDArray[Any]:
             raise InputError("not a readable .npz file") from None
     fields = [array for array in arrays if array.ndim == 4 and 3 in (array.shape[0], array.shape[3])]
     if len(fields) != 1:
-        raise InputError("want one array (X, Y, Z, 3) or (3, X, Y, Z) of displacements")
+        raise InputError("expected one array (X, Y, Z, 3) or (3, X, Y, Z) of displacements")
     return np.transpose(fields[0], (2, 1, 0, 3) if fields[0].shape[3] == 3 else (3, 2, 1, 0))
 
 
@@ -319,7 +319,7 @@ def _elastix_transform(fields: dict[str, list[str]]) -> Any:
     spacing, index = np.array(values("GridSpacing", 3)), np.array(values("GridIndex", 3, [0.0, 0.0, 0.0]))
     if order not in (1, 2, 3) or min(x, y, z) < 1 or min(spacing) <= 0:
         raise InputError(
-            f"B-splines of order {order:g} on {x} x {y} x {z} points {spacing} mm apart; want order 1 to 3"
+            f"B-splines of order {order:g} on {x} x {y} x {z} points {spacing} mm apart; expected order 1 to 3"
         )
     origin = np.array(values("GridOrigin", 3)) + axes @ (spacing * index)
     grid = Grid((x, y, z), tuple(spacing), tuple(origin), tuple(axes.ravel()))
@@ -372,7 +372,7 @@ def _points(lines: list[str], columns: list[int], first: int) -> NDArray[np.floa
         try:
             points.append([float(parts[k]) for k in columns])
         except (ValueError, IndexError):
-            raise InputError(f"point {number}: want x, y, z (got {line[:60]!r})") from None
+            raise InputError(f"point {number}: expected x, y, z (got {line[:60]!r})") from None
     if not points:
         raise InputError("no points")
     array = np.array(points)

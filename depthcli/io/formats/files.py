@@ -85,7 +85,7 @@ def open_regular(path: Path | str) -> Iterator[BinaryIO]:
         handle = os.open(path, _FLAGS)
         try:
             if not stat.S_ISREG(os.fstat(handle).st_mode):
-                raise InputError(f"{shown(path)}: want a regular file, no folder, pipe or device")
+                raise InputError(f"{shown(path)}: expected a regular file, no folder, pipe or device")
             with os.fdopen(handle, "rb", closefd=False) as file:
                 yield file
         finally:
@@ -101,7 +101,7 @@ def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         if size > max_bytes:
-            raise InputError(f"{shown(path)}: {size} bytes, want at most {max_bytes}")
+            raise InputError(f"{shown(path)}: {size} bytes, expected at most {max_bytes}")
         try:
             data = file.read(size + 1)
         except MemoryError:

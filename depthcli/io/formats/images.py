@@ -91,7 +91,7 @@ def decode_grey(data: bytes) -> Image:
     """Return what :func:`read_grey` does, from the bytes of a file."""
     pixels = decode_image(data)
     if pixels.ndim == 3 and not (pixels == pixels[..., :1]).all():
-        raise InputError("a colour image, want one channel of codes")
+        raise InputError("a colour image, expected one channel of codes")
     return pixels if pixels.ndim == 2 else cast(Image, np.ascontiguousarray(pixels[..., 0]))
 
 
@@ -104,13 +104,15 @@ def _decoded(data: bytes) -> tuple[Image, int]:
     # The upright image, and the EXIF orientation that it was stored in, where that is another one; else 0.
     kind, turn = image_kind(data), 0
     if kind in ("Pfm", "Npy"):
-        raise InputError(f"a map of numbers ({kind.lower()}), want an image")
+        raise InputError(f"a map of numbers ({kind.lower()}), expected an image")
     if kind == "Pnm":
         return _decode_pnm(data), turn
     if kind == "Tiff":
         bits, is_float = _check_tiff(data)
         if is_float or bits > 16:
-            raise InputError(f"samples of {bits} bit ({'floating point' if is_float else 'integers'}), want 8 or 16")
+            raise InputError(
+                f"samples of {bits} bit ({'floating point' if is_float else 'integers'}), expected 8 or 16"
+            )
     with _decoding(kind):
         image = _opened(data, kind)
         if (turn := _orientation(image)) and kind == "Tiff":
@@ -130,7 +132,7 @@ def _decoded(data: bytes) -> tuple[Image, int]:
             plain = "L" if image.mode in ("1", "LA", "La") else "RGB"
             pixels = np.array(image if is_plain else image.convert(plain))
     if pixels.dtype.kind != "u" or pixels.dtype.itemsize > 2 or image.mode == "F":
-        raise InputError("samples of 32 bit, or signed ones; want 8 or 16 bit")
+        raise InputError("samples of 32 bit, or signed ones; expected 8 or 16 bit")
     if turn:
         pixels = _TURNS[turn](pixels)
     return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype.itemsize == 1 else np.uint16)), turn
@@ -148,12 +150,12 @@ def _orientation(image: ImageFile) -> int:
 def decode_bits(data: bytes) -> NDArray[np.uint8]:
     """Return the (H, W) values of a PNG of one channel of 8 bit, which may be numbers in a palette."""
     if image_kind(data) != "Png":
-        raise InputError("want a PNG of status bits")
+        raise InputError("expected a PNG of status bits")
     with _decoding("Png"):
         image = _opened(data, "Png")
         _check_size(image.height, image.width, 1, len(data))
         if image.mode not in ("P", "L"):
-            raise InputError("want a PNG of status bits, one channel of 8 bit")
+            raise InputError("expected a PNG of status bits, one channel of 8 bit")
         return np.array(image, np.uint8)
 
 
@@ -167,7 +169,7 @@ def decode_floats(data: bytes) -> NDArray[np.float32] | None:
     with _decoding("Tiff"):
         pixels = _with_opencv(data)  # Pillow knows no numbers of 64 bit, and swaps some bytes twice
     if pixels.ndim != 2 or pixels.dtype not in (np.float32, np.float64):
-        raise InputError(f"floating point, {pixels.shape} {pixels.dtype}: want one channel of 32 or 64 bit")
+        raise InputError(f"floating point, {pixels.shape} {pixels.dtype}: expected one channel of 32 or 64 bit")
     with np.errstate(over="ignore"):
         return pixels.astype(np.float32)
 
@@ -203,7 +205,7 @@ def png_bytes(array: NDArray[Any]) -> bytes:
     if array.dtype == np.bool_:
         array = array.astype(np.uint8) * np.uint8(255)
     if array.dtype not in (np.uint8, np.uint16) or not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)):
-        raise ValueError(f"want (H, W) or (H, W, 3) uint8 or uint16, got {array.shape} {array.dtype}")
+        raise ValueError(f"expected (H, W) or (H, W, 3) uint8 or uint16, got {array.shape} {array.dtype}")
     done, code = cv2.imencode(".png", np.ascontiguousarray(array if array.ndim == 2 else array[..., ::-1]))
     if not done:
         raise ValueError(f"{array.shape} {array.dtype} cannot be encoded as PNG")

@@ -81,7 +81,7 @@ def read_by_plugin(path: Path | str) -> NDArray[Any] | None:
     try:
         values = np.asarray(reader.read(Path(path)))
         if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
-            raise InputError(f"format {reader.name}: want (H, W) numbers, got {values.shape} {values.dtype}")
+            raise InputError(f"format {reader.name}: expected (H, W) numbers, got {values.shape} {values.dtype}")
         return values
     except Exception as error:  # a stranger's code may raise anything
         why = (str(error).splitlines() or [type(error).__name__])[0]

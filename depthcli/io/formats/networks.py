@@ -24,7 +24,9 @@ def network_path(name: str) -> Path:
         return Path(name)
     shipped = {file.stem: file for file in sorted(_SHIPPED.glob("*.json"))}
     if name not in shipped:
-        raise InputError(f"no network called {name!r}; want a .json file or one of the package: {', '.join(shipped)}")
+        raise InputError(
+            f"no network called {name!r}; expected a .json file or one of the package: {', '.join(shipped)}"
+        )
     return shipped[name]
 
 
@@ -35,7 +37,7 @@ def read_network(path: Path) -> TrainedNetwork:
         try:
             content = json.loads(data)
             if content["format"] != _FORMAT:
-                raise InputError(f"format {str(content['format'])[:40]!r}, want {_FORMAT!r}")
+                raise InputError(f"format {str(content['format'])[:40]!r}, expected {_FORMAT!r}")
             with np.errstate(over="ignore"):  # what is infinite is refused
                 arrays = [(each["weights"], each["offsets"]) for each in content["layers"]]
                 return TrainedNetwork(

@@ -58,7 +58,7 @@ def write_status(path: Path | str, status: NDArray[np.uint8], palette: Palette) 
     from PIL import Image
 
     if status.ndim != 2 or status.dtype != np.uint8:
-        raise ValueError(f"want (H, W) uint8, got {status.shape} {status.dtype}")
+        raise ValueError(f"expected (H, W) uint8, got {status.shape} {status.dtype}")
     picture = Image.frombytes("P", status.shape[::-1], np.ascontiguousarray(status).tobytes())
     picture.putpalette(_all_colors(tuple(palette.items())))
     _save(path, picture)

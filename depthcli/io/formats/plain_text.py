@@ -22,7 +22,7 @@ def json_object(data: bytes | str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise InputError(f"not valid JSON ({str(error)[:200]})") from error
     if not isinstance(fields, dict):
-        raise InputError(f"want a JSON object, got {type(fields).__name__}")
+        raise InputError(f"expected a JSON object, got {type(fields).__name__}")
     return fields
 
 
@@ -50,7 +50,7 @@ def numbers(value: Any, name: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np
             got = reprlib.repr(value)
         except ValueError:  # Python writes no integer of more than 4300 digits, which YAML holds as 0x...
             got = "a number of thousands of digits"
-        raise InputError(f"{name}: want {wanted} (got {got})")
+        raise InputError(f"{name}: expected {wanted} (got {got})")
     return array.reshape(shape)
 
 
@@ -58,5 +58,5 @@ def image_sides(value: Any, name: str) -> tuple[int, int]:
     """Return width and height of an image, pixels; InputError where they make no sense."""
     width, height = numbers(value, name, (2,))
     if not 1 <= min(width, height) <= max(width, height) <= _MAX_SIDE:
-        raise InputError(f"{name}: want the size of an image (got {width:g} x {height:g})")
+        raise InputError(f"{name}: expected the size of an image (got {width:g} x {height:g})")
     return int(width), int(height)

@@ -68,7 +68,7 @@ def read_poses(path: Path) -> Poses:
             length = len(rows[0]) if rows else len(values)
             if len(values) not in (4, 8, 16) or len(values) != length or not np.isfinite(values).all():
                 raise InputError(
-                    f"line {number}: want 'time tx ty tz qx qy qz qw', or a matrix of 4 x 4 numbers (got {line[:60]!r})"
+                    f"line {number}: expected 'time tx ty tz qx qy qz qw', or a 4 x 4 matrix (got {line[:60]!r})"
                 )
             rows.append(values)
         if not rows:
@@ -90,7 +90,7 @@ def read_poses(path: Path) -> Poses:
 def pose_of(matrix: NDArray[np.float64]) -> Pose:
     """Return a (4, 4) matrix as a pose; InputError where it is none."""
     if not is_rotation(matrix[:3, :3]) or not np.allclose(matrix[3], (0, 0, 0, 1)):
-        raise InputError("not the matrix of a pose: want a rotation, a translation in meters, and 0 0 0 1 below")
+        raise InputError("not the matrix of a pose: expected a rotation, a translation in meters, and 0 0 0 1 below")
     return tuple(matrix.ravel().tolist())
 
 

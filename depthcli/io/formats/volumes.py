@@ -77,9 +77,9 @@ def read_volume(path: Path, vector: bool = False) -> Volume:
         elif dimension == 2:
             image = simple_itk().JoinSeries(image)
         if dimension not in (2, 3) or not math.prod(size):
-            raise InputError(f"{dimension}-D ({' x '.join(map(str, size))}), want a single volume")
+            raise InputError(f"{dimension}-D ({' x '.join(map(str, size))}), expected a single volume")
         if parts != (wanted := 3 if vector else 1):
-            raise InputError(f"{parts} values a voxel, want {wanted}")
+            raise InputError(f"{parts} values a voxel, expected {wanted}")
         spacing = _checked(image.GetSpacing())
         grid = Grid(tuple(image.GetSize()), spacing, tuple(image.GetOrigin()), tuple(image.GetDirection()))
         with np.errstate(over="ignore"):  # beyond the range of 32 bit they are no numbers
@@ -110,7 +110,7 @@ def read_grid(path: Path) -> Grid:
         reader = itk_header(path)
         size, spacing = (*reader.GetSize()[:3], 1)[:3], (*reader.GetSpacing()[:3], 1.0)[:3]
         if not 2 <= reader.GetDimension() <= 4:
-            raise InputError(f"{reader.GetDimension()}-D, want a single volume")
+            raise InputError(f"{reader.GetDimension()}-D, expected a single volume")
         return Grid(size, _checked(spacing))
 
 
@@ -133,7 +133,7 @@ def _dicom(folder: Path) -> Any:
     with library_errors():
         series = reader.GetGDCMSeriesIDs(str(folder))
         if len(series) != 1:
-            raise InputError(f"a folder with {len(series)} DICOM series, want one")
+            raise InputError(f"a folder with {len(series)} DICOM series, expected one")
         files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
         reader.SetFileNames(files)
         reader.MetaDataDictionaryArrayUpdateOn()
@@ -149,7 +149,7 @@ def itk_header(path: Path) -> Any:
     """Return SimpleITK's reader of a file, with its header read; it tries no other format than that of the ending."""
     kind = suffix_of(path)
     if kind not in _ITK_READERS:
-        raise InputError(f"no volume of a kind that is read; want {' '.join(VOLUME_SUFFIXES)}")
+        raise InputError(f"no volume of a kind that is read; expected {' '.join(VOLUME_SUFFIXES)}")
     if kind in (".mha", ".mhd"):
         with open_regular(path) as stream:
             header = stream.read(_HEADER_BYTES).partition(b"ElementDataFile")[0]
@@ -219,9 +219,9 @@ def _dirlab_grid(path: Path) -> Grid:
         meta = json_object(read_bytes(meta_file, 1 << 20))
         size, spacing = (numbers(meta.get(key), key, (3,)) for key in ("size", "spacing"))
     except InputError:
-        raise InputError(f'a raw file wants "size" and "spacing" (x, y, z) in {shown(meta_file)}') from None
+        raise InputError(f'a raw file needs "size" and "spacing" (x, y, z) in {shown(meta_file)}') from None
     if min(size) < 1 or min(spacing) <= 0 or max(size) > _MAX_SIDE:
-        raise InputError(f"{shown(meta_file)}: want three positive sizes and spacings")
+        raise InputError(f"{shown(meta_file)}: expected three positive sizes and spacings")
     return Grid((int(size[0]), int(size[1]), int(size[2])), tuple(spacing.tolist()))
 
 
@@ -231,7 +231,7 @@ def _dirlab(path: Path) -> Volume:
     data = read_bytes(path)
     wanted = 2 * grid.size[0] * grid.size[1] * grid.size[2]
     if len(data) != wanted:
-        raise InputError(f"{len(data)} bytes, want {wanted} for {' x '.join(map(str, grid.size))} int16")
+        raise InputError(f"{len(data)} bytes, expected {wanted} for {' x '.join(map(str, grid.size))} int16")
     return Volume(np.frombuffer(data, "<i2").reshape(grid.shape).astype(np.float32), grid)
 
 

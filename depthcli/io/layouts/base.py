@@ -149,7 +149,7 @@ class Meta:
 
     def error(self, key: str, wanted: str) -> InputError:
         """Return the error that says that the field ``key`` must be ``wanted``."""
-        return InputError(f"{self.path}: {key}: want {wanted} (got {short(self.fields.get(key))})")
+        return InputError(f"{self.path}: {key}: expected {wanted} (got {short(self.fields.get(key))})")
 
 
 class Layout(ABC):

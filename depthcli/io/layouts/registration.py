@@ -44,7 +44,7 @@ class Registration(Layout):
         elif warped is None and files["moving"] is None:
             problem = f"{folder.path}: neither moving_warped.* nor moving.*"
         elif warped is None and displacement is None and transform is None:
-            problem = f"{folder.path}: moving.* wants displacement.* or transform.* beside it"
+            problem = f"{folder.path}: moving.* needs displacement.* or transform.*, too"
         elif displacement is not None and transform is not None:
             if apply not in LEFT_OUT:
                 problem = (
@@ -68,12 +68,12 @@ def _labels(folder: Folder, maps: Sequence[str]) -> tuple[tuple[str, tuple[tuple
         raise folder.meta.error("labels", wanted)
     for name in given:
         if name not in maps:  # one meta.json may be that of all pairs, of which some lack a mask
-            warn(f"{folder.meta.path}: labels: there is no mask_{name}.* beside it")
+            warn(f"{folder.meta.path}: labels: there is no mask_{name}.*")
     for regions in given.values():
         if not isinstance(regions, dict) or any(type(label) is not int or label < 0 for label in regions.values()):
             raise folder.meta.error("labels", wanted)
         if wrong := [name for name in regions if not name.strip() or set(name) & set("<>=!()")]:
-            raise InputError(f"{folder.meta.path}: labels: want a name without <>=!() (got {wrong[0]!r})")
+            raise InputError(f"{folder.meta.path}: labels: expected a name without <>=!() (got {wrong[0]!r})")
         if len(set(regions.values())) < len(regions):
             raise InputError(f"{folder.meta.path}: labels: two regions have one label")
     used = {name: tuple((region, k) for region, k in given[name].items() if k) for name in given if name in maps}

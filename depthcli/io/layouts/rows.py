@@ -263,7 +263,7 @@ def rows_in_file(path: Path) -> tuple[LayoutRow, ...]:
                     raise ConfigError(f"{path}: {title}: {key}: {error.errors()[0]['msg']}") from error
             elif key == _MASKS and "{mask}" not in str(value):
                 raise ConfigError(
-                    f"{path}: {title}: {key}: want {{mask}} in the name; of one mask say {_MASK}NAME: FILE"
+                    f"{path}: {title}: {key}: expected {{mask}} in the name; of one mask say {_MASK}NAME: FILE"
                 )
             elif isinstance(value, str):
                 files[key] = value

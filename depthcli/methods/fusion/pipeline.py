@@ -40,8 +40,8 @@ from depthcli.methods.stereo.stages import finish
 from depthcli.methods.stereo.volume import CostVolume, StereoResult
 
 _NEEDS_MAPS: dict[str, LiteralString] = {
-    "agreement": "'agreement' is that of several maps; want 'maps'",
-    "probability": "'probability' is known where a network chooses among maps; want 'maps' with 'choice: network'",
+    "agreement": "'agreement' is that of several maps; expected 'maps'",
+    "probability": "'probability' is known where a network chooses among maps; expected 'maps' with 'choice: network'",
 }
 _OWN_CONFIDENCES = ("consensus", *_NEEDS_MAPS)
 _MAX_VOTED_COST = 4080  # 16 x 255, the fixed point of aggregated costs, which scanline optimizers can sum
@@ -74,7 +74,7 @@ class FusedMeasure(ConfigModel):
     @model_validator(mode="after")
     def _one_source(self) -> FusedMeasure:
         if (self.cost is None) == (self.volume is None):
-            raise ValueError("want either cost or volume")
+            raise ValueError("expected either cost or volume")
         return self
 
     def costs(self, pair: StereoPair, n_disparities: int, volumes: Volumes) -> CostVolume:

@@ -212,7 +212,7 @@ class MeanDeviation(ConfigModel):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if {len(self.mean), len(self.deviation)} - {1, 3} or min(self.deviation) <= 0:
-            raise ValueError("mean and deviation: want one number or three; deviations are above 0")
+            raise ValueError("mean and deviation: expected one number or three; deviations are above 0")
         return self
 
 

@@ -59,7 +59,7 @@ FAILURES = {
     "hangs": "was ended after 2 s; see timeout: cannot go on",
     "crashes": "was ended by SIGABRT: cannot go on",
     "rubbish": "the program's map cannot be read: ",
-    "size": "output.npy has another size than the images: 96 x 63, want 96 x 64",
+    "size": "output.npy has another size than the images: 96 x 63, expected 96 x 64",
 }
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 
@@ -222,7 +222,7 @@ def test_no_shell_reads_the_name_of_a_scene(here: Path, made_scenes: Path, name:
         (["run=[python, '{zzzz}']"], r"no placeholder \{zzzz\}; there are: left, right, max_disparity"),
         (["run=[python, '{']"], "a brace is written"),
         (["run=[python, '{max_disparity:03}']"], "no placeholder"),
-        (["timeout=10 parsecs"], "timeout: want a time"),
+        (["timeout=10 parsecs"], "timeout: expected a time"),
         (["parameters.left=3"], "'left' cannot be the name of a parameter"),
         (["shell=true"], r"sh, -c, "),
         (["run=[bash, -ec, 'echo \"{name}\"']"], "DEPTHCLI_NAME"),

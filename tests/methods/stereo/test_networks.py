@@ -102,7 +102,7 @@ def test_same_bytes_at_any_thread_count_and_inputs_untouched(tmp_path: Path):
 @needs_onnx
 def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path):
     features = local_features(tmp_path / "features.onnx")
-    with pytest.raises(InputError, match="want one input of 2 or 6 channels, two images, or four"):
+    with pytest.raises(InputError, match="expected one input of 2 or 6 channels, two images, or four"):
         pipeline(features).prepare("cpu")
     graph = Graph()
     image, flow = (1, 3, 8, 8), (1, 2, 4, 4)

@@ -56,7 +56,7 @@ PIXEL_PLANES = ("min_cost", "deviation_5", "deviation_13", "gradient", "filled_s
 """Planes of the pixel, the same for all proposals: its smallest cost, standard deviations of windows and gradient of
 the left image (grey levels), share of the proposals that are filled, and how far its light is trusted (0 .. 1)."""
 
-# Networks are trained with these; another value wants another training.
+# Networks are trained with these; another value needs another training.
 _MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
 _MAX_COLOR = np.float32(40.0)  # of color differences and deviations, grey levels
 _NOISE = np.float32(4.0)  # added to variances under a correlation, grey levels squared

@@ -39,7 +39,7 @@ _BYTES_PER_CELL = 8  # a guess of what programs that match tiles take
 def _seconds(value: Any) -> Any:
     match = re.fullmatch(r"\s*(\d{1,9}(?:\.\d{0,6})?)\s*(s|min|h|)\s*", str(value))
     if isinstance(value, str) and match is None:
-        raise ValueError("want a time such as 30 s, 10 min or 2 h")
+        raise ValueError("expected a time such as 30 s, 10 min or 2 h")
     return float(match[1]) * {"min": 60, "h": 3600}.get(match[2], 1) if match else value
 
 
@@ -104,7 +104,9 @@ class Program(StereoPipeline):
     def _new_names(cls, parameters: dict[str, Any]) -> dict[str, Any]:
         for name in parameters:
             if not name.isidentifier() or name in _PLACEHOLDERS:
-                raise ValueError(f"{name!r} cannot be the name of a parameter; want letters, none of {_PLACEHOLDERS}")
+                raise ValueError(
+                    f"{name!r} cannot be the name of a parameter; expected letters, none of {_PLACEHOLDERS}"
+                )
         return parameters
 
     @field_validator("program")
@@ -112,7 +114,7 @@ class Program(StereoPipeline):
     def _known_placeholders(cls, program: str | tuple[str, ...], info: ValidationInfo) -> str | tuple[str, ...]:
         words = _words(program)
         if not words or not words[0].strip():
-            raise ValueError("want a program")
+            raise ValueError("expected a program")
         known = [*_PLACEHOLDERS, *info.data.get("parameters", ())]
         for word in words:
             try:
@@ -209,7 +211,7 @@ class Program(StereoPipeline):
         except InputError as error:
             raise ProgramError(f"the program's map cannot be read: {error}") from error
         if stored.shape != shape:
-            size = f"{stored.shape[1]} x {stored.shape[0]}, want {shape[1]} x {shape[0]}"
+            size = f"{stored.shape[1]} x {stored.shape[0]}, expected {shape[1]} x {shape[0]}"
             raise ProgramError(f"the program's {path.name} has another size than the images: {size}")
         scale = self.scale or (_KITTI_SCALE if stored.dtype.kind in "iu" else 1.0)
         with np.errstate(all="ignore"):

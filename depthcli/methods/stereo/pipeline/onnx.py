@@ -217,7 +217,7 @@ def _feeds(session: Session) -> list[_Feed]:
         # CREStereo is also exported in two files, of which the second takes two images and the flow of the first.
         part = "; is it one part of a network in two files? take one file with four images" if len(images) == 3 else ""
         raise InputError(
-            f"{session.model}: want one input of 2 or 6 channels, two images, or four with two at half size; "
+            f"{session.model}: expected one input of 2 or 6 channels, two images, or four with two at half size; "
             f"it has {shown}{part}"
         )
     if len(images) == 4:  # the smaller ones, or those whose names say so, are at half size
@@ -279,7 +279,7 @@ def _check_shifts(method: NetworkPipeline, session: Session) -> None:
     if fits(-1.0):
         problem = "the sign is wrong; set sign to the other one (positive, negative)"
     elif abs(scale) > 0.01 and fits(1 / scale):
-        problem = f"the scale is wrong, {scale:.3g} for each pixel; want pixels of the full size"
+        problem = f"the scale is wrong, {scale:.3g} for each pixel; expected pixels of the full size"
     else:
         problem = "it does not find them; see profile, normalization, color_order; self_check: false leaves this out"
     raise InputError(
