@@ -12,11 +12,11 @@ file.
 ``layouts/``       how people lay out folders, tables of file names: which files a scene has
 ``scenes``         what kinds of scene there are, as files and facts
 ``stereo_pairs``   loads stereo pairs; ``rgbd_frames`` color and depth, ``volume_pairs`` registered volumes
-``formats/``       what is in a file, one module per format: images, disparity, depth, volumes, fields, calibrations
+``formats/``       content of files, one module per format: images, disparity, depth, volumes, fields, calibrations
 ``networks/``      trained networks that the package brings along
 =================  ============================================================================================
 
-What comes out: images (H, W) grey or (H, W, 3) RGB, uint8 or uint16; disparity (H, W) float32 in pixels; depth
+Results: images (H, W) grey or (H, W, 3) RGB, uint8 or uint16; disparity (H, W) float32 in pixels; depth
 (H, W) float32 in meters; volumes (Z, Y, X) float32 with a grid in mm along LPS (left, posterior, superior). NaN is
 unknown.
 """

@@ -13,9 +13,9 @@ from depthcli.io.formats.files import shown
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 
 SIDES = re.compile(r"(?<![a-z])(?:(left|l)|(right|r))(?![a-z])", re.IGNORECASE)
-"""Words of a name that say which view it is."""
+"""Words of a name that name the view."""
 
-# "cam0" and "cam1" say the camera only where both are there.
+# "cam0" and "cam1" name the camera only if both are there.
 _WORDS = (
     SIDES,
     re.compile(r"(?<![a-z])(?:cam(?:era)?|image|img)[-_]?0?(?:(0)|(1))(?![0-9a-z])", re.IGNORECASE),
@@ -32,7 +32,7 @@ class Photos(NamedTuple):
 
 
 def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
-    """Return the photos of one or two cameras, sorted by name, and files whose name does not say which camera's.
+    """Return the photos of one or two cameras, sorted by name, and files whose name does not tell the camera.
 
     Of two folders the first is the left camera's. In one folder, names of files or of folders in it say which camera's
     a photo is (left, right, l, r, cam0, cam1). Photos belong together whose names are the same without that word.
@@ -43,7 +43,7 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
     if len(folders) == 2:
         if os.path.samefile(*folders):
             raise InputError(f"{shown(folders[0])}: given for both cameras; give one of each, left first")
-        for word in (None, *_WORDS):  # the folders may hold left01.png and right01.png
+        for word in (None, *_WORDS):  # the folders may contain left01.png and right01.png
             left, right = (_keyed(files.items(), word, place) for files in found)
             if set(left) & set(right):
                 break
@@ -56,7 +56,7 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
             for side in (1, 2)
         )
         without = [files[name] for name, match in matches.items() if match is None]
-        # Of img0, img1, img2 and so on, the numbers are those of photos.
+        # Of img0, img1, img2 and so on, the numbers count photos.
         are_photo_numbers = word is _WORDS[1] and 2 * len(without) > len(files)
         if left and right and not are_photo_numbers:
             return _paired(left, right, place), without

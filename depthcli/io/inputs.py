@@ -51,7 +51,7 @@ _HEADERS = (b"L", b"K", b"x", b"g", b"X")
 def local(place: Path | str) -> Path:
     """Return the folder or file that a place names: itself or, of an archive or a URL, what was fetched and unpacked.
 
-    An archive stands for its content, or for the single folder that holds all of it.
+    An archive means its content, or the single folder that has all of it.
     """
     path, text, url = Path(place), str(place), ""
     if os.path.isdir(path) or (os.path.exists(path) and not is_archive(path)):
@@ -74,7 +74,7 @@ def local(place: Path | str) -> Path:
 
 
 def is_archive(path: Path) -> bool:
-    """Return whether a path is that of an archive, by the ending of its name."""
+    """Return whether a path names an archive, by its ending."""
     found = _ARCHIVE.search(path.name)
     return found is not None and os.path.isfile(path)
 
@@ -119,7 +119,7 @@ def _stem(name: str) -> str:
 
 
 def _entered(folder: Path) -> Path:
-    """Return the single folder that holds all of an unpacked archive, else the folder (or file) itself."""
+    """Return the single folder with all of an unpacked archive, or the folder (or file) itself."""
     inside = [path for path in folder.iterdir() if path.name[0] != "."] if folder.is_dir() else []
     return inside[0] if len(inside) == 1 and inside[0].is_dir() else folder
 

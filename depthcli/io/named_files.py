@@ -30,7 +30,7 @@ _MAX_FOLDERS = 8  # that are looked at for two whose images belong together
 _WILD = re.compile(r"[*?\[]")
 _MAX_BYTES = 1 << 28  # of a table
 _COLUMNS = ("left", "right", "name", "calibration", "max_disparity", "min_disparity")
-# Names of files that say nothing of the scene, which is called as the folder then.
+# Names of files that do not name the scene, which is called like the folder then.
 _GENERIC_LEFT = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")
 _GENERIC_COLOR = ("color", "rgb", "image", "depth")
 
@@ -38,7 +38,7 @@ _GENERIC_COLOR = ("color", "rgb", "image", "depth")
 def named_scenes(kind: type[Scene], values: Mapping[str, Any]) -> list[Scene]:
     """Return the scenes of a kind whose files the options name.
 
-    These are the pair of ``--left`` and ``--right``, those of two patterns or folders, the frames of two videos; the
+    These are the pair of ``--left`` and ``--right``, pairs of two patterns or folders, the frames of two videos; the
     frame of ``--color`` and ``--depth``, or of the latter alone; the pair of ``--fixed`` and ``--warped``, or of
     ``--moving`` with its transform. ConfigError where an option is missing.
     """
@@ -116,7 +116,7 @@ def _is_many(path: Path) -> bool:
 
 
 def _pair(name: str, left: Path | None, right: Path | None, fields: Mapping[str, str], folder: Path) -> StereoScene:
-    """Return a pair with what a line of a table in ``folder`` says of it; it has a problem without one of its images.
+    """Return the pair of a line of a table in ``folder``; it has a problem without one of its images.
 
     ``left`` or ``right`` is None where the image has no partner.
     """
@@ -136,7 +136,7 @@ def _pair(name: str, left: Path | None, right: Path | None, fields: Mapping[str,
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a path is that of a table of pairs: a file with its ending, or ``-``, the standard input."""
+    """Return whether a path names a table of pairs: a file with its ending, or ``-``, the standard input."""
     return path == STDIN or (os.path.isfile(path) and path.suffix.lower() in TABLE_SUFFIXES)
 
 
@@ -235,7 +235,7 @@ def patterns_in(folder: Path) -> tuple[str, str] | None:
 
 
 class _Match(NamedTuple):
-    """A file of a pattern: what the wildcards stand for, and its name from the first of them on, without ending."""
+    """A file of a pattern: the texts of the wildcards, and its name from the first of them on, without ending."""
 
     path: Path
     captured: str

@@ -135,7 +135,7 @@ def load_infrared_frame(scene: RgbIrScene) -> RgbIrFrame:
 
 
 def true_depth(scene: RgbdScene) -> RgbdTruth:
-    """Return true depth and masks; InputError where there is none or sizes differ."""
+    """Return true depth and masks; InputError without any, or if sizes differ."""
     scene.check()
     if scene.depth_true is None:
         raise InputError(f"{scene.folder}: {scene.name} has no true depth")
@@ -151,7 +151,7 @@ def true_depth(scene: RgbdScene) -> RgbdTruth:
 
 
 def _read_depth(scene: RgbdScene, path: Path) -> NDArray[np.float32]:
-    # The default scale is not passed on: 8-bit codes, which would hold no usable depth, need one of their own.
+    # The default scale is not passed on: 8-bit codes, which would give no usable depth, need one of their own.
     scale = None if path.suffix in (".pfm", ".npy") or scene.depth_scale == MILLIMETERS else scene.depth_scale
     return read_depth(path, scale, 3 if scene.rotated else 0)
 
@@ -198,7 +198,7 @@ def read_kinect_raw(path: Path | str) -> NDArray[np.uint16]:
 
 
 def read_kinect_calibration(path: Path) -> KinectCalibration:
-    """Return the calibration of Herrera et al.'s toolbox as JSON, with its distortion map ``dc_beta.npy`` beside it."""
+    """Return the calibration of Herrera et al.'s toolbox as JSON, and its distortion map ``dc_beta.npy``."""
     with naming(path):
         fields = json_object(read_bytes(path))
         arrays = {key: numbers(fields.get(key), key, shape) for key, shape in _FIELDS.items()}

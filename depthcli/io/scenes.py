@@ -1,7 +1,7 @@
-"""Scenes: what a command works on one at a time, as names of files that belong together and facts about them.
+"""Scenes: the units of a command's work, as names of files that belong together and facts about them.
 
 No image or volume is loaded here; ``input_files`` alone looks into headers for further files. ``stereo_pairs``,
-``rgbd_frames`` and ``volume_pairs`` load what the scenes name.
+``rgbd_frames`` and ``volume_pairs`` load the files of the scenes.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ MAX_DISPARITY = 1 << 20
 """Largest disparity, of either sign, that a file may ask for, pixels; no image is as wide."""
 
 LEFT_OUT = {"displacement": "transform", "transform": "displacement", "both": ""}
-"""What counts of a displacement field and a transform -> what does not; both: the field first, as ANTs chains them."""
+"""Which of a displacement field and a transform counts -> which does not; both: the field first, as in ANTs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
     """The base class of all kinds of scene; a scene of this class itself is a folder that cannot be used."""
 
-    name: str  # unique in its listing, with ``/`` where the scene lies in a data set's folder
+    name: str  # unique in its listing, with ``/`` if the scene is in a data set's folder
     folder: Path  # the folder it was found in
     layout: str = ""  # name of the layout that found it; empty for files named on the command line
     protocol: str = ""  # name of the evaluation protocol that its ground truth asks for
@@ -52,7 +52,7 @@ class Scene:
 
     @property
     def lacks_for_truth(self) -> str:
-        """What the files of a truth need beside them to be one, in a line for people; empty: nothing."""
+        """Files that a truth still needs, in a line for people; empty: none."""
         return ""
 
     def check(self) -> None:
@@ -71,7 +71,7 @@ class StereoScene(Scene):
     disparity_left: Path | None = None  # ground truth
     disparity_right: Path | None = None
     disparity_noc: Path | None = None  # the truth of the visible pixels alone (KITTI)
-    disparity_scale: float | None = None  # codes per pixel of the ground truth; None = what the file's kind says
+    disparity_scale: float | None = None  # codes per pixel of the ground truth; None = by the file's kind
     scale_by_width: bool = False  # the scale follows from the map's width, as in the Middlebury 2005 and 2006 sets
     masks: dict[str, Path] = field(default_factory=dict, hash=False)  # name -> file; a pixel counts where it is 255
     occluded: Path | None = None  # mask of pixels that the right view does not show (> 0); ``nonocc`` are the others
@@ -83,9 +83,9 @@ class StereoScene(Scene):
     max_disparity: int | None = None  # largest disparity to search, inclusive
     min_disparity: int = 0  # smallest disparity to search
     round_disparity: bool = False  # the truth is whole pixels, so that results are rounded first (v3: ``isint``)
-    calibration: Path | None = None  # file that says how disparities become depth
+    calibration: Path | None = None  # file by which disparities become depth
     cameras: tuple[int, int] = (2, 3)  # numbers of the pair's cameras in a calibration of several (KITTI)
-    geometry: PairGeometry | None = None  # how disparities become depth, where no calibration file says it
+    geometry: PairGeometry | None = None  # how disparities become depth, without a calibration file
     # First, middle and last frame of the sequence that this one belongs to; empty for a single pair.
     sequence: tuple[StereoScene, ...] = ()
 
@@ -108,14 +108,14 @@ class GivenMap:
 
     run: str  # name of the run
     path: Path
-    scale: float | None = None  # codes per pixel; None: as the file's kind says
-    invalid: float | None = None  # value that stands for none; None: recognized
+    scale: float | None = None  # codes per pixel; None: by the file's kind
+    invalid: float | None = None  # value that means none; None: recognized
     status: Path | None = None  # status of its pixels, where it has one
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapsScene(StereoScene):
-    """A pair with disparity maps of its left view that were made before."""
+    """A pair with given disparity maps of its left view."""
 
     pair: StereoScene  # without the maps
     maps: tuple[GivenMap, ...] = ()  # in the order of the command line
@@ -141,7 +141,7 @@ class DisparityScene(Scene):
     left: Path | None = None  # the image that the map describes
     calibration: Path | None = None
     cameras: tuple[int, int] = (2, 3)  # numbers of the left and right camera in a calibration of several
-    geometry: PairGeometry | None = None  # what the data set of the pair says instead of a calibration
+    geometry: PairGeometry | None = None  # of the data set, in place of a calibration
 
     roles: ClassVar[tuple[str, ...]] = ("disparity", "status", "left", "calibration")
 
@@ -159,7 +159,7 @@ class RgbdScene(Scene):
     depth: Path
     depth_scale: float = 1000.0  # codes a meter of integer depth files
     rotated: bool = False  # the codes' bits are rotated left by 3 (SUN RGB-D)
-    raw: bool = False  # ``depth`` holds raw codes of a first-generation Kinect, in the depth camera's frame
+    raw: bool = False  # ``depth`` has raw codes of a first-generation Kinect, in the depth camera's frame
     calibration: Path | None = None  # Kinect calibration for raw codes, or None for a typical one
     depth_true: Path | None = None  # true depth, in the same codes
     masks: dict[str, Path] = field(default_factory=dict)  # name -> file; a pixel counts where the value is 255
@@ -171,7 +171,7 @@ class RgbdScene(Scene):
     hidden: Path | None = None  # mask of pixels (255) that the sensor is made not to see: its depth there is the truth
     sparse: Path | None = None  # a second depth map in the same codes, known at some pixels
     sparse_confidence: Path | None = None  # how sure it is
-    sparse_source: str = ""  # where it comes from, where that has to be said
+    sparse_source: str = ""  # where it comes from, if readers must know
     sequence: str = ""  # name of the sequence that the frame belongs to, or empty
     number: int = 0  # the frame's place there
     pose: tuple[float, ...] | None = None  # (4, 4), row by row, from the color camera to the world, meters
@@ -180,7 +180,7 @@ class RgbdScene(Scene):
 
     @property
     def input_files(self) -> dict[str, Path]:
-        """``color``, ``depth`` and what is known of the cameras."""
+        """``color``, ``depth`` and the known facts of the cameras."""
         behind = kinect_files(self.calibration) if self.calibration is not None and self.raw else ()
         return super().input_files | {f"calibration: {file.name}": file for file in behind}
 
@@ -197,7 +197,7 @@ class RgbdScene(Scene):
 
 @dataclass(frozen=True, kw_only=True)
 class RgbIrScene(RgbdScene):
-    """A frame with an infrared image; ``calibration`` holds both cameras, or says that the pair is rectified."""
+    """A frame with an infrared image; ``calibration`` has both cameras, or marks the pair as rectified."""
 
     infrared: Path  # image file, 8 or 16 bit
     infrared_plain: Path | None = None  # the same view with the projector covered, which is used instead
@@ -271,7 +271,7 @@ class VolumePairScene(Scene):
 
 
 def check_same_size(file: Path, shape: Sequence[int], other: Path, wanted: Sequence[int], why: str = "") -> None:
-    """Raise an InputError where an image of ``file`` has another (height, width) than that of ``other``."""
+    """Raise an InputError if an image of ``file`` has another (height, width) than ``other``."""
     if tuple(shape[:2]) != tuple(wanted[:2]):
         have, want = (f"{size[1]} x {size[0]}" for size in (shape, wanted))
         raise InputError(f"{file}: {have}, but {other.name} is {want}{why}")

@@ -14,7 +14,7 @@ from depthcli.io.formats.images import pair_of, read_grey, read_image, read_pair
 from depthcli.io.formats.videos import read_frame
 from depthcli.io.scenes import StereoScene, check_same_size
 
-# Full-size widths of the Middlebury 2005 and 2006 sets lie between 1240 and 1396: the width tells the size.
+# Full-size widths of the Middlebury 2005 and 2006 sets are between 1240 and 1396: the width tells the size.
 _SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
 
 
@@ -27,7 +27,7 @@ class StereoTruth:
     noc: NDArray[np.float32] | None = None  # the same for the visible pixels alone (KITTI)
     objects: NDArray[np.bool_] | None = None  # (H, W) bool, foreground objects (KITTI 2015)
     masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)  # name -> (H, W) bool, True = evaluate
-    scale: float | None = None  # codes per pixel that the files were read with; None = what their kind says
+    scale: float | None = None  # codes per pixel that the files were read with; None = by their kind
 
 
 def load_views(scene: StereoScene) -> tuple[Image, Image]:
@@ -52,7 +52,7 @@ def _both(scene: StereoScene) -> tuple[Path, Path]:
 
 
 def true_disparity(scene: StereoScene) -> StereoTruth:
-    """Return ground truth and masks of the left view, as stored; InputError where there is none."""
+    """Return ground truth and masks of the left view, as stored; InputError without any."""
     scene.check()
     if (file := scene.disparity_left) is None:
         raise InputError(f"{scene.left.parent}: scene {scene.name} has no ground truth")

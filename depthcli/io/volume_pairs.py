@@ -48,7 +48,7 @@ class RegistrationTruth:
 
 
 def load_volumes(scene: VolumePairScene, convention: str = "auto", max_voxels: int | None = None) -> LoadedPair:
-    """Return both volumes on the fixed grid, and the mask; ``convention`` is that of the displacement file.
+    """Return both volumes on the fixed grid, and the mask; ``convention`` belongs to the displacement file.
 
     Of more than ``max_voxels`` voxels, means of blocks, so that two whole volumes are never in memory; blocks are
     no larger than the cubes that so many voxels of the volume would be.
@@ -79,7 +79,7 @@ def load_volumes(scene: VolumePairScene, convention: str = "auto", max_voxels: i
 def loaded_size(
     scene: VolumePairScene, max_voxels: int | None = None
 ) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
-    """Return the fixed volume's grid, and shape and spacing (z, y, x) of what is loaded, by its header."""
+    """Return the fixed volume's grid, and shape and spacing (z, y, x) of the loaded volume, by its header."""
     scene.check()
     grid = read_grid(scene.fixed)
     blocks = blocks_of(grid, max_voxels)
@@ -148,7 +148,7 @@ def _unpaired(
 
 
 def landmarks(scene: VolumePairScene, grid: Grid) -> NDArray[np.float64] | None:
-    """Return (N, 3) landmarks of the fixed volume, mm; None where there are none."""
+    """Return (N, 3) landmarks of the fixed volume, mm, or None."""
     if scene.landmarks_fixed is None:
         return None
     points = read_landmarks(scene.landmarks_fixed, grid, scene.fixed.suffix.lower() == ".img")
@@ -161,7 +161,7 @@ def landmarks(scene: VolumePairScene, grid: Grid) -> NDArray[np.float64] | None:
 
 
 def _outside(points: NDArray[np.float64], grid: Grid, name: str) -> str:
-    """Return how many landmarks (N, 3), mm, LPS, lie outside the volume ``name``, in a line; empty where none does."""
+    """Return how many landmarks (N, 3), mm, LPS, are outside the volume ``name``, in a line; empty if none is."""
     outside, turned, counted = (
         ~np.all((places >= -0.5) & (places <= np.array(grid.shape) - 0.5), axis=1)
         for places in (grid.to_index(points), grid.to_index(points * [-1, -1, 1]), points[:, ::-1])
@@ -184,7 +184,7 @@ def _read_like(file: Path, fixed: Grid) -> NDArray[np.float32]:
 
 
 def _read_mask(file: Path, fixed: Grid) -> NDArray[np.bool_]:
-    """Return where a mask is above 0, with a warning where its values are those of a scan."""
+    """Return where a mask is above 0, with a warning if its values look like a scan."""
     values = _read_like(file, fixed)
     low, high = float(values.min()), float(values.max())
     if low < 0 or (high > 1 and not np.array_equal(values, np.rint(values))):
@@ -193,7 +193,7 @@ def _read_mask(file: Path, fixed: Grid) -> NDArray[np.bool_]:
 
 
 def _warped(scene: VolumePairScene, file: Path, fixed: Volume, convention: str) -> tuple[NDArray[np.float32], Path]:
-    """Return the moving volume on the fixed grid, and the file that is to blame where it holds what is no number."""
+    """Return the moving volume on the fixed grid, and the file to blame for values that are no numbers."""
     sitk, moving, grid = simple_itk(), read_volume(file), fixed.grid
     transform = read_moving_transform(scene.transform, scene.displacement, convention, fixed, moving)
     image = itk_image(moving.values, moving.grid)
@@ -238,7 +238,7 @@ def label_masks(
     Of ``values``, 0 is outside. Whole numbers of which several occur are labels, as is one other than 1 and 255, or
     whatever occurs where ``regions`` names labels, (name, label); others are ``NAME_LABEL``. Fractions up to 1 are
     probabilities, of which the region has at least 0.5. InputError: fractions above 1, or of labels that have names:
-    what a label map is after linear interpolation; or more labels than label maps have.
+    as in a label map after linear interpolation; or more labels than label maps have.
     """
     values = np.where(np.isfinite(values), values, np.float32(0))
     near = np.rint(values)

@@ -22,7 +22,7 @@ from depthcli.io.scenes import Scene, StereoScene
 
 _LEVELS = 2  # below the given folder, that scenes are looked for in: data sets, and scenes in them
 _MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
-_MAX_RUN_BYTES = 1 << 20  # of it; those of all presets have below 10 kB
+_MAX_RUN_BYTES = 1 << 20  # of it; all presets have below 10 kB
 
 
 class NoScenesError(InputError):
@@ -52,7 +52,7 @@ def discover_scenes(
     """Return the scenes of a folder or an archive, sorted by name; no image is opened.
 
     ``folder`` may be one scene, a folder of scenes, or a folder of such folders (names are then
-    ``<data set>/<scene>``). Folders that hold none are passed over, and so are folders of runs in it: their results are
+    ``<data set>/<scene>``). Folders without any are skipped, and so are folders of runs in it: their results are
     no scenes. Runs of ``sample`` are, and ``folder`` itself may be a run (of ``rectify``). A scene that cannot be used
     is listed with its ``problem``; InputError where ``folder`` itself is one, or there is none.
 
@@ -87,7 +87,7 @@ def discover_scenes(
 
 
 def _wanted(layouts: Layouts[Any], name: str | None) -> tuple[Layout, ...]:
-    """Return all layouts, or the one of that name, or those of a user's file for this kind of scene."""
+    """Return all layouts, or the one of that name, or a user's file of them for this kind of scene."""
     if name and name.endswith((".yaml", ".yml")):
         return tuple(row for row in rows_in_file(Path(name)) if issubclass(row.kind, layouts.kind))
     name = name and name.lower().replace("_", "-")
@@ -95,7 +95,7 @@ def _wanted(layouts: Layouts[Any], name: str | None) -> tuple[Layout, ...]:
 
 
 def _find(folder: Path, wanted: tuple[Layout, ...], layout: str | None, warn: Callable[[str], None]) -> list[Scene]:
-    """Return the scenes of a folder, else those of the folders in it; ``layout`` is what the user named."""
+    """Return the scenes of a folder, or of the folders in it; ``layout`` is the user's name."""
     requested = wanted[0].name if layout else ""
     found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)
     if found:
@@ -126,7 +126,7 @@ def _find_below(
 def _tell_of_more(
     folder: Path, first: Scene, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]
 ) -> None:
-    """Tell of the scenes of a folder's folders where it holds scenes itself, which alone are used."""
+    """Warn of the scenes of a folder's folders if it has scenes itself, which alone are used."""
     own = {file for file in vars(first).values() if isinstance(file, Path)}
     for child in _subfolders(folder, lambda line: None):
         if not any(child in file.parents for file in own):
@@ -136,7 +136,7 @@ def _tell_of_more(
 
 
 def _scenes_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Scene]:
-    """Scenes that ``folder`` itself holds: one by its own files, or many as a KITTI root."""
+    """Scenes of ``folder`` itself: one by its own files, or many as a KITTI root."""
     matching = {each.name: scenes for each in wanted if (scenes := each.scenes(folder))}
     if len(matching) > 1:
         raise InputError(f"{folder.path}: fits the layouts {' and '.join(sorted(matching))}; say which with --layout")
@@ -191,7 +191,7 @@ def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path 
 def _with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
     """Return the scenes by name, of which stereo pairs know three frames of their sequence.
 
-    Pairs whose left and right images lie in the same two folders, or which are frames of the same two videos, are a
+    Pairs whose left and right images are in the same two folders, or which are frames of the same two videos, are a
     sequence in the order of their names.
     """
     ordered = sorted(scenes, key=lambda scene: scene.name)

@@ -1,8 +1,8 @@
-"""Files, one module a format: libraries decode, what they raise becomes one line, and what comes out is checked.
+"""Files, one module a format: libraries decode, their errors become one line, and their results are checked.
 
 ================  ============================================================================================
 ``files``         start here: regular files only, written wholly or not at all, named in every message
-``plain_text``    numbers, key-value lines and JSON objects, as calibrations hold them
+``plain_text``    numbers, key-value lines and JSON objects, as in calibrations
 ``images``        PNG, JPEG, Netpbm, TIFF, BMP: pixels, or codes of one channel; pairs
 ``pictures``      pictures for people: status bits, confidence, maps in color
 ``disparity``     disparities in pixels, and any map of one channel (``read_plane``): PFM, npy, PNG, TIFF

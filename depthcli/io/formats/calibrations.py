@@ -35,7 +35,7 @@ _MAX_BYTES = 1 << 24  # a calibration has a few kilobytes
 _MAX_LISTS = 1000  # in YAML; a calibration has some tens
 _MAX_BASELINE = 20.0  # meters; a longer one is in another unit
 _SENSOR_BASELINES = (1e-4, 10.0)  # meters, of a color and an infrared camera; another one is in another unit
-# What the parts are called in files of OpenCV.
+# Names of the parts in files of OpenCV.
 _NAMES = {
     "K1": ("K1", "M1", "cameraMatrix1", "camera_matrix_1", "left_camera_matrix", "K_left"),
     "D1": ("D1", "distCoeffs1", "dist_coeffs_1", "left_distortion_coefficients", "D_left"),
@@ -133,7 +133,7 @@ def write_geometry(path: Path, geometry: PairGeometry, max_disparity: int | None
 def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_size: tuple[int, int]) -> Rig | float:
     """Return the calibration of a color and an infrared camera, ``left`` and ``right`` of the rig.
 
-    JSON holds ``color`` and ``infrared``, each with ``K`` (3, 3), and where known ``distortion`` and ``size``, and
+    JSON has ``color`` and ``infrared``, each with ``K`` (3, 3), and where known ``distortion`` and ``size``, and
     ``R`` (3, 3), ``t`` (3,) in meters, from the color camera's frame to the infrared camera's; or ``rectified: true``
     with ``fb``. YAML is OpenCV's, with ``M1 D1 M2 D2 R T``, camera 1 the color one.
 
@@ -185,7 +185,7 @@ def _camera(
 
 
 def _storage_fields(text: str) -> dict[str, Any]:
-    """Return what a file of JSON, XML or YAML holds, as OpenCV's ``FileStorage``; InputError where it cannot be read.
+    """Return the content of a file of JSON, XML or YAML, as OpenCV's ``FileStorage``; InputError if it is unreadable.
 
     OpenCV's own reader is not used: for some damaged files it never ends, or ends the process.
     """
@@ -199,7 +199,7 @@ def _storage_fields(text: str) -> dict[str, Any]:
             fields = {part.tag: {each.tag: each.text or "" for each in part} or part.text or "" for part in parts}
         else:
             text = re.sub(r"\A%YAML.*|!!opencv-[\w-]+", "", text)
-            # Lists thousands deep take hours, and a few aliases may stand for billions of numbers.
+            # Lists thousands deep take hours, and a few aliases may expand to billions of numbers.
             if text.count("[") > _MAX_LISTS or any(isinstance(each, yaml.AliasToken) for each in yaml.scan(text)):
                 raise InputError(f"{_UNKNOWN} (YAML with aliases, or too many lists)")
             fields = yaml.safe_load(text)

@@ -21,7 +21,7 @@ SENSOR = (0.35, 5.0)
 """Median depths that are plausible for an indoor depth sensor, such as the Kinect, meters."""
 
 _LARGEST_CODE = 65535
-_MAX_SHARE_BEYOND = 0.01  # of the depths that codes cannot hold, without a warning
+_MAX_SHARE_BEYOND = 0.01  # of the depths beyond all codes, without a warning
 _MAX_SENSOR_DEPTH = 10.0  # meters, of 95 % of its pixels; the first Kinect's last code is at 9.7 m
 _ROOM = (0.2, 20.0)  # median depths that are plausible for a room, meters
 
@@ -43,8 +43,8 @@ def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) ->
     """Return a depth map, (H, W) float32, meters, NaN = unknown.
 
     Codes (PNG, PGM, TIFF, integer npy) are rotated right by ``rotate`` bits (SUN RGB-D: 3) and divided by ``scale``,
-    codes per meter: None is 1000 for 16-bit codes; 0 is unknown. PFM, float npy and TIFF hold meters unless a scale is
-    given; what is not a positive number is unknown.
+    codes per meter: None is 1000 for 16-bit codes; 0 is unknown. PFM, float npy, TIFF are in meters unless a scale is
+    given; values that are not positive numbers are unknown.
     """
     values = read_plane(path)
     if values.dtype.kind == "b":
@@ -59,11 +59,11 @@ def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) ->
 
 
 def meters(values: NDArray[Any], scale: float, name: Path | str) -> NDArray[np.float32]:
-    """Return (H, W) codes, ``scale`` of them a meter, as float32 meters; NaN = unknown: what is no positive number.
+    """Return (H, W) codes, ``scale`` of them a meter, as float32 meters; NaN = unknown: no positive number.
 
     There is a warning, which begins with ``name``, where the depths are implausible.
     """
-    with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
+    with np.errstate(all="ignore"):  # infinite results are unknown, like infinite values
         depth = (values / np.float64(scale)).astype(np.float32)
     depth[~((depth > 0) & np.isfinite(depth))] = np.nan
     if text := implausible_depth(name, depth, scale):
@@ -74,10 +74,10 @@ def meters(values: NDArray[Any], scale: float, name: Path | str) -> NDArray[np.f
 def implausible_depth(
     path: Path | str, depth: NDArray[np.float32], scale: float, limits: tuple[float, float] = (MIN_DEPTH, MAX_DEPTH)
 ) -> str:
-    """Return a warning where the median depth is not within ``limits`` (meters), else an empty text.
+    """Return a warning if the median depth is not within ``limits`` (meters), else an empty text.
 
     With the limits ``SENSOR``, 5 % of depths beyond 10 m are a reason, too. It names codes per meter that would make
-    the depths those of a room, other than the ``scale`` that they were read with.
+    the depths fit a room, other than the ``scale`` that they were read with.
     """
     known = depth[np.isfinite(depth)]
     median = float(np.median(known)) if known.size else math.nan
@@ -101,7 +101,7 @@ def implausible_depth(
 
 
 def sensor_warning(path: Path | str, depth: NDArray[np.float32], scale: float) -> str:
-    """Return a warning where no such sensor sees the depths, but for what was said when they were read; or empty."""
+    """Return a warning if no such sensor sees the depths, except one that was given at reading; or empty."""
     text = "" if implausible_depth(path, depth, scale) else implausible_depth(path, depth, scale, SENSOR)
     return f"{text}; see depth_scale" if text and scale != 1 else text
 
@@ -136,7 +136,7 @@ def write_depth_png(
 
 
 def beyond_png(depth: NDArray[np.floating[Any]], scale: float) -> tuple[float, str]:
-    """Return the share of the depths (meters) that 16-bit codes cannot hold, and a warning where it is large."""
+    """Return the share of the depths (meters) beyond 16-bit codes, and a warning if it is large."""
     known = depth[np.isfinite(depth)]
     share = float(np.mean(known * scale >= _LARGEST_CODE + 0.5)) if known.size else 0.0
     if share <= _MAX_SHARE_BEYOND:

@@ -27,8 +27,8 @@ def read_disparity(
 ) -> NDArray[np.float32]:
     """Return a disparity map, (H, W) float32, pixels, NaN = unknown.
 
-    PFM, float npy and float TIFF hold pixels (+-inf and NaN: unknown). Integer codes (PNG, PGM, integer npy) are
-    divided by ``scale``, codes per pixel: None is 256 for 16-bit codes (KITTI) and ``scale_8bit`` for those of 8 bit,
+    PFM, float npy and float TIFF are in pixels (+-inf and NaN: unknown). Integer codes (PNG, PGM, integer npy) are
+    divided by ``scale``, codes per pixel: None is 256 for 16-bit codes (KITTI) and ``scale_8bit`` for 8-bit codes,
     which have none of their own. A code of 0 or less is unknown.
     """
     values = read_plane(path)
@@ -40,7 +40,7 @@ def read_disparity(
                 f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale "
                 "(of maps: evaluate --scale, confidence --scale)"
             )
-    with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
+    with np.errstate(all="ignore"):  # infinite results are unknown, like infinite values
         exact = values / np.float64(scale) if codes else values.astype(np.float32) / np.float32(scale or 1)
         disparity = exact.astype(np.float32)
     disparity[(values <= 0) if codes else ~np.isfinite(disparity)] = np.nan
@@ -57,11 +57,11 @@ def read_disparity(
 
 
 _MIN_CONSTANT_SHARE = 0.005  # of the pixels; a constant that fewer have may be measured
-_MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels of it; it stands alone where it is a mark
+_MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels of it; a mark is alone
 
 
 def lone_constant(disparity: NDArray[np.float32]) -> float | None:
-    """Return the constant at or below 0 that may stand for no value in other programs' maps, such as OpenCV's -1.
+    """Return the constant at or below 0 that may mean no value in other programs' maps, such as OpenCV's -1.
 
     It is the smallest value of a share of the pixels, and few others are near it. None: there is no such constant.
     """
@@ -86,7 +86,7 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
 
 
 def read_plane(path: Path | str) -> NDArray[Any]:
-    """Return (H, W) numbers as stored: a map (PFM, npy, npz, float TIFF), codes, or what a plug-in reads."""
+    """Return (H, W) numbers as stored: a map (PFM, npy, npz, float TIFF), codes, or the values that a plug-in reads."""
     if (plane := read_by_plugin(path)) is not None:
         return plane
     data = read_bytes(path)

@@ -42,12 +42,12 @@ READINGS = {
     "positions": "positions in mm, RAS (NiftyReg deformation field)",
     "voxels": "displacement in voxels (Learn2Reg, VoxelMorph)",
 }
-"""What the numbers of a field may mean."""
+"""Possible meanings of the numbers of a field."""
 
 _MIN_RATIO = 1.1  # mutual information of the better reading over that of the named one, to refuse the named one
 _MIN_GAIN = 0.02  # and by how much it must be more, nats
 _MIN_FIT = 0.1  # mutual information, nats, below which two volumes have little in common
-_MAX_OUTSIDE = 0.1  # share of the fixed volume that may lie outside the field
+_MAX_OUTSIDE = 0.1  # share of the fixed volume that may be outside the field
 _MIN_SHIFT = 0.1  # voxels that the largest displacement of a registration exceeds
 _N_SAMPLES = 60_000  # voxels that the readings of a field are compared at
 _N_INVERSIONS = 8  # steps of the fixed-point iteration, each of which at least halves the error of smooth fields
@@ -61,7 +61,7 @@ class Field:
 
     values: NDArray[np.float32]  # (Z, Y, X, 3), components as in the file: x, y, z
     grid: Grid
-    named: str  # key of READINGS that the header, or the file's kind, says
+    named: str  # key of READINGS of the header, or of the file's kind
 
 
 def read_field(path: Path, fixed: Grid) -> Field:
@@ -85,7 +85,7 @@ def read_field(path: Path, fixed: Grid) -> Field:
 
 
 def _in_voxels(values: NDArray[Any], fixed: Grid) -> Field:
-    """Return (Z, Y, X, 3) displacements in voxels of the fixed volume, whose grid the file does not say."""
+    """Return (Z, Y, X, 3) displacements in voxels of the fixed volume, whose grid the file does not have."""
     if values.shape[:3] != fixed.shape:
         have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
         raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
@@ -125,7 +125,7 @@ def read_moving_transform(
     """Return the SimpleITK transform that maps a point of the fixed volume to the moving one.
 
     With both files, the displacement comes first and the transform after it (ANTs: ``1Warp``, ``0GenericAffine``).
-    The ``convention`` auto (of auto, itk, ants, niftyreg, voxels) takes what the header says; where the moving volume
+    The ``convention`` auto (of auto, itk, ants, niftyreg, voxels) takes the header's; if the moving volume
     is there, another reading that fits it clearly better is an error. With any convention, and for transforms, there is
     a warning where the moving volume fits clearly better through the inverse, with displacements negated or left out.
     """

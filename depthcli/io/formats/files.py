@@ -26,7 +26,7 @@ PARTIAL_SUFFIX = ".partial~"
 """Ending of temporary names; a file left with it belongs to a killed run and may be deleted."""
 
 RUN_FILE = "run.yaml"
-"""File in the folder of a run that says its command and config; the results in the folder are no input."""
+"""File in the folder of a run with its command and config; the results in the folder are no input."""
 
 _MAX_NAME_BYTES = 255  # of one part of a path, by nearly all file systems
 _END_BYTES = 40  # of a longer name that stay
@@ -69,7 +69,7 @@ def warn(text: str) -> None:
 
 @contextlib.contextmanager
 def collected_warnings() -> Iterator[list[str]]:
-    """Give a list that holds what the readers called in the block say by :func:`warn`, each text once."""
+    """Give a list of the warnings of :func:`warn` in the block, each text once."""
     lines: list[str] = []
     token = _collected.set(lines)
     try:
@@ -80,7 +80,7 @@ def collected_warnings() -> Iterator[list[str]]:
 
 @contextlib.contextmanager
 def open_regular(path: Path | str) -> Iterator[BinaryIO]:
-    """Open a regular file for reading; what the system refuses here or inside the block becomes an InputError."""
+    """Open a regular file for reading; an error of the system here or inside the block becomes an InputError."""
     try:
         handle = os.open(path, _FLAGS)
         try:
@@ -118,7 +118,7 @@ def file_states(*files: Path) -> tuple[object, ...]:
         try:
             state = os.stat(file)
             found.append((state.st_mtime_ns, state.st_size, state.st_ino))
-        except (OSError, ValueError):  # reading it says why
+        except (OSError, ValueError):  # reading it tells why
             found.append((0, 0, 0))
     return tuple(found)
 
@@ -174,7 +174,7 @@ def flush(path: Path) -> None:
 
 
 def remove_temporaries(folder: Path, name: str = "") -> None:
-    """Delete the temporary files that killed processes left in a folder, or those of one file in it."""
+    """Delete the temporary files that killed processes left in a folder, or of one file in it."""
     start = f"{glob.escape(name[:_MAX_START])}." if name else ""
     for leftover in folder.glob(f".{start}*{PARTIAL_SUFFIX}"):
         with contextlib.suppress(OSError):

@@ -37,7 +37,7 @@ def volume_files(path: Path) -> tuple[Path, ...]:
     if kind not in (".mha", ".mhd", ".nrrd", ".nhdr"):
         return ()
     found = None
-    with contextlib.suppress(InputError), open_regular(path) as file:  # reading the volume says what is wrong
+    with contextlib.suppress(InputError), open_regular(path) as file:  # reading the volume tells the problem
         found = _DATA_FILE.search(file.read(_HEADER_BYTES))
     name = os.fsdecode(found[1]).strip() if found else "LOCAL"
     if found and name.split()[0] == "LIST":
@@ -50,7 +50,7 @@ def volume_files(path: Path) -> tuple[Path, ...]:
 def transform_files(path: Path) -> tuple[Path, ...]:
     """Return the files that a chain of elastix parameter files leads to, ``path`` not among them."""
     files: list[Path] = []
-    with contextlib.suppress(InputError):  # reading the transform says what is wrong
+    with contextlib.suppress(InputError):  # reading the transform tells the problem
         while path.suffix.lower() == ".txt" and len(files) < MAX_CHAIN:
             text = read_bytes(path, MAX_TRANSFORM_BYTES).decode("latin-1")
             below = initial_transform(path, text) if "(Transform " in text else None
@@ -62,7 +62,7 @@ def transform_files(path: Path) -> tuple[Path, ...]:
 
 
 def initial_transform(path: Path, text: str) -> Path | None:
-    """Return the file that an elastix transform starts from, beside it or where it says; None where there is none."""
+    """Return the file that an elastix transform starts from, in its folder or at its path; or None."""
     found = _INITIAL.findall(text)
     name = found[-1].strip('"') if found else ""
     if name in ("", "NoInitialTransform"):

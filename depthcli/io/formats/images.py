@@ -1,6 +1,6 @@
 """Images as files: PNG, JPEG, Netpbm, TIFF, BMP; single ones, and the two of a pair.
 
-Pillow decodes what it can hold, OpenCV color and PNG of 16 bit and TIFF of floating point, which Pillow cannot.
+OpenCV decodes color and PNG of 16 bit and TIFF of floating point, which Pillow cannot; Pillow the rest.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ _KINDS = {
     "Npy": (NPY_MAGIC,),
 }
 _PNM_HEADER = re.compile(rb"P\d(?:\s|#[^\n]*\n)+" + rb"(\d{1,9})(?:\s|#[^\n]*\n)+" * 2 + rb"(\d{1,9})\s")
-# Comment lines, as some programs write them, may stand between the numbers.
+# Comment lines, as some programs write them, may be between the numbers.
 _PFM_GAP = rb"\s+(?:#[^\n]*\n\s*)*"
 _PFM_HEADER = re.compile(rb"(P[fF])" + (_PFM_GAP + rb"(\d{1,9})") * 2 + _PFM_GAP + rb"([-+0-9.eE]{1,40})(?:\r\n|\s)")
-_HEADER_BYTES = 1 << 14  # first part of a file, which nearly always holds the size of the image
+_HEADER_BYTES = 1 << 14  # first part of a file, which nearly always has the size of the image
 _MAX_DECODED_BYTES = 1 << 30
-# Decoded bytes a stored one: 12 bits of LZW stand for up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
+# Decoded bytes per stored one: 12 bits of LZW expand to up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
 _MAX_EXPANSION = 3000
 _MAX_TEXT_BYTES = 1 << 25  # of a plain PGM or PPM: every number takes 50 bytes while it is read
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILES, _FORMAT, _FLOATS = 256, 257, 258, 277, (322, 323), 339, 3  # tags of TIFF
@@ -139,7 +139,7 @@ def _decoded(data: bytes) -> tuple[Image, int]:
 
 
 def _orientation(image: ImageFile) -> int:
-    """Return the EXIF orientation of an image, a key of ``_TURNS``; 0 where it is upright or says nothing."""
+    """Return the EXIF orientation of an image, a key of ``_TURNS``; 0 if it is upright or has none."""
     with contextlib.suppress(Exception):  # damaged EXIF data, as decoders of many kinds raise it, harm no pixel
         if "exif" in image.info or image.format == "TIFF":  # else a PNG would be decoded to look for it
             turn = int(image.getexif().get(_ORIENTATION, 1))
@@ -225,7 +225,7 @@ def read_pair(left: Path | str, right: Path | str) -> StereoPair:
 
 
 def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int | None = None) -> StereoPair:
-    """Return two images as a pair, both grey where one is; ``declared``: bits of the samples, where files say them."""
+    """Return two images as a pair, both grey if one is; ``declared``: bits of the samples in the files' headers."""
     if left.shape[:2] != right.shape[:2] or left.dtype != right.dtype:
         first, second = (
             f"{image.shape[1]} x {image.shape[0]} {'grey' if image.ndim == 2 else 'colour'} {image.dtype}"
@@ -240,7 +240,7 @@ def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int |
 
 
 def sample_bits(*images: Image, declared: int | None = None) -> int:
-    """Return the bits of samples of one scale: 8; or those declared, 10, 12, or 16, the first that hold the largest."""
+    """Return the bits of samples of one scale: 8; or those declared, 10, 12, or 16, the first that fit the largest."""
     if images[0].dtype == np.uint8:
         return 8
     top = max(int(image.max()) for image in images)
@@ -248,7 +248,7 @@ def sample_bits(*images: Image, declared: int | None = None) -> int:
 
 
 def _declared_bits(data: bytes) -> int | None:
-    """Return the bits of a sample that carry something, where a PNG (sBIT) or PNM (its maximum) says so; else None."""
+    """Return the used bits of a sample by a PNG's sBIT or a PNM's maximum; or None."""
     kind = image_kind(data)
     if kind == "Png" and (at := data.find(b"sBIT", 0, max(data.find(b"IDAT"), 0))) > 0:
         return max(data[at + 4 : at + 4 + data[at - 1]], default=0) or None
@@ -276,7 +276,7 @@ def pnm_header(data: bytes) -> tuple[tuple[int, int, int], int, int]:
 
 
 def pfm_header(data: bytes) -> tuple[tuple[int, int, int], str, int]:
-    """Return shape, dtype, and where the values begin, of a PFM map; the sign of its scale says the byte order."""
+    """Return shape, dtype, and the start of the values, of a PFM map; the sign of its scale is the byte order."""
     header = _PFM_HEADER.match(data)
     try:
         scale = float(header[4]) if header else 0.0

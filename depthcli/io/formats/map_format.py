@@ -26,7 +26,7 @@ class MapFormat(ABC):
     """Endings of the files' names, in lower case, with the dot."""
 
     def __init_subclass__(cls) -> None:
-        """Raise TypeError where the endings are not those of other files."""
+        """Raise TypeError if other files have the endings."""
         suffixes = getattr(cls, "suffixes", ())
         if not isinstance(suffixes, tuple) or not all(str(suffix).startswith(".") for suffix in suffixes):
             raise TypeError(f"suffixes: expected a tuple of endings such as ('.flo5',), got {suffixes!r}")

@@ -19,7 +19,7 @@ _SHIPPED = Path(__file__).resolve().parent.parent / "networks"
 
 
 def network_path(name: str) -> Path:
-    """Return the file of a network: ``name`` itself where it ends with .json, else that of the package."""
+    """Return the file of a network: ``name`` itself if it ends with .json, or a file of the package."""
     if name.endswith(".json"):
         return Path(name)
     shipped = {file.stem: file for file in sorted(_SHIPPED.glob("*.json"))}
@@ -38,7 +38,7 @@ def read_network(path: Path) -> TrainedNetwork:
             content = json.loads(data)
             if content["format"] != _FORMAT:
                 raise InputError(f"format {str(content['format'])[:40]!r}, expected {_FORMAT!r}")
-            with np.errstate(over="ignore"):  # what is infinite is refused
+            with np.errstate(over="ignore"):  # infinite values are errors
                 arrays = [(each["weights"], each["offsets"]) for each in content["layers"]]
                 return TrainedNetwork(
                     tuple(map(str, content["maps"])),

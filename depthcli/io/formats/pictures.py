@@ -73,7 +73,7 @@ def read_status(path: Path | str) -> NDArray[np.uint8]:
 
 def status_color(value: int, palette: Palette) -> tuple[int, int, int]:
     """Return the RGB color of a pixel with the bits ``value``; black where no bit is in the palette."""
-    # Nearly every pixel is smoothed: that shows only where nothing else is to be said.
+    # Nearly every pixel is smoothed: that shows only without another state.
     shown = value if value == _SMOOTHED else value & ~_SMOOTHED
     colors = [np.array(color, float) for bit, (_, color) in palette.items() if shown & bit]
     if value == 0:
@@ -98,7 +98,7 @@ def status_words(value: int, palette: Palette) -> str:
 
 
 def write_legend(path: Path | str, palette: Palette, values: Iterable[int] | None = None) -> None:
-    """Write a picture that says which color of a status map means what.
+    """Write a picture with the meaning of each color of a status map.
 
     It shows the combinations of bits in ``values``; None: no bit, and each bit alone.
     """

@@ -1,4 +1,4 @@
-"""What calibrations and descriptions hold: JSON objects, lines of key and value, numbers of a known count."""
+"""Content of calibrations and descriptions: JSON objects, lines of key and value, numbers of a known count."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def numbers(value: Any, name: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np
         wanted = {-1: "finite numbers", 1: "1 number"}.get(count, f"{' x '.join(map(str, shape))} finite numbers")
         try:
             got = reprlib.repr(value)
-        except ValueError:  # Python writes no integer of more than 4300 digits, which YAML holds as 0x...
+        except ValueError:  # Python writes no integer of more than 4300 digits, which YAML has as 0x...
             got = "a number of thousands of digits"
         raise InputError(f"{name}: expected {wanted} (got {got})")
     return array.reshape(shape)

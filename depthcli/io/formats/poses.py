@@ -27,7 +27,7 @@ class Poses:
         self.times, self.matrices = times, matrices
 
     def at(self, time: float) -> Pose | None:
-        """Return the pose at a time, interpolated between the two beside it; None where none is 20 ms near."""
+        """Return the pose at a time, interpolated between its two neighbors; None if none is 20 ms near."""
         limit, after = _MAX_DELAY + _TIME_TOLERANCE, bisect.bisect_left(self.times, time)
         near = [k for k in (after - 1, after) if 0 <= k < len(self.times) and abs(self.times[k] - time) <= limit]
         if not near:

@@ -24,7 +24,7 @@ def _video(path: Path) -> cv2.VideoCapture:
 
 
 def count_frames(path: Path) -> int:
-    """Return how many frames a video says it has; InputError where it cannot be decoded."""
+    """Return the number of frames in a video's header; InputError if it cannot be decoded."""
     with open_regular(path):
         video = _video(path)
     count = int(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0

@@ -37,7 +37,7 @@ _MAX_SPACING = 1e12  # mm; 1e-12 is the smallest: squares of both are well withi
 _NIFTI_FLOATS = {"16": "f4", "64": "f8"}  # by the header's datatype
 _SLICE_POSITION = "0020|0032"  # DICOM's Image Position (Patient)
 _MAX_UNEVENNESS = 0.05  # of the distances of slices; a missing slice makes one twice as large
-_HEADER_BYTES = 1 << 20  # first part of a MetaImage file that its header lies in
+_HEADER_BYTES = 1 << 20  # first part of a MetaImage file, with its header
 _MAX_LINE = 250  # characters in a header of MetaImage, whose library copies longer ones without a check
 
 Slab = Callable[[int, int], NDArray[np.float32]]
@@ -50,7 +50,7 @@ def suffix_of(path: Path) -> str:
 
 
 def simple_itk() -> Any:
-    """Return the module SimpleITK; InputError that says how to install it where it is missing."""
+    """Return the module SimpleITK; InputError with how to install it if it is missing."""
     try:
         with warnings.catch_warnings():
             # SWIG's types lack a __module__ attribute, which Python 3.12 and newer deprecate.
@@ -84,7 +84,7 @@ def read_volume(path: Path, vector: bool = False) -> Volume:
         grid = Grid(tuple(image.GetSize()), spacing, tuple(image.GetOrigin()), tuple(image.GetDirection()))
         with np.errstate(over="ignore"):  # beyond the range of 32 bit they are no numbers
             values = np.array(simple_itk().GetArrayViewFromImage(image), np.float32, order="C")
-        # In a NIfTI file a field's components lie one after another.
+        # In a NIfTI file a field's components follow one another.
         in_order = np.moveaxis(values, -1, 0) if vector else values
         if unknown is not None:
             in_order[unknown.reshape(in_order.shape)] = np.nan
@@ -146,7 +146,7 @@ def _dicom(folder: Path) -> Any:
 
 
 def itk_header(path: Path) -> Any:
-    """Return SimpleITK's reader of a file, with its header read; it tries no other format than that of the ending."""
+    """Return SimpleITK's reader of a file, with its header read; it tries no other format than the ending's."""
     kind = suffix_of(path)
     if kind not in _ITK_READERS:
         raise InputError(f"no volume of a kind that is read; expected {' '.join(VOLUME_SUFFIXES)}")
@@ -213,7 +213,7 @@ def library_errors() -> Iterator[None]:
 
 
 def _dirlab_grid(path: Path) -> Grid:
-    """The grid of a raw file, by the ``size`` and ``spacing`` (x, y, z) of the meta.json beside it."""
+    """The grid of a raw file, by the ``size`` and ``spacing`` (x, y, z) of the meta.json in its folder."""
     meta_file = path.with_name("meta.json")
     try:
         meta = json_object(read_bytes(meta_file, 1 << 20))

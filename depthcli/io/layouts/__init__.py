@@ -1,4 +1,4 @@
-"""Layouts of data sets in folders: rows of tables, the few special readers beside them, and plug-ins.
+"""Layouts of data sets in folders: rows of tables, the few special readers, and plug-ins.
 
 ================  ===========================================================================================
 ``base``          a folder as a layout sees it, the class of layouts, and the layouts of one kind of scene

@@ -66,7 +66,7 @@ class Folder:
         return self.path / fitting[0] if fitting else None
 
     def below(self, place: str) -> Folder | None:
-        """Return the folder at a path in this one; None where there is none."""
+        """Return the folder at a path in this one, or None."""
         if place not in self._below:
             path = Path(os.path.normpath(self.path / place))
             self._below[place] = Folder(path, self.name, self.prefix) if os.path.isdir(path) else None
@@ -82,7 +82,7 @@ class Folder:
 
     @cached_property
     def meta(self) -> Meta:
-        """The fields of ``meta.json`` that have a value; none where there is no such file."""
+        """The fields of ``meta.json`` that have a value; none without such a file."""
         path = self.path / "meta.json"
         if path.name not in self.names:
             return Meta(path, {})
@@ -163,12 +163,12 @@ class Layout(ABC):
 
     @property
     def name(self) -> str:
-        """Name on the command line: that of its row, or of its plug-in, with dashes."""
+        """Name on the command line: its row's or plug-in's, with dashes."""
         return registered_name(type(self)).replace("_", "-")
 
     @abstractmethod
     def scenes(self, folder: Folder) -> list[Scene]:
-        """Return the scenes that ``folder`` itself holds; none where it is not of this layout."""
+        """Return the scenes of ``folder`` itself; none if it is not of this layout."""
 
     def scene(self, folder: Folder, **values: Any) -> Scene:
         """Return a scene of ``folder`` with these fields; where not given, the name is the folder's."""
@@ -177,7 +177,7 @@ class Layout(ABC):
 
 
 PLUGINS = Registry[Layout](__name__, group="depthcli.layouts")
-"""The layouts of plug-ins; those of this package are rows of tables."""
+"""The layouts of plug-ins; this package's are rows of tables."""
 
 
 @dataclass(frozen=True)
@@ -193,11 +193,11 @@ class Layouts(Generic[SceneT]):
         return cls(kind, tuple(sorted(rows, key=lambda row: row.name)))
 
     def of_kind(self, kind: type[Scene]) -> Layouts[Any]:
-        """Return those of a narrower kind."""
+        """Return the layouts of a narrower kind."""
         return Layouts(kind, tuple(row for row in self.rows if issubclass(row.kind, kind)))
 
     def with_plugins(self) -> Layouts[SceneT]:
-        """Return these, then those of plug-ins."""
+        """Return these, then the layouts of plug-ins."""
         added = (PLUGINS.load(name)() for name in PLUGINS.names())
         return replace(self, rows=(*self.rows, *(row for row in added if issubclass(row.kind, self.kind))))
 

@@ -21,9 +21,9 @@ _TUM_DELAY = 0.02  # seconds, as the benchmark's associate.py
 
 
 def cameras(meta: Meta) -> dict[str, Any]:
-    """Return what meta.json says of both cameras, as fields of the scene.
+    """Return both cameras of meta.json as fields of the scene.
 
-    ``intrinsics`` are those of the color camera, at the root of the file or below that key.
+    ``intrinsics`` belong to the color camera, at the root of the file or below that key.
     """
     return {
         "intrinsics": _intrinsics(meta, "intrinsics", meta.fields),
@@ -85,7 +85,7 @@ def _in_order(number: str) -> int:
 
 
 def _named(found: Found) -> dict[str, Any]:
-    """Return the facts of a frame in folders of frames; names that are numbers are those of a sequence."""
+    """Return the facts of a frame in folders of frames; names that are numbers belong to a sequence."""
     number = re.fullmatch(rf"(?:frame[-_]?)?({NUMBER})", found.keys["name"])
     place = {"sequence": found.folder.name, "number": _in_order(number[1])} if number else {}
     return _meta(found.folder) | {"pose": None} | place
@@ -109,7 +109,7 @@ def _matrix(path: Path) -> tuple[float, ...]:
 
 
 class _Sequence(LayoutRow):
-    """Frames with numbers, whose poses may lie in one file."""
+    """Frames with numbers, whose poses may be in one file."""
 
     def scenes(self, folder: Folder) -> list[Scene]:
         frames = [scene for scene in super().scenes(folder) if isinstance(scene, RgbdScene)]

@@ -21,7 +21,7 @@ _SUFFIXES = {
 
 
 class Registration(Layout):
-    """One folder per pair; the name of each file says what it holds."""
+    """One folder per pair; the name of each file tells its content."""
 
     kind = VolumePairScene
     protocol = "registration"
@@ -67,7 +67,7 @@ def _labels(folder: Folder, maps: Sequence[str]) -> tuple[tuple[str, tuple[tuple
     if not isinstance(given, dict):
         raise folder.meta.error("labels", wanted)
     for name in given:
-        if name not in maps:  # one meta.json may be that of all pairs, of which some lack a mask
+        if name not in maps:  # one meta.json may describe all pairs, of which some lack a mask
             warn(f"{folder.meta.path}: labels: there is no mask_{name}.*")
     for regions in given.values():
         if not isinstance(regions, dict) or any(type(label) is not int or label < 0 for label in regions.values()):

@@ -2,7 +2,7 @@
 
 ``image_2/{frame}_10.png`` names the left images of KITTI, and ``image_3/{frame}_10.png`` the right one of the same
 frame. Placeholders match a part of a name, ``{number}`` digits or a time, ``{_}`` anything that the other files do not
-have to repeat, and ``{path}`` any folders between; ``.*`` at the end stands for the endings of the role's kind of file,
+have to repeat, and ``{path}`` any folders between; ``.*`` at the end means the endings of the role's kind of file,
 and ``|`` separates names that are tried in turn. A row without placeholders describes one scene, the folder itself.
 """
 
@@ -32,7 +32,7 @@ _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 NUMBER = r"\d{9,}\.\d+|\d+"  # of a frame: digits, or the time in seconds, of which the fraction is no number
 _MASK = "mask."  # before the name of a mask in a role
 _MASKS = "masks"  # role of all masks, whose names are ``{mask}``
-_OWN_FIELDS = ("folder", "layout", "problem")  # of scenes, which no file of layouts says
+_OWN_FIELDS = ("folder", "layout", "problem")  # of scenes, which no file of layouts has
 _VIEWS = {StereoScene: ("left", "right"), RgbdScene: ("color", "depth")}
 _Keys = dict[str, str]  # placeholder -> text
 _Key = tuple[tuple[str, str], ...]  # the same, as pairs
@@ -148,7 +148,7 @@ class _Keep(dict[str, str]):
 
 @lru_cache(maxsize=1024)  # folders of thousands of scenes have the same names in them
 def _possible(row: LayoutRow, there: frozenset[str]) -> tuple[Mapping[str, str], ...]:
-    """Return the variants of which a folder with these names may hold an image."""
+    """Return the variants of which a folder with these names may have an image."""
 
     def is_there(*patterns: str) -> bool:
         return any(fnmatch.filter(there, each) for each in patterns)

@@ -20,7 +20,7 @@ from depthcli.io.layouts.base import Folder, Layouts
 from depthcli.io.layouts.rows import Found, LayoutRow
 from depthcli.io.scenes import MAX_DISPARITY, Scene, StereoScene
 
-_KITTI_RANGE = 255  # the largest disparity a file of KITTI can hold: the frames come without a range of their own
+_KITTI_RANGE = 255  # the largest disparity in a file of KITTI: the frames come without a range of their own
 _SCENE_FLOW_RANGE = 192  # of the evaluations in the literature; the files have larger ones, too
 
 # Scale of the ground truth and search range of the data sets of the taxonomy paper, which come without a
@@ -30,7 +30,7 @@ _MIDDLEBURY_FACTS: dict[str, tuple[float, int]] = {
     "poster": (8, 20), "barn1": (8, 19), "barn2": (8, 19),
 }  # fmt: skip
 _SINTEL_PIXELS = (4.0, 2.0**-6, 2.0**-14)  # of a code of the red, green and blue channel
-_MANY_VIEWS = ("rig_calibration", "dslr_calibration")  # how folders begin that lie beside ``images`` of ETH3D
+_MANY_VIEWS = ("rig_calibration", "dslr_calibration")  # beginnings of the folders next to ``images`` of ETH3D
 
 
 def _meta(found: Found) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def _middlebury_v3(found: Found) -> dict[str, Any]:
 
 
 class _Eth3d(LayoutRow):
-    """As Middlebury v3; the truth may lie in a folder beside that of the scenes."""
+    """As Middlebury v3; the truth may be in a folder next to the scenes' folder."""
 
     def scenes(self, folder: Folder) -> list[Scene]:
         if "images" in folder.names and any(name.startswith(_MANY_VIEWS) for name in folder.names):
@@ -131,11 +131,11 @@ def _scene_flow(found: Found) -> dict[str, Any]:
 
 def _driving_stereo(found: Found) -> dict[str, Any]:
     scale = 128.0 if found.files["left"].parent.name == "left-image-full-size" else 256.0
-    return {"disparity_scale": scale, "max_disparity": int(65535 / scale)}  # the largest that a file can hold
+    return {"disparity_scale": scale, "max_disparity": int(65535 / scale)}  # the largest in a file
 
 
 def _pairs(found: Found) -> dict[str, Any] | None:
-    """Return the facts of pairs side by side, but for what scenes and runs hold beside the images."""
+    """Return the facts of pairs side by side, except for files that only scenes and runs have."""
     return None if found.keys["name"].startswith(("disp", "mask", "confidence")) else _meta(found)
 
 
