@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from depthcli.core.text import summarized
+from depthcli.evaluation.bounds import bound_means
 from depthcli.evaluation.protocols import AnyProtocol, scene_means
 from depthcli.evaluation.scores import COMMON_MEAN, MEAN, Key, MapResult, Score, in_order, record
 from depthcli.evaluation.statistics import Ranking, average_ranks
@@ -84,6 +85,10 @@ class Section:
         together = [([replace(s[k], region=keys[0][1]) for k in keys if k in s], scene) for s, scene in scored]
         return (scene_means(self.protocol, together) or [self.score(run, place, keys[0])])[0]
 
+    def bounds(self, run: str) -> list[Score]:
+        """Return the means over all maps with bounds of their scores."""
+        return bound_means([r.bounds for r in self.results_of(run) if r.bounds])
+
     def threshold_curve(self, run: str) -> list[Score]:
         """Return the means over all scenes of one metric at many thresholds."""
         return scene_means(self.protocol, ((r.dense, r.scene) for r in self.results_of(run)))
@@ -126,12 +131,15 @@ class Section:
                 for place, note in notes.items():
                     where = {"run": run, "data_set": self.data_set, "scene": place, "protocol": self.protocol.name}
                     made.append(record(where, self.score(run, place, key), note=note))
+            where = {"run": run, "data_set": self.data_set, "scene": MEAN, "protocol": self.protocol.name}
+            note = f"over {sum(bool(r.bounds) for r in self.results_of(run))} maps with bounds"
+            made += [record(where, score, note=note) for score in self.bounds(run)]
         return made
 
     def to_dict(self) -> dict[str, list[dict[str, Any]]]:
         """Return means, figures, curves and tests as plain values."""
         found: dict[str, list[dict[str, Any]]] = {
-            name: [] for name in ("means", "headlines", "by_threshold", "comparisons")
+            name: [] for name in ("means", "headlines", "by_threshold", "bounds", "comparisons")
         }
         about = {"data_set": self.data_set, "protocol": self.protocol.name}
         for run in self.runs:
@@ -142,6 +150,7 @@ class Section:
             figures = (self.overall(run, place) for place in (MEAN, COMMON_MEAN))
             row = where | self._mean_row(run, *figures)
             found["headlines"].append(row | {"mask": "+".join(self.figure_regions)})
+            found["bounds"] += [where | score.row() for score in self.bounds(run)]
             if curve := self.threshold_curve(run):
                 m = curve[0].metric
                 found["by_threshold"].append({
@@ -229,7 +238,7 @@ class EvaluationReport:
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values; NaN for no number."""
         parts = [section.to_dict() for section in self.sections]
-        names = ("means", "headlines", "by_threshold", "comparisons")
+        names = ("means", "headlines", "by_threshold", "bounds", "comparisons")
         return {
             "truth": self.truth,
             "runs": list(self.runs),

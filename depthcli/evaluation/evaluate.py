@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.registry import plugin_of, versions_here
+from depthcli.evaluation.bounds import PROBABILITY, Promise, judged
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
 from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
@@ -39,7 +40,7 @@ PAGE_FILE = "report.html"
 """The page, in the folder of an evaluation."""
 
 _FILES = ("scores.*", "report.md", PAGE_FILE, "contact_sheet.png")
-RESULTS = (*_FILES, "errors/**/*", "curves/**/*", "points/**/*", "assets/*")
+RESULTS = (*_FILES, "errors/**/*", "bounds/**/*", "curves/**/*", "points/**/*", "assets/*")
 """Shell patterns of the files of an evaluation."""
 
 
@@ -85,8 +86,8 @@ def evaluate_runs(
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
-    Written to ``output``, all at the end: ``scores.csv``, ``scores.json``, ``report.md``,
-    ``errors/<run>/<scene>.png``, ``curves/<run>/<scene>_<region>_<kind>.svg``, ``points/<run>/<scene>.csv``, the files
+    Written to ``output``, all at the end: ``scores.csv``, ``scores.json``, ``report.md``, ``errors`` and
+    ``bounds/<run>/<scene>.png``, ``curves/<run>/<scene>_<region>_<kind>.svg``, ``points/<run>/<scene>.csv``, the files
     of ``viewers``, and ``record.json``, by which the next evaluation knows which files it may replace.
 
     Parameters
@@ -113,7 +114,9 @@ def evaluate_runs(
     writing = staging_folder(Path(output), "evaluate", RESULTS, reporter.info) if output is not None else None
     with writing or contextlib.nullcontext() as folder:
         reports = {run: read_report(place) if rows is None else rows for run, place in places.items()}
-        scoring = _Scoring(places, reports, truth, folder, choices)
+        folders = {run: place if place.is_dir() else place.parent.parent for run, place in places.items()}
+        promises = {run: Promise.of_config(saved_config(place)) for run, place in folders.items()}
+        scoring = _Scoring(places, reports, truth, folder, choices, promises)
         with reporter:
             results = scoring.all_results(scenes)
         report = scoring.report(scenes, results)
@@ -152,7 +155,11 @@ def _flag_columns(report: EvaluationReport, known: Mapping[str, Mapping[str, Row
         for result in section.results:
             scores: Row = {}
             for region in reversed(section.regions):
-                here = {score.metric.heading: score.value for score in result.scores if score.region == region}
+                here = {
+                    score.metric.heading: score.value
+                    for score in (*result.scores, *result.bounds)
+                    if score.region == region
+                }
                 here = {re.sub(r" \([\d.]+\)$", "", heading): value for heading, value in here.items()} | here
                 scores |= {plain_name(f"{heading} {region}"): value for heading, value in here.items()}
                 scores |= {plain_name(heading): value for heading, value in here.items()}
@@ -170,6 +177,7 @@ class _Scoring:
     truth: Path
     output: Path | None
     choices: Choices
+    promises: Mapping[str, Promise]  # of the runs' bounds
     naming: dict[str, MapNaming] = field(default_factory=dict)  # of a run's maps
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)  # by name, those that were used
     hints: list[str] = field(default_factory=list)  # assumptions, one line each
@@ -303,20 +311,32 @@ class _Scoring:
             missing, dense = missing_scores(protocol, truth), missing_scores(protocol, truth, dense=True)
             return replace(start, scores=tuple(missing), dense=tuple(dense), error=str(error))
         confidences: dict[str, NDArray[Any]] = {}
-        for name, file in files.confidences(path).items():
+        named = files.confidences(path)
+        if (probability := files.companion(path, "probability")) is not None:
+            named[PROBABILITY] = probability
+        for name, file in named.items():
             with _warned():
                 confidences[name] = protocol.read_confidence(file, truth)
         hidden: HiddenPixels | None = None
-        if (status := files.status(path)) is not None:
+        status: NDArray[Any] | None = None
+        if (status_file := files.status(path)) is not None:
             with _warned():
-                hidden = hidden_pixels(read_status(status), truth.regions)
+                status = read_status(status_file)
+                hidden = hidden_pixels(status, truth.regions)
+        bound: NDArray[Any] | None = None
+        if (bound_file := files.companion(path, "bound")) is not None:
+            with _warned():
+                bound = protocol.read_confidence(bound_file, truth)
+        promise = self.promises[start.run]
+        curves, bounds, outside = judged(protocol, estimate, truth, confidences, bound, status, promise)
         points, pooling_data = protocol.points(estimate, truth)
         result = replace(
             start,
             source=path.name if path == place else path.relative_to(place).as_posix(),
             scores=tuple(protocol.scores(estimate, truth)),
             dense=tuple(protocol.threshold_curve(estimate, truth)),
-            curves=tuple(protocol.curves(estimate, truth, confidences)),
+            curves=tuple(curves),
+            bounds=tuple(bounds),
             hidden=hidden,
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
             size=truth.size,
@@ -328,6 +348,8 @@ class _Scoring:
                 write_text(self.output / short_path(f"points/{result.run}/{result.scene}.csv"), to_csv(points))
             if (drawn := picture(protocol, estimate, truth)) is not None:
                 write_png(self.output / result.picture, drawn)
+            if outside is not None and (drawn := picture(protocol, estimate, truth, outside)) is not None:
+                write_png(self.output / result.bound_picture, drawn)
             for (region, of), plot in result.plots.items():
                 lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
                 write_text(self.output / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))

@@ -21,7 +21,7 @@ _MAX_LISTED = 50_000  # files of a run folder that are looked at
 # Words in the names of files that are no maps of the left view.
 _OTHER_WORDS = re.compile(
     r"(?<![a-z])(confidence|conf|uncertainty|sigma|(?<!expected_)errors?|err|masks?|valid|nonocc|occ|noc|disc|right|gt|"
-    "truth|groundtruth|preview|status|colou?r|colored|rgb|image|img|im|view|texture|vis|viz|overlay|intensity|fixed|"
+    "truth|groundtruth|bound|probability|preview|status|colou?r|colored|rgb|image|img|im|view|texture|vis|viz|overlay|intensity|fixed|"
     "moving)(?![a-z])"
 )
 _OTHER_STEMS = ("left", "{scene}_left")
@@ -74,6 +74,11 @@ class MapFiles:
     def status(self, path: Path) -> Path | None:
         """Return the status map in the folder of a map, or None."""
         file = path.parent / "status.png"
+        return file if self._in_run_folder(path) and file.is_file() else None
+
+    def companion(self, path: Path, name: str) -> Path | None:
+        """Return the file ``bound`` or ``probability`` in the folder of a map, or None."""
+        file = path.with_name(f"{name}.pfm")
         return file if self._in_run_folder(path) and file.is_file() else None
 
     def _in_run_folder(self, path: Path) -> bool:

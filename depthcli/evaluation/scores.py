@@ -209,6 +209,7 @@ class MapResult:
     scores: tuple[Score, ...] = ()  # the worst of every metric if the map is missing; empty without a usable truth
     dense: tuple[Score, ...] = ()  # of the headline's metric at many thresholds, for plots
     curves: tuple[ConfidenceCurve, ...] = ()  # of the map's confidence maps
+    bounds: tuple[Score, ...] = ()  # of the bound of its errors, by region; empty: it has none
     hidden: HiddenPixels | None = None  # how well the map's status marks pixels that the right view does not see
     seconds: float = math.nan  # by the run's report
     size: int = 0  # number of pixels (or voxels) of the scene, with known truth or without; 0 without a map
@@ -224,6 +225,11 @@ class MapResult:
         return short_path(f"errors/{self.run}/{self.scene}.png")
 
     @property
+    def bound_picture(self) -> str:
+        """Path of the picture of its bound in the output folder."""
+        return short_path(f"bounds/{self.run}/{self.scene}.png")
+
+    @property
     def plots(self) -> dict[tuple[str, str], str]:
         """(region, kind of curve) -> path of the plot in the output folder."""
         start = f"curves/{self.run}/{self.scene}"
@@ -233,7 +239,7 @@ class MapResult:
         """Return the rows of ``scores.csv``: scores, areas of the curves (metric ``AREA:CONFIDENCE:KIND``), failure."""
         where = {"run": self.run, "data_set": self.data_set, "scene": self.scene, "protocol": self.protocol}
         note = f"missing, counted as wholly wrong: {self.error}" if self.error else self.warning
-        made = [record(where, score, self.source, note) for score in self.scores]
+        made = [record(where, score, self.source, note) for score in (*self.scores, *self.bounds)]
         for c in self.curves:
             for area, value in c.areas.items():
                 if area != "ece" or c.reliability is not None:
@@ -256,6 +262,7 @@ class MapResult:
                 "map": self.source, "seconds": self.seconds, "missing": bool(self.error),
                 "warning": self.warning or None, "error": self.error or None,
                 "scores": [score.row() for score in self.scores], "confidence": confidence,
+                "bounds": [score.row() for score in self.bounds],
                 "hidden": None if self.hidden is None else {**self.hidden._asdict(), **self.hidden.shares()},
         }  # fmt: skip
 

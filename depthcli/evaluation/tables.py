@@ -11,13 +11,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from depthcli.core.errors import ConfigError
+from depthcli.evaluation.bounds import BAD, COVERAGE, COVERING, WORST
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.curves import ConfidenceCurve, HiddenPixels, Reliability
 from depthcli.evaluation.render import FORMATS, Number, Table, TableColumn, markdown_code, markdown_link, markdown_text
 from depthcli.evaluation.scores import COMMON_MEAN, ESTIMATED_ONLY, MEAN, Key
 from depthcli.evaluation.statistics import mean_of_known
 
-NAMES = ("headline", "overview", "metrics", "scenes", "further", "confidence", "hidden", "missing")
+NAMES = ("headline", "overview", "metrics", "scenes", "further", "bounds", "confidence", "hidden", "missing")
 """Names of tables, which a region or run and a data set may follow, as in ``metrics-nonocc``."""
 
 MISSING = "*: scenes without a map count as wholly wrong; where a metric has no worst value there is no mean over all"
@@ -71,6 +72,7 @@ def section_tables(section: Section) -> list[Table]:
         ]
         title = f"{section.data_set} - {headline.heading} by scene"
         made.append(Table(title, ("scene", "run", *section.regions), rows, name="scenes"))
+    made += bound_tables(section)
     for run in section.runs:
         kept = [result.pooling_data for result in section.results_of(run) if result.pooling_data is not None]
         for table in presentation.tables(run, kept) if kept else []:
@@ -113,6 +115,44 @@ def summary(section: Section) -> Table:
     note = "; ".join(filter(None, [protocol.presentation.note, "" if complete else MISSING]))
     note = ". ".join(filter(None, [note, _gaps_note(section), _tests_note(section)]))
     return Table.of_columns(title, columns, note, "headline")
+
+
+def bound_tables(section: Section) -> list[Table]:
+    """Return how well the runs' bounds keep their promise: by run and region, and the coverage by scene."""
+    means = {run: scores for run in section.runs if (scores := section.bounds(run))}
+    if not means:
+        return []
+    title = f"{section.data_set} - bounds of the error"
+    unit = section.protocol.presentation.unit
+    columns = {
+        "coverage %": (COVERAGE, 1), "worst map %": (WORST, 1), "maps that cover %": (COVERING, 1),
+        f"median, {unit}": ("bound median", 2), "mean/constant": ("bound / constant", 2),
+    }  # fmt: skip
+    rows, covered = [], []
+    for run, scores in means.items():
+        maps = [result for result in section.results_of(run) if result.bounds]
+        for region in dict.fromkeys(score.region for score in scores):
+            found = {s.metric.name: s for s in scores if s.region == region}  # of one level, and its last share of BAD
+            cells = [Number(found[name].value if name in found else math.nan, n) for name, n in columns.values()]
+            bad = [s for s in scores if (s.metric.name, s.region) == (BAD, region)]
+            start = (run, str(found[COVERING].pixels), region, f"{found[COVERAGE].metric.threshold:g}")
+            rows.append((*start, *cells, *(Number(score.value) for score in bad)))
+        for result in maps:
+            shares = {s.region: s.value for s in result.bounds if s.metric.name == COVERAGE}
+            covered.append((result.run, short(result.scene), shares))
+    surest = [f"bad, surest {score.metric.threshold:g} %" for score in bad]
+    note = (
+        "over pixels with truth and value; coverage: share whose error is within the bound, which promises the level; "
+        "maps that cover: those whose coverage is at most 10 points below; mean/constant: mean bound over the constant "
+        "one with the same coverage; bad: wrong pixels, by the headline's rule, among the surest by the bound; means "
+        "over the maps; said: by the map's own status"
+    )
+    regions = list(dict.fromkeys(region for *_, shares in covered for region in shares))
+    by_scene = [(run, scene, *(Number(of.get(name, math.nan), 1) for name in regions)) for run, scene, of in covered]
+    made = [Table(title, ("run", "maps", "mask", "level %", *columns, *surest), rows, note, name="bounds")]
+    if len(section.scenes) > 1:
+        made.append(Table(f"{title}, coverage % by scene", ("run", "scene", *regions), by_scene, name="bounds-scenes"))
+    return made
 
 
 def _test(section: Section, run: str) -> tuple[str, str, str, str]:
@@ -391,10 +431,13 @@ def report_markdown(report: EvaluationReport) -> str:
     drawn = {p.name: p.presentation.legend for p in report.protocols.values() if p.presentation.error_pictures}
     out += ["## Error pictures" if drawn else "## Curves", ""]
     out += [f"{name}: {legend}.\n" for name, legend in drawn.items()]
+    if drawn and any(r.bounds for r in report.results):
+        out += ["Below, where the truth lies outside the bound: the colors of wrong pixels.\n"]
     for r in report.results:
         if not r.error:
             scene = markdown_text(r.scene)
             out += [f"{markdown_text(r.run)}, {scene}:", ""]
             out += [f"![{scene}]({markdown_link(r.picture)})", ""] if r.protocol in drawn else []
+            out += [f"![bound]({markdown_link(r.bound_picture)})", ""] if r.protocol in drawn and r.bounds else []
             out += [f"![{of}, {region}]({markdown_link(path)})\n" for (region, of), path in r.plots.items()]
     return "\n".join(out)

@@ -156,11 +156,12 @@ def _section_data(section: Section) -> dict[str, Any]:
     longest = max((figures[run] for run in known), default=0.0) or 1.0
     keys = dict.fromkeys([*((headline, region) for region in section.regions), *section.keys])
     n_keys = max(1, _MAX_CELLS // max(1, len(section.scenes) * len(runs)), len(section.regions))
-    narrow = tables.section_tables(section)
+    narrow = [table for table in tables.section_tables(section) if table.name != "bounds"]
     n_cells = sum(len(table.rows) * len(table.header) for table in narrow[1:])
     return {
         "section": section,
         "summary": narrow[0],
+        "bounds": tables.bound_tables(section)[:1],
         "tables": narrow[1:] if n_cells <= _MAX_CELLS else [],
         "order": order,
         "known": known,

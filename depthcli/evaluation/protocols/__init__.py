@@ -205,6 +205,10 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
     region_order: ClassVar[tuple[str, ...]] = ("nonocc", "all", "disc")  # in tables; the first present is the main one
     averages_regions: ClassVar[bool] = False  # the single figure of a run is the mean over all regions
     curve_regions: ClassVar[tuple[str, ...]] = ()  # of the confidence curves; empty: the main region
+    map_unit: ClassVar[float] = 1.0  # unit of maps of floats, and of their bounds, in that of the errors
+    within: ClassVar[float] = math.nan  # error of P(|error| <= within) if the run names none, in the maps' unit
+    # Name -> bits of a status map; a pixel belongs to the first group that it has a bit of, at last to that of 0.
+    status_groups: ClassVar[Mapping[str, int]] = {}
     weights: ClassVar[Mapping[str, float]] = {}  # short name of a scene -> its weight in means, if not 1
     # Makes one score of the scores of one metric and region in several scenes, with the scenes' weights.
     pool: ClassVar[staticmethod[[Sequence[Score], Sequence[float]], Score]] = staticmethod(mean_of_scenes)
@@ -235,6 +239,10 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
     @abstractmethod
     def error(self, estimate: Estimate, truth: TruthT) -> NDArray[np.floating[Any]]:
         """Return the absolute error of every pixel, in the unit of the errors; NaN without estimate or truth."""
+
+    def bounded_error(self, estimate: Estimate, truth: TruthT) -> NDArray[np.floating[Any]]:
+        """Return the absolute error that bounds of a run are of, as ``error`` does."""
+        return self.error(estimate, truth)
 
     def wrong(self, estimate: Estimate, truth: TruthT) -> NDArray[np.bool_]:
         """Return True where the error is above the headline's threshold; False if there is no estimate."""
@@ -322,12 +330,18 @@ def pixel_kinds(
     return np.where(known, np.where(missing, EMPTY, kind), UNKNOWN).astype(np.uint8)
 
 
-def picture(protocol: AnyProtocol, estimate: Any, truth: Truth) -> NDArray[np.uint8] | None:
-    """Return the (H, W, 3) RGB error picture, in the colors of the legend; None if the presentation has none."""
+def picture(
+    protocol: AnyProtocol, estimate: Any, truth: Truth, wrong: NDArray[np.bool_] | None = None
+) -> NDArray[np.uint8] | None:
+    """Return the (H, W, 3) RGB error picture, in the colors of the legend; None if the presentation has none.
+
+    ``wrong``: the wrong pixels; None: by the headline.
+    """
     if not protocol.presentation.error_pictures:
         return None
     missing = np.isnan(protocol.error(estimate, truth))
-    kinds = pixel_kinds(*shown_pixels(protocol, truth), protocol.wrong(estimate, truth), missing)
+    wrong = protocol.wrong(estimate, truth) if wrong is None else wrong
+    kinds = pixel_kinds(*shown_pixels(protocol, truth), wrong, missing)
     return kind_colors()[kinds]
 
 

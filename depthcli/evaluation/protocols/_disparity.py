@@ -91,6 +91,12 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     read_truth = staticmethod(true_disparity)
     files = DisparityFiles()
     curve_regions: ClassVar[tuple[str, ...]] = ("nonocc", "all")
+    within = 1.0
+    status_groups: ClassVar[Mapping[str, int]] = {
+        "occluded": Status.OCCLUDED | Status.OUT_OF_RANGE,
+        "filled": Status.MISMATCH | Status.NO_DATA | Status.FILLED,
+        "measured": 0,
+    }
     takes: ClassVar[tuple[str, ...]] = ("scale", "threshold", "invalid")
     thresholds: ClassVar[tuple[float, ...]]
     default_threshold: ClassVar[float]

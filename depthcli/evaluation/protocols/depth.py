@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
+from depthcli.core.maps import DepthStatus
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, planes_beside
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
@@ -107,6 +109,12 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         sensor=_sensor,
     )
     region_order = ("all", "gap", "occluded", "specular", "mismatch", "measured", "object", "transparent")
+    map_unit = 1000.0
+    status_groups: ClassVar[Mapping[str, int]] = {
+        "filled": DepthStatus.GAP_FILLED | DepthStatus.FALLBACK | DepthStatus.CARRIED,
+        "corrected": DepthStatus.CORRECTED,
+        "kept": 0,
+    }
     takes = ("scale", "threshold", "resize")
     headline = Metric("MAE", "mm", convention=ESTIMATED_ONLY)
 

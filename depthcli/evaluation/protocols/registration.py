@@ -80,6 +80,11 @@ class ExpectedErrorFiles(MapFiles):
         file = path.with_name(path.name.replace("expected_error", "confidence", 1))
         return {"confidence": file} if file != path and file.is_file() else {}
 
+    def companion(self, path: Path, name: str) -> Path | None:
+        """Return the volume ``bound`` or ``probability`` in the folder of ``expected_error``, or None."""
+        file = path.with_name(path.name.replace("expected_error", name, 1))
+        return file if file != path and file.is_file() else None
+
 
 def _on_grid(points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any]:
     """Return a volume as it is shown, in which a landmark is a small ball."""
@@ -236,6 +241,10 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
     def error(self, estimate: Errors, truth: PreparedTruth) -> NDArray[np.floating[Any]]:
         """Return (N,) |expected - true|, mm."""
         return abs(estimate - truth.error)
+
+    def bounded_error(self, estimate: Errors, truth: PreparedTruth) -> NDArray[np.floating[Any]]:
+        """Return (N,) true errors, mm, which a bound is of."""
+        return np.where(np.isfinite(estimate), truth.error, np.float32(np.nan))
 
     def wrong(self, estimate: Errors, truth: PreparedTruth) -> NDArray[np.bool_]:
         """Return True for points whose true error is above 3 mm."""

@@ -1,0 +1,131 @@
+"""Bounds of the error: whether they keep their promise, P(|error| <= bound) = level, and how sharp they are."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import ConfigError
+from depthcli.core.yaml_source import parse_config
+from depthcli.evaluation.curves import ConfidenceCurve, reliability, sparsification
+from depthcli.evaluation.protocols import AnyProtocol, shown_pixels
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, mean_of_scenes, pooled
+
+COVERAGE, WORST, COVERING = "bound coverage", "bound coverage, worst map", "bound coverage, maps"
+"""Share of pixels inside the bound; the smallest of all maps; the share of maps near or above the level."""
+BAD = "bad of surest"
+"""Share of wrong pixels among the pixels of the smallest bounds, whose share is the threshold."""
+PROBABILITY = "probability_within"
+"""Name of the confidence in the file ``probability``."""
+_SUREST = (100, 90, 80, 50)  # percent of the pixels, those of the smallest bound
+_TOLERANCE = 10.0  # percentage points below the level from which on a map covers too little
+
+
+class Promise(NamedTuple):
+    """What the files ``bound`` and ``probability`` of a run promise."""
+
+    level: float = 0.9  # P(|error| <= bound)
+    within: float | None = None  # of P(|error| <= within), in the map's unit; None: the protocol's
+
+    @classmethod
+    def of_config(cls, text: str) -> Promise:
+        """Return the promise of a run by ``bound: {level, within}`` of its config, the usual one without that."""
+        given: Any = None
+        with contextlib.suppress(ConfigError):
+            given = parse_config(text, "").data.get("bound")
+        numbers = {k: v for k, v in given.items() if isinstance(v, int | float)} if isinstance(given, dict) else {}
+        level, within = numbers.get("level", 0.9), numbers.get("within", 0)
+        return cls(level if 0 < level < 1 else 0.9, within if within > 0 else None)
+
+
+def judged(
+    protocol: AnyProtocol,
+    estimate: Any,
+    truth: Any,
+    confidences: Mapping[str, NDArray[Any]],
+    bound: NDArray[Any] | None,
+    status: NDArray[np.uint8] | None,
+    promise: Promise,
+) -> tuple[list[ConfidenceCurve], list[Score], NDArray[np.bool_] | None]:
+    """Return the curves of a map's confidences, the scores of its bound, and True where the truth lies outside it.
+
+    A value without a bound lies outside. Regions are those of the truth, and by the map's status ``said NAME``. The
+    bound has a curve, too. By the confidence ``PROBABILITY`` a value is right if its error is within what the run says.
+
+    Parameters
+    ----------
+    bound : of the regions' shape, in the unit of the run's maps; None: the map has none
+    """
+    curves = protocol.curves(estimate, truth, {**confidences, **({} if bound is None else {"bound": -bound})})
+    if bound is None and PROBABILITY not in confidences:
+        return curves, [], None
+    error, wrong, regions = protocol.bounded_error(estimate, truth), protocol.wrong(estimate, truth), {**truth.regions}
+    within = protocol.map_unit * (promise.within or protocol.within)
+    for k, curve in enumerate(curves):
+        if (curve.confidence, curve.of) == (PROBABILITY, "bad") and not math.isnan(within):
+            region = regions[curve.region] & ~np.isnan(error)
+            right = reliability(confidences[PROBABILITY][region], error[region] <= within)
+            curves[k] = replace(curve, reliability=right)
+    if bound is None:
+        return curves, [], None
+    if status is not None and status.shape == error.shape:
+        rest = shown_pixels(protocol, truth)[0]
+        for name, bits in protocol.status_groups.items():
+            regions[f"said {name}"] = rest & ((status & bits) != 0) if bits else rest
+            rest = rest & ~regions[f"said {name}"]
+    bound, unit, made = protocol.map_unit * bound.astype(np.float64), protocol.presentation.unit, list[Score]()
+    for name, region in regions.items():
+        made += bound_scores(Tally(name, error[region]), bound[region], wrong[region], promise.level, unit)
+    return curves, made, ~np.isnan(error) & ~(error <= bound)
+
+
+def bound_scores(
+    tally: Tally, bound: NDArray[np.floating[Any]], wrong: NDArray[np.bool_], level: float, unit: str
+) -> list[Score]:
+    """Return coverage, median, sharpness, and wrong pixels among the surest, of one region; nothing without a value.
+
+    The sharpness is the mean bound over the smallest constant one with the same coverage; there is none if that is 0.
+
+    Parameters
+    ----------
+    bound : (N,) in the unit of the errors; NaN: there is none, so that nothing is covered
+    wrong : (N,) by the headline's rule
+    """
+    valued = ~np.isnan(tally.error)
+    error, bound, wrong = tally.valid, bound[valued], wrong[valued]
+    if not error.size:
+        return []
+    known, covered = bound[~np.isnan(bound)], int(np.count_nonzero(error <= bound))
+    share = Metric(COVERAGE, "%", round(100 * level, 6), ESTIMATED_ONLY, larger_is_better=True)
+    made = [replace(tally.number(share, 100 * covered / error.size, error.size), wrong=error.size - covered)]
+    if known.size:
+        median = Metric("bound median", unit, None, ESTIMATED_ONLY)
+        made.append(tally.number(median, float(np.median(known)), known.size))
+    constant = float(np.partition(error, covered - 1)[covered - 1]) if covered else 0.0
+    if constant > 0:
+        ratio = float(known.mean()) / constant
+        made.append(tally.number(Metric("bound / constant", "", None, ESTIMATED_ONLY), ratio, known.size))
+    curve = sparsification(-bound, wrong)
+    rates = dict(zip(curve.percentages, curve.errors, strict=True))
+    for surest in _SUREST:
+        metric = Metric(BAD, "%", float(surest), ESTIMATED_ONLY)
+        made.append(tally.number(metric, 100 * rates[surest], round(error.size * surest / 100)))
+    return made
+
+
+def bound_means(maps: Sequence[Sequence[Score]]) -> list[Score]:
+    """Return the means over the scores of several maps, which weigh alike, with the worst coverage and who covers."""
+    made = pooled(mean_of_scenes, ((scores, 1.0) for scores in maps))
+    for score in [score for score in made if score.metric.name == COVERAGE]:
+        found = [s.value for scores in maps for s in scores if s.key == score.key]
+        enough = sum(value >= (score.metric.threshold or 0) - _TOLERANCE for value in found)
+        of_maps = Metric(COVERING, "% of maps", score.metric.threshold, ESTIMATED_ONLY, larger_is_better=True)
+        made.append(replace(score, metric=replace(score.metric, name=WORST), value=min(found)))
+        made.append(replace(score, metric=of_maps, value=100 * enough / len(found), pixels=len(found)))
+    return made

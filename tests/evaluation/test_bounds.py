@@ -1,0 +1,140 @@
+"""Bounds of the error: by hand on vectors, and through ``evaluate`` on maps whose errors are known."""
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.evaluation.bounds import BAD, COVERAGE, COVERING, WORST, Promise, bound_means, bound_scores
+from depthcli.evaluation.scores import Score, Tally
+from depthcli.io.formats.disparity import read_disparity, write_pfm
+from depthcli.io.formats.images import read_image, write_png
+
+NAN = math.nan
+
+
+def scores_of(error: list[float], bound: list[float], level: float = 0.9) -> dict[str, Score]:
+    """Return heading -> score; errors above 1 are wrong."""
+    errors = np.array(error, np.float32)
+    found = bound_scores(Tally("all", errors), np.array(bound, np.float64), errors > 1, level, "px")
+    return {score.metric.heading: score for score in found}
+
+
+def values(error: list[float], bound: list[float]) -> dict[str, float]:
+    return {heading: score.value for heading, score in scores_of(error, bound).items()}
+
+
+def test_constant_bound_is_as_sharp_as_the_constant_and_orders_nothing():
+    found = scores_of([0.5, 1, 2, 4], [1, 1, 1, 1])
+    coverage = found[f"{COVERAGE} 90"]
+    assert (coverage.value, coverage.wrong, coverage.pixels, coverage.density) == (50, 2, 4, 100)
+    assert found["bound median"].value == found["bound / constant"].value == 1
+    assert [found[f"{BAD} {share}"].value for share in (100, 90, 80, 50)] == [50] * 4
+
+
+def test_bound_that_knows_the_error_is_sharp_and_orders_all():
+    error = [0.25, 0.5, 0.5, 0.75, 8]
+    found = values(error, error)
+    assert found[f"{COVERAGE} 90"] == 100
+    assert found["bound / constant"] == pytest.approx(2 / 8)
+    assert [found[f"{BAD} {share}"] for share in (100, 80, 50)] == pytest.approx([20, 0, 0])
+
+
+def test_values_without_bound_are_not_covered_and_pixels_without_value_do_not_count():
+    found = scores_of([0.5, 0.5, 0.5, NAN], [1, NAN, 1, NAN])
+    assert found[f"{COVERAGE} 90"].value == pytest.approx(200 / 3)
+    assert (found[f"{COVERAGE} 90"].pixels, found["bound median"].pixels, found["bound median"].density) == (3, 2, 75)
+    assert scores_of([NAN], [1]) == {}
+
+
+def test_nothing_covered_has_no_sharpness():
+    found = values([1, 2], [0.5, 0.5])
+    assert found[f"{COVERAGE} 90"] == 0
+    assert "bound / constant" not in found
+    assert values([1, 2], [NAN, NAN])[f"{COVERAGE} 90"] == 0
+
+
+def test_means_weigh_maps_alike_and_know_the_worst():
+    maps = [
+        [*scores_of([1.0] * n, [2.0] * inside + [0.5] * (n - inside)).values()] for n, inside in ((10, 8), (100, 70))
+    ]
+    found = {score.metric.name: score for score in bound_means(maps) if score.metric.name != BAD}
+    assert (found[COVERAGE].value, found[WORST].value, found[COVERING].value) == (75, 70, 50)
+    assert (found[COVERAGE].pixels, found[COVERING].pixels) == (110, 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "promise"),
+    [
+        ("bound: {level: 0.8, within: 2}", Promise(0.8, 2)),
+        ("bound: {level: 80, within: many}", Promise()),
+        ("bound: true", Promise()),
+        ("", Promise()),
+        ("{", Promise()),
+    ],
+)
+def test_promise_of_a_config(text: str, promise: Promise):
+    assert Promise.of_config(text) == promise
+
+
+@pytest.fixture
+def two_runs(made_scenes: Path, tmp_path: Path) -> list[str]:
+    """Return the words of an evaluation of two runs: errors of .5 px above row 20, 4 px below, and 1 px of bound."""
+    name = sorted(path.name for path in made_scenes.iterdir() if (path / "disp_left.pfm").is_file())[0]
+    truth = read_disparity(made_scenes / name / "disp_left.pfm")
+    error = np.full(truth.shape, 4, np.float32)
+    error[:20] = 0.5
+    for run, level in (("a", 0.9), ("b", 0.5)):
+        folder = tmp_path / run / name
+        folder.mkdir(parents=True)
+        write_pfm(folder / "disp_left.pfm", truth + error)
+        write_pfm(folder / "bound.pfm", np.full_like(truth, 1))
+        (tmp_path / run / "run.yaml").write_text(f"bound: {{level: {level}, within: 5}}\n", "utf-8")
+    write_pfm(tmp_path / "a" / name / "probability.pfm", np.ones_like(truth))
+    write_png(tmp_path / "a" / name / "status.png", np.where(error < 1, 0, 16).astype(np.uint8))
+    runs = [str(tmp_path / "a"), str(tmp_path / "b")]
+    return ["evaluate", *runs, "--truth", str(made_scenes), "--scenes", name, "-o", str(tmp_path / "out"), "--html"]
+
+
+def test_evaluate_measures_bounds_of_two_runs(two_runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main([*two_runs, "--tables", "bounds"]) == 0
+    assert "said filled" in capsys.readouterr().out
+    out = tmp_path / "out"
+    report = json.loads((out / "scores.json").read_text())
+    rows = {(r["run"], r["mask"], r["metric"]): r for r in report["bounds"] if r["metric"] != BAD}
+    assert [rows["a", region, COVERAGE]["value"] for region in ("said measured", "said filled")] == [100, 0]
+    assert rows["a", "said measured", "bound / constant"]["value"] == pytest.approx(2, abs=1e-4)
+    assert rows["a", "all", COVERAGE]["threshold"] == 90
+    assert rows["b", "all", COVERAGE]["threshold"] == 50
+    assert len({rows[of]["value"] for of in (("a", "all", COVERAGE), ("a", "all", WORST), ("b", "all", COVERAGE))}) == 1
+    # Of a probability that all errors are within 5 px, and so they are.
+    curves = [c for c in report["results"][0]["confidence"] if (c["mask"], c["of"]) == ("all", "bad")]
+    assert {c["measure"]: c["ece"] for c in curves}["probability_within"] == 0
+    with (out / "scores.csv").open(encoding="utf-8") as file:
+        (mean,) = (r for r in csv.DictReader(file) if (r["run"], r["scene"], r["mask"], r["metric"]) == (
+            "b", "*mean", "all", COVERAGE))  # fmt: skip
+    assert float(mean["density"]) == 100
+    assert int(mean["wrong"] or 0) <= int(mean["pixels"])
+    (scene,) = (out / "bounds" / "a").rglob("*.png")
+    picture = read_image(scene)
+    inside, outside = picture[:20].reshape(-1, 3), picture[20:].reshape(-1, 3)
+    assert not {tuple(c) for c in inside.tolist()} & {tuple(c) for c in outside.tolist()} - {(255, 255, 255)}
+    assert "bounds of the error" in (out / "report.html").read_text("utf-8")
+    assert "bounds/b/" in (out / "report.md").read_text("utf-8")
+
+
+def test_runs_without_bounds_have_no_table_and_damaged_ones_a_warning(
+    two_runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (bound_a,), (bound_b,) = (tuple((tmp_path / run).rglob("bound.pfm")) for run in "ab")
+    bound_a.unlink()
+    bound_b.write_bytes(b"damaged")
+    assert main([*two_runs, "--tables", "all"]) == 0
+    printed = capsys.readouterr()
+    assert "bounds of the error" not in printed.out
+    assert "bound.pfm" in printed.err
+    assert json.loads((tmp_path / "out" / "scores.json").read_text())["bounds"] == []
