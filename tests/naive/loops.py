@@ -2,7 +2,7 @@
 
 Compiled for one thread, or for all by ``parallel=True``, they are the sequential and the naive programs that figure 3.2
 compares optimized ones with (``scripts/thesis``). Images are float32, volumes (H, W, D) float32; cells whose match lies
-outside the right image are left as they are.
+outside the right image are left as they are. Indices of ``prange`` are unsigned in numba, hence ``int64``.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ def arms(source, out, own, other, along_rows):
                 prefix[x + 1, d] = prefix[x, d] + source[i, x, d]
         for x in range(length):
             for d in range(depth):
-                j, y = (i, x - d) if along_rows else (i - d, x)
+                j, y = (np.int64(i), x - d) if along_rows else (np.int64(i) - d, x)
                 before, after = own[0, i, x], own[1, i, x]
                 if j >= 0 and y >= 0:
                     before, after = min(before, other[0, j, y]), min(after, other[1, j, y])
@@ -43,7 +43,7 @@ def arms(source, out, own, other, along_rows):
 def weights(source, out, left, right, radius, first):
     n, width, depth = out.shape
     for i in prange(n):
-        y = first + i
+        y = first + np.int64(i)
         for x in range(width):
             for d in range(min(depth, x + 1)):
                 total, norm = np.float32(0), np.float32(0)
@@ -74,7 +74,8 @@ def difference(left, right, out):
 
 def derivatives(image, out, taps):
     height, width = image.shape
-    for y in prange(2, height - 2):
+    for i in prange(height - 4):
+        y = np.int64(i) + 2
         for x in range(2, width - 2):
             for k in range(2):
                 total = np.float32(0)
@@ -86,7 +87,8 @@ def derivatives(image, out, taps):
 
 def ranks(image, out):
     height, width = image.shape
-    for y in prange(4, height - 4):
+    for i in prange(height - 8):
+        y = np.int64(i) + 4
         for x in range(4, width - 4):
             for v in range(-4, 5):
                 for u in range(-4, 5):
@@ -95,7 +97,8 @@ def ranks(image, out):
 
 def signatures(image, out):
     height, width = image.shape
-    for y in prange(3, height - 3):
+    for i in prange(height - 6):
+        y = np.int64(i) + 3
         for x in range(4, width - 4):
             for v in range(-3, 4):
                 for u in range(-4, 5):
