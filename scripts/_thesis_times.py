@@ -106,4 +106,4 @@ def frames(scene: Any) -> Rows:
     for name in (*FRAMES, "opencv-sgbm"):
         run = matcher(name)
         jobs[name] = lambda run=run: run(StereoPair(pair.left, pair.right), scene.max_disparity)
-    return {name: {"ms": 1e3 * found[0]} for name, found in seconds_in_turns(jobs, 15, warm=2).items()}
+    return {name: {"ms": 1e3 * found[0]} for name, found in seconds_in_turns(jobs, 60, warm=2).items()}
