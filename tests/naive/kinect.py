@@ -126,17 +126,17 @@ def region_merging(image, levels, complexities, guidance, min_size):
 
 
 def huber_plane(z, x, y, k, floor, iterations=200):
-    """(3,) coefficients of 1, x, y by iteratively reweighted least squares; the scale as it is after three turns."""
+    """(3,) coefficients of 1, x, y by iteratively reweighted least squares; the scale never rises."""
     basis = np.stack([np.ones_like(x), x, y], axis=1)
     beta = np.array([np.sort(z)[len(z) // 2], 0, 0])
 
     def spread(r):
         return max(1.4826 * np.sort(np.abs(r - np.sort(r)[len(r) // 2]))[len(r) // 2], floor)
 
-    for turn in range(iterations):
+    scale = np.inf
+    for _ in range(iterations):
         r = z - basis @ beta
-        if turn < 3:
-            scale = spread(r)
+        scale = min(scale, spread(r))
         w = np.where(np.abs(r) <= k * scale, 1, k * scale / np.maximum(np.abs(r), 1e-300))
         beta = np.linalg.lstsq(basis * np.sqrt(w)[:, None], z * np.sqrt(w), rcond=None)[0]
     return beta, spread(z - basis @ beta)

@@ -16,7 +16,6 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 # Values that refine-kinect dsrm was published with; nothing in the repository varies them.
 _MIN_PLANE_PIXELS, _MIN_QUADRIC_PIXELS = 30, 100  # known pixels from which a surface has degree 1, 2
 _CONVERGED = 0.05  # a surface that moves by less than this share of the floor of the scale is final
-_SCALE_UPDATES = 3  # iterations after which the scale of the residuals is left as it is
 _GOLDEN_RATIO = 0.6180339887498949  # its multiples modulo 1 are the most evenly spread
 _SCALE_SAMPLES = 100  # residuals that the scale is estimated from
 
@@ -140,11 +139,11 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
     far_u, far_v = np.abs(u).max(), np.abs(v).max()
     extent = (1.0, far_u, far_v, far_u * far_u, far_u * far_v, far_v * far_v)
     normal, right, new = np.empty((6, 6)), np.empty(6), np.empty(6)
-    spread = floor
-    for turn in range(iterations):
+    spread = np.inf
+    for _ in range(iterations):
         _residuals(z, u, v, beta, residuals)
-        if turn < _SCALE_UPDATES:
-            spread = _spread(residuals, scratch, floor)
+        # The scale only falls: one that grew with the residuals would let outliers pull the surface further.
+        spread = min(spread, _spread(residuals, scratch, floor))
         limit = huber * spread
         for k in range(n):
             weights[k] = huber_weight(residuals[k], limit)
@@ -157,7 +156,7 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
         for i in range(terms):
             change += abs(new[i] - beta[i]) * extent[i]
             beta[i] = new[i]
-        if change < _CONVERGED * floor and turn + 1 >= _SCALE_UPDATES:
+        if change < _CONVERGED * floor:
             break
     _residuals(z, u, v, beta, residuals)
     return np.float32(_spread(residuals, scratch, floor))
