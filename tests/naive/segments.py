@@ -51,6 +51,27 @@ def segment_window(costs, labels, radius):
     return out
 
 
+def segment_sums(costs, labels, radius, limits):
+    """Costs of chapter 2 (after eq. 2.7): sums over the window's pixels in the segment of its center, inf where banned.
+
+    ``limits`` (n, 2) are the lowest and the highest disparity of each segment (eq. 2.2).
+    """
+    height, width, disparities = costs.shape
+    out = np.full(costs.shape, np.inf)
+    for y, x in np.ndindex(height, width):
+        low, high = limits[labels[y, x]]
+        for d in range(disparities):
+            if not low <= d <= min(high, x):
+                continue
+            total = 0.0
+            for v in range(max(0, y - radius), min(height, y + radius + 1)):
+                for u in range(max(0, x - radius), min(width, x + radius + 1)):
+                    if labels[v, u] == labels[y, x]:
+                        total += costs[v, u, d]
+            out[y, x, d] = total
+    return out
+
+
 def penalize_outside(costs, zones, ranges, penalty, limit):
     out = costs.astype(np.float64)
     for y, x, d in np.ndindex(costs.shape):

@@ -87,6 +87,23 @@ def gradient(left, right, disparities, truncation, outside):
     )
 
 
+def intensity_gradient(colors, greys, disparities, outside):
+    """Eq. 2.6 + 2.7: (H, W, C) ``colors``, the mean over their channels; (H, W) ``greys``, by Sobel's filters."""
+    sobel = np.outer([1, 2, 1], [-1, 0, 1])
+
+    def slopes(grey):
+        around = windows(grey.astype(int), 3, 3)
+        return np.stack([(around * sobel).sum(axis=(2, 3)), (around * sobel.T).sum(axis=(2, 3))], axis=2)
+
+    left, right = (color.astype(int) for color in colors)
+    a, b = map(slopes, greys)
+
+    def cost(y, x, d):
+        return np.abs(left[y, x] - right[y, x - d]).mean() + np.abs(a[y, x] - b[y, x - d]).sum()
+
+    return volume(left.shape[:2], disparities, cost, outside)
+
+
 def zncc(left, right, disparities, window, noise, outside):
     around = [windows(image.astype(float), *window) for image in (left, right)]
 

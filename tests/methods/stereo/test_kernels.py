@@ -16,6 +16,7 @@ from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.cost.combined import Combined
 from depthcli.methods.stereo.cost.gradient import Gradient, image_gradient
+from depthcli.methods.stereo.cost.intensity_gradient import IntensityGradient
 from depthcli.methods.stereo.cost.rank import Rank
 from depthcli.methods.stereo.cost.zncc import Zncc
 from depthcli.methods.stereo.optimization import scanline
@@ -108,6 +109,14 @@ def test_gradient(height, width, disparities):
     expected = naive.gradient(pair.left, pair.right, disparities, cost.truncation, cost.outside)
     # Four rounded sixteenths, then quarters.
     np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=4 / 32 + 1 / 8 + 1e-4)
+
+
+@sizes
+@pytest.mark.parametrize("color", [False, True])
+def test_intensity_gradient(height, width, disparities, color):
+    pair, cost = random_pair(height, width, color), IntensityGradient(outside=7)
+    expected = naive.intensity_gradient(pair.color8, pair.grey8, disparities, cost.outside)
+    np.testing.assert_allclose(cost(pair, disparities).costs, expected, rtol=1e-6)
 
 
 @sizes

@@ -7,6 +7,8 @@ from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, Se
 from depthcli.algorithms.regions import RegionPixels, region_graph
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
+from depthcli.kernels.winners import winners
+from depthcli.methods.stereo.cost.intensity_gradient import IntensityGradient
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
 from depthcli.methods.stereo.segments import planes as energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Split, segment_window
@@ -14,6 +16,7 @@ from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
 from depthcli.methods.stereo.segments.steps import map_with_status
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.simulate.stereo_scenes import make_scene
+from depthcli.testing.inputs import texture
 from tests.contracts.checks import pairs_of_any_size_have_values_within_the_range_or_a_reason
 from tests.contracts.inputs import preset, wrong
 from tests.naive import segments as naive
@@ -52,6 +55,23 @@ def test_window_stays_inside_the_segment(radius, dtype):
     step = 16 if dtype == np.uint8 else volume.scale / 2.0
     assert volume.costs.dtype == np.uint16
     assert np.allclose(volume.costs / step, expected, atol=0.6 / step + (0 if dtype != np.float32 else 0.05))
+
+
+@pytest.mark.parametrize("radius", [0, 2])
+def test_first_disparities_have_the_smallest_sums_inside_segment_and_range(radius):
+    """Chapter 2: eq. 2.6 + 2.7, summed over the window's pixels in the segment, the ranges of eq. 2.2 as a ban."""
+    pair = StereoPair(texture((14, 30, 3), 1).astype(np.uint8), texture((14, 30, 3), 2).astype(np.uint8))
+    labels, limits = _labels(shape=(14, 30)), np.array([[0, 7], [2, 3], [4, 6], [1, 1]], np.int32)
+    costs = IntensityGradient()(pair, 8)
+    volume = segment_window(costs, labels, radius) if radius else costs
+    found = winners(Ranges(penalty=65535).penalize(volume, SearchRanges(labels, limits)).costs)[0]
+    sums = naive.segment_sums(costs.costs, labels, radius, limits)
+    matched = np.isfinite(sums).any(axis=2)
+    assert matched[:, 7:].all()
+    chosen = np.take_along_axis(sums, found[..., None].astype(int), axis=2)[..., 0]
+    rounding = (2 * radius + 1) ** 2 / volume.scale if radius else 0
+    assert np.all(chosen[matched] <= sums.min(axis=2)[matched] + rounding)
+    assert np.mean(found[matched] == sums.argmin(axis=2)[matched]) > 0.99
 
 
 def test_ranges_follow_equations_2_3_to_2_5():
@@ -216,6 +236,6 @@ def test_a_uniform_image_has_no_values():
     assert np.all(result.disparity.status & Status.NO_DATA)
 
 
-@pytest.mark.parametrize("name", ["segments", "segments-kp", "segments-dedc", "segments-baseline"])
+@pytest.mark.parametrize("name", ["segments", "ch2-kp-dedc", "ch2-kp", "ch2-dedc", "ch2-baseline"])
 def test_tiny_pairs_and_ranges_wider_than_the_image(name):
     pairs_of_any_size_have_values_within_the_range_or_a_reason(_preset(name))

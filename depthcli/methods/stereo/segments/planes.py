@@ -114,7 +114,9 @@ class Energy(ConfigModel):
     data_term: Annotated[
         Literal["dedc", "matching_cost"],
         BeforeValidator(lambda name: name.lower() if isinstance(name, str) else name),
-    ] = Field("dedc", description="cost of a plane: dedc (distance from the first disparities) or matching_cost")
+    ] = Field(
+        "dedc", description="cost of a plane: dedc (distance from the first disparities) or matching_cost (of pixels)"
+    )
     data_weight: float = Field(10.0, ge=0, le=1e6, description="weight of the dedc data term (thesis, eq. 2.9: lambda)")
     truncation: float | None = Field(
         None, gt=0, le=16384, description="limit of a pixel's difference in dedc, pixels; null: none"

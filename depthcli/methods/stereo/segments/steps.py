@@ -74,6 +74,7 @@ class SegmentSteps(ConfigModel):
             matches = consistent(match_rectified(left, right, max_disparity))
         clock.start("window")
         informative = has_information(volume.costs)
+        of_pixels = volume
         if self.window_radius:
             volume = segment_window(volume, labels, self.window_radius)
         clock.start("first_estimate")
@@ -87,7 +88,7 @@ class SegmentSteps(ConfigModel):
         segments = SegmentedImage.of(labels, first, region_graph(labels, image), max_disparity)
         assignment = None
         if informative:  # in a uniform image an optimizer would still carry the costs of the borders everywhere
-            assignment = assign(segments, volume, self.planes, self.energy, self.rounds, self.sweeps, clock)
+            assignment = assign(segments, of_pixels, self.planes, self.energy, self.rounds, self.sweeps, clock)
         clock.start("refinement")
         if assignment is None:
             disparity = DisparityMap(
