@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.yaml_source import parse_config
-from depthcli.evaluation.curves import ConfidenceCurve, reliability, sparsification
+from depthcli.evaluation.curves import ConfidenceCurve, reliability
 from depthcli.evaluation.protocols import AnyProtocol, shown_pixels
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, mean_of_scenes, pooled
 
@@ -111,11 +111,14 @@ def bound_scores(
     if constant > 0:
         ratio = float(known.mean()) / constant
         made.append(tally.number(Metric("bound / constant", "", None, ESTIMATED_ONLY), ratio, known.size))
-    curve = sparsification(-bound, wrong)
-    rates = dict(zip(curve.percentages, curve.errors, strict=True))
+    bound = np.where(np.isnan(bound), np.inf, bound)
     for surest in _SUREST:
+        size = max(1, round(error.size * surest / 100))
+        limit = np.partition(bound, size - 1)[size - 1]
+        below = bound < limit  # of equal bounds, pixels count with their mean
+        n_wrong = np.count_nonzero(wrong & below) + (size - np.count_nonzero(below)) * wrong[bound == limit].mean()
         metric = Metric(BAD, "%", float(surest), ESTIMATED_ONLY)
-        made.append(tally.number(metric, 100 * rates[surest], round(error.size * surest / 100)))
+        made.append(tally.number(metric, 100 * float(n_wrong) / size, size))
     return made
 
 

@@ -125,7 +125,7 @@ def bound_tables(section: Section) -> list[Table]:
     title = f"{section.data_set} - bounds of the error"
     unit = section.protocol.presentation.unit
     columns = {
-        "coverage %": (COVERAGE, 1), "worst map %": (WORST, 1), "maps that cover %": (COVERING, 1),
+        "coverage %": (COVERAGE, 1), "worst map %": (WORST, 1), "covering maps %": (COVERING, 1),
         f"median, {unit}": ("bound median", 2), "mean/constant": ("bound / constant", 2),
     }  # fmt: skip
     rows, covered = [], []
@@ -140,12 +140,12 @@ def bound_tables(section: Section) -> list[Table]:
         for result in maps:
             shares = {s.region: s.value for s in result.bounds if s.metric.name == COVERAGE}
             covered.append((result.run, short(result.scene), shares))
-    surest = [f"bad, surest {score.metric.threshold:g} %" for score in bad]
+    surest = [f"bad of {score.metric.threshold:g} %" for score in bad]
     note = (
         "over pixels with truth and value; coverage: share whose error is within the bound, which promises the level; "
-        "maps that cover: those whose coverage is at most 10 points below; mean/constant: mean bound over the constant "
-        "one with the same coverage; bad: wrong pixels, by the headline's rule, among the surest by the bound; means "
-        "over the maps; said: by the map's own status"
+        "covering maps: those whose coverage is at most 10 points below; mean/constant: mean bound over the constant "
+        "one with the same coverage; bad: wrong pixels, by the headline's rule, among so many of the smallest bounds; "
+        "means over the maps; said: by the map's own status"
     )
     regions = list(dict.fromkeys(region for *_, shares in covered for region in shares))
     by_scene = [(run, scene, *(Number(of.get(name, math.nan), 1) for name in regions)) for run, scene, of in covered]

@@ -15,6 +15,7 @@ from typing import Any
 from depthcli.core.errors import InputError
 from depthcli.core.text import printable, without_secrets
 from depthcli.evaluation import tables
+from depthcli.evaluation.bounds import COVERAGE
 from depthcli.evaluation.columns import heading_help
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.plots import plots
@@ -72,6 +73,9 @@ class Page:
             with contextlib.suppress(InputError):  # the scores count, the whole map is an extra
                 dense = shown.presentation.show(path, self._scene.scene, shown.files)
         self._scene.add(result.run, path, estimate, truth, confidences, dense)
+        if result.bounds:
+            self._scene.add_picture(result.run, "bound", path.with_name("bound.png"))
+            self._scene.add_picture(result.run, "truth outside the bound", self.folder / result.bound_picture)
 
     def _save(self, view: SceneView | None) -> None:
         self._scene = None
@@ -181,8 +185,10 @@ def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
     for r in report.results:
         if r.scene == view.name and r.protocol == view.protocol.name:
             figures = {s.region: Number(s.value) for s in r.scores if s.metric == view.protocol.headline}
+            inside = {s.region: Number(s.value, 1) for s in r.bounds if s.metric.name == COVERAGE}
             curves = [(c.region, c.confidence, c.of, Number(c.line.auc, 4)) for c in r.curves]
-            runs.append({"result": r, "figures": figures, "curves": curves, "thumbs": view.thumbs.get(r.run, {})})
+            runs.append({"result": r, "figures": figures, "curves": curves, "inside": inside,
+                         "thumbs": view.thumbs.get(r.run, {})})  # fmt: skip
     return {"name": view.name, "protocol": view.protocol, "view": view, "thumbs": view.thumbs.get("", {}), "runs": runs}
 
 

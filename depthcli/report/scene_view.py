@@ -35,6 +35,7 @@ from depthcli.report.packing import PackedScene, jpeg, map_picture, pack, pack_b
 _CONFIDENCE_LEVELS = 4096  # of a packed confidence; noise below them would only fill the page
 _MAX_THUMB = 240  # pixels of a small picture's longer side
 _MARGIN = 0.5  # values up to this share of the truth's range outside it are packed, others as out of range
+_MAX_PICTURE = 480  # pixels, width of a picture among the small ones whose text can be read
 _MAX_SHEET = 1056  # pixels, width of the preview of a volume in the page
 _MAX_CONFIDENCES = 4  # with a small picture and a mean; the others are in the viewer
 _QUANTILES = (1, 99)  # percent, of the values that span the colors where nothing else gives their scale
@@ -205,6 +206,11 @@ class SceneView:
         self._errors[run] = _Errors(_small(kind), _small(error[cut]), high)
         self.thumbs.setdefault(run, {})["map"] = self._map_thumb(values[cut])
 
+    def add_picture(self, run: str, kind: str, file: Path) -> None:
+        """Add a picture of a run's map that is a file, if it can be read."""
+        if (picture := _preview(file, _MAX_PICTURE)) is not None:
+            self.thumbs.setdefault(run, {})[kind] = picture
+
     def add_shown(self, run: str, path: Path, shown: ShownMap) -> None:
         """Add the map of a run without truth: map, status, confidence and expected error."""
         status, error = self._status(path), shown.expected_error
@@ -241,6 +247,7 @@ class SceneView:
             grey = confidence_picture(_small(plane[cut]))
             thumbs[f"{said}, dark: unsure"] = png(np.repeat(grey[..., None], 3, axis=2))
         self.thumbs[run] = thumbs
+        self.add_picture(run, "bound", path.with_name("bound.png"))
 
     def close(self, file: Path) -> None:
         """Draw the pictures of errors, and move the data from memory to ``file``.
@@ -253,7 +260,8 @@ class SceneView:
             self.top = f"{self.data['top']:g}"
         for run, (kind, error, _) in self._errors.items():
             shaded = error_scales()[kind, step_of(error, 0.0, self.data["top"], 64)]
-            self.thumbs.setdefault(run, {})["error"] = self._blended(shaded, kind == UNKNOWN)
+            first = {"map": self.thumbs[run].pop("map"), "error": self._blended(shaded, kind == UNKNOWN)}
+            self.thumbs[run] = {**first, **self.thumbs[run]}
         self.packed = PackedScene.write(file, self.data)
         self._errors, self.image, self.data = {}, None, {}
 
@@ -366,12 +374,12 @@ def _shrunk(picture: Picture, width: int, height: int) -> Picture:
     return np.asarray(cv2.resize(picture, shape, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _preview(file: Path) -> str | None:
-    """Return the preview of a volume as a JPEG of the page's width; None if it was not kept."""
+def _preview(file: Path, max_width: int = _MAX_SHEET) -> str | None:
+    """Return a picture, such as the preview of a volume, as a JPEG of limited width; None if it was not kept."""
     try:
         picture = np.asarray(read_image(file), np.uint8)
     except InputError:
         return None
     height, width = picture.shape[:2]
-    share = min(1.0, _MAX_SHEET / width)
-    return jpeg(_shrunk(picture, min(width, _MAX_SHEET), round(height * share)))
+    share = min(1.0, max_width / width)
+    return jpeg(_shrunk(picture, min(width, max_width), round(height * share)))

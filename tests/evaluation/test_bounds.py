@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.evaluation.bounds import BAD, COVERAGE, COVERING, WORST, Promise, bound_means, bound_scores
+from depthcli.core.volumes import Grid
+from depthcli.evaluation.bounds import BAD, COVERAGE, COVERING, WORST, Promise, bound_means, bound_scores, judged
+from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
+from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.scores import Score, Tally
 from depthcli.io.formats.disparity import read_disparity, write_pfm
 from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.volume_pairs import RegistrationTruth
 
 NAN = math.nan
 
@@ -65,6 +69,34 @@ def test_means_weigh_maps_alike_and_know_the_worst():
     found = {score.metric.name: score for score in bound_means(maps) if score.metric.name != BAD}
     assert (found[COVERAGE].value, found[WORST].value, found[COVERING].value) == (75, 70, 50)
     assert (found[COVERAGE].pixels, found[COVERING].pixels) == (110, 2)
+
+
+def test_bounds_of_depth_are_in_meters_and_by_the_status_of_depth_maps():
+    depth = np.full((2, 4), 2, np.float32)
+    truth = DepthTruth(depth, {"all": np.ones((2, 4), bool)}, None, 1000)
+    estimate = depth + np.array([[0.01] * 4, [0.03] * 4], np.float32)
+    status = np.array([[0] * 4, [1, 1, 2, 2]], np.uint8)
+    curves, scores, outside = judged(
+        DepthProtocol(), estimate, truth, {}, np.full((2, 4), 0.02, np.float32), status, Promise()
+    )
+    assert {s.region: s.value for s in scores if s.metric.name == COVERAGE} == {
+        "all": 50, "said filled": 0, "said corrected": 0, "said kept": 100
+    }  # fmt: skip
+    (median,) = (s for s in scores if (s.metric.name, s.region) == ("bound median", "all"))
+    assert (median.value, median.metric.unit) == (pytest.approx(20), "mm")
+    assert outside is not None
+    assert outside.tolist() == [[False] * 4, [True] * 4]
+    assert {curve.confidence for curve in curves} == {"bound"}
+
+
+def test_bounds_of_registrations_are_of_the_true_error():
+    stored = RegistrationTruth(Grid((4, 4, 4), (1, 1, 1)), np.zeros((4, 3)), np.array([1, 2, 5, 9], np.float32))
+    truth = PreparedTruth(stored.error, np.zeros((4, 3)), None, stored)
+    expected = np.array([9, 9, 9, NAN], np.float32)
+    scores = judged(RegistrationProtocol(), expected, truth, {}, np.full(4, 3, np.float32), None, Promise())[1]
+    (coverage,) = (s for s in scores if s.metric.name == COVERAGE)
+    assert (coverage.value, coverage.pixels, coverage.density, coverage.region) == (
+        pytest.approx(200 / 3), 3, 75, "landmarks")  # fmt: skip
 
 
 @pytest.mark.parametrize(
