@@ -62,7 +62,7 @@ def fill() -> Any:
 def smoothness() -> Any:
     """Planes of segments with three weights of the smoothness."""
     left, right, truth, _ = scene(*FOREGROUND)
-    found = {f"smoothness = {n}": stereo((left, right), "segments", {"energy.smoothness": n}) for n in (0, 45, 2000)}
+    found = {f"smoothness = {n}": stereo((left, right), "segments", {"energy.smoothness": n}) for n in (0, 25, 2000)}
     return maps(found, truth, np.isfinite(truth))
 
 
