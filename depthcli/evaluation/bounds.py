@@ -90,7 +90,8 @@ def bound_scores(
 ) -> list[Score]:
     """Return coverage, median, sharpness, and wrong pixels among the surest, of one region; nothing without a value.
 
-    The sharpness is the mean bound over the smallest constant one with the same coverage; there is none if that is 0.
+    The sharpness is the mean of the finite bounds over the smallest constant that covers as many of their pixels; there
+    is none if that is 0.
 
     Parameters
     ----------
@@ -101,16 +102,23 @@ def bound_scores(
     error, bound, wrong = tally.valid, bound[valued], wrong[valued]
     if not error.size:
         return []
-    known, covered = bound[~np.isnan(bound)], int(np.count_nonzero(error <= bound))
-    share = Metric(COVERAGE, "%", round(100 * level, 6), ESTIMATED_ONLY, larger_is_better=True)
-    made = [replace(tally.number(share, 100 * covered / error.size, error.size), wrong=error.size - covered)]
+    finite, known, covered = np.isfinite(bound), bound[~np.isnan(bound)], int(np.count_nonzero(error <= bound))
+    promised = Metric(COVERAGE, "%", round(100 * level, 6), ESTIMATED_ONLY, larger_is_better=True)
+    share, median, sharpness = (
+        Metric(f"bound{name}", of, None, ESTIMATED_ONLY)
+        for name, of in ((" finite", "%"), (" median", unit), (" / constant", ""))
+    )
+    made = [
+        replace(tally.number(promised, 100 * covered / error.size, error.size), wrong=error.size - covered),
+        tally.number(share, 100 * float(finite.mean()), error.size),
+    ]
     if known.size:
-        median = Metric("bound median", unit, None, ESTIMATED_ONLY)
         made.append(tally.number(median, float(np.median(known)), known.size))
-    constant = float(np.partition(error, covered - 1)[covered - 1]) if covered else 0.0
+    limited, bounds = error[finite], bound[finite]
+    inside = int(np.count_nonzero(limited <= bounds))
+    constant = float(np.partition(limited, inside - 1)[inside - 1]) if inside else 0.0
     if constant > 0:
-        ratio = float(known.mean()) / constant
-        made.append(tally.number(Metric("bound / constant", "", None, ESTIMATED_ONLY), ratio, known.size))
+        made.append(tally.number(sharpness, float(bounds.mean()) / constant, bounds.size))
     bound = np.where(np.isnan(bound), np.inf, bound)
     for surest in _SUREST:
         size = max(1, round(error.size * surest / 100))

@@ -126,7 +126,8 @@ def bound_tables(section: Section) -> list[Table]:
     unit = section.protocol.presentation.unit
     columns = {
         "coverage %": (COVERAGE, 1), "worst map %": (WORST, 1), "covering maps %": (COVERING, 1),
-        f"median, {unit}": ("bound median", 2), "mean/constant": ("bound / constant", 2),
+        "finite %": ("bound finite", 1), f"median, {unit}": ("bound median", 2),
+        "mean/constant": ("bound / constant", 2),
     }  # fmt: skip
     rows, covered = [], []
     for run, scores in means.items():
@@ -143,9 +144,9 @@ def bound_tables(section: Section) -> list[Table]:
     surest = [f"bad of {score.metric.threshold:g} %" for score in bad]
     note = (
         "over pixels with truth and value; coverage: share whose error is within the bound, which promises the level; "
-        "covering maps: those whose coverage is at most 10 points below; mean/constant: mean bound over the constant "
-        "one with the same coverage; bad: wrong pixels, by the headline's rule, among so many of the smallest bounds; "
-        "means over the maps; said: by the map's own status"
+        "covering maps: those whose coverage is at most 10 points below; mean/constant: mean finite bound over the "
+        "constant one with the same coverage; bad: wrong pixels, by the headline's rule, among so many of the smallest "
+        "bounds; means over the maps; said: by the map's own status"
     )
     regions = list(dict.fromkeys(region for *_, shares in covered for region in shares))
     by_scene = [(run, scene, *(Number(of.get(name, math.nan), 1) for name in regions)) for run, scene, of in covered]

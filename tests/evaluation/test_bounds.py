@@ -55,6 +55,14 @@ def test_values_without_bound_are_not_covered_and_pixels_without_value_do_not_co
     assert scores_of([NAN], [1]) == {}
 
 
+def test_infinite_bounds_cover_and_make_no_bound_less_sharp():
+    found = values([0.5, 1, 9], [1, 1, math.inf])
+    assert (found[f"{COVERAGE} 90"], found["bound finite"]) == (100, pytest.approx(200 / 3))
+    assert found["bound / constant"] == 1
+    assert found[f"{BAD} 50"] == 0
+    assert math.isinf(values([1], [math.inf])["bound median"])
+
+
 def test_nothing_covered_has_no_sharpness():
     found = values([1, 2], [0.5, 0.5])
     assert found[f"{COVERAGE} 90"] == 0
