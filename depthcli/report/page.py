@@ -185,7 +185,9 @@ def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
     for r in report.results:
         if r.scene == view.name and r.protocol == view.protocol.name:
             figures = {s.region: Number(s.value) for s in r.scores if s.metric == view.protocol.headline}
-            inside = {s.region: Number(s.value, 1) for s in r.bounds if s.metric.name == COVERAGE}
+            inside = {
+                s.region: Number(s.value, 1) for s in r.bounds if s.metric.name == COVERAGE and s.region in figures
+            }
             curves = [(c.region, c.confidence, c.of, Number(c.line.auc, 4)) for c in r.curves]
             runs.append({"result": r, "figures": figures, "curves": curves, "inside": inside,
                          "thumbs": view.thumbs.get(r.run, {})})  # fmt: skip
