@@ -18,7 +18,7 @@ from tests.naive import loops
 
 TIMED = (3, 11, 21, 33)
 FRAMES = ("thesis/ch3-ad-cw", "thesis/ch3-ad-rank-cross", "fast")
-STRIP = 75  # rows of the image that sequential and naive adaptive weights are timed on
+STRIP = 15  # rows of the image that sequential and naive adaptive weights are timed on
 
 
 @cache
