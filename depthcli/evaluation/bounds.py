@@ -27,14 +27,14 @@ _SUREST = (100, 90, 80, 50)  # percent of the pixels, those of the smallest boun
 _TOLERANCE = 10.0  # percentage points below the level from which on a map covers too little
 
 
-class Promise(NamedTuple):
+class BoundSettings(NamedTuple):
     """What the files ``bound`` and ``probability`` of a run promise."""
 
     level: float = 0.9  # P(|error| <= bound)
     within: float | None = None  # of P(|error| <= within), in the map's unit; None: the protocol's
 
     @classmethod
-    def of_config(cls, text: str) -> Promise:
+    def of_config(cls, text: str) -> BoundSettings:
         """Return the promise of a run by ``bound: {level, within}`` of its config, the usual one without that."""
         given: Any = None
         with contextlib.suppress(ConfigError):
@@ -51,7 +51,7 @@ def judged(
     confidences: Mapping[str, NDArray[Any]],
     bound: NDArray[Any] | None,
     status: NDArray[np.uint8] | None,
-    promise: Promise,
+    promise: BoundSettings,
 ) -> tuple[list[ConfidenceCurve], list[Score], NDArray[np.bool_] | None]:
     """Return the curves of a map's confidences, the scores of its bound, and True where the truth lies outside it.
 
