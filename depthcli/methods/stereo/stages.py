@@ -88,7 +88,9 @@ class CostStages(ConfigModel):
         """
         aggregated = self.aggregation is not None
         optimized = not isinstance(self.optimization, WinnerTakesAll)
-        bytes_per_cell = max(2, 7 if aggregated else 0, (6 if aggregated else 5) if optimized else 0)
+        raw = self.cost.bytes_per_cost
+        sums = 6 if aggregated else (4 if optimized else 0)
+        bytes_per_cell = max(2 * raw, raw + sums)
         return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + self.cost.pixel_bytes())
 
     def halo(self) -> int | None:

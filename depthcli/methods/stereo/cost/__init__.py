@@ -45,6 +45,9 @@ class CostMeasure(Method):
         """Return the memory beside the volume that is needed meanwhile, bytes a pixel, where it is much."""
         return 0
 
+    bytes_per_cost: ClassVar[int] = 1
+    """Size of a cost in the volume that it returns."""
+
     compares_levels: ClassVar[bool] = False
     """Whether it compares grey levels or their differences, so that costs of matches rise where the light differs."""
 

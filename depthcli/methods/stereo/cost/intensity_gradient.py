@@ -22,6 +22,7 @@ class IntensityGradient(CostMeasure):
 
     outside: float = Field(120.0, ge=0, le=5000, description="cost of a match outside the right image, grey levels")
 
+    bytes_per_cost = 4
     compares_levels = True
 
     def halo(self) -> int:

@@ -36,8 +36,9 @@ class Segments(SegmentSteps, AdjustingMatcher, StereoPipeline):
         return self.from_volume(pair, volume, max_disparity, clock)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Estimate: raw costs (1 byte per cell), the window's means and two sums of path costs (2 bytes each)."""
+        """Estimate: raw costs, the window's means (a byte more each) and two sums of path costs (2 bytes each)."""
         optimized = not isinstance(self.optimization, WinnerTakesAll)
-        per_cell = max(3, 2 + (2 if self.window_radius else 0) + (4 if optimized else 0))
+        raw = self.cost.bytes_per_cost
+        per_cell = max(2 + raw, 1 + raw + (1 + raw if self.window_radius else 0) + (4 if optimized else 0))
         per_pixel = (max_disparity + 1) * per_cell + 300 + self.cost.pixel_bytes()
         return shape[0] * shape[1] * per_pixel + (64 << 20)
