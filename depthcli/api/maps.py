@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from depthcli.algorithms.error_table import LEVELS
 from depthcli.api.inputs import as_image, as_map, as_pair, computing
 from depthcli.api.results import Disparity
 from depthcli.api.saving import made, write_details, write_disparity
@@ -20,7 +21,7 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Result
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import png_bytes, write_png
-from depthcli.io.formats.networks import network_path, read_network
+from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.io.formats.pictures import preview
 from depthcli.methods.given_maps import MEASURES, Networks, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
@@ -34,6 +35,21 @@ _MAX_BEYOND = 0.01  # share of a map's values above the range; with more it has 
 _MIN_EXPECTED = 0.3  # mean probability below which a map has a warning
 
 
+@dataclass(frozen=True)
+class Promise:
+    """What is asked of a map: a bound of its errors, and the chance of a small one; ConfigError out of range."""
+
+    level: float = 0.9  # share of the errors that are not larger than the bound
+    within: float = 1.0  # pixels
+
+    def __post_init__(self) -> None:
+        low, high = LEVELS
+        if not low <= self.level <= high:
+            raise ConfigError(f"level: expected {low:g} to {high:g}, got {self.level:g}")
+        if not 0.25 <= self.within <= 8:
+            raise ConfigError(f"within: expected 0.25 to 8 pixels, got {self.within:g}")
+
+
 @dataclass(frozen=True, eq=False)
 class MapConfidence:
     """How sure a disparity map is: arrays of (H, W) pixels.
@@ -43,6 +59,7 @@ class MapConfidence:
     """
 
     values: NDArray[np.float32]  # the map that was judged, pixels, NaN = no value
+    bound: NDArray[np.float32]  # of the error, pixels: a share ``level`` of the errors is not larger; NaN = no value
     probability: NDArray[np.float32]  # of pixels with p, a share of p is right; 0 where there is no value
     status: NDArray[np.uint8]
     measures: Mapping[str, NDArray[np.float32]]  # those that were asked for; larger is surer, NaN = no value
@@ -71,8 +88,9 @@ class MapConfidence:
     def save(self, folder: str | Path, share: float | None = None, threshold: float | None = None) -> None:
         """Write what ``depthcli confidence`` writes, the map as :meth:`kept` returns it, into a folder old or new."""
         kept, files = self.kept(share, threshold), made(folder)
-        write_pfm(files / "confidence.pfm", self.probability)
-        write_png(files / "confidence.png", self._picture())
+        write_pfm(files / "bound.pfm", self.bound)
+        write_pfm(files / "probability.pfm", self.probability)
+        write_png(files / "probability.png", self._picture())
         write_disparity(kept, self.status, preview(kept, self.max_disparity), files)
         write_details(Result(confidence=dict(self.measures)), files)
 
@@ -92,9 +110,10 @@ def map_confidence(
     witnesses: Sequence[ArrayLike] = (),
     right_disparity: ArrayLike | None = None,
     within: float = 1.0,
+    level: float = 0.9,
     measures: Sequence[str] = (),
 ) -> MapConfidence:
-    """Return how sure a disparity map of a rectified pair is that any program made.
+    """Return how wrong each value of a disparity map of a rectified pair may be that any program made.
 
     ConfigError for an unknown measure, or a number out of bounds; InputError for images and maps that do not fit each
     other, negative disparities, or too little memory.
@@ -107,7 +126,8 @@ def map_confidence(
     max_disparity : largest disparity that is compared with, pixels; None: as the pair says; values above are wrong
     witnesses : maps of the same view by other methods, which make the judgment better
     right_disparity : (H, W) pixels, the map of the right view by the same program, for the measure ``left_right``
-    within : error up to which a value counts as right, pixels, 0.25 to 8
+    within : error up to which a value counts as right in ``probability``, pixels, 0.25 to 8
+    level : share of the errors that the ``bound`` is not smaller than, 0.5 to 0.99
     measures : names of single measures that are wanted, too, or ``all``; the error for another name lists them
 
     Examples
@@ -129,7 +149,8 @@ def map_confidence(
     maps = {name: as_map(one, name, shape) for name, one in given.items()}
     other = None if right_disparity is None else as_map(right_disparity, "right_disparity", shape)
     with computing():
-        return judged(images, maps, max_disparity, within, measures_named(measures), other, available_memory())
+        promise = Promise(level, within)
+        return judged(images, maps, max_disparity, promise, measures_named(measures), other, available_memory())
 
 
 def fuse_maps(
@@ -140,6 +161,8 @@ def fuse_maps(
     max_disparity: int | None = None,
     within: float = 1.0,
     surfaces: bool = False,
+    bound: bool = False,
+    level: float = 0.9,
 ) -> Disparity:
     """Return the best of several disparity maps of a rectified pair at every pixel; one is completed and corrected.
 
@@ -152,6 +175,8 @@ def fuse_maps(
     max_disparity : largest disparity that is compared with, pixels; None: as the pair says; values above are wrong
     within : error up to which a value counts as right in ``confidence["probability"]``, pixels, 0.25 to 8
     surfaces : whether planes of segments are proposed, too; slower
+    bound : whether ``bound`` and ``probability`` of the fused map are computed, by judging it once more
+    level : share of the errors that the ``bound`` is not smaller than, 0.5 to 0.99
 
     Examples
     --------
@@ -166,13 +191,15 @@ def fuse_maps(
     pair = as_pair(left, right)
     arrays = {f"maps[{k}]": as_map(one, f"maps[{k}]", pair.shape) for k, one in enumerate(maps)}
     with computing():
-        return fused(pair, arrays, max_disparity, within, surfaces, available_memory())
+        promise = Promise(level, within)
+        return fused(pair, arrays, max_disparity, promise, surfaces, available_memory(), bound=bound)
 
 
 @cache
 def networks() -> Networks:
-    """Return the networks of the package."""
-    return Networks(*(read_network(network_path(name)) for name in ("map_right", "map_hidden", "map_one_view")))
+    """Return the networks of the package, and their tables of errors."""
+    right, hidden, one_view = (read_network(network_path(f"map_{name}")) for name in ("right", "hidden", "one_view"))
+    return Networks(right, hidden, one_view, read_errors("map_errors"), read_errors("map_errors_one_view"))
 
 
 def measures_named(names: Sequence[str]) -> list[str]:
@@ -186,7 +213,7 @@ def judged(
     images: StereoPair | Image,
     maps: Mapping[str, NDArray[np.float32]],
     max_disparity: int | None,
-    within: float,
+    promise: Promise,
     measures: Sequence[str],
     right: NDArray[np.float32] | None,
     memory: int,
@@ -197,18 +224,18 @@ def judged(
     ``memory`` bytes do not suffice.
     """
     shape = images.shape if isinstance(images, StereoPair) else images.shape[:2]
-    top, clean, warnings = _prepared(images, maps, max_disparity, within)
+    top, clean, warnings = _prepared(images, maps, max_disparity)
     first = next(iter(maps.values()))
     known = np.isfinite(first) & (first >= 0)
     if not isinstance(images, StereoPair):
-        found = judge_by_one_view(networks(), images, clean[0], top, within, measures)
+        found = judge_by_one_view(networks(), images, clean[0], top, promise.within, measures, promise.level)
         status = found.status
         note = "no right image: judged by the map's shape and the left image alone, which say far less"
         warnings.insert(0, note)
     else:
         size = f"{shape[1]} x {shape[0]} pixels, {top + 1} disparities"
         check_memory(peak_bytes(images.shape, top, len(clean)), memory, size)
-        found = judge(networks(), images, clean, top, within, measures, right)
+        found = judge(networks(), images, clean, top, promise.within, measures, right, promise.level)
         status = np.where(known & np.isnan(clean[0]), np.uint8(Status.MISMATCH), found.status)
         expected = float(found.probability[known].mean()) if known.any() else 0.0
         if not known.any():
@@ -219,42 +246,47 @@ def judged(
                 "not rectified, or another scale?"
             )
     values = np.where(known, first, np.float32(np.nan))
-    return MapConfidence(values, found.probability, status, found.confidence, top, found.seconds, tuple(warnings))
+    # The truth of a value above the largest disparity lies in 0 .. ``top``.
+    bound = np.where(known & np.isnan(clean[0]), values, found.bound)
+    details = found.confidence, top, found.seconds, tuple(warnings)
+    return MapConfidence(values, bound, found.probability, status, *details)
 
 
 def fused(
     pair: StereoPair,
     maps: Mapping[str, NDArray[np.float32]],
     max_disparity: int | None,
-    within: float,
+    promise: Promise,
     surfaces: bool,
     memory: int,
     status: Mapping[str, NDArray[np.uint8]] | None = None,
+    bound: bool = False,
 ) -> Disparity:
     """Return one map of several, of which some have a (H, W) ``status``; errors as of :func:`judged`."""
     if not 1 <= len(maps) <= MAX_MAPS:
         raise InputError(f"maps: expected 1 to {MAX_MAPS} (got {len(maps)})")
-    top, clean, warnings = _prepared(pair, maps, max_disparity, within)
+    top, clean, warnings = _prepared(pair, maps, max_disparity)
     size = f"{pair.shape[1]} x {pair.shape[0]} pixels, {top + 1} disparities"
     check_memory(peak_bytes(pair.shape, top, len(clean) + N_ADDED), memory, size)
     empty = np.zeros(pair.shape, np.uint8)
     pairs = zip(clean, [(status or {}).get(name, empty) for name in maps], strict=True)
     measured = [np.isfinite(one) & DisparityMap(one, known).measured for one, known in pairs]
-    found, judgment = fuse(networks(), pair, clean, top, within, surfaces, measured)
-    seconds, confidence = dict(judgment.seconds), {"probability": judgment.probability}
-    result = StereoResult(disparity=found, seconds=seconds, confidence=confidence)
-    return Disparity(found.values, found.status, pair.left, SearchRange(0, top), result, seconds, tuple(warnings))
+    level = promise.level if bound else None
+    best = fuse(networks(), pair, clean, top, promise.within, surfaces, measured, level)
+    found, confidence = best.disparity, {} if bound else {"probability": best.probability}
+    result = StereoResult(disparity=found, seconds=best.seconds, confidence=confidence)
+    details = SearchRange(0, top), result, best.seconds, tuple(warnings)
+    one = Disparity(found.values, found.status, pair.left, *details)
+    return replace(one, bound=best.bound, probability=best.probability) if bound else one
 
 
 def _prepared(
-    images: StereoPair | Image, maps: Mapping[str, NDArray[np.float32]], max_disparity: int | None, within: float
+    images: StereoPair | Image, maps: Mapping[str, NDArray[np.float32]], max_disparity: int | None
 ) -> tuple[int, list[NDArray[np.float32]], list[str]]:
     """Return the largest disparity, the maps without values outside of the range, and warnings.
 
     Where none is given, the pair says it, not the maps, whose scale may be wrong; the maps do where the pair cannot.
     """
-    if not 0.25 <= within <= 8:
-        raise ConfigError(f"within: expected 0.25 to 8 pixels (got {within:g})")
     if max_disparity is not None and not max_disparity >= 1:
         raise InputError(f"max_disparity: must be at least 1 (got {max_disparity})")
     finite = {name: one[np.isfinite(one)] for name, one in maps.items()}

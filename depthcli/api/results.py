@@ -18,6 +18,7 @@ from depthcli.core.frames import Image, color8
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
 from depthcli.io.formats.calibrations import read_geometry, write_geometry
 from depthcli.io.formats.depth import MILLIMETERS, write_points
+from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.pictures import preview, preview_depth
 from depthcli.methods.stereo.search_range import SearchRange
@@ -113,6 +114,9 @@ class Disparity(Shown, DisparityMap):
     warnings: tuple[str, ...] = ()  # what looks wrong, one line each
     key_points: Mapping[str, int] = field(default_factory=dict)  # matches and their range, where an end was "auto"
     geometry: PairGeometry | None = None  # of the rectified views, where a calibration was given
+    # Where a bound was asked for, (H, W) float32: of the error, pixels, and the chance of a small error.
+    bound: NDArray[np.float32] | None = None
+    probability: NDArray[np.float32] | None = None
 
     @property
     def confidence(self) -> Mapping[str, NDArray[np.float32]]:
@@ -180,6 +184,9 @@ class Disparity(Shown, DisparityMap):
         files = made(folder)
         write_disparity(self.values, self.status, self._preview(), files)
         write_details(self.details, files)
+        for name, values in (("bound", self.bound), ("probability", self.probability)):
+            if values is not None:
+                write_pfm(files / f"{name}.pfm", values)
         if self.geometry is not None:
             write_png(files / "left.png", self.left)
             write_geometry(files / "calib.txt", self.geometry)

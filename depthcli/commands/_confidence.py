@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from depthcli.api.maps import judged, measures_named
+from depthcli.api.maps import Promise, judged, measures_named
 from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, PairOptions, ScoredRunOptions
 from depthcli.core.errors import ConfigError, InputError
@@ -19,8 +19,8 @@ from depthcli.io.formats.images import read_image
 from depthcli.io.scenes import MapsScene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.run.batch import Outcome
-from depthcli.run.console import SIZE, percent
-from depthcli.run.json_csv import share
+from depthcli.run.console import SIZE, number, percent
+from depthcli.run.json_csv import median, share
 
 
 def prepare(
@@ -31,7 +31,7 @@ def prepare(
     coding: CodingOptions,
     run: ScoredRunOptions,
     max_disparity: str | None,
-    within: float,
+    promise: Mapping[str, float],
     measures: Sequence[str],
     threshold: float | None,
 ) -> tuple[Confidence, list[MapsScene], ScoredRunOptions]:
@@ -48,7 +48,7 @@ def prepare(
         names = measures_named(measures)
     except ConfigError as error:
         raise ConfigError(str(error).replace("measures: ", "--measure: ")) from None
-    config: dict[str, Any] = {"max_disparity": largest(max_disparity), "within": within}
+    config: dict[str, Any] = {"max_disparity": largest(max_disparity), "bound": promise}
     config |= {"keep": kept, "threshold": threshold, "measures": names}
     scenes = find_maps(pairs, coding, run, [maps], witnesses, right_maps)
     return Confidence(config), scenes, run if kept is None else replace(run, keep=None)
@@ -59,7 +59,7 @@ class Confidence(GivenMaps):
     """Judges the first map of scenes."""
 
     command = "confidence"
-    columns = (SIZE, *map(percent, ("density", "expected_right", "hidden")))
+    columns = (SIZE, *map(percent, ("density", "expected_right", "hidden")), number("median_bound", "{:.3g} px"))
 
     def compute(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
         """Load a pair and its maps, judge the first, save it with its confidence."""
@@ -73,7 +73,7 @@ class Confidence(GivenMaps):
         right = None if scene.right is None or scene.right_map is None else loaded(scene.right_map, shape)
         clock.start("other")
         top = self.max_disparity(scene)
-        found = judged(images, maps, top, config["within"], config["measures"], right, memory)
+        found = judged(images, maps, top, Promise(**config["bound"]), config["measures"], right, memory)
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder, config["keep"], config["threshold"])
@@ -86,6 +86,7 @@ class Confidence(GivenMaps):
             "density": share(np.isfinite(found.kept(config["keep"], config["threshold"]))),
             "expected_right": share(found.probability[known]) if known.any() else None,
             "hidden": share(hidden),
+            "median_bound": median(found.bound),
         }
         absent = [f"no map of {run}: judged without it" for run in scene.absent]
         return Outcome(columns, clock.seconds, [*absent, *found.warnings])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from depthcli.api.maps import fused
+from depthcli.api.maps import Promise, fused
 from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, RangeOptions, RunOptions
 from depthcli.core.errors import ConfigError
@@ -17,7 +18,7 @@ from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
 from depthcli.run.batch import Outcome
 from depthcli.run.console import SIZE, number, percent
-from depthcli.run.json_csv import share
+from depthcli.run.json_csv import median, share
 
 
 def prepare(
@@ -25,7 +26,8 @@ def prepare(
     pairs: RangeOptions,
     coding: CodingOptions,
     run: RunOptions,
-    within: float,
+    bound: bool,
+    promise: Mapping[str, float],
     surfaces: bool,
     settings: Sequence[str] | None,
 ) -> tuple[FuseMaps, list[MapsScene]]:
@@ -35,7 +37,8 @@ def prepare(
     unused = [name for name in ("calibration", "unit", "min_disparity") if getattr(pairs, name) is not None]
     if unused or settings:
         raise ConfigError(f"--{(unused or ['set'])[0].replace('_', '-')} does not go with fuse maps")
-    config = {"max_disparity": largest(pairs.max_disparity), "within": within, "surfaces": surfaces}
+    config: dict[str, Any] = {"max_disparity": largest(pairs.max_disparity), "surfaces": surfaces}
+    config |= {"within": promise["within"], "bound": promise if bound else None}
     return FuseMaps(config), find_maps(pairs, coding, run, maps)
 
 
@@ -58,16 +61,19 @@ class FuseMaps(GivenMaps):
             check_same_size(scene.folder / f"status.png of {name}", there.shape, scene.left, pair.shape)
         clock.start("other")
         config = self.config
-        found = fused(pair, maps, self.max_disparity(scene), config["within"], config["surfaces"], memory, status)
+        promise, bound = Promise(**(config["bound"] or {"within": config["within"]})), config["bound"] is not None
+        found = fused(pair, maps, self.max_disparity(scene), promise, config["surfaces"], memory, status, bound=bound)
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder)
+        sure = found.confidence["probability"] if found.probability is None else found.probability
         columns = {
             "width": pair.shape[1],
             "height": pair.shape[0],
             "max_disparity": found.search.max_disparity,
             "maps": len(maps),
-            "expected_right": share(found.confidence["probability"]),
+            "expected_right": share(sure),
+            **({} if found.bound is None else {"median_bound": median(found.bound)}),
             "measured": share(found.measured),
         }
         absent = [f"no map of {run}: fused without it" for run in scene.absent]

@@ -49,7 +49,13 @@ MaxDisparityOption: TypeAlias = Annotated[
     str | None, Option(metavar="N", help="Largest disparity searched, or auto: from the pair.")
 ]
 WithinOption: TypeAlias = Annotated[
-    float, Option(metavar="PX", min=0.25, max=8, help="Error up to which a value of a given map is right, pixels.")
+    float, Option(metavar="PX", min=0.25, max=8, help="Error up to which a value is right in probability.pfm, pixels.")
+]
+LevelOption: TypeAlias = Annotated[
+    float, Option(metavar="P", min=0.5, max=0.99, help="Share of the errors that are not larger than bound.pfm.")
+]
+BoundOption: TypeAlias = Annotated[
+    bool, Option("--bound", help="Also write bound.pfm, which 90 % of the errors do not exceed, and probability.pfm.")
 ]
 DepthScaleOption: TypeAlias = Annotated[float | None, Option(metavar="CODES", help="Codes a meter of the depth files.")]
 HtmlOption: TypeAlias = Annotated[bool, Option("--html", help="Also write evaluation/report.html.")]

@@ -17,7 +17,7 @@ from typing import Annotated
 from typer import Option
 
 from depthcli.commands._options import CodingOptions, RangeOptions, ScoredRunOptions
-from depthcli.commands._shared_options import ConfigArgument, SetOption, WithinOption
+from depthcli.commands._shared_options import BoundOption, ConfigArgument, LevelOption, SetOption, WithinOption
 from depthcli.core.errors import ConfigError
 
 
@@ -30,18 +30,24 @@ def fuse(
     maps: Annotated[
         list[str] | None, Option(metavar="RUN", help="With maps: run folder, or map; repeatable; NAME=DIR names it.")
     ] = None,
+    bound: BoundOption = False,
+    level: LevelOption = 0.9,
     within: WithinOption = 1.0,
     surfaces: Annotated[bool, Option("--surfaces", help="With maps: also propose planes of segments; slower.")] = False,
 ) -> int:
     """Match every pair by fusion of measures, or fuse maps."""
     from depthcli.commands._batch import run_batch
 
+    promise = {"level": level, "within": within}
     if config == "maps":
         from depthcli.commands import _fuse_maps
 
-        return run_batch(*_fuse_maps.prepare(maps or [], pairs, coding, run, within, surfaces, set), run, pairs)
+        prepared = _fuse_maps.prepare(maps or [], pairs, coding, run, bound, promise, surfaces, set)
+        return run_batch(*prepared, run, pairs)
     if maps:
         raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
+    if bound:
+        raise ConfigError("--bound goes with depthcli fuse maps, not with a config")
     from depthcli.commands._fuse import prepare
 
     return run_batch(*prepare(config, pairs, run, set), run, pairs)

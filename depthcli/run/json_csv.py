@@ -9,6 +9,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from depthcli.core.text import csv_cell
 
 Row: TypeAlias = dict[str, Any]
@@ -18,6 +21,12 @@ Row: TypeAlias = dict[str, Any]
 def share(values: Any) -> float:
     """Return the mean of an array, such as the share of pixels that are True, as in reports."""
     return round(float(values.mean()), 6)
+
+
+def median(values: NDArray[np.float32]) -> float | None:
+    """Return the median of the numbers of an array that are not NaN, as in reports; None where there is none."""
+    known = values[~np.isnan(values)]
+    return round(float(np.median(known)), 4) if known.size else None
 
 
 def to_json(value: object) -> str:

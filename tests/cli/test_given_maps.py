@@ -38,11 +38,16 @@ def test_confidence_writes_what_it_says(two_scenes: Path, maps: Path, tmp_path: 
     assert "expected right" in printed.out
     made = out / NAMES[0]
     assert sorted(path.name for path in made.iterdir()) == sorted(
-        ["confidence.pfm", "confidence.png", "confidence_census.pfm", "confidence_census.png", "confidence_rank.pfm",
-         "confidence_rank.png", "disp_left.pfm", "disp_left.png", "preview.png", "record.json", "status.png"]
+        ["bound.pfm", "probability.pfm", "probability.png", "confidence_census.pfm", "confidence_census.png",
+         "confidence_rank.pfm", "confidence_rank.png", "disp_left.pfm", "disp_left.png",
+         "preview.png", "record.json", "status.png"]
     )  # fmt: skip
-    sure, kept = read_pfm(made / "confidence.pfm"), read_pfm(made / "disp_left.pfm")
+    sure, kept = read_pfm(made / "probability.pfm"), read_pfm(made / "disp_left.pfm")
     assert sure[22:38, 42:68].mean() < 0.4 < 0.8 < sure[42:58, 60:90].mean()
+    bound = read_pfm(made / "bound.pfm")
+    assert bound[22:38, 42:68].mean() > 2 > bound[42:58, 60:90].mean()
+    np.testing.assert_array_equal(np.isfinite(bound), read_pfm(maps / f"{NAMES[0]}.pfm") >= 0)
+    assert rows(out)[NAMES[0]]["median_bound"] == pytest.approx(np.median(bound[np.isfinite(bound)]), abs=1e-3)
     known = np.count_nonzero(read_pfm(maps / f"{NAMES[0]}.pfm") >= 0)
     assert np.count_nonzero(np.isfinite(kept)) == pytest.approx(0.8 * known, rel=0.01)
     assert (read_status(made / "status.png")[50:56, 22:38] == Status.NO_DATA).all()
@@ -56,6 +61,7 @@ def test_the_same_bytes_from_the_command_and_from_python(two_scenes: Path, maps:
     best = ("fuse", "maps", "-i", two_scenes, "--maps", maps, "-q", "--max-disparity", "16", "-o", three)
     assert run(*best) == 0
     assert contents(one) == contents(two)
+    assert "bound:\n  level: 0.9\n  within: 1.0\n" in (one / "run.yaml").read_text()
     for name in NAMES:
         left, right = (read_image(two_scenes / name / f"{view}.png") for view in ("left", "right"))
         values = read_pfm(maps / f"{name}.pfm")
@@ -103,7 +109,7 @@ def test_pixels_that_no_map_has_measured_are_filled(two_scenes: Path, tmp_path: 
 def test_a_changed_map_is_judged_again_and_others_are_not(two_scenes: Path, maps: Path, tmp_path: Path):
     words = ("confidence", "-i", two_scenes, "--maps", maps, "-o", tmp_path / "out", "-q")
     assert run(*words) == 0
-    files = [tmp_path / "out" / name / "confidence.pfm" for name in NAMES]
+    files = [tmp_path / "out" / name / "probability.pfm" for name in NAMES]
     before = [file.stat().st_mtime_ns for file in files]
     write_pfm(maps / f"{NAMES[0]}.pfm", np.full((64, 96), 3, np.float32))
     assert run(*words) == 0
@@ -133,7 +139,7 @@ def test_what_is_wrong_with_one_scene_fails_alone(two_scenes: Path, maps: Path, 
         shown = capsys.readouterr().err
         (line,) = (line for line in shown.splitlines() if line.startswith(f"{NAMES[0]}: ") and "warning" not in line)
         assert text in line, case
-        assert (tmp_path / case / NAMES[1] / "confidence.pfm").is_file()
+        assert (tmp_path / case / NAMES[1] / "probability.pfm").is_file()
         assert [path.name for path in (tmp_path / case / NAMES[0]).iterdir()] == ["record.json"]
     assert second.is_file()
 
@@ -144,7 +150,7 @@ def test_a_folder_that_cannot_be_used_fails_alone(two_scenes: Path, maps: Path, 
     shutil.copy(folder / NAMES[0] / "left.png", folder / NAMES[0] / "left.jpg")
     assert run("confidence", "-i", folder, "--maps", maps, "-o", tmp_path / "out", "--evaluate") == 3
     assert "both left.jpg and left.png" in capsys.readouterr().err
-    assert (tmp_path / "out" / NAMES[1] / "confidence.pfm").is_file()
+    assert (tmp_path / "out" / NAMES[1] / "probability.pfm").is_file()
 
 
 @pytest.mark.parametrize(
@@ -165,9 +171,9 @@ def test_wrong_options_are_one_line(words: tuple[str, ...], text: str, two_scene
 def test_names_of_kept_files_and_a_single_pair(two_scenes: Path, maps: Path, tmp_path: Path):
     folder = two_scenes / NAMES[0]
     words = ("--left", folder / "left.png", "--right", folder / "right.png", "--maps", maps / f"{NAMES[0]}.pfm")
-    assert run("confidence", *words, "-o", tmp_path / "one", "-q", "--keep", "confidence.pfm") == 0
+    assert run("confidence", *words, "-o", tmp_path / "one", "-q", "--keep", "probability.pfm") == 0
     (made,) = (path for path in (tmp_path / "one").iterdir() if path.is_dir())
-    assert sorted(path.name for path in made.iterdir()) == ["confidence.pfm", "record.json"]
+    assert sorted(path.name for path in made.iterdir()) == ["probability.pfm", "record.json"]
 
 
 def test_witnesses_right_maps_and_evaluation(two_scenes: Path, maps: Path, tmp_path: Path, capsys):
@@ -201,7 +207,7 @@ def test_a_scene_without_a_right_image(two_scenes: Path, maps: Path, tmp_path: P
         shutil.copy(two_scenes / NAMES[0] / file, folder)
     words = ("confidence", "-i", tmp_path / "left_only", "--maps", maps, "-o", tmp_path / "out")
     assert run(*words) == 0
-    assert (tmp_path / "out" / NAMES[0] / "confidence.pfm").is_file()
+    assert (tmp_path / "out" / NAMES[0] / "probability.pfm").is_file()
     assert run("fuse", "maps", *words[1:5], "-o", tmp_path / "fused", "-q") == 3
 
 

@@ -1,4 +1,4 @@
-"""Trained networks as JSON files: four digits a number."""
+"""Trained networks as JSON files: four digits a number; tables of errors as CSV."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import atomic_path, naming, read_bytes
@@ -50,6 +51,12 @@ def read_network(path: Path) -> TrainedNetwork:
                 )
         except (LookupError, TypeError, ValueError, OverflowError, RecursionError, AttributeError) as error:
             raise InputError(f"not a network that depthcli wrote ({str(error)[:200]})") from None
+
+
+def read_errors(name: str) -> ErrorTable:
+    """Return a table of errors of the package, which ``scripts/train_bounds.py`` wrote."""
+    rows = np.loadtxt(_SHIPPED / f"{name}.csv", delimiter=",")
+    return ErrorTable(rows[1:, 0], rows[0, 1:], rows[1:, 1:])
 
 
 def write_network(path: Path, network: TrainedNetwork) -> None:

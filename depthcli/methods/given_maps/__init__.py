@@ -3,8 +3,9 @@
 In: a pair and maps of its left view. Out: a :class:`MapJudgment` of the first one, to which the others are witnesses;
 or, of :mod:`.fusion`, one map. :func:`judge` computes the costs of the pair (``Evidence``, those of the preset
 ``stereo fast``), planes of what they, the map's shape and the other maps say of every pixel (``_planes``), and has a
-small network weigh them (``algorithms.pixel_network``). Single planes are measures of their own.
-`scripts/train_confidence.py` trains the network on tuning scenes.
+small network weigh them (``algorithms.pixel_network``). A table (``algorithms.error_table``) turns its log odds into a
+probability and a bound of the error. Single planes are measures of their own. `scripts/train_confidence.py` trains the
+network on tuning scenes, `scripts/train_bounds.py` makes the table.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.error_table import ErrorTable, doubted
 from depthcli.algorithms.pixel_network import TrainedNetwork, log_odds
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
@@ -36,11 +38,16 @@ _MAX_DIFFERENCE = np.float32(16.0)  # between the views, pixels
 
 
 class Networks(NamedTuple):
-    """The networks that judge: of being right, of being hidden, and of being right where there is no right image."""
+    """The networks that judge: of being right, of being hidden, and of being right where there is no right image.
+
+    ``errors`` and ``one_view_errors`` are the tables of the first and the last one.
+    """
 
     right: TrainedNetwork
     hidden: TrainedNetwork
     one_view: TrainedNetwork
+    errors: ErrorTable
+    one_view_errors: ErrorTable
 
 
 @dataclass(frozen=True)
@@ -66,12 +73,14 @@ class MapJudgment(Result):
     Attributes
     ----------
     probability : (H, W) float32 in [0, 1]: of pixels with p, a share of p is right; 0 where the map has no value
+    bound : (H, W) float32, pixels: a share ``level`` of the errors is not larger; NaN where the map has no value
     status : (H, W) uint8, bits of :class:`depthcli.core.maps.Status`: ``OCCLUDED``, hidden in the right view;
         ``OUT_OF_RANGE``, hidden since its match lies outside the right image; ``MISMATCH``, visible and more likely
         wrong than right; ``NO_DATA``, the map has no value; 0, none of these
     """
 
     probability: NDArray[np.float32]
+    bound: NDArray[np.float32]
     status: NDArray[np.uint8]
 
 
@@ -142,23 +151,27 @@ def judge(
     within: float = 1.0,
     measures: Iterable[str] = (),
     right: Plane | None = None,
+    level: float = 0.9,
 ) -> MapJudgment:
     """Judge the first of the maps of a pair, (H, W) float32, pixels, NaN = no value; the others are witnesses.
 
-    Costs are computed up to ``max_disparity``. A value is right ``within`` so many pixels, 0.25 to 8. ``measures`` are
-    names of ``MEASURES``; ``right`` is the map of the right view by the same program, for ``left_right``. ValueError:
-    there is no map, or one has not the size of the images.
+    Costs are computed up to ``max_disparity``. A value is right ``within`` so many pixels, 0.25 to 8; a share ``level``
+    of the errors, 0.5 to 0.99, is not larger than the bound. ``measures`` are names of ``MEASURES``; ``right`` is the
+    map of the right view by the same program, for ``left_right``. ValueError: there is no map, or one has not the size
+    of the images.
     """
     clock = Clock()
     evidence = Evidence.of(pair, max_disparity, clock)
     clock.start("planes")
     judged = judged_maps(evidence, maps)[0]
     clock.start("network")
-    probability = _likely(odds_of(networks, judged, within), judged.missing)
+    odds = odds_of(networks, judged, 1.0)
+    probability, bound = promised(networks.errors, odds, judged.missing, within, level)
     hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], judged.alone, judged.others[:0]) > 0
     status = with_reasons(judged.values, judged.missing, probability, hidden)
     confidence = {name: _known(MEASURES[name].of(judged, evidence, right), judged.missing) for name in measures}
-    return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
+    seconds = clock.seconds
+    return MapJudgment(seconds=seconds, confidence=confidence, probability=probability, bound=bound, status=status)
 
 
 def judge_by_one_view(
@@ -168,6 +181,7 @@ def judge_by_one_view(
     max_disparity: int,
     within: float = 1.0,
     measures: Iterable[str] = (),
+    level: float = 0.9,
 ) -> MapJudgment:
     """Judge a map by its shape and the left image, where there is no right image: far less is known then.
 
@@ -181,13 +195,15 @@ def judge_by_one_view(
     whole, missing = without_gaps(values, max_disparity)
     planes = _planes.one_view_planes(whole, StereoPair(left, left).grey8[0].astype(np.float32), max_disparity)
     clock.start("network")
-    probability = _likely(odds_within(network, within, planes, planes[:0]), missing)
+    odds = odds_within(network, 1.0, planes, planes[:0])
+    probability, bound = promised(networks.one_view_errors, odds, missing, within, level)
     confidence = {}
     for name in measures:
         if (measure := MEASURES[name]).source in ONE_VIEW:
             confidence[name] = _known(measure.sign * planes[ONE_VIEW.index(measure.source)], missing)
     status = with_reasons(whole, missing, probability)
-    return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
+    seconds = clock.seconds
+    return MapJudgment(seconds=seconds, confidence=confidence, probability=probability, bound=bound, status=status)
 
 
 def peak_bytes(shape: tuple[int, int], max_disparity: int, count: int) -> int:
@@ -246,6 +262,15 @@ def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Pl
     return between.clip(np.minimum(before, odds), np.maximum(before, odds))
 
 
+def promised(
+    table: ErrorTable, odds: Plane, missing: NDArray[np.bool_], within: float, level: float
+) -> tuple[Plane, Plane]:
+    """Return probability and bound (H, W) of a map by its log odds of an error up to 1 pixel."""
+    odds = doubted(odds, missing)
+    probability = np.where(missing, np.float32(0), table.probability(odds, within))
+    return probability, _known(table.bound(odds, level), missing)
+
+
 def with_reasons(
     values: Plane, missing: NDArray[np.bool_], probability: Plane, hidden: NDArray[np.bool_] | None = None
 ) -> NDArray[np.uint8]:
@@ -259,7 +284,3 @@ def with_reasons(
 
 def _known(plane: Plane, missing: NDArray[np.bool_]) -> Plane:
     return np.where(missing, np.float32(np.nan), plane).astype(np.float32)
-
-
-def _likely(odds: Plane, missing: NDArray[np.bool_]) -> Plane:
-    return np.where(missing, np.float32(0), np.float32(1) / (np.float32(1) + np.exp(-odds.clip(-30, 30))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice.network import MAX_MAPS as MAX_PROPOSALS
 from depthcli.methods.fusion.choice.network import likeliest
-from depthcli.methods.given_maps import Judged, MapJudgment, Networks, judged_maps, odds_of, with_reasons
+from depthcli.methods.given_maps import Judged, Networks, judged_maps, odds_of, promised, with_reasons
 from depthcli.methods.given_maps._planes import Evidence, hidden_by_map
 from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
 from depthcli.methods.stereo.volume import RefinementContext
@@ -30,6 +31,15 @@ MAX_MAPS = MAX_PROPOSALS - N_ADDED
 """Most maps that are fused."""
 
 
+class Fused(NamedTuple):
+    """A map that has a value everywhere."""
+
+    disparity: DisparityMap
+    seconds: dict[str, float]  # by stage
+    probability: NDArray[np.float32]  # (H, W), of an error up to ``within``
+    bound: NDArray[np.float32] | None  # (H, W), of the error, pixels; None: not asked for
+
+
 def fuse(
     networks: Networks,
     pair: StereoPair,
@@ -38,7 +48,8 @@ def fuse(
     within: float = 1.0,
     surfaces: bool = False,
     measured: Sequence[NDArray[np.bool_]] = (),
-) -> tuple[DisparityMap, MapJudgment]:
+    level: float | None = None,
+) -> Fused:
     """Fuse at most ``MAX_MAPS`` maps of a pair, (H, W) float32, pixels, NaN = no value; complete and correct one.
 
     Proposed are the given maps, the map of the preset ``stereo fast``, and, with ``surfaces``, planes of segments,
@@ -48,9 +59,10 @@ def fuse(
     ``measured``, (H, W) bool each, says where the given maps were measured, not filled; none: where they have a value.
     A pixel where neither these nor ``stereo fast`` measured a value within a pixel of the chosen one is ``FILLED``.
 
-    Returns a map that has a value everywhere, and how likely every pixel is right ``within`` so many pixels. Costs are
-    computed up to ``max_disparity``. There are 1 to ``MAX_MAPS`` maps, which callers check. ValueError: one has not the
-    size of the images.
+    Returns a map that has a value everywhere, and how likely every pixel is right ``within`` so many pixels. With a
+    ``level`` the map is judged once more, by itself, for its bound and this probability. Costs are computed up to
+    ``max_disparity``. There are 1 to ``MAX_MAPS`` maps, which callers check. ValueError: one has not the size of the
+    images.
     """
     clock, measured = Clock(), measured or [np.isfinite(one) for one in maps]
     evidence = Evidence.of(pair, max_disparity, clock)
@@ -78,5 +90,10 @@ def fuse(
     with np.errstate(invalid="ignore"):  # NaN supports nothing
         supported = np.any([there & (np.abs(one - values) <= 1) for one, there in sources], axis=0)
     status[~supported] |= np.uint8(Status.FILLED)
-    judgment = MapJudgment(seconds=clock.seconds, probability=probability, status=status)
-    return DisparityMap(values, status), judgment
+    bound = None
+    if level is not None:
+        clock.start("bound")
+        fused = judged_maps(evidence, [values])[0]
+        odds = odds_of(networks, fused, 1.0)
+        probability, bound = promised(networks.errors, odds, fused.missing, within, level)
+    return Fused(DisparityMap(values, status), clock.seconds, probability, bound)

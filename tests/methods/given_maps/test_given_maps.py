@@ -16,6 +16,7 @@ from depthcli.methods.given_maps import _planes
 from depthcli.methods.given_maps.fusion import fuse
 from depthcli.simulate.stereo_scenes import SyntheticScene, make_scene
 from tests.contracts.inputs import preset
+from tests.scenes import real_scenes
 
 
 @pytest.fixture(scope="module")
@@ -132,11 +133,11 @@ def test_the_best_of_two_halves(pair: StereoPair, scene: SyntheticScene):
     upper[:60] += 5
     lower[60:] -= 3
     for surfaces in (False, True):
-        found, judgment = fuse(networks(), pair, [upper, np.clip(lower, 0, None)], 32, surfaces=surfaces)
-        error = np.abs(found.values - scene.disparity_left)[scene.nonocc]
+        best = fuse(networks(), pair, [upper, np.clip(lower, 0, None)], 32, surfaces=surfaces)
+        error = np.abs(best.disparity.values - scene.disparity_left)[scene.nonocc]
         assert np.mean(error > 1) < 0.05
-        assert np.isfinite(found.values).all()
-        assert judgment.probability[scene.nonocc].mean() > 0.8
+        assert np.isfinite(best.disparity.values).all()
+        assert best.probability[scene.nonocc].mean() > 0.8
 
 
 def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: SyntheticScene):
@@ -151,7 +152,26 @@ def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: Sy
 
 
 def test_the_networks_were_trained_for_these_planes():
-    right, hidden, one_view = networks()
+    right, hidden, one_view, *_ = networks()
     assert (right.inputs, hidden.inputs, one_view.inputs) == (_planes.INPUTS, _planes.ALONE, _planes.ONE_VIEW)
     assert right.maps == one_view.maps == given_maps.RIGHT_NAMES and hidden.maps == (given_maps.HIDDEN,)
-    assert not any(weights.shape[1] % TILE for one in networks() for weights, _ in one.layers[:2])
+    assert not any(weights.shape[1] % TILE for one in networks()[:3] for weights, _ in one.layers[:2])
+
+
+@pytest.mark.parametrize("name", ["Dolls", "Art"])
+def test_bounds_cover_what_they_promise_on_real_scenes(name: str):
+    """Shares inside of bounds of three levels, and nearly none of maps that the images contradict."""
+    pair, truth, top = real_scenes("middlebury_2005")[name]
+    values = preset("stereo", "fast").pipeline(pair, top).disparity.values
+    known = np.isfinite(truth.values) & (truth.values > 0) & np.isfinite(values)
+    error = np.abs(values - truth.values)[known]
+    for level in (0.5, 0.9, 0.98):
+        found = given_maps.judge(networks(), pair, [values], top, level=level)
+        assert np.mean(error <= found.bound[known]) == pytest.approx(level, abs=0.08)
+        assert np.isfinite(found.bound).all()
+    assert found.probability[known].mean() == pytest.approx(np.mean(error <= 1), abs=0.05)
+    for wrong in (np.zeros_like(values), np.nan_to_num(truth.values).astype(np.float32) / 16, values[::-1].copy()):
+        judgment = given_maps.judge(networks(), pair, [wrong], top)
+        right = np.mean(np.abs(wrong - truth.values)[known] <= 1)
+        assert judgment.probability[known].mean() < max(0.1, right + 0.08)
+        assert np.median(judgment.bound) > 8

@@ -1,0 +1,65 @@
+"""The table of errors against a loop over single values, and its order."""
+
+import math
+
+import numpy as np
+import pytest
+
+from depthcli.algorithms.error_table import ErrorTable, doubted
+from depthcli.api.maps import networks
+
+LEVELS = np.linspace(0.5, 0.99, 15)
+WITHIN = np.geomspace(0.25, 8, 25)
+ODDS = np.linspace(-12, 12, 300).astype(np.float32)
+
+
+@pytest.fixture(params=["errors", "one_view_errors"])
+def table(request: pytest.FixtureRequest) -> ErrorTable:
+    found = getattr(networks(), request.param)
+    assert isinstance(found, ErrorTable)
+    return found
+
+
+def naive_bound(table: ErrorTable, odds: float, level: float) -> float:
+    """One value between its four entries."""
+    place = np.log(table.levels / (1 - table.levels))
+    j = next(k for k in range(len(place) - 1) if level <= table.levels[k + 1])
+    right = (math.log(level / (1 - level)) - place[j]) / (place[j + 1] - place[j])
+    rows = [(1 - right) * row[j] + right * row[j + 1] for row in table.log2_errors]
+    if odds <= table.log_odds[0] or odds >= table.log_odds[-1]:
+        return float(2 ** rows[0 if odds <= table.log_odds[0] else -1])
+    i = next(k for k in range(len(rows) - 1) if odds <= table.log_odds[k + 1])
+    down = (odds - table.log_odds[i]) / (table.log_odds[i + 1] - table.log_odds[i])
+    return float(2 ** ((1 - down) * rows[i] + down * rows[i + 1]))
+
+
+def test_a_bound_is_interpolated_between_four_entries(table: ErrorTable):
+    for level in (0.5, 0.77, 0.9, 0.99):
+        want = [naive_bound(table, float(odds), level) for odds in ODDS]
+        np.testing.assert_allclose(table.bound(ODDS, level), want, rtol=1e-4)
+
+
+def test_bounds_and_probabilities_are_monotone(table: ErrorTable):
+    bounds = np.stack([table.bound(ODDS, level) for level in LEVELS])
+    assert (np.diff(bounds, axis=0) >= 0).all() and (np.diff(bounds, axis=1) <= 0).all()
+    chances = np.stack([table.probability(ODDS, within) for within in WITHIN])
+    assert (np.diff(chances, axis=0) >= 0).all() and (np.diff(chances, axis=1) >= 0).all()
+    assert chances.min() >= 0 and chances.max() <= 1
+
+
+def test_the_probability_of_the_bound_is_its_level(table: ErrorTable):
+    for odds in (-4.0, -1.0, 0.0, 2.0, 5.0):
+        one = np.array([odds], np.float32)
+        for level in (0.5, 0.8, 0.9, 0.97):
+            within = float(table.bound(one, level)[0])
+            assert table.probability(one, within)[0] == pytest.approx(level, abs=0.02)
+
+
+def test_a_map_of_doubtful_values_is_doubted_as_a_whole():
+    sure, unsure = np.full((4, 5), 2, np.float32), np.full((4, 5), -3, np.float32)
+    nowhere = np.zeros((4, 5), bool)
+    np.testing.assert_array_equal(doubted(sure, nowhere), sure)
+    assert (doubted(unsure, nowhere) < unsure - 1).all()
+    unsure[0, 0] = 3  # stays the surest one
+    assert doubted(unsure, nowhere).argmax() == 0
+    np.testing.assert_array_equal(doubted(unsure, ~nowhere), unsure)
