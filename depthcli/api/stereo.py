@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from depthcli.api.inputs import Overrides, as_image, computing, load_config, paired
+from depthcli.api.maps import with_bound
 from depthcli.api.matching import device_of, limits_of, match_pair, with_address, with_opened_networks
 from depthcli.api.results import Disparity
 from depthcli.api.rigs import rectified_rig
@@ -51,8 +52,9 @@ def stereo(
         says, else "auto", with a warning
     preset : name of a preset of ``depthcli stereo``, path of a YAML file, or a config
     overrides : config keys -> values, as ``--set`` has them, such as ``{"cost.window": 9}``
-    **fields : the same for keys that are Python names, such as ``min_disparity=-8``, or ``calibration``: a file, a list
-        of files, or a mapping as in a config; the map is then that of the rectified left image
+    **fields : the same for keys that are Python names, such as ``min_disparity=-8``; ``bound=True``: the map then has a
+        ``bound`` of its errors and a ``probability``; or ``calibration``: a file, a list of files, or a mapping as in a
+        config; the map is then that of the rectified left image
 
     Examples
     --------
@@ -132,7 +134,9 @@ class Matcher:
     def _match(self, pair: StereoPair, ends: tuple[int | str, int | str]) -> Disparity:
         with self._turn, computing():
             limits = limits_of(self.config, available_memory(), self._device)
-            return match_pair(self._method, pair, ends, limits, Clock())
+            found = match_pair(self._method, pair, ends, limits, Clock())
+            asked = self.config.bound
+            return found if asked is None else with_bound(found, pair, asked, limits.memory)
 
     def load_kernels(self) -> None:
         """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,10 +20,14 @@ from depthcli.methods.stereo.stages import PairMatcher
 
 
 def prepare(
-    config: str, pairs: SceneOptions, run: RunOptions, settings: Sequence[str | tuple[str, str]] | None
+    config: str,
+    pairs: SceneOptions,
+    run: RunOptions,
+    settings: Sequence[str | tuple[str, str]] | None,
+    bound: Mapping[str, float] | None = None,
 ) -> tuple[Fuse, list[StereoScene]]:
     """Return the batch of ``fuse`` with this config, and the pairs that the command line names."""
-    found = with_network(pair_config(FuseConfig, config, pairs, settings))
+    found = with_network(pair_config(FuseConfig, config, pairs, settings, bound=bound))
     return Fuse(found), find_scenes(PAIRS, pairs, run)
 
 

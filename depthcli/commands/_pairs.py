@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from depthcli.api.maps import with_bound
 from depthcli.api.matching import limits_of, match_pair, partly_used
+from depthcli.api.results import Disparity
 from depthcli.api.rigs import read_rig
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import SceneOptions
@@ -28,7 +30,7 @@ from depthcli.methods.stereo.matching import host_bytes
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, percent
-from depthcli.run.json_csv import Row, share
+from depthcli.run.json_csv import Row, median, share
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
@@ -54,6 +56,14 @@ def pair_config(
     if found.calibration is not None:
         read_rig(found.calibration)  # one that cannot be read is an error before any scene is opened
     return found
+
+
+def bound_columns(found: Disparity) -> Row:
+    """Return the report's columns of a bound: its median, and the mean probability of a value."""
+    if found.bound is None or found.probability is None:
+        return {}
+    right = found.probability[found.valid]
+    return {"median_bound": median(found.bound), "expected_right": share(right) if right.size else None}
 
 
 @dataclass(frozen=True)
@@ -149,6 +159,9 @@ class MatchPairs(Batch[StereoScene]):
                 pair, facts, warnings = rectified.pair, rectified.facts, rectified.warnings
                 saved = side_work.submit(rectified.save, folder)  # while the pair is matched
             found = match_pair(matcher, pair, self.given_range(scene), limits, clock, known)
+        if config.bound is not None:
+            clock.start("bound")
+            found = with_bound(found, pair, config.bound, memory)
         if saved is not None:
             saved.result()
         clock.start("save")
@@ -163,6 +176,7 @@ class MatchPairs(Batch[StereoScene]):
             **key_points,
             "density": share(found.valid),
             "measured": share(found.measured),
+            **bound_columns(found),
             **({"bits": pair.bits} if partly_used(pair) else {}),
             **{name: float(value) for name, value in found.details.figures.items()},
             **self.device_column(),

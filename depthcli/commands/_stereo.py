@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from depthcli.api.matching import device_of, with_address
@@ -24,9 +24,10 @@ def prepare(
     run: RunOptions,
     settings: Sequence[str | tuple[str, str]] | None,
     device: str | None = None,
+    bound: Mapping[str, float] | None = None,
 ) -> tuple[Stereo, list[StereoScene]]:
     """Return the batch of ``stereo`` with this config, and the pairs that the command line names."""
-    found = with_address(pair_config(StereoConfig, config, pairs, settings, device=device))
+    found = with_address(pair_config(StereoConfig, config, pairs, settings, device=device, bound=bound))
     return Stereo(found), find_scenes(PAIRS, pairs, run)
 
 

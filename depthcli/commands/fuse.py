@@ -46,8 +46,6 @@ def fuse(
         return run_batch(*prepared, run, pairs)
     if maps:
         raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
-    if bound:
-        raise ConfigError("--bound goes with depthcli fuse maps, not with a config")
     from depthcli.commands._fuse import prepare
 
-    return run_batch(*prepare(config, pairs, run, set), run, pairs)
+    return run_batch(*prepare(config, pairs, run, set, promise if bound else None), run, pairs)

@@ -14,7 +14,7 @@ import typer
 from typer import Option
 
 from depthcli.commands._options import RangeOptions, ScoredRunOptions
-from depthcli.commands._shared_options import ConfigArgument, SetOption
+from depthcli.commands._shared_options import BoundOption, ConfigArgument, LevelOption, SetOption, WithinOption
 from depthcli.run.console import Reporter, aligned
 
 
@@ -44,6 +44,9 @@ def stereo(
     pairs: RangeOptions,
     run: ScoredRunOptions,
     set: SetOption = None,
+    bound: BoundOption = False,
+    level: LevelOption = 0.9,
+    within: WithinOption = 1.0,
     device: Annotated[
         str | None,
         Option(
@@ -60,4 +63,5 @@ def stereo(
     from depthcli.commands._batch import run_batch
     from depthcli.commands._stereo import prepare
 
-    return run_batch(*prepare(config, pairs, run, set, device=device), run, pairs)
+    promise = {"level": level, "within": within} if bound else None
+    return run_batch(*prepare(config, pairs, run, set, device=device, bound=promise), run, pairs)

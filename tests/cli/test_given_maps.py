@@ -72,6 +72,41 @@ def test_the_same_bytes_from_the_command_and_from_python(two_scenes: Path, maps:
         assert contents(tmp_path / "pf" / name) == contents(three / name)
 
 
+def test_stereo_and_fuse_write_the_same_bounds_as_python_and_confidence(two_scenes: Path, tmp_path: Path):
+    one = ("-i", two_scenes, "--scenes", NAMES[0], "-q")
+    wanted = ("--bound", "--level", "0.8", "--max-disparity", "16")
+    left, right = (read_image(two_scenes / NAMES[0] / f"{view}.png") for view in ("left", "right"))
+    for command, preset, function in (("stereo", "fast", depthcli.stereo), ("fuse", "accurate", depthcli.fuse)):
+        assert run(command, preset, *one, *wanted, "-o", tmp_path / command) == 0
+        made = tmp_path / command / NAMES[0]
+        found = function(left, right, 16, preset, bound={"level": 0.8})
+        found.save(tmp_path / "py" / command / NAMES[0])
+        assert contents(tmp_path / "py" / command / NAMES[0]) == contents(made)
+        row = rows(tmp_path / command)[NAMES[0]]
+        assert row["median_bound"] == pytest.approx(np.median(found.bound), abs=1e-3)
+        assert row["expected_right"] == pytest.approx(found.probability.mean(), abs=1e-3)
+        judged = depthcli.map_confidence(left, right, found.values, max_disparity=16, level=0.8)
+        np.testing.assert_array_equal(judged.bound, read_pfm(made / "bound.pfm"))
+    maps = ("--maps", tmp_path / "stereo", "--maps", tmp_path / "fuse", "-o", tmp_path / "maps")
+    assert run("fuse", "maps", *one, *maps, *wanted) == 0
+    best = tmp_path / "maps" / NAMES[0]
+    values = read_pfm(best / "disp_left.pfm")
+    judged = depthcli.map_confidence(left, right, values, max_disparity=16, level=0.8)
+    np.testing.assert_array_equal(judged.bound, read_pfm(best / "bound.pfm"))
+    assert not depthcli.stereo(left, right, 16, "fast").bound
+
+
+def test_bounds_move_with_the_search_range(two_scenes: Path):
+    left, right = (read_image(two_scenes / NAMES[0] / f"{view}.png") for view in ("left", "right"))
+    for low in (-4, 3):
+        moved = np.roll(right, low, axis=1)
+        found = depthcli.stereo(left, moved, 16 - low, "fast", min_disparity=-low, bound=True)
+        assert found.bound.shape == found.values.shape
+        np.testing.assert_array_equal(np.isnan(found.bound), np.isnan(found.values))
+        assert np.nanmedian(found.bound) < 1
+        assert found.probability.mean() > 0.7
+
+
 def test_several_maps_are_better_than_each(two_scenes: Path, tmp_path: Path, capsys):
     for k, run_name in enumerate(("upper", "lower")):
         (tmp_path / run_name).mkdir()

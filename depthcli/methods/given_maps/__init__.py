@@ -174,6 +174,14 @@ def judge(
     return MapJudgment(seconds=seconds, confidence=confidence, probability=probability, bound=bound, status=status)
 
 
+def bounds(
+    networks: Networks, pair: StereoPair, values: Plane, max_disparity: int, within: float = 1.0, level: float = 0.9
+) -> tuple[Plane, Plane]:
+    """Return probability and bound of a map as :func:`judge` does, in less time, since it says nothing else."""
+    judged = judged_maps(Evidence.of(pair, max_disparity, Clock()), [values])[0]
+    return promised(networks.errors, odds_of(networks, judged, 1.0), judged.missing, within, level)
+
+
 def judge_by_one_view(
     networks: Networks,
     left: Image,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from depthcli.core.method import ConfigModel
@@ -47,6 +47,15 @@ class Calibration(ConfigModel):
         return {"files": data} if isinstance(data, list) else data
 
 
+class Bound(ConfigModel):
+    """What is asked of a map: a bound of its errors, and the probability of a small one."""
+
+    level: float = Field(default=0.9, ge=0.5, le=0.99, description="share of the errors that are within the bound")
+    within: float = Field(
+        default=1.0, ge=0.25, le=8, description="error up to which a value is right in probability.pfm, pixels"
+    )
+
+
 class PairConfig(RootConfig):
     """What the configs of all commands that match pairs have in common."""
 
@@ -62,6 +71,9 @@ class PairConfig(RootConfig):
     calibration: Calibration | None = Field(
         None, description="calibration by which pairs are rectified first; null: they are rectified already"
     )
+    bound: Bound | None = Field(
+        None, description="bound of the errors and probability of a small one that are computed, too; true: the usual"
+    )
     tiles: TileMode = Field(
         "auto",
         description="whether pairs are matched in tiles, coarse to fine where costs are not local; auto: where the "
@@ -73,6 +85,11 @@ class PairConfig(RootConfig):
         le=1 << 20,
         description="memory that a pair matched in tiles may take, MiB; less where less is free",
     )
+
+    @field_validator("bound", mode="before")
+    @classmethod
+    def _usual(cls, data: Any) -> Any:
+        return {} if data is True else None if data is False else data
 
     @model_validator(mode="after")
     def _has_a_range(self) -> Self:
