@@ -83,20 +83,32 @@ class Depth(Shown, MatchedMap):
 
     camera: Intrinsics  # the left one
     left: Image
+    bound: NDArray[np.float32] | None = None  # of the error, meters, where the disparity map had one
 
-    def to_points(self, mask: Pixels = "measured", near: float = 0.0, far: float = math.inf) -> PointCloud:
+    def to_points(
+        self, mask: Pixels = "measured", near: float = 0.0, far: float = math.inf, max_bound: float = math.inf
+    ) -> PointCloud:
         """Return the colored points of the pixels that ``mask`` chooses, from ``near`` to ``far`` meters.
 
-        The mask is ``measured``, ``all``, or (H, W) bool.
+        The mask is ``measured``, ``all``, or (H, W) bool. Points with a ``bound`` above ``max_bound`` meters are left
+        out; ConfigError where there is no bound.
         """
-        return PointCloud.of(self, self.camera, self.left, mask, near, far)
+        chosen = chosen_pixels(self, mask)
+        if max_bound < math.inf:
+            if self.bound is None:
+                raise ConfigError("max_bound: the map has no bound; compute it with bound=True")
+            chosen = chosen & (self.bound <= max_bound)
+        return PointCloud.of(self, self.camera, self.left, chosen, near, far)
 
     def save(self, folder: str | Path, scale: float = MILLIMETERS) -> None:
         """Write ``depth.pfm``, ``depth.png`` (``scale`` codes a meter), ``status.png`` and ``preview.png``.
 
-        ``depthcli depth`` writes the same. The folder is created where it is missing.
+        And ``bound.pfm``, where there is one. ``depthcli depth`` writes the same. The folder is created where it is
+        missing.
         """
-        write_depth(self, made(folder), scale)
+        write_depth(self, files := made(folder), scale)
+        if self.bound is not None:
+            write_pfm(files / "bound.pfm", self.bound)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,7 +145,7 @@ class Disparity(Shown, DisparityMap):
         principal_point: tuple[float, float] | None = None,
         mask: Pixels = "all",
     ) -> Depth:
-        """Return the metric depth of the map.
+        """Return the metric depth of the map; its ``bound`` is the wider side, behind the value, of that of the map.
 
         ConfigError for neither or both of file and numbers; InputError for a calibration that cannot be used, or is
         for images of another shape.
@@ -167,8 +179,9 @@ class Disparity(Shown, DisparityMap):
         if geometry is None:
             raise ConfigError("to_depth needs either a calibration file, or focal (pixels) and baseline (meters)")
         geometry = geometry.for_size(width, height)
-        depth = geometry.depth(np.where(chosen_pixels(self, mask, self.confidence), self.values, np.float32(np.nan)))
-        return Depth(depth, self.status, geometry.left, self.left)
+        values = np.where(chosen_pixels(self, mask, self.confidence), self.values, np.float32(np.nan))
+        bound = None if self.bound is None else geometry.depth_bound(values, self.bound)
+        return Depth(geometry.depth(values), self.status, geometry.left, self.left, bound)
 
     def to_points(
         self, calibration: str | Path | None = None, *, focal: float | None = None, baseline: float | None = None

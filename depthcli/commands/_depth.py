@@ -24,7 +24,7 @@ from depthcli.core.maps import DisparityMap, MatchedMap
 from depthcli.core.result import Clock
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
-from depthcli.io.formats.disparity import read_disparity, read_pfm
+from depthcli.io.formats.disparity import read_disparity, read_pfm, write_pfm
 from depthcli.io.formats.files import naming, shown
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
@@ -35,6 +35,7 @@ from depthcli.io.walk import matches_any, scenes_with_files
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, Reporter, number, percent
 from depthcli.run.json_csv import Row, share
+from depthcli.run.json_csv import median as median_of
 from depthcli.run.records import is_inside, read_json
 from depthcli.run.report import read_report
 
@@ -105,9 +106,18 @@ class ToDepth(Batch[DisparityScene]):
         with naming(scene.folder):
             kept = chosen_pixels(matched, config["mask"] or "all", confidence)
             in_cloud = chosen_pixels(matched, config["mask"] or "measured", confidence)
-        depth = geometry.depth(np.where(kept, disparity, np.float32(np.nan)))
+        values = np.where(kept, disparity, np.float32(np.nan))
+        depth, bound = geometry.depth(values), None
+        if scene.bound is not None:
+            bound = geometry.depth_bound(values, read(read_pfm, scene.bound))
         in_cloud &= (depth >= config["near"]) & (depth <= (math.inf if config["far"] is None else config["far"]))
+        if config["max_bound"] is not None:
+            if bound is None:
+                raise InputError(f"{scene.folder}: no bound.pfm for --max-bound; match with --bound")
+            in_cloud &= bound <= config["max_bound"]
         clock.start("save")
+        if bound is not None:
+            write_pfm(folder / "bound.pfm", bound)
         found = MatchedMap(depth, status)
         write_depth(found, folder, config["depth_scale"])
         known = np.isfinite(depth)
@@ -116,6 +126,8 @@ class ToDepth(Batch[DisparityScene]):
         facts: Row = {"width": width, "height": height, "density": share(known)}
         facts |= {"median_depth": median, "focal": geometry.left.fx, "baseline": geometry.baseline}
         facts |= {"doffs": geometry.offset, "beyond_png": round(beyond, 6)}
+        if bound is not None:
+            facts["median_bound"] = median_of(bound)
         warnings = []
         if image is not None:
             PointCloud.of(found, geometry.left, image, in_cloud).save(folder / "points.ply")
@@ -196,14 +208,16 @@ def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, ma
             f"{shown(left.parent)}: rectified without a calibration: its disparities have no known zero, so depth is "
             "unknown; calibrate the cameras (depthcli calibrate), and rectify with --calibration"
         )
-    status = folder / "status.png"
+    status, bound = folder / "status.png", folder / "bound.pfm"
+    confidences = [*sorted(folder.glob("confidence_*.pfm")), *folder.glob("probability.pfm")]
     return DisparityScene(
         name=name,
         folder=folder,
         problem=problem,
         disparity=folder / _MAP,
         status=status if os.path.isfile(status) else None,
-        confidence={path.stem.partition("_")[2]: path for path in sorted(folder.glob("confidence_*.pfm"))},
+        confidence={path.stem.removeprefix("confidence_"): path for path in confidences},
+        bound=bound if os.path.isfile(bound) else None,
         left=left,
         calibration=maps.calibration or (calibration if maps.focal is None else None),
         cameras=cameras,

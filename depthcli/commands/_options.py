@@ -254,4 +254,5 @@ class CloudOptions:
     ply: bool = option(False, "--ply", help="Also write a colored point cloud of every scene.")
     near: float = option(0.0, metavar="METERS", min=0, help="Nearest depth of point clouds.")
     far: float | None = option(None, metavar="METERS", min=0, help="Farthest depth of point clouds.")
+    max_bound: float | None = option(None, metavar="METERS", min=0, help="Largest bound of the error in point clouds.")
     depth_scale: float = option(1000.0, metavar="CODES", min=1e-3, max=1e6, help="Codes per meter in depth.png.")

@@ -138,12 +138,13 @@ class DisparityScene(Scene):
     disparity: Path
     status: Path | None = None  # status of its pixels
     confidence: dict[str, Path] = field(default_factory=dict)  # name -> map
+    bound: Path | None = None  # of its errors
     left: Path | None = None  # the image that the map describes
     calibration: Path | None = None
     cameras: tuple[int, int] = (2, 3)  # numbers of the left and right camera in a calibration of several
     geometry: PairGeometry | None = None  # of the data set, in place of a calibration
 
-    roles: ClassVar[tuple[str, ...]] = ("disparity", "status", "left", "calibration")
+    roles: ClassVar[tuple[str, ...]] = ("disparity", "status", "bound", "left", "calibration")
 
     @property
     def input_files(self) -> dict[str, Path]:

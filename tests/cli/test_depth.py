@@ -7,12 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
+import depthcli
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
 from depthcli.io.formats.calibrations import read_geometry, write_geometry
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_pfm
-from depthcli.io.formats.images import write_png
+from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import read_status
 from tests.command_line import refused, rows, run
 
@@ -75,6 +76,29 @@ def test_depth_is_that_of_the_formula_and_of_opencv(matched: tuple[Path, Path], 
     np.testing.assert_allclose(read_depth(tmp_path / "d" / scene / "depth.png")[known], depth[known], atol=0.0006)
     row = rows(tmp_path / "d")[scene]
     assert (row["focal"], row["doffs"], row["points"]) == (713.189, 31.34, int(known.sum()))
+
+
+def test_bounds_in_meters_and_the_points_within_one(matched: tuple[Path, Path], tmp_path: Path, capsys):
+    scenes, made = matched
+    one = scenes / "planes_0"
+    assert run("stereo", "fast", "-i", scenes, "-o", tmp_path / "run", "--bound", "-q") == 0
+    assert (
+        run("depth", tmp_path / "run", "-o", tmp_path / "d", "--ply", "--mask", "all", "--max-bound", "0.1", "-q") == 0
+    )
+    disparity, bound = (read_pfm(tmp_path / "run" / "planes_0" / f"{name}.pfm") for name in ("disp_left", "bound"))
+    depth, wide = (read_pfm(tmp_path / "d" / "planes_0" / f"{name}.pfm") for name in ("depth", "bound"))
+    far = 713.189 * 0.178089 / np.maximum(disparity + 31.34 - bound, 1e-9)
+    finite = disparity + 31.34 - bound > 1
+    np.testing.assert_allclose(wide[finite], (far - depth)[finite], rtol=1e-3, atol=1e-5)
+    assert (wide[disparity + 31.34 <= bound] == np.inf).all()
+    assert len(vertices(tmp_path / "d" / "planes_0" / "points.ply")) == np.count_nonzero(wide <= 0.1) > 100
+    assert rows(tmp_path / "d")["planes_0"]["median_bound"] == pytest.approx(np.median(wide), abs=1e-3)
+    left, right = (read_image(one / f"im{k}.png") for k in (0, 1))
+    found = depthcli.stereo(left, right, 12, "fast", bound=True).to_depth(one / "calib.txt")
+    np.testing.assert_array_equal(found.bound, wide)
+    assert len(found.to_points("all", max_bound=0.1)) == np.count_nonzero(wide <= 0.1)
+    assert run("depth", made, "-o", tmp_path / "e", "--max-bound", "0.1", "-q") == 3
+    assert "no bound.pfm" in capsys.readouterr().err
 
 
 def test_masks(matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -64,6 +64,18 @@ class PairGeometry:
         """Return ``Z = f b / (d + offset)``; float32, meters, NaN where unknown or not in front of the cameras."""
         return depth_of_disparity(disparity, self.fb, self.offset)
 
+    def depth_bound(
+        self, disparity: NDArray[np.floating[Any]], bound: NDArray[np.floating[Any]]
+    ) -> NDArray[np.float32]:
+        """Return how far the depth may be off if the disparity is off by ``bound`` pixels, float32, meters.
+
+        That is farther behind the value than in front of it: the wider side counts. Infinite where the disparity may be
+        0, NaN where depth or bound is unknown.
+        """
+        smallest = disparity - bound
+        behind = self.depth(smallest) - self.depth(disparity)
+        return np.where(smallest + np.float32(self.offset) > 0, behind, disparity * np.float32(0) + np.float32(np.inf))
+
     def for_size(self, width: int, height: int) -> PairGeometry:
         """Return the same cameras with images of that size; InputError where they are of another shape."""
         if self.size is None or self.size == (width, height):
