@@ -178,8 +178,8 @@ def refine_depth(
                 found = registered(measured, (height, width), camera, depth_camera, place)
             lines += [f"{where}depth: {found.note}"] if found.note else []
             frame = RgbdFrame(image, found.depth, fb or sensor_fb(camera), camera, found.interpolated)
-        is_float = np.asarray(one_depth).dtype.kind == "f"
-        lines += [text] if (text := sensor_warning(f"{where}depth", frame.depth, 1.0 if is_float else scale)) else []
+        if np.asarray(one_depth).dtype.kind != "f" and (text := sensor_warning(f"{where}depth", frame.depth, scale)):
+            lines.append(text)
         with computing():
             result = refined_frame(config, frame, refine, Clock(), scale)
         refined.append(replace(result, warnings=(*lines, *result.warnings)))

@@ -167,11 +167,13 @@ class RefineKinect(Batch[FrameOrSequence]):
 
 
 def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
-    """Return a warning where no such sensor sees the depths, with the scale that would make them plausible."""
-    if not scene.rotated and scene.depth.suffix.lower() in IMAGE_SUFFIXES:
-        codes = read_plane(scene.depth)
-        # The three low bits are free where codes are rotated by 3.
-        if codes.dtype.kind in "iu" and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
-            return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
+    """Return a warning where no such sensor sees depths of codes, with the scale that would make them plausible."""
+    codes = read_plane(scene.depth)
+    if codes.dtype.kind not in "iu":
+        return []
+    # The three low bits are free where codes are rotated by 3.
+    is_image = scene.depth.suffix.lower() in IMAGE_SUFFIXES
+    if not scene.rotated and is_image and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
+        return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
     text = sensor_warning(scene.depth, frame.depth, scene.depth_scale)
     return [text] if text else []

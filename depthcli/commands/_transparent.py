@@ -79,6 +79,11 @@ class Transparent(Batch[RgbdScene]):
     def _by_mask(self) -> bool:
         return self.config.stereo is None and self.config.pipeline.needs == "objects"
 
+    def truth_scenes(self, scenes: Sequence[RgbdScene]) -> Sequence[RgbdScene]:
+        """Return the frames, without the source of a sparse depth that is not read."""
+        read = self.config.stereo is None and not self._by_mask
+        return scenes if read else [replace(scene, sparse_source="") for scene in scenes]
+
     def settings(self, scene: RgbdScene) -> dict[str, str]:
         """Return the scale of the depth, and the largest disparity of color and infrared image."""
         scale, max_disparity = self.config.depth_scale or scene.depth_scale, getattr(scene, "max_disparity", None)

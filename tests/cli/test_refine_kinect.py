@@ -91,6 +91,10 @@ def test_bad_frames_beside_good_ones(made_kinect: Path, tmp_path: Path, capsys: 
     assert run("refine-kinect", "nearest", *far, "-o", tmp_path / "s") == 0
     assert "warning" not in capsys.readouterr().err
     np.testing.assert_array_equal(read_plane(tmp_path / "s" / "far" / "depth.png"), depth * np.uint16(5))
+    (tmp_path / "in" / "far" / "depth.png").unlink()
+    write_pfm(tmp_path / "in" / "far" / "depth.pfm", np.full(depth.shape, 8.12, np.float32))  # has no scale
+    assert run("refine-kinect", "nearest", *far[:2], "-o", tmp_path / "t") == 0
+    assert "warning" not in capsys.readouterr().err
 
 
 def test_points_are_chosen_and_placed_by_options(made_kinect: Path, tmp_path: Path):

@@ -73,6 +73,8 @@ def test_scores_say_that_sparse_depth_is_from_the_truth(made_glass, tmp_path, ca
     run = ["transparent", "nearest", "-i", str(made_glass), "-o", str(tmp_path / "run"), "--evaluate", "--json"]
     assert main(run) == 0
     assert "from the truth" in json.dumps(json.loads(capsys.readouterr().out)["evaluation"])
+    assert main([*run[:1], "kinect", *run[2:], "--overwrite"]) == 0  # its sparse depth is of stereo
+    assert "from the truth" not in capsys.readouterr().out
 
 
 def test_memory_is_respected(made_glass, tmp_path, capsys):

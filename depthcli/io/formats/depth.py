@@ -101,9 +101,9 @@ def implausible_depth(
 
 
 def sensor_warning(path: Path | str, depth: NDArray[np.float32], scale: float) -> str:
-    """Return a warning if no such sensor sees the depths, except one that was given at reading; or empty."""
+    """Return a warning if no such sensor sees depths of codes, except one that was given at reading; or empty."""
     text = "" if implausible_depth(path, depth, scale) else implausible_depth(path, depth, scale, SENSOR)
-    return f"{text}; see depth_scale" if text and scale != 1 else text
+    return f"{text}; see depth_scale" if text else ""
 
 
 def check_fb(path: Path | str, fb: float, depth: NDArray[np.float32]) -> None:
