@@ -16,7 +16,8 @@ import pytest
 
 import depthcli
 from depthcli.cli import command_of
-from depthcli.commands import own_names
+from depthcli.commands import config_model, own_names
+from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import EXIT_CODES
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
@@ -24,7 +25,7 @@ from depthcli.evaluation import protocols
 from depthcli.io.formats.map_format import map_formats
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.methods.registration.search import MEASURES
-from depthcli.run.presets import list_presets
+from depthcli.run.presets import find_config, list_presets
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -123,6 +124,23 @@ def test_the_tables_of_the_thesis_show_what_was_measured():
     made = thesis["blocks"](measured)
     for page in thesis["PAGES"]:
         assert thesis["renewed"](page.read_text("utf-8"), made) == page.read_text("utf-8"), "run scripts/thesis DATA"
+
+
+def test_the_config_keys_on_the_page_of_the_thesis_exist():
+    """Each word of the equations' config columns and of the "Config:" lines is a key or value of a chapter's preset."""
+    for chapter in (DOCS / "thesis.md").read_text("utf-8").split("\n## Chapter ")[1:]:
+        found = re.search(r"^depthcli (\S+) thesis/", chapter, re.MULTILINE)
+        assert found
+        presets = [
+            name for each, name, _ in list_presets() if (each, name[:10]) == (found[1], f"thesis/ch{chapter[0]}")
+        ]
+        model = config_model(found[1])
+        assert model and presets
+        known = "".join(dump_config(load_config(model, find_config(found[1], name))) for name in presets)
+        shown = chapter.partition("| equation | config")[2].partition("\n\n")[0]
+        shown += chapter.partition(" Config: ")[2].partition("\n\n")[0]
+        words = {word for code in re.findall(r"`([^`]+)`", shown) for word in re.findall(r"[a-z]\w+", code)}
+        assert words and words <= set(re.findall(r"\w+", known)), (chapter[:1], words - set(re.findall(r"\w+", known)))
 
 
 def test_a_table_is_taken_from_the_output_of_a_script():
