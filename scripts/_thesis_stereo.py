@@ -1,5 +1,6 @@
 """Chapters 2 and 3 of the thesis: stereo by segments, and local matching with its times."""
 
+import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,10 @@ import matplotlib
 import numpy as np
 from _experiments import THESIS, Experiment, Rows, matcher, scenes_in
 from _thesis_times import figure_3_2, frames, local
-from PIL import Image
+from matplotlib.figure import Figure
+from PIL import Image, ImageDraw, ImageFont
 
 from depthcli.core.frames import StereoPair
-from depthcli.evaluation.plots import Line, line_plot
 from depthcli.evaluation.protocols import headlines, picture
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.statistics import average_ranks
@@ -28,6 +29,8 @@ OURS = ("segments", "fast", "accurate", "fuse/accurate")
 COSTS = ("ad", "ad-gradient", "ad-rank", "ad-census")
 WAYS = ("cw", "cross", "aw")
 WINDOWS = tuple(range(3, 34, 2))
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # of the costs
+PANEL = (160, 128)  # width and height of a picture in figures 2.3 and 3.4
 
 
 def of_v2(data: Path) -> Iterator[tuple[str, Any]]:
@@ -73,27 +76,67 @@ def figure_3_3(scene: Any) -> Rows:
 
 
 def figure(m: Any) -> str:
-    """Draw figure 3.3."""
-    lines = [Line(f"{cost} {way}", WINDOWS, [m.mean("fig-3.3", f"{cost} {way}", f"all {w if way != 'cross' else 0}")
-             for w in WINDOWS]) for cost in COSTS for way in WAYS]  # fmt: skip
-    return line_plot(lines, "Figure 3.3: winner takes all", "window side, px", "bad > 1 px, all, %")
+    """Draw figure 3.3 as SVG: a panel for each aggregation; of cross, whose windows are its own, points."""
+    style: dict[str, Any] = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 9}
+    style |= {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e4e4"}
+    out = io.StringIO()
+    with matplotlib.rc_context(style):
+        drawn = Figure(figsize=(9, 3.2), layout="constrained")
+        panels = dict(zip(WAYS, drawn.subplots(1, 3, sharey=True, width_ratios=(4, 3, 4)), strict=True))
+        for way, axis in panels.items():
+            axis.set_title({"cw": "constant window (CW)", "aw": "adaptive weights (AW)"}.get(way, "CROSS"), fontsize=10)
+            axis.set_xlabel("its own window" if way == "cross" else "window side, px")
+            for k, (cost, color, marker) in enumerate(zip(COSTS, COLORS, "osD^", strict=True)):
+                windows = (0,) if way == "cross" else WINDOWS
+                rates = [m.mean("fig-3.3", f"{cost} {way}", f"all {w}") for w in windows]
+                places = (k,) if way == "cross" else windows
+                axis.plot(places, rates, color=color, marker=marker, ms=4, lw=1.4, label=cost.upper())
+                if way == "cross":
+                    axis.annotate(f"{rates[0]:.1f}", (k, rates[0]), (0, 6), textcoords="offset points", ha="center")
+        panels["cross"].set_xticks(range(len(COSTS)), [cost.upper().replace("-", "-\n") for cost in COSTS], fontsize=8)
+        panels["cross"].set_xlim(-0.6, len(COSTS) - 0.4)
+        panels["cw"].set(ylabel="bad > 1 px, all, %", ylim=(0, None))
+        panels["aw"].legend(frameon=False)
+        drawn.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    return out.getvalue()
+
+
+def indexed(image: Any) -> Any:
+    """Return (H, W, 3) levels of at most 256 colors as an image with a palette, without loss."""
+    colors, index = np.unique(image.reshape(-1, 3), axis=0, return_inverse=True)
+    found = Image.fromarray(index.reshape(image.shape[:2]).astype(np.uint8))
+    found.putpalette(colors.tobytes())
+    return found
 
 
 def pictures(data: Path) -> Any:
     """Return the scenes of v2 as in figures 2.3 and 3.4: left image, truth, maps of both chapters and their errors."""
-    rows = []
+    columns: list[list[Any]] = [[] for _ in range(6)]
     for _, scene in of_v2(data):
         pair, judge = load_pair(scene), MiddleburyV2Protocol()
         truth = judge.truth(scene)
-        maps = [matcher(name)(pair, scene.max_disparity).disparity.values for name in PICTURED]
-        top = np.nanmax(truth.values)
-        shown = [
-            (255 * matplotlib.colormaps["gray"](each / top)[..., :3]).astype(np.uint8) for each in (truth.values, *maps)
-        ]
-        wrong = [picture(judge, each, truth) for each in maps]
-        panels = (pair.color8[0], shown[0], shown[1], wrong[0], shown[2], wrong[1])
-        rows.append(np.hstack([cv2.resize(each, (160, 128), interpolation=cv2.INTER_AREA) for each in panels]))
-    return Image.fromarray(np.vstack(rows)).quantize(64) if rows else None
+        found = [matcher(name)(pair, scene.max_disparity).disparity.values for name in PICTURED]
+        grey = [np.nan_to_num(each / np.nanmax(truth.values)).clip(0, 1) for each in (truth.values, *found)]
+        left, true, *maps = (cv2.resize(each, PANEL, interpolation=cv2.INTER_AREA) for each in (pair.color8[0], *grey))
+        wrong = [
+            cv2.resize(picture(judge, each, truth), PANEL, interpolation=cv2.INTER_NEAREST) for each in found
+        ]  # keeps the colors of the errors
+        for column, each in zip(columns, (left, true, maps[0], wrong[0], maps[1], wrong[1]), strict=True):
+            column.append(each if each.ndim == 3 else in_64_greys(255 * each))
+    if not columns[0]:
+        return None
+    photos = Image.fromarray(np.vstack(columns[0])).quantize(160, kmeans=4, dither=Image.Dither.NONE).convert("RGB")
+    titles = Image.new("L", (6 * PANEL[0], 16), 255)
+    for k, title in enumerate(("left image", "truth", PICTURED[0], "its errors", PICTURED[1], "its errors")):
+        place = ((k + 0.5) * PANEL[0], 8)
+        ImageDraw.Draw(titles).text(place, title, 0, ImageFont.load_default(11), anchor="mm")
+    shown = np.hstack([np.asarray(photos), *map(np.vstack, columns[1:])])
+    return indexed(np.vstack([in_64_greys(np.asarray(titles)), shown]))
+
+
+def in_64_greys(levels: Any) -> Any:
+    """Return (H, W) levels as RGB, in steps of four."""
+    return np.dstack([(levels / 4).astype(np.uint8) * 4 + 3] * 3)
 
 
 def names(m: Any) -> dict[str, Any]:

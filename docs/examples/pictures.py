@@ -40,6 +40,7 @@ Shown = NDArray[Any]
 
 def picture(draw: Callable[[], Any]) -> Callable[[], Any]:
     """Register a function that returns a figure, or an (H, W, 3) uint8 RGB array."""
+    assert draw.__name__ not in PICTURES, draw.__name__
     PICTURES[draw.__name__] = draw
     return draw
 
@@ -68,9 +69,9 @@ def read(file: Path) -> Shown:
 
 def panels(columns: Sequence[tuple[Any, ...]], ranges: Sequence[tuple[Any, Any, str]] = (), width: float = 9.0) -> Any:
     """Return a figure with a column for each (title, image or map, ...), and a row for each (low, high, colors)."""
-    rows = len(columns[0]) - 1
+    rows, lines = len(columns[0]) - 1, max(title.count("\n") + 1 for title, *_ in columns)
     height, wide = columns[0][1].shape[:2]
-    size = (width, rows * width / len(columns) * height / wide + 0.55)
+    size = (width, rows * ((width / len(columns) - 0.083) * height / wide + 0.083) + 0.14 + 0.15 * lines)
     figure, axes = plt.subplots(rows, len(columns), figsize=size, squeeze=False, layout="constrained")
     for k, (title, *shown) in enumerate(columns):
         axes[0, k].set_title(title, fontsize=9)
@@ -78,6 +79,7 @@ def panels(columns: Sequence[tuple[Any, ...]], ranges: Sequence[tuple[Any, Any, 
             scale = plt.get_cmap(colors).with_extremes(bad="black" if colors != "turbo" else "white")
             axis.imshow(values if values.ndim == 3 else np.ma.masked_invalid(values), scale, vmin=low, vmax=high)
             axis.set_axis_off()
+            axis.set_anchor("S")  # room that is left over is above the title
     return figure
 
 
@@ -112,7 +114,7 @@ def encoded(drawn: Any) -> bytes:
         plt.close(drawn)
         image = Image.open(file).convert("RGB")
     small = io.BytesIO()
-    image.quantize(192, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
+    image.quantize(192, Image.Quantize.MEDIANCUT, kmeans=2, dither=Image.Dither.NONE).save(small, "PNG", optimize=True)
     return small.getvalue()
 
 

@@ -71,7 +71,8 @@ def rows() -> Any:
     """A pair whose right view is two rows lower, as it is and adjusted."""
     left, right, truth, visible = scene(*PLANES)
     lower = np.roll(right, 2, axis=0)
-    found = {f"adjust: {how}": stereo((left, lower), "accurate", {"adjust": how}) for how in ([], ["light"], ["rows"])}
+    ways: dict[str, list[str]] = {"not adjusted": [], "adjust: [light]": ["light"], "adjust: [rows]": ["rows"]}
+    found = {name: stereo((left, lower), "accurate", {"adjust": how}) for name, how in ways.items()}
     return maps(found, truth, visible)
 
 
@@ -116,7 +117,7 @@ def kinect_probability() -> Any:
         refined = depthcli.refine_depth(color, depth, "accurate", {"min_probability": value}, fb=FB).values
         return FB / refined, np.abs(FB / refined - FB / truth)
 
-    columns = comparison((0.3, 0.8, 0.98), compute, "min_probability", "px", masks)
+    columns = comparison((0.1, 0.5, 0.8), compute, "min_probability", "px", masks)
     return panels(columns, [(*np.nanpercentile(FB / truth, (1, 99)), "turbo"), (0, 5, "magma")])
 
 
@@ -138,7 +139,7 @@ def glass_input() -> Any:
 
 @picture
 def glass_outline() -> Any:
-    """Three costs of the outline of a region."""
+    """Two costs of the outline of a region."""
     color, sensor, sparse, truth, inside = glass()
 
     def compute(value: float) -> tuple[Any, Any]:
@@ -147,8 +148,8 @@ def glass_outline() -> Any:
         return depth, 1000 * np.abs(depth - truth)
 
     masks = inside, ~inside & np.isfinite(sensor)
-    columns = comparison((0.5, 5, 50), compute, "outline", "mm in the glass, elsewhere", masks)
-    return panels(columns, [(*np.nanpercentile(truth, (1, 99)), "turbo_r"), (0, 200, "magma")])
+    columns = comparison((5, 50), compute, "outline", "mm in the glass, elsewhere", masks)
+    return panels(columns, [(*np.nanpercentile(truth, (1, 99)), "turbo_r"), (0, 200, "magma")], 5.6)
 
 
 @picture
@@ -213,7 +214,7 @@ def volumes() -> tuple[Any, Any, Any, Any, Any]:
 
 def slices(columns: Sequence[tuple[str, Any, str, float]]) -> Any:
     """A figure of slices, each with its colors and highest value; the last ones in mm."""
-    figure, axes = plt.subplots(1, len(columns), figsize=(9, 9 / len(columns) + 0.4), layout="constrained")
+    figure, axes = plt.subplots(1, len(columns), figsize=(9, 9 / len(columns) - 0.05), layout="constrained")
     for axis, (title, values, colors, top) in zip(axes, columns, strict=True):
         shown = axis.imshow(values, colors, vmin=0, vmax=top)
         axis.set_title(title, fontsize=9)

@@ -11,7 +11,7 @@ import numpy as np
 
 import depthcli
 
-size = "--width 240 --height 180 --frames 0"
+size = "--width 240 --height 180 --frames 0 --seed 6"
 subprocess.run(f"depthcli sample --kinect --output kinect/frames {size} --quiet".split(), check=True)
 folder = "kinect/frames/foreground"
 color = cv2.imread(f"{folder}/color.png")[..., ::-1]
