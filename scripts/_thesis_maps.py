@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from _experiments import GROUPS, Experiment, Rows, matcher, real_scenes, scenes_in, seconds_in_turns
 
-from depthcli.api.maps import networks
+from depthcli.api.bounds import networks
 from depthcli.evaluation import protocols
 from depthcli.evaluation.curves import reliability, sparsification
 from depthcli.io.stereo_pairs import load_pair

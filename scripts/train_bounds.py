@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from train_choice import Loaded, generated
 
 from depthcli.algorithms.error_table import ErrorTable
-from depthcli.api.maps import networks
+from depthcli.api.bounds import networks
 from depthcli.core.result import Clock
 from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.methods.given_maps import judged_maps, odds_of, odds_within

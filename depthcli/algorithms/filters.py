@@ -16,11 +16,28 @@ from depthcli.kernels.jit import parallel_jit, prange
 _DISC_GAP = 2.0  # difference of the disparities of neighbors at a discontinuity, pixels
 
 
+CORRELATED = 7
+"""Side of the windows that :func:`correlation` compares, pixels; networks are trained with it."""
+
+
 def local_moments(image: NDArray[np.float32], side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return mean and variance in square windows of ``side`` pixels, reflected at the border; (H, W) float32 each."""
     mean = cv2.blur(image, (side, side))
     variance = np.maximum(cv2.blur(image * image, (side, side)) - mean * mean, 0)
     return np.asarray(mean, np.float32), np.asarray(variance, np.float32)
+
+
+def correlation(
+    image: NDArray[np.float32], moments: tuple[NDArray[np.float32], NDArray[np.float32]], other: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the correlation (H, W) of windows of ``CORRELATED`` pixels; ``moments`` are the local ones of ``image``.
+
+    Variances are raised by 4 squared grey levels, so that noise does not correlate.
+    """
+    mean, variance = local_moments(other, CORRELATED)
+    product = cv2.blur(image * other, (CORRELATED, CORRELATED)) - mean * moments[0]
+    noise = np.float32(4.0)
+    return np.asarray(product / np.sqrt((variance + noise) * (moments[1] + noise)), np.float32)
 
 
 def discontinuity_mask(

@@ -5,27 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.algorithms.error_table import LEVELS
+from depthcli.api.bounds import Promise, networks
 from depthcli.api.inputs import as_image, as_map, as_pair, computing
 from depthcli.api.results import Disparity
 from depthcli.api.saving import made, write_details, write_disparity
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.core.result import Clock, Result
+from depthcli.core.result import Result
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import png_bytes, write_png
-from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.io.formats.pictures import preview
-from depthcli.methods.given_maps import MEASURES, Networks, bounds, judge, judge_by_one_view, peak_bytes
+from depthcli.methods.given_maps import MEASURES, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
-from depthcli.methods.stereo.config import Bound
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.run.resources import available_memory, check_memory
@@ -34,21 +31,6 @@ _TOP_SHARE = 0.999  # of the values; larger ones do not widen the range of the c
 _MAX_OUTSIDE = 0.5  # share of a map's values that may lie outside of the range
 _MAX_BEYOND = 0.01  # share of a map's values above the range; with more it has a warning
 _MIN_EXPECTED = 0.3  # mean probability below which a map has a warning
-
-
-@dataclass(frozen=True)
-class Promise:
-    """What is asked of a map: a bound of its errors, and the chance of a small one; ConfigError out of range."""
-
-    level: float = 0.9  # share of the errors that are not larger than the bound
-    within: float = 1.0  # pixels
-
-    def __post_init__(self) -> None:
-        low, high = LEVELS
-        if not low <= self.level <= high:
-            raise ConfigError(f"level: expected {low:g} to {high:g}, got {self.level:g}")
-        if not 0.25 <= self.within <= 8:
-            raise ConfigError(f"within: expected 0.25 to 8 pixels, got {self.within:g}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,13 +178,6 @@ def fuse_maps(
         return fused(pair, arrays, max_disparity, promise, surfaces, available_memory(), bound=bound)
 
 
-@cache
-def networks() -> Networks:
-    """Return the networks of the package, and their tables of errors."""
-    right, hidden, one_view = (read_network(network_path(f"map_{name}")) for name in ("right", "hidden", "one_view"))
-    return Networks(right, hidden, one_view, read_errors("map_errors"), read_errors("map_errors_one_view"))
-
-
 def measures_named(names: Sequence[str]) -> list[str]:
     """Return the names of measures, each once, "all" for all of them; ConfigError where there is no such measure."""
     if unknown := [name for name in names if name not in ("all", *MEASURES)]:
@@ -279,30 +254,6 @@ def fused(
     details = SearchRange(0, top), result, best.seconds, tuple(warnings)
     one = Disparity(found.values, found.status, pair.left, *details)
     return replace(one, bound=best.bound, probability=best.probability) if bound else one
-
-
-def with_bound(found: Disparity, pair: StereoPair, promise: Promise | Bound, memory: int) -> Disparity:
-    """Return the map of a pair with its ``bound`` and ``probability``, which cost about as much as ``stereo fast``.
-
-    InputError where ``memory`` bytes do not suffice.
-    """
-    search, clock = found.search, Clock()
-    clock.start("bound")
-    shifted, width = search.shift(pair), found.values.shape[1]
-    # Where the range begins above 0, the first columns have no match at all.
-    first, top = max(search.min_disparity, 0), search.shifted_max_disparity
-    values = np.full(shifted.shape, np.nan, np.float32)
-    values[:, : width - first] = found.values[:, first:] - np.float32(search.min_disparity)
-    size = f"a bound of {shifted.shape[1]} x {shifted.shape[0]} pixels, {top + 1} disparities"
-    check_memory(peak_bytes(shifted.shape, top, 1), memory, size)
-    probable, bounded = bounds(networks(), shifted, values, top, promise.within, promise.level)
-    known = np.isfinite(found.values)
-    # A value without a match may be any of the range.
-    bound = np.where(known, np.float32(max(top, 1)), np.float32(np.nan))
-    probability = np.zeros(found.values.shape, np.float32)
-    bound[:, first:] = np.where(known[:, first:], bounded[:, : width - first], np.float32(np.nan))
-    probability[:, first:] = probable[:, : width - first]
-    return replace(found, bound=bound, probability=probability, seconds={**found.seconds, **clock.seconds})
 
 
 def _prepared(

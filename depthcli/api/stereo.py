@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from depthcli.api.bounds import with_bound
 from depthcli.api.inputs import Overrides, as_image, computing, load_config, paired
-from depthcli.api.maps import with_bound
 from depthcli.api.matching import device_of, limits_of, match_pair, with_address, with_opened_networks
 from depthcli.api.results import Disparity
 from depthcli.api.rigs import rectified_rig

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.api.maps import Promise, judged, measures_named
+from depthcli.api.bounds import Promise
+from depthcli.api.maps import judged, measures_named
 from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, PairOptions, ScoredRunOptions
 from depthcli.core.errors import ConfigError, InputError

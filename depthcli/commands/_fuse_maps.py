@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from depthcli.api.maps import Promise, fused
+from depthcli.api.bounds import Promise
+from depthcli.api.maps import fused
 from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, RangeOptions, RunOptions
 from depthcli.core.errors import ConfigError

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from depthcli.api.maps import with_bound
+from depthcli.api.bounds import with_bound
 from depthcli.api.matching import limits_of, match_pair, partly_used
 from depthcli.api.results import Disparity
 from depthcli.api.rigs import read_rig

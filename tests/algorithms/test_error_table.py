@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.error_table import ErrorTable, doubted
-from depthcli.api.maps import networks
+from depthcli.api.bounds import networks
 
 LEVELS = np.linspace(0.5, 0.99, 15)
 WITHIN = np.geomspace(0.25, 8, 25)

@@ -19,9 +19,3 @@ order of first use:
 | ``choice`` | which map is taken at a pixel: by graph cuts (``energy``) or by a trained ``network`` |
 | ``map_costs`` | costs of a map at a pixel: matching, the other maps, the right view, the neighbors |
 """
-
-from __future__ import annotations
-
-from depthcli.methods.fusion.pipeline import Fusion
-
-__all__ = ["Fusion"]

@@ -11,14 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.filters import local_moments
+from depthcli.algorithms.filters import CORRELATED, correlation, local_moments
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import winners
-from depthcli.methods.fusion.choice.network import correlation
 from depthcli.methods.fusion.map_costs import cost_between, disagreements, nearest_matches, warped_right
 from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, PairSupports
 from depthcli.methods.stereo.adjustment import adjusted
@@ -134,7 +133,6 @@ farthest one, pixels above their middle, planes relative to the smallest among t
 INPUTS = (*ALONE, *OTHERS)
 """Inputs of the network, in their order."""
 
-_WINDOW = 7
 _MAX_DEVIATION = np.float32(40.0)  # grey levels
 
 
@@ -212,7 +210,7 @@ def alone_planes(
         support.sum(array)
         _spread(array, support.inverse_sum, out[k * len(AVERAGED) : (k + 1) * len(AVERAGED)])
     grey = evidence.grey[0]
-    plane["decorrelation"][:] = 1 - correlation(grey, local_moments(grey, _WINDOW), warped)
+    plane["decorrelation"][:] = 1 - correlation(grey, local_moments(grey, CORRELATED), warped)
     for name, array in (shape_planes(values, evidence.volume.n_disparities - 1) | shared).items():
         plane[name][:] = array
     return out

@@ -19,7 +19,7 @@ from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import left_right_difference, winners
-from depthcli.methods.fusion import Fusion
+from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.segments.steps import SegmentSteps
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.methods.transparent.match_selection import MatchSelection, local_deviation

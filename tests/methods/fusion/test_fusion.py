@@ -6,8 +6,8 @@ from scipy.stats import rankdata
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.methods.fusion import Fusion
 from depthcli.methods.fusion.blend import add_weighted, blend, measure_weights, normalize_confidences, normalize_costs
+from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.fusion.votes import Ballot, ColorSupport, WindowSupport
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.volume import CostVolume

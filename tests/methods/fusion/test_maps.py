@@ -8,10 +8,10 @@ import pytest
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.methods.fusion import Fusion
 from depthcli.methods.fusion.choice.energy import ScoredMap, best_mix, energy, neighbor_weights
 from depthcli.methods.fusion.map_costs import agreement, contradictions, disagreements, matching_costs
 from depthcli.methods.fusion.maps import MapFusion, _largest_agreement, _status
+from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import assert_pure, blocky_pair, random_volume, texture

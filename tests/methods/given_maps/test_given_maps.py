@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.pixel_network import TILE
-from depthcli.api.maps import networks
+from depthcli.api.bounds import networks
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock

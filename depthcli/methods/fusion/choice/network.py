@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr
 
-from depthcli.algorithms.filters import local_moments
+from depthcli.algorithms.filters import CORRELATED, correlation, local_moments
 from depthcli.algorithms.pixel_network import TILE, TrainedNetwork, log_odds
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
@@ -59,9 +59,7 @@ the left image (grey levels), share of the proposals that are filled, and how fa
 # Networks are trained with these; another value needs another training.
 _MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
 _MAX_COLOR = np.float32(40.0)  # of color differences and deviations, grey levels
-_NOISE = np.float32(4.0)  # added to variances under a correlation, grey levels squared
 _MAX_MISFIT = 2.0  # between neighbors, pixels
-_WINDOW = 7  # side of the windows that are correlated, pixels
 _REACH = 9  # half side of the window that slopes are fitted in, pixels
 _RELATIVE_INDICES = np.array([PROPOSAL_PLANES.index(name) for name in RELATIVE])
 
@@ -110,7 +108,7 @@ class NetworkInputs:
         common["filled_share"][:] = (proposals.filled > 0).mean(axis=0)
         common["light_trust"][:] = 1 if pair.light_trust is None else pair.light_trust / np.float32(255)
         warped = np.empty((height, width), np.float32)
-        moments = local_moments(grey[0], _WINDOW)
+        moments = local_moments(grey[0], CORRELATED)
         compared = ("excess_cost", "right_view_difference", "match_column", "self_occlusion", "color_difference")
         views = (proposals.right, image, pair.color8[1], grey[1], common["min_cost"], warped)
         for k, values in enumerate(maps):
@@ -140,12 +138,6 @@ class NetworkInputs:
     def rows(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the inputs of some pixels, (len(pixels), N, inputs) float32."""
         return np.stack([self.of_proposal(n)[:, pixels].T for n in range(len(self.values))], axis=1)
-
-
-def correlation(grey: Any, moments: Any, warped: Any) -> Any:
-    mean, variance = local_moments(warped, _WINDOW)
-    product = cv2.blur(grey * warped, (_WINDOW, _WINDOW)) - mean * moments[0]
-    return product / np.sqrt((variance + _NOISE) * (moments[1] + _NOISE))
 
 
 @parallel_jit

@@ -1,0 +1,64 @@
+"""Bounds of the errors of a map: what is asked, the networks and tables that say it, and maps with their bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from depthcli.algorithms.error_table import LEVELS
+from depthcli.api.results import Disparity
+from depthcli.core.errors import ConfigError
+from depthcli.core.frames import StereoPair
+from depthcli.core.result import Clock
+from depthcli.io.formats.networks import network_path, read_errors, read_network
+from depthcli.methods.given_maps import Networks, bounds, peak_bytes
+from depthcli.methods.stereo.config import Bound
+from depthcli.run.resources import check_memory
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What is asked of a map: a bound of its errors, and the chance of a small one; ConfigError out of range."""
+
+    level: float = 0.9  # share of the errors that are not larger than the bound
+    within: float = 1.0  # pixels
+
+    def __post_init__(self) -> None:
+        low, high = LEVELS
+        if not low <= self.level <= high:
+            raise ConfigError(f"level: expected {low:g} to {high:g}, got {self.level:g}")
+        if not 0.25 <= self.within <= 8:
+            raise ConfigError(f"within: expected 0.25 to 8 pixels, got {self.within:g}")
+
+
+@cache
+def networks() -> Networks:
+    """Return the networks of the package, and their tables of errors."""
+    right, hidden, one_view = (read_network(network_path(f"map_{name}")) for name in ("right", "hidden", "one_view"))
+    return Networks(right, hidden, one_view, read_errors("map_errors"), read_errors("map_errors_one_view"))
+
+
+def with_bound(found: Disparity, pair: StereoPair, promise: Promise | Bound, memory: int) -> Disparity:
+    """Return the map of a pair with its ``bound`` and ``probability``, which cost about as much as ``stereo fast``.
+
+    InputError where ``memory`` bytes do not suffice.
+    """
+    search, clock = found.search, Clock()
+    clock.start("bound")
+    shifted, width = search.shift(pair), found.values.shape[1]
+    # Where the range begins above 0, the first columns have no match at all.
+    first, top = max(search.min_disparity, 0), search.shifted_max_disparity
+    values = np.full(shifted.shape, np.nan, np.float32)
+    values[:, : width - first] = found.values[:, first:] - np.float32(search.min_disparity)
+    size = f"a bound of {shifted.shape[1]} x {shifted.shape[0]} pixels, {top + 1} disparities"
+    check_memory(peak_bytes(shifted.shape, top, 1), memory, size)
+    probable, bounded = bounds(networks(), shifted, values, top, promise.within, promise.level)
+    known = np.isfinite(found.values)
+    # A value without a match may be any of the range.
+    bound = np.where(known, np.float32(max(top, 1)), np.float32(np.nan))
+    probability = np.zeros(found.values.shape, np.float32)
+    bound[:, first:] = np.where(known[:, first:], bounded[:, : width - first], np.float32(np.nan))
+    probability[:, first:] = probable[:, : width - first]
+    return replace(found, bound=bound, probability=probability, seconds={**found.seconds, **clock.seconds})
