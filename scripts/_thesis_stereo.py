@@ -110,28 +110,24 @@ def indexed(image: Any) -> Any:
 
 
 def pictures(data: Path) -> Any:
-    """Return the scenes of v2 as in figures 2.3 and 3.4: left image, truth, maps of both chapters and their errors."""
-    columns: list[list[Any]] = [[] for _ in range(6)]
+    """Return the maps of both chapters of the scenes of v2, as in figures 2.3 and 3.4, each with its errors."""
+    columns: list[list[Any]] = [[] for _ in range(4)]
     for _, scene in of_v2(data):
         pair, judge = load_pair(scene), MiddleburyV2Protocol()
         truth = judge.truth(scene)
-        found = [matcher(name)(pair, scene.max_disparity).disparity.values for name in PICTURED]
-        grey = [np.nan_to_num(each / np.nanmax(truth.values)).clip(0, 1) for each in (truth.values, *found)]
-        left, true, *maps = (cv2.resize(each, PANEL, interpolation=cv2.INTER_AREA) for each in (pair.color8[0], *grey))
-        wrong = [
-            cv2.resize(picture(judge, each, truth), PANEL, interpolation=cv2.INTER_NEAREST) for each in found
-        ]  # keeps the colors of the errors
-        for column, each in zip(columns, (left, true, maps[0], wrong[0], maps[1], wrong[1]), strict=True):
-            column.append(each if each.ndim == 3 else in_64_greys(255 * each))
+        for k, name in enumerate(PICTURED):
+            found = matcher(name)(pair, scene.max_disparity).disparity.values
+            grey = np.nan_to_num(found / np.nanmax(truth.values)).clip(0, 1)
+            columns[2 * k].append(in_64_greys(255 * cv2.resize(grey, PANEL, interpolation=cv2.INTER_AREA)))
+            wrong = picture(judge, found, truth)
+            columns[2 * k + 1].append(cv2.resize(wrong, PANEL, interpolation=cv2.INTER_NEAREST))  # keeps the colors
     if not columns[0]:
         return None
-    photos = Image.fromarray(np.vstack(columns[0])).quantize(160, kmeans=4, dither=Image.Dither.NONE).convert("RGB")
-    titles = Image.new("L", (6 * PANEL[0], 16), 255)
-    for k, title in enumerate(("left image", "truth", PICTURED[0], "its errors", PICTURED[1], "its errors")):
+    titles = Image.new("L", (4 * PANEL[0], 16), 255)
+    for k, title in enumerate((PICTURED[0], "its errors", PICTURED[1], "its errors")):
         place = ((k + 0.5) * PANEL[0], 8)
         ImageDraw.Draw(titles).text(place, title, 0, ImageFont.load_default(11), anchor="mm")
-    shown = np.hstack([np.asarray(photos), *map(np.vstack, columns[1:])])
-    return indexed(np.vstack([in_64_greys(np.asarray(titles)), shown]))
+    return indexed(np.vstack([in_64_greys(np.asarray(titles)), np.hstack([*map(np.vstack, columns)])]))
 
 
 def in_64_greys(levels: Any) -> Any:
