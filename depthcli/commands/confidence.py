@@ -1,4 +1,6 @@
-"""Estimate how wrong given disparity maps may be: a bound of the error and a probability for every pixel.
+"""Estimate how wrong given disparity maps may be.
+
+Every pixel gets a bound of its error, and the probability of a small one.
 
 Maps are found as evaluate finds them: run folders of ours, PFM, PNG, npy and TIFF files of other programs. --keep takes
 a share, too: 0.8 leaves the surest 80 % of the pixels in disp_left.

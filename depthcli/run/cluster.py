@@ -9,6 +9,7 @@ import pickle
 import threading
 import time
 from collections.abc import Generator, Iterable
+from concurrent.futures import CancelledError
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -85,7 +86,7 @@ def compute_on_cluster(
                 yield row
             if client.status != "running":
                 raise IncompleteError(lost)
-    except OSError as error:  # of any call of the client
+    except (OSError, CancelledError) as error:  # of any call of the client; of a future whose scheduler is gone
         raise IncompleteError(lost) from error
     finally:
         (workspace / _RUNNING_FILE).unlink(missing_ok=True)
