@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-LEVELS = 0.5, 0.99
-"""Smallest and largest level of a bound."""
 _POINTS = 1024  # of the log odds, between which probabilities are interpolated
 _DOUBTFUL = 0.3  # mean probability of a map's values below which each is less likely than its own log odds say
 

@@ -1,36 +1,19 @@
-"""Bounds of the errors of a map: what is asked, the networks and tables that say it, and maps with their bounds."""
+"""Bounds of the errors of a map: the networks and tables that give them, and maps with their bounds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
-from depthcli.algorithms.error_table import LEVELS
 from depthcli.api.results import Disparity
-from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.methods.given_maps import Networks, bounds, peak_bytes
 from depthcli.methods.stereo.config import Bound
 from depthcli.run.resources import check_memory
-
-
-@dataclass(frozen=True)
-class Promise:
-    """What is asked of a map: a bound of its errors, and the chance of a small one; ConfigError out of range."""
-
-    level: float = 0.9  # share of the errors that are not larger than the bound
-    within: float = 1.0  # pixels
-
-    def __post_init__(self) -> None:
-        low, high = LEVELS
-        if not low <= self.level <= high:
-            raise ConfigError(f"level: expected {low:g} to {high:g}, got {self.level:g}")
-        if not 0.25 <= self.within <= 8:
-            raise ConfigError(f"within: expected 0.25 to 8 pixels, got {self.within:g}")
 
 
 @cache
@@ -40,7 +23,7 @@ def networks() -> Networks:
     return Networks(right, hidden, one_view, read_errors("map_errors"), read_errors("map_errors_one_view"))
 
 
-def with_bound(found: Disparity, pair: StereoPair, promise: Promise | Bound, memory: int) -> Disparity:
+def with_bound(found: Disparity, pair: StereoPair, promise: Bound, memory: int) -> Disparity:
     """Return the map of a pair with its ``bound`` and ``probability``, which cost about as much as ``stereo fast``.
 
     InputError where ``memory`` bytes do not suffice.

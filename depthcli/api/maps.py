@@ -10,19 +10,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.api.bounds import Promise, networks
+from depthcli.api.bounds import networks
 from depthcli.api.inputs import as_image, as_map, as_pair, computing
 from depthcli.api.results import Disparity
 from depthcli.api.saving import made, write_details, write_disparity
+from depthcli.core.config_file import load_config
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Result
+from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.pictures import preview
 from depthcli.methods.given_maps import MEASURES, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
+from depthcli.methods.stereo.config import Bound
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.run.resources import available_memory, check_memory
@@ -132,7 +135,7 @@ def map_confidence(
     maps = {name: as_map(one, name, shape) for name, one in given.items()}
     other = None if right_disparity is None else as_map(right_disparity, "right_disparity", shape)
     with computing():
-        promise = Promise(level, within)
+        promise = _promise(level, within)
         return judged(images, maps, max_disparity, promise, measures_named(measures), other, available_memory())
 
 
@@ -174,7 +177,7 @@ def fuse_maps(
     pair = as_pair(left, right)
     arrays = {f"maps[{k}]": as_map(one, f"maps[{k}]", pair.shape) for k, one in enumerate(maps)}
     with computing():
-        promise = Promise(level, within)
+        promise = _promise(level, within)
         return fused(pair, arrays, max_disparity, promise, surfaces, available_memory(), bound=bound)
 
 
@@ -189,7 +192,7 @@ def judged(
     images: StereoPair | Image,
     maps: Mapping[str, NDArray[np.float32]],
     max_disparity: int | None,
-    promise: Promise,
+    promise: Bound,
     measures: Sequence[str],
     right: NDArray[np.float32] | None,
     memory: int,
@@ -232,7 +235,7 @@ def fused(
     pair: StereoPair,
     maps: Mapping[str, NDArray[np.float32]],
     max_disparity: int | None,
-    promise: Promise,
+    promise: Bound,
     surfaces: bool,
     memory: int,
     status: Mapping[str, NDArray[np.uint8]] | None = None,
@@ -254,6 +257,11 @@ def fused(
     details = SearchRange(0, top), result, best.seconds, tuple(warnings)
     one = Disparity(found.values, found.status, pair.left, *details)
     return replace(one, bound=best.bound, probability=best.probability) if bound else one
+
+
+def _promise(level: float, within: float) -> Bound:
+    values = {"level": float(level), "within": float(within)}
+    return load_config(Bound, ConfigData("bound", {}), values=values)
 
 
 def _prepared(

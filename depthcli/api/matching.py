@@ -26,7 +26,7 @@ PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 _MIN_MEASURED_SHARE = 0.5  # of the pixels; with fewer a map has a warning
 # Shares of the measured pixels at an end of the search range. Above the first, a map has a warning. Of ranges that end
 # at three quarters of the largest disparity a third has fewer: above the second, the pair is asked for its own range.
-_MAX_SHARE_AT_END, _SUSPECT_SHARE_AT_END = 0.05, 0.01
+_MAX_SHARE_AT_END, _MIN_SHARE_AT_END = 0.05, 0.01
 
 
 def match_pair(
@@ -49,15 +49,15 @@ def match_pair(
         clock.start("range")
     search, key_points = complete_range(*ends, pair, known)
     clock.start("other")
-    widest, asked = max(pair.shape[1] - 1, search.min_disparity + 1), search.max_disparity
-    search = SearchRange(search.min_disparity, min(asked, widest))
+    widest, given = max(pair.shape[1] - 1, search.min_disparity + 1), search.max_disparity
+    search = SearchRange(search.min_disparity, min(given, widest))
     matched = match(matcher, search.shift(pair), search.shifted_max_disparity, limits)
     result = search.restore(matched, pair.shape[1])
     clock.include(result.seconds)
     found, seconds = result.disparity, dict(clock.seconds)
     warnings = _warnings(pair, search, key_points, result, limits)
-    if asked > widest:
-        text = f"no pixel of images {pair.shape[1]} wide has a disparity above {widest}: not searched up to {asked}"
+    if given > widest:
+        text = f"no pixel of images {pair.shape[1]} wide has a disparity above {widest}: not searched up to {given}"
         warnings = (text, *warnings)
     return Disparity(found.values, found.status, pair.left, search, result, seconds, warnings, key_points)
 
@@ -86,7 +86,7 @@ def _warnings(
             warnings.append(
                 f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
             )
-    if _SUSPECT_SHARE_AT_END < shares[1] <= _MAX_SHARE_AT_END and (top := matched_beyond(pair, search)) is not None:
+    if _MIN_SHARE_AT_END < shares[1] <= _MAX_SHARE_AT_END and (top := matched_beyond(pair, search)) is not None:
         warnings.append(
             f"the images match at disparities up to {top}, searched up to {bounds[1][0]}; see max_disparity"
         )

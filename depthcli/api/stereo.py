@@ -135,8 +135,8 @@ class Matcher:
         with self._turn, computing():
             limits = limits_of(self.config, available_memory(), self._device)
             found = match_pair(self._method, pair, ends, limits, Clock())
-            asked = self.config.bound
-            return found if asked is None else with_bound(found, pair, asked, limits.memory)
+            bound = self.config.bound
+            return found if bound is None else with_bound(found, pair, bound, limits.memory)
 
     def load_kernels(self) -> None:
         """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""

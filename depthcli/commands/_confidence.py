@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.api.bounds import Promise
 from depthcli.api.maps import judged, measures_named
 from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, PairOptions, ScoredRunOptions
@@ -19,6 +18,7 @@ from depthcli.core.result import Clock
 from depthcli.io.formats.images import read_image
 from depthcli.io.scenes import MapsScene
 from depthcli.io.stereo_pairs import load_pair
+from depthcli.methods.stereo.config import Bound
 from depthcli.run.batch import Outcome
 from depthcli.run.console import SIZE, number, percent
 from depthcli.run.json_csv import median, share
@@ -74,7 +74,7 @@ class Confidence(GivenMaps):
         right = None if scene.right is None or scene.right_map is None else loaded(scene.right_map, shape)
         clock.start("other")
         top = self.max_disparity(scene)
-        found = judged(images, maps, top, Promise(**config["bound"]), config["measures"], right, memory)
+        found = judged(images, maps, top, Bound(**config["bound"]), config["measures"], right, memory)
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder, config["keep"], config["threshold"])

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from depthcli.api.bounds import Promise
 from depthcli.api.maps import fused
 from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, RangeOptions, RunOptions
@@ -17,6 +16,7 @@ from depthcli.io.formats.pictures import read_status
 from depthcli.io.scenes import MapsScene, check_same_size
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
+from depthcli.methods.stereo.config import Bound
 from depthcli.run.batch import Outcome
 from depthcli.run.console import SIZE, number, percent
 from depthcli.run.json_csv import median, share
@@ -62,7 +62,7 @@ class FuseMaps(GivenMaps):
             check_same_size(scene.folder / f"status.png of {name}", there.shape, scene.left, pair.shape)
         clock.start("other")
         config = self.config
-        promise, bound = Promise(**(config["bound"] or {"within": config["within"]})), config["bound"] is not None
+        promise, bound = Bound(**(config["bound"] or {"within": config["within"]})), config["bound"] is not None
         found = fused(pair, maps, self.max_disparity(scene), promise, config["surfaces"], memory, status, bound=bound)
         clock.include(found.seconds)
         clock.start("save")

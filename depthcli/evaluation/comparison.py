@@ -187,7 +187,7 @@ class EvaluationReport:
 
     @property
     def incomplete(self) -> bool:
-        """Whether maps, truth, the page or the sheet are missing, so that the command ends with exit code 3."""
+        """Tell whether maps, truth, the page or the sheet are missing, so that the command ends with exit code 3."""
         return bool(self.failed or self.unwritten)
 
     @property

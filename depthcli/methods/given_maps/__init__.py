@@ -165,8 +165,7 @@ def judge(
     clock.start("planes")
     judged = judged_maps(evidence, maps)[0]
     clock.start("network")
-    odds = odds_of(networks, judged, 1.0)
-    probability, bound = promised(networks.errors, odds, judged.missing, within, level)
+    probability, bound = promised_of(networks, judged, within, level)
     hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], judged.alone, judged.others[:0]) > 0
     status = with_reasons(judged.values, judged.missing, probability, hidden)
     confidence = {name: _known(MEASURES[name].of(judged, evidence, right), judged.missing) for name in measures}
@@ -179,7 +178,7 @@ def bounds(
 ) -> tuple[Plane, Plane]:
     """Return probability and bound of a map as :func:`judge` does, in less time, since it says nothing else."""
     judged = judged_maps(Evidence.of(pair, max_disparity, Clock()), [values])[0]
-    return promised(networks.errors, odds_of(networks, judged, 1.0), judged.missing, within, level)
+    return promised_of(networks, judged, within, level)
 
 
 def judge_by_one_view(
@@ -268,6 +267,11 @@ def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Pl
         before, odds = odds, bound(odds, log_odds(network, rows[k], alone, others))
     between: Plane = odds + np.float32(abs(end - at)) * (before - odds)
     return between.clip(np.minimum(before, odds), np.maximum(before, odds))
+
+
+def promised_of(networks: Networks, judged: Judged, within: float, level: float) -> tuple[Plane, Plane]:
+    """Return probability and bound (H, W) of a judged map."""
+    return promised(networks.errors, odds_of(networks, judged, 1.0), judged.missing, within, level)
 
 
 def promised(

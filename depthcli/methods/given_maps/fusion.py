@@ -16,7 +16,7 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice.network import MAX_MAPS as MAX_PROPOSALS
 from depthcli.methods.fusion.choice.network import likeliest
-from depthcli.methods.given_maps import Judged, Networks, judged_maps, odds_of, promised, with_reasons
+from depthcli.methods.given_maps import Judged, Networks, judged_maps, odds_of, promised_of, with_reasons
 from depthcli.methods.given_maps._planes import Evidence, hidden_by_map
 from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
 from depthcli.methods.stereo.volume import RefinementContext
@@ -93,7 +93,5 @@ def fuse(
     bound = None
     if level is not None:
         clock.start("bound")
-        fused = judged_maps(evidence, [values])[0]
-        odds = odds_of(networks, fused, 1.0)
-        probability, bound = promised(networks.errors, odds, fused.missing, within, level)
+        probability, bound = promised_of(networks, judged_maps(evidence, [values])[0], within, level)
     return Fused(DisparityMap(values, status), clock.seconds, probability, bound)
