@@ -206,11 +206,9 @@ def _matched(views: tuple[Image, Image], low: float, top: float, window: int) ->
     volume = Scanline(p1=25, p2=120, paths=4, edge_threshold=15, edge_divisor=6)(cost, pair)
     values, back = winners(volume.costs)
     found = DisparityMap(values.astype(np.float32), np.zeros(pair.shape, np.uint8))
-    disparity = LeftRightCheck()(found, RefinementContext(pair, volume, back)).values + np.float32(search.min_disparity)
-    cut = max(search.min_disparity, 0)  # columns of the left view that the shifted pair lacks
-    disparity = np.pad(disparity, ((0, 0), (cut, 0)), constant_values=np.nan)[:, max(-search.min_disparity, 0) :]
-    disparity[np.arange(width, dtype=np.float32) - disparity > width - 0.5] = np.nan  # beyond the right view
-    return disparity
+    found = LeftRightCheck()(found, RefinementContext(pair, volume, back))
+    found = search.restore(StereoResult(found), width).disparity
+    return np.where(found.measured, found.values, np.float32(np.nan))
 
 
 def complete_range(
