@@ -20,7 +20,6 @@ from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Result
 from depthcli.core.yaml_source import ConfigData
-from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.pictures import preview
 from depthcli.methods.given_maps import MEASURES, judge, judge_by_one_view, peak_bytes
@@ -74,10 +73,9 @@ class MapConfidence:
     def save(self, folder: str | Path, share: float | None = None, threshold: float | None = None) -> None:
         """Write what ``depthcli confidence`` writes, the map as :meth:`kept` returns it, into a folder old or new."""
         kept, files = self.kept(share, threshold), made(folder)
-        write_pfm(files / "bound.pfm", self.bound)
-        write_pfm(files / "probability.pfm", self.probability)
         write_png(files / "probability.png", self._picture())
-        write_disparity(kept, self.status, preview(kept, self.max_disparity), files)
+        picture = preview(kept, self.max_disparity)
+        write_disparity(kept, self.status, picture, files, self.bound, self.probability)
         write_details(Result(confidence=dict(self.measures)), files)
 
     def _picture(self) -> NDArray[np.uint8]:

@@ -18,7 +18,6 @@ from depthcli.core.frames import Image, color8
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
 from depthcli.io.formats.calibrations import read_geometry, write_geometry
 from depthcli.io.formats.depth import MILLIMETERS, write_points
-from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.pictures import preview, preview_depth
 from depthcli.methods.stereo.search_range import SearchRange
@@ -106,9 +105,7 @@ class Depth(Shown, MatchedMap):
         And ``bound.pfm``, where there is one. ``depthcli depth`` writes the same. The folder is created where it is
         missing.
         """
-        write_depth(self, files := made(folder), scale)
-        if self.bound is not None:
-            write_pfm(files / "bound.pfm", self.bound)
+        write_depth(self, made(folder), scale, bound=self.bound)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -195,11 +192,8 @@ class Disparity(Shown, DisparityMap):
         The folder is created where it is missing.
         """
         files = made(folder)
-        write_disparity(self.values, self.status, self._preview(), files)
+        write_disparity(self.values, self.status, self._preview(), files, self.bound, self.probability)
         write_details(self.details, files)
-        for name, values in (("bound", self.bound), ("probability", self.probability)):
-            if values is not None:
-                write_pfm(files / f"{name}.pfm", values)
         if self.geometry is not None:
             write_png(files / "left.png", self.left)
             write_geometry(files / "calib.txt", self.geometry)

@@ -20,6 +20,7 @@ from depthcli.io.formats.pictures import (
     STATUS_PALETTE,
     confidence_picture,
     preview_depth,
+    with_bound,
     write_status,
 )
 from depthcli.run.json_csv import to_csv
@@ -37,23 +38,46 @@ def made(folder: Path | str) -> Path:
     return Path(folder)
 
 
-def write_depth(depth: MatchedMap | DepthMap, folder: Path, scale: float, rotate: int = 0) -> None:
-    """Write ``depth.pfm``, ``depth.png``, ``status.png`` and ``preview.png`` of a map in meters."""
+def write_depth(
+    depth: MatchedMap | DepthMap,
+    folder: Path,
+    scale: float,
+    rotate: int = 0,
+    bound: NDArray[np.float32] | None = None,
+) -> None:
+    """Write ``depth.pfm``, ``depth.png``, ``status.png``, ``preview.png``, and ``bound.pfm`` of a map in meters."""
     write_pfm(folder / "depth.pfm", depth.values)
     write_depth_png(folder / "depth.png", depth.values, scale, rotate)
     palette = DEPTH_STATUS_PALETTE if isinstance(depth, DepthMap) else STATUS_PALETTE
     write_status(folder / "status.png", depth.status, palette)
-    write_png(folder / "preview.png", preview_depth(depth.values))
+    _write_preview(folder, preview_depth(depth.values), bound, "m")
 
 
 def write_disparity(
-    values: NDArray[np.float32], status: NDArray[np.uint8], picture: NDArray[np.uint8], folder: Path
+    values: NDArray[np.float32],
+    status: NDArray[np.uint8],
+    picture: NDArray[np.uint8],
+    folder: Path,
+    bound: NDArray[np.float32] | None = None,
+    probability: NDArray[np.float32] | None = None,
 ) -> None:
-    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png``, and ``picture`` as ``preview.png``."""
+    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png``, and ``picture`` with the bound as ``preview.png``.
+
+    And ``bound.pfm`` and ``probability.pfm``, where they are given.
+    """
     write_pfm(folder / "disp_left.pfm", values)
     # The PNG has no code for what is negative: those pixels have no value there.
     write_disparity_png(folder / "disp_left.png", np.where(values < 0, np.float32(np.nan), values))
     write_status(folder / "status.png", status, STATUS_PALETTE)
+    _write_preview(folder, picture, bound, "px")
+    if probability is not None:
+        write_pfm(folder / "probability.pfm", probability)
+
+
+def _write_preview(folder: Path, picture: NDArray[np.uint8], bound: NDArray[np.float32] | None, unit: str) -> None:
+    if bound is not None:
+        write_pfm(folder / "bound.pfm", bound)
+        picture = with_bound(picture, bound, unit)
     write_png(folder / "preview.png", picture)
 
 

@@ -24,7 +24,7 @@ from depthcli.core.maps import DisparityMap, MatchedMap
 from depthcli.core.result import Clock
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
-from depthcli.io.formats.disparity import read_disparity, read_pfm, write_pfm
+from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.files import naming, shown
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
@@ -116,10 +116,8 @@ class ToDepth(Batch[DisparityScene]):
                 raise InputError(f"{scene.folder}: no bound.pfm for --max-bound; match with --bound")
             in_cloud &= bound <= config["max_bound"]
         clock.start("save")
-        if bound is not None:
-            write_pfm(folder / "bound.pfm", bound)
         found = MatchedMap(depth, status)
-        write_depth(found, folder, config["depth_scale"])
+        write_depth(found, folder, config["depth_scale"], bound=bound)
         known = np.isfinite(depth)
         median = round(float(np.median(depth[known])), 6) if known.any() else None
         beyond, beyond_warning = beyond_png(depth, config["depth_scale"])

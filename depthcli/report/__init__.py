@@ -3,7 +3,7 @@
 ``page`` collects the scenes while they are evaluated and fills the template ``page.html`` at the end; start there.
 ``scene_view`` chooses the parts of a scene that are shown, its maps (images, or slices of volumes) and small pictures;
 ``without_truth`` shows a run's scenes without ground truth: a table of the run's own figures of its maps,
-the worst first. ``packing`` writes and embeds the maps, as 16-bit codes in base64, and has their colors. In the browser
+the worst first. ``packing`` writes and embeds the maps, as 16-bit codes in base64. In the browser
 ``page.js`` sorts tables and unpacks maps, ``viewer.js`` draws them. The room knows no protocol by name: all that it
 uses is the interface ``Protocol`` of ``depthcli.evaluation``.
 

@@ -14,9 +14,8 @@ from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.protocols import AnyProtocol, kind_colors, picture
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.pictures import NO_VALUE, draw_text
+from depthcli.io.formats.pictures import NO_VALUE, draw_text, map_picture
 from depthcli.io.scenes import Scene
-from depthcli.report.packing import map_picture
 
 Picture: TypeAlias = NDArray[np.uint8]
 

@@ -9,7 +9,6 @@ import base64
 import json
 import math
 import zlib
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.io.formats.files import write_text
-from depthcli.io.formats.pictures import NO_VALUE
 
 Packed = dict[str, Any]
 
@@ -134,25 +132,3 @@ class PackedScene(NamedTuple):
 def script_json(text: str) -> str:
     r"""Return JSON that cannot end its script element: ``<``, which strings alone have, is written ``\u003c``."""
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
-
-
-@cache
-def map_colors() -> NDArray[np.uint8]:
-    """Return (256, 3) RGB of the map's scale: viridis, perceptually uniform, readable without color vision."""
-    grey = np.arange(256, dtype=np.uint8)[:, None]
-    table: NDArray[Any] = cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
-    return np.ascontiguousarray(table, np.uint8)
-
-
-def map_picture(values: NDArray[np.floating[Any]], low: float, high: float) -> NDArray[np.uint8]:
-    """Return (H, W) numbers as (H, W, 3) RGB of the scale over [low, high]."""
-    picture = map_colors()[step_of(values, low, high, 256)]
-    picture[np.isnan(values)] = NO_VALUE
-    return picture
-
-
-def step_of(values: NDArray[np.floating[Any]], low: float, high: float, steps: int) -> NDArray[np.intp]:
-    """Return the index of numbers, NaN the lowest, among equal steps over [low, high]."""
-    known = np.clip(np.nan_to_num(values.astype(np.float64), nan=low), low, max(high, low))
-    index: NDArray[np.intp] = np.clip(((known - low) / max(high - low, 1e-9) * steps).astype(np.intp), 0, steps - 1)
-    return index

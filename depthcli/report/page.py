@@ -23,9 +23,9 @@ from depthcli.evaluation.protocols import AnyProtocol, error_scales
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.files import write_text
-from depthcli.io.formats.pictures import NO_VALUE
+from depthcli.io.formats.pictures import NO_VALUE, map_colors
 from depthcli.io.scenes import Scene
-from depthcli.report.packing import map_colors, script_json
+from depthcli.report.packing import script_json
 from depthcli.report.scene_view import SceneView, view_with_truth
 from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
 from depthcli.run.flags import Flags

@@ -28,9 +28,18 @@ from depthcli.evaluation.protocols import (
     shown_pixels,
 )
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.pictures import NO_VALUE, Palette, confidence_picture, read_status, status_color, status_words
+from depthcli.io.formats.pictures import (
+    NO_VALUE,
+    Palette,
+    confidence_picture,
+    map_picture,
+    read_status,
+    status_color,
+    status_words,
+    step_of,
+)
 from depthcli.io.scenes import Scene
-from depthcli.report.packing import PackedScene, jpeg, map_picture, pack, pack_bytes, png, step_of
+from depthcli.report.packing import PackedScene, jpeg, pack, pack_bytes, png
 
 _CONFIDENCE_LEVELS = 4096  # of a packed confidence; noise below them would only fill the page
 _MAX_THUMB = 240  # pixels of a small picture's longer side

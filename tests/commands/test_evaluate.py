@@ -26,10 +26,9 @@ from depthcli.evaluation.tables import chosen_text, headline_text, report_tables
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.pictures import NO_VALUE
+from depthcli.io.formats.pictures import NO_VALUE, map_picture
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
-from depthcli.report.packing import map_picture
 from depthcli.run.records import Record, write_record
 from tests.command_line import contents, refused
 from tests.command_line import run as run_command

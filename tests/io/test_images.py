@@ -20,13 +20,17 @@ from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, collected_war
 from depthcli.io.formats.images import image_size, read_grey, read_image, read_pair, sample_bits, write_png
 from depthcli.io.formats.pictures import (
     DEPTH_STATUS_PALETTE,
+    NO_VALUE,
     STATUS_PALETTE,
+    bound_range,
     confidence_picture,
+    map_colors,
     preview,
     preview_depth,
     read_status,
     status_color,
     status_words,
+    with_bound,
     write_legend,
     write_status,
 )
@@ -340,3 +344,19 @@ def test_previews():
     assert picture.dtype == np.uint8 and picture.shape == (1, 4, 3)
     assert picture[0, 3].tolist() == [0, 0, 0]
     assert len({tuple(color) for color in picture[0].tolist()}) == 4
+
+
+def test_bounds_lie_beside_their_map_over_a_bar_of_their_colors():
+    shown = np.zeros((30, 200, 3), np.uint8)
+    bound = np.geomspace(0.1, 10, shown[..., 0].size).reshape(shown.shape[:2])
+    bound[0, 0], bound[0, 1], bound[0, 2] = np.nan, np.inf, 0
+    picture = with_bound(shown, bound, "px")
+    assert (picture[:30, :200] == 0).all() and picture[:30, 208:].any()
+    assert [tuple(picture[0, 208 + x]) for x in range(3)] == [NO_VALUE, *map(tuple, map_colors()[[-1, 0]])]
+    bar = [row for row in picture[30:, 208:] if np.array_equal(row[[0, -1]], map_colors()[[0, -1]])]
+    assert len(bar) > 8
+    low, high = bound_range(bound)
+    assert 0.1 <= low < 0.2 and 8 < high <= 10
+    for unusual in ([np.nan, np.nan], [np.inf, 0], [3, 3]):
+        assert 0 < bound_range(np.array(unusual))[0] < bound_range(np.array(unusual))[1]
+        assert with_bound(shown[:1, :2], np.array([unusual]), "m").shape[1:] == (12, 3)

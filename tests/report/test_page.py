@@ -27,11 +27,12 @@ from depthcli.evaluation.scores import MapResult
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.formats.images import read_image
+from depthcli.io.formats.pictures import map_colors
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.volume_pairs import RegistrationTruth
 from depthcli.report.contact_sheet import ContactSheet
-from depthcli.report.packing import map_colors, pack, pack_bytes, thinned, unpack
+from depthcli.report.packing import pack, pack_bytes, thinned, unpack
 from depthcli.report.page import Page
 from depthcli.report.scene_view import slices
 from tests.report.conftest import ODD, SHAPE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from functools import cache
 from io import BytesIO
@@ -50,7 +51,8 @@ DEPTH_STATUS_PALETTE: Palette = {
 _SMOOTHED = int(Status.SMOOTHED)  # the same bit in both
 _TINT = 0.4  # share of every further bit's color
 _ROW, _SWATCH, _MARGIN = 26, 34, 8  # of the legend, pixels
-_TEXT_SCALE = 0.5  # of lines of text in pictures: capitals are 11 pixels high
+_LINE = 20  # height of a line of text in pictures, pixels
+_FONT = cv2.FONT_HERSHEY_SIMPLEX, 0.5  # of lines of text in pictures: capitals are 11 pixels high
 
 
 def write_status(path: Path | str, status: NDArray[np.uint8], palette: Palette) -> None:
@@ -139,6 +141,55 @@ def preview(values: NDArray[np.float32], top: float) -> NDArray[np.uint8]:
     return picture
 
 
+@cache
+def map_colors() -> NDArray[np.uint8]:
+    """Return (256, 3) RGB of viridis, for maps of the page and for bounds; readable without color vision."""
+    grey = np.arange(256, dtype=np.uint8)[:, None]
+    table: NDArray[Any] = cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
+    return np.ascontiguousarray(table, np.uint8)
+
+
+def map_picture(values: NDArray[np.floating[Any]], low: float, high: float) -> NDArray[np.uint8]:
+    """Return (H, W) numbers as (H, W, 3) RGB of :func:`map_colors` over [low, high]."""
+    picture = map_colors()[step_of(values, low, high, 256)]
+    picture[np.isnan(values)] = NO_VALUE
+    return picture
+
+
+def step_of(values: NDArray[np.floating[Any]], low: float, high: float, steps: int) -> NDArray[np.intp]:
+    """Return the index of numbers, NaN the lowest, among equal steps over [low, high]."""
+    known = np.clip(np.nan_to_num(values.astype(np.float64), nan=low), low, max(high, low))
+    index: NDArray[np.intp] = np.clip(((known - low) / max(high - low, 1e-9) * steps).astype(np.intp), 0, steps - 1)
+    return index
+
+
+def bound_range(bound: NDArray[np.floating[Any]]) -> tuple[float, float]:
+    """Return the ends of the colors of bounds, above 0 and never the same: the 1st and the 99th percentile."""
+    low, high = (float(f"{end:.2g}") for end in _range(bound[bound > 0]))
+    return (low, max(high, 2 * low)) if low else (0.1, 1.0)
+
+
+def bound_picture(bound: NDArray[np.floating[Any]], low: float, high: float) -> NDArray[np.uint8]:
+    """Return (H, W) bounds as (H, W, 3) RGB: the logarithm over [low, high], which are above 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return map_picture(np.log(bound), math.log(low), math.log(high))
+
+
+def with_bound(picture: NDArray[np.uint8], bound: NDArray[np.floating[Any]], unit: str) -> NDArray[np.uint8]:
+    """Return the (H, W, 3) picture of a map, its (H, W) bounds beside it, and below these their colors in the unit."""
+    (low, high), (height, width) = bound_range(bound), bound.shape
+    sheet = np.full((height + 3 * _LINE, 2 * width + _MARGIN, 3), 255, np.uint8)
+    sheet[:height, :width], shown = picture, sheet[:, width + _MARGIN :]
+    shown[:height] = bound_picture(bound, low, high)
+    shown[height + _LINE + 2 : height + 2 * _LINE - 6] = bound_picture(np.geomspace(low, high, width)[None], low, high)
+    draw_text(sheet, f"bound, {unit}", (width + _MARGIN, height + _LINE // 2), _BLACK, max_width=width)
+    for share in (0.0, 0.5, 1.0) if width > 5 * _LINE else (1.0,):
+        number = f"{low ** (1 - share) * high**share:.2g}" + f" {unit}" * (share == 1)
+        place = round(width + _MARGIN + share * (width - _text_size(number)[0])), height + 2 * _LINE + 6
+        draw_text(sheet, number, place, _BLACK)
+    return sheet
+
+
 def preview_depth(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
     """(H, W, 3) RGB picture of (H, W) depths: red = near to blue = far, even in inverse depth, black = no value."""
     with np.errstate(divide="ignore", over="ignore"):
@@ -160,12 +211,17 @@ def draw_text(
     ``place`` is x of its left end, or of its middle where it is ``centered``, and y of its middle line; a text of more
     than ``max_width`` pixels is cut and ends in three dots.
     """
-    shown, font = text.encode("ascii", "replace").decode(), (cv2.FONT_HERSHEY_SIMPLEX, _TEXT_SCALE)
-    while max_width is not None and len(shown) > 4 and cv2.getTextSize(shown, *font, 1)[0][0] > max_width:
+    shown = text.encode("ascii", "replace").decode()
+    while max_width is not None and len(shown) > 4 and _text_size(shown)[0] > max_width:
         shown = shown[:-4] + "..."
-    width, height = cv2.getTextSize(shown, *font, 1)[0]
+    width, height = _text_size(shown)
     x = place[0] - width // 2 if centered else place[0]
-    cv2.putText(picture, shown, (x, place[1] + height // 2), *font, ink, 1, cv2.LINE_AA)
+    cv2.putText(picture, shown, (x, place[1] + height // 2), *_FONT, ink, 1, cv2.LINE_AA)
+
+
+def _text_size(text: str) -> tuple[int, int]:
+    width, height = cv2.getTextSize(text, *_FONT, 1)[0]
+    return width, height
 
 
 def _range(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
