@@ -24,6 +24,7 @@ from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
 from depthcli.run.batch import Batch
 from depthcli.run.console import aligned
+from depthcli.run.folder import FolderLock
 from depthcli.run.json_csv import Row, to_csv, to_json
 
 _RUNS = "runs"  # the folder with one run folder per combination
@@ -68,9 +69,15 @@ class Sweep:
             if (output / table).exists() and not (output / _RUNS).is_dir():
                 raise ConfigError(f"{output / table}: is no sweep's; move it away, or choose another --output")
         failed = False
-        for count, (name, run) in enumerate(runs.items(), 1):
-            reporter.info(f"run {count} of {len(runs)}: {name}")
-            failed |= run_batch(run.batch, run.scenes, run.options, source) != 0
+        with FolderLock(output, reporter.info) as lock:
+            lock.share()
+            for count, (name, run) in enumerate(runs.items(), 1):
+                reporter.info(f"run {count} of {len(runs)}: {name}")
+                failed |= run_batch(run.batch, run.scenes, run.options, source) != 0
+            others = lock.locks and not lock.last()
+        if others:
+            reporter.info("the process that ends last compares the runs")
+            return SOME_FAILED if failed else 0
         assert source.input is not None
         truth = local(source.input)
         found = discover_scenes(truth, ALL_KINDS, source.layout, source.patterns)

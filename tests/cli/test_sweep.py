@@ -13,6 +13,7 @@ from depthcli.commands._sweep_axes import combinations, effects, folder_names, p
 from depthcli.core.errors import ConfigError
 from depthcli.core.yaml_source import read_config
 from depthcli.methods.stereo.config import StereoConfig
+from depthcli.run.folder import FolderLock
 from depthcli.run.presets import find_config
 from tests.command_line import refused
 
@@ -141,8 +142,13 @@ def test_completion(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.slow
-def test_own_values_that_are_tried_anyway_are_marked(two_scenes: Path, tmp_path: Path, capsys):
+def test_the_sweep_that_ends_last_compares_and_marks_own_values(two_scenes: Path, tmp_path: Path, capsys):
     command = ["sweep", "opencv-bm", "-i", str(two_scenes), "-o", str(tmp_path), "--set", "block=7"]
+    with FolderLock(tmp_path, print) as other:  # as of another process, which has not ended
+        other.share()
+        assert main([*command, "--over", "block=5,7"]) == 0
+        assert capsys.readouterr().out == ""
+        assert sorted(path.name for path in tmp_path.glob("[!.]*")) == ["runs"]
     assert main([*command, "--over", "block=5,7"]) == 0
     out = capsys.readouterr().out
     assert "block=7 *" in out and "block=5 *" not in out
