@@ -7,17 +7,25 @@ outside the right image are left as they are. Indices of ``prange`` are unsigned
 
 import numpy as np
 from numba import prange
+from numba.extending import register_jitable
 
 __all__ = ["arms", "box", "derivatives", "difference", "hamming", "ranks", "signatures", "weights"]
+
+
+@register_jitable
+def _prefix_sums(line):
+    length, depth = line.shape
+    prefix = np.zeros((length + 1, depth), np.float32)
+    for x in range(length):
+        for d in range(depth):
+            prefix[x + 1, d] = prefix[x, d] + line[x, d]
+    return prefix
 
 
 def box(source, out, radius):
     n, length, depth = source.shape
     for i in prange(n):
-        prefix = np.zeros((length + 1, depth), np.float32)
-        for x in range(length):
-            for d in range(depth):
-                prefix[x + 1, d] = prefix[x, d] + source[i, x, d]
+        prefix = _prefix_sums(source[i])
         for x in range(length):
             low, high = max(0, x - radius), min(length, x + radius + 1)
             for d in range(depth):
@@ -27,10 +35,7 @@ def box(source, out, radius):
 def arms(source, out, own, other, along_rows):
     n, length, depth = source.shape
     for i in prange(n):
-        prefix = np.zeros((length + 1, depth), np.float32)
-        for x in range(length):
-            for d in range(depth):
-                prefix[x + 1, d] = prefix[x, d] + source[i, x, d]
+        prefix = _prefix_sums(source[i])
         for x in range(length):
             for d in range(depth):
                 j, y = (np.int64(i), x - d) if along_rows else (np.int64(i) - d, x)
