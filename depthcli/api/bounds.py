@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 
 from depthcli.api.results import Disparity
+from depthcli.core.bound import Bound
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.methods.given_maps import Networks, bounds, peak_bytes
-from depthcli.methods.stereo.config import Bound
 from depthcli.run.resources import check_memory
 
 

@@ -14,6 +14,7 @@ from depthcli.api.bounds import networks
 from depthcli.api.inputs import as_image, as_map, as_pair, computing
 from depthcli.api.results import Disparity
 from depthcli.api.saving import made, write_details, write_disparity
+from depthcli.core.bound import Bound
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, StereoPair
@@ -24,7 +25,6 @@ from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.pictures import preview
 from depthcli.methods.given_maps import MEASURES, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
-from depthcli.methods.stereo.config import Bound
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.run.resources import available_memory, check_memory

@@ -12,13 +12,13 @@ import numpy as np
 from depthcli.api.maps import judged, measures_named
 from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, PairOptions, ScoredRunOptions
+from depthcli.core.bound import Bound
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
 from depthcli.io.formats.images import read_image
 from depthcli.io.scenes import MapsScene
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.methods.stereo.config import Bound
 from depthcli.run.batch import Outcome
 from depthcli.run.console import SIZE, number, percent
 from depthcli.run.json_csv import median, share

@@ -10,13 +10,13 @@ from typing import Any
 from depthcli.api.maps import fused
 from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, RangeOptions, RunOptions
+from depthcli.core.bound import Bound
 from depthcli.core.errors import ConfigError
 from depthcli.core.result import Clock
 from depthcli.io.formats.pictures import read_status
 from depthcli.io.scenes import MapsScene, check_same_size
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
-from depthcli.methods.stereo.config import Bound
 from depthcli.run.batch import Outcome
 from depthcli.run.console import SIZE, number, percent
 from depthcli.run.json_csv import median, share

@@ -6,11 +6,13 @@ import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
+from depthcli.core.bound import Bound
 from depthcli.core.errors import ConfigError
 from depthcli.core.yaml_source import parse_config
 from depthcli.evaluation.curves import ConfidenceCurve, reliability
@@ -27,21 +29,11 @@ _SUREST = (100, 90, 80, 50)  # percent of the pixels, those of the smallest boun
 _TOLERANCE = 10.0  # percentage points below the level from which on a map covers too little
 
 
-class BoundSettings(NamedTuple):
-    """What the files ``bound`` and ``probability`` of a run promise."""
-
-    level: float = 0.9  # P(|error| <= bound)
-    within: float | None = None  # of P(|error| <= within), in the map's unit; None: the protocol's
-
-    @classmethod
-    def of_config(cls, text: str) -> BoundSettings:
-        """Return the promise of a run by ``bound: {level, within}`` of its config, the usual one without that."""
-        given: Any = None
-        with contextlib.suppress(ConfigError):
-            given = parse_config(text, "").data.get("bound")
-        numbers = {k: v for k, v in given.items() if isinstance(v, int | float)} if isinstance(given, dict) else {}
-        level, within = numbers.get("level", 0.9), numbers.get("within", 0)
-        return cls(level if 0 < level < 1 else 0.9, within if within > 0 else None)
+def promised(text: str) -> Bound | None:
+    """Return the promise of a run by the key ``bound`` of its config's text; None without one."""
+    with contextlib.suppress(ConfigError, KeyError, ValidationError):
+        return Bound.model_validate(parse_config(text, "").data["bound"])
+    return None
 
 
 def judged(
@@ -51,7 +43,7 @@ def judged(
     confidences: Mapping[str, NDArray[Any]],
     bound: NDArray[Any] | None,
     status: NDArray[np.uint8] | None,
-    promise: BoundSettings,
+    promise: Bound | None,
 ) -> tuple[list[ConfidenceCurve], list[Score], NDArray[np.bool_] | None]:
     """Return the curves of a map's confidences, the scores of its bound, and True where the truth lies outside it.
 
@@ -61,12 +53,13 @@ def judged(
     Parameters
     ----------
     bound : of the regions' shape, in the unit of the run's maps; None: the map has none
+    promise : of the run; None: the usual level, and the protocol's error of a right value
     """
     curves = protocol.curves(estimate, truth, {**confidences, **({} if bound is None else {"bound": -bound})})
     if bound is None and PROBABILITY not in confidences:
         return curves, [], None
     error, wrong, regions = protocol.bounded_error(estimate, truth), protocol.wrong(estimate, truth), {**truth.regions}
-    within = protocol.map_unit * (promise.within or protocol.within)
+    within = protocol.map_unit * (protocol.within if promise is None else promise.within)
     for k, curve in enumerate(curves):
         if (curve.confidence, curve.of) == (PROBABILITY, "bad") and not math.isnan(within):
             region = regions[curve.region] & ~np.isnan(error)
@@ -80,8 +73,9 @@ def judged(
             regions[f"said {name}"] = rest & ((status & bits) != 0) if bits else rest
             rest = rest & ~regions[f"said {name}"]
     bound, unit, made = protocol.map_unit * bound.astype(np.float64), protocol.presentation.unit, list[Score]()
+    level = (promise or Bound()).level
     for name, region in regions.items():
-        made += bound_scores(Tally(name, error[region]), bound[region], wrong[region], promise.level, unit)
+        made += bound_scores(Tally(name, error[region]), bound[region], wrong[region], level, unit)
     return curves, made, ~np.isnan(error) & ~(error <= bound)
 
 

@@ -13,9 +13,10 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from depthcli.core.bound import Bound
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.registry import plugin_of, versions_here
-from depthcli.evaluation.bounds import PROBABILITY, BoundSettings, judged
+from depthcli.evaluation.bounds import PROBABILITY, judged, promised
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
 from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
@@ -115,7 +116,7 @@ def evaluate_runs(
     with writing or contextlib.nullcontext() as folder:
         reports = {run: read_report(place) if rows is None else rows for run, place in places.items()}
         folders = {run: place if place.is_dir() else place.parent.parent for run, place in places.items()}
-        promises = {run: BoundSettings.of_config(saved_config(place)) for run, place in folders.items()}
+        promises = {run: promised(saved_config(place)) for run, place in folders.items()}
         scoring = _Scoring(places, reports, truth, folder, choices, promises)
         with reporter:
             results = scoring.all_results(scenes)
@@ -177,7 +178,7 @@ class _Scoring:
     truth: Path
     output: Path | None
     choices: Choices
-    promises: Mapping[str, BoundSettings]  # of the runs' bounds
+    promises: Mapping[str, Bound | None]  # of the runs' bounds
     naming: dict[str, MapNaming] = field(default_factory=dict)  # of a run's maps
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)  # by name, those that were used
     hints: list[str] = field(default_factory=list)  # assumptions, one line each

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.core.bound import Bound
 from depthcli.core.volumes import Grid
-from depthcli.evaluation.bounds import BAD, COVERAGE, COVERING, WORST, BoundSettings, bound_means, bound_scores, judged
+from depthcli.evaluation.bounds import BAD, COVERAGE, COVERING, WORST, bound_means, bound_scores, judged, promised
 from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.scores import Score, Tally
@@ -85,7 +86,7 @@ def test_bounds_of_depth_are_in_meters_and_by_the_status_of_depth_maps():
     estimate = depth + np.array([[0.01] * 4, [0.03] * 4], np.float32)
     status = np.array([[0] * 4, [1, 1, 2, 2]], np.uint8)
     curves, scores, outside = judged(
-        DepthProtocol(), estimate, truth, {}, np.full((2, 4), 0.02, np.float32), status, BoundSettings()
+        DepthProtocol(), estimate, truth, {}, np.full((2, 4), 0.02, np.float32), status, None
     )
     assert {s.region: s.value for s in scores if s.metric.name == COVERAGE} == {
         "all": 50, "said filled": 0, "said corrected": 0, "said kept": 100
@@ -101,7 +102,7 @@ def test_bounds_of_registrations_are_of_the_true_error():
     stored = RegistrationTruth(Grid((4, 4, 4), (1, 1, 1)), np.zeros((4, 3)), np.array([1, 2, 5, 9], np.float32))
     truth = PreparedTruth(stored.error, np.zeros((4, 3)), None, stored)
     expected = np.array([9, 9, 9, NAN], np.float32)
-    scores = judged(RegistrationProtocol(), expected, truth, {}, np.full(4, 3, np.float32), None, BoundSettings())[1]
+    scores = judged(RegistrationProtocol(), expected, truth, {}, np.full(4, 3, np.float32), None, None)[1]
     (coverage,) = (s for s in scores if s.metric.name == COVERAGE)
     assert (coverage.value, coverage.pixels, coverage.density, coverage.region) == (
         pytest.approx(200 / 3), 3, 75, "landmarks")  # fmt: skip
@@ -110,15 +111,15 @@ def test_bounds_of_registrations_are_of_the_true_error():
 @pytest.mark.parametrize(
     ("text", "promise"),
     [
-        ("bound: {level: 0.8, within: 2}", BoundSettings(0.8, 2)),
-        ("bound: {level: 80, within: many}", BoundSettings()),
-        ("bound: true", BoundSettings()),
-        ("", BoundSettings()),
-        ("{", BoundSettings()),
+        ("bound: {level: 0.8, within: 2}", Bound(level=0.8, within=2)),
+        ("bound: {level: 80, within: many}", None),
+        ("bound: true", None),
+        ("", None),
+        ("{", None),
     ],
 )
-def test_promise_of_a_config(text: str, promise: BoundSettings):
-    assert BoundSettings.of_config(text) == promise
+def test_promise_of_a_config(text: str, promise: Bound | None):
+    assert promised(text) == promise
 
 
 @pytest.fixture

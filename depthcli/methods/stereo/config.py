@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from depthcli.core.bound import Bound
 from depthcli.core.method import ConfigModel
 from depthcli.core.root_config import RootConfig
 from depthcli.methods.stereo.matching import TileMode
@@ -45,15 +46,6 @@ class Calibration(ConfigModel):
         if isinstance(data, str):
             return {"files": [data]}
         return {"files": data} if isinstance(data, list) else data
-
-
-class Bound(ConfigModel):
-    """What is asked of a map: a bound of its errors, and the probability of a small one."""
-
-    level: float = Field(default=0.9, ge=0.5, le=0.99, description="share of the errors that are within the bound")
-    within: float = Field(
-        default=1.0, ge=0.25, le=8, description="error up to which a value is right in probability.pfm, pixels"
-    )
 
 
 class PairConfig(RootConfig):

@@ -1,0 +1,14 @@
+"""What a bound of a map's errors promises: asked of methods by their configs, and checked by evaluations."""
+
+from pydantic import Field
+
+from depthcli.core.method import ConfigModel
+
+
+class Bound(ConfigModel):
+    """What is asked of a map: a bound of its errors, and the probability of a small one."""
+
+    level: float = Field(default=0.9, ge=0.5, le=0.99, description="share of the errors that are within the bound")
+    within: float = Field(
+        default=1.0, ge=0.25, le=8, description="error up to which a value is right in probability.pfm, pixels"
+    )
