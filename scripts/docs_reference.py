@@ -51,7 +51,7 @@ METHOD_PACKAGES = [
 """Packages of all families of methods, in the order in which they are explained."""
 CONFIGS: dict[str, Any] = {command: config_model(command) for command in CONFIG_NAMES}
 """Command -> class of its config."""
-MAPS, DEPTH = "disp_left.*, status.png, preview.png, confidence_*", "depth.*, sigma.pfm, status.png, preview.png"
+MAPS, DEPTH = "disp_left.*, status.png, preview.png, confidence_*", "depth.*, bound.pfm, status.png, preview.png"
 OUTPUTS = {
     "In every run folder": {
         RUN_FILE: "the config with all values, versions and seed; itself a config",
@@ -61,7 +61,7 @@ OUTPUTS = {
     "In the folder of a scene": {
         "stereo, fuse": MAPS,
         "confidence": f"confidence.*, {MAPS}",
-        "refine-kinect, transparent, depth": f"{DEPTH}, confidence_*, points.ply",
+        "refine-kinect, transparent, depth": f"{DEPTH}, probability.pfm, confidence_*, points.ply",
         "register-confidence": "confidence.*, expected_error.*, shift.*, preview.png, points.csv",
         "rectify": "left.png, right.png, calib.txt, meta.json",
         "sample": "*.png, *.pfm, *.nii.gz, meta.json, calib.json",

@@ -11,6 +11,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from depthcli.api.depth_bounds import depth_bounds
 from depthcli.api.inputs import Overrides, as_depth, as_image, as_map, computing, load_config
 from depthcli.api.results import PointCloud, Shown
 from depthcli.api.saving import Pixels, chosen_pixels, made, write_depth, write_details
@@ -27,7 +28,7 @@ from depthcli.io.formats.depth import MILLIMETERS, beyond_png, sensor_warning
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings, naming
 from depthcli.io.formats.plain_text import numbers
-from depthcli.methods.kinect.config import RefineKinectConfig
+from depthcli.methods.kinect.config import DepthBound, RefineKinectConfig
 from depthcli.methods.kinect.pipeline import frame_by_frame
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.run.resources import available_memory, check_memory
@@ -46,17 +47,14 @@ class RefinedDepth(Shown, DepthMap):
 
     color: NDArray[np.uint8]  # (H, W, 3)
     camera: Intrinsics | None  # of the color image; None: not known
-    details: DepthResult  # what the method returns beside the map: sigma, confidence, tables, pictures, figures
+    bound: NDArray[np.float32]  # (H, W) of the error, meters: a share ``level`` is not larger; NaN = no value
+    probability: NDArray[np.float32]  # (H, W) of an error up to ``within`` meters; 0 where there is no value
+    details: DepthResult  # what the method returns beside the map: confidence, tables, pictures, figures
     seconds: Mapping[str, float]  # stage -> time
     scale: float = MILLIMETERS  # codes per meter of depth.png
     rotate: int = 0  # bits that the codes are rotated left by
     cloud: NDArray[np.bool_] | None = None  # (H, W), the pixels that ``save`` writes as points.ply
     warnings: tuple[str, ...] = ()  # what looks wrong, one line each
-
-    @property
-    def sigma(self) -> NDArray[np.float32]:
-        """(H, W) float32, meters, NaN = none: standard deviation of the values, as the model estimates it."""
-        return self.details.sigma
 
     @property
     def confidence(self) -> Mapping[str, NDArray[np.float32]]:
@@ -69,15 +67,19 @@ class RefinedDepth(Shown, DepthMap):
         near: float = 0.0,
         far: float = math.inf,
         intrinsics: tuple[float, float, float, float] | None = None,
+        max_bound: float = math.inf,
     ) -> PointCloud:
         """Return the colored points of the pixels that ``mask`` chooses, from ``near`` to ``far`` meters.
 
         The mask is ``all``, ``measured`` (not those that were filled in), or (H, W) bool; ``intrinsics`` are fx, fy,
-        cx, cy, pixels, by default those of ``camera``, or of a typical Kinect where that is not known.
+        cx, cy, pixels, by default those of ``camera``, or of a typical Kinect where that is not known. Points with a
+        ``bound`` above ``max_bound`` meters are left out.
         """
         camera = self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
         camera = camera if intrinsics is None else Intrinsics(*intrinsics)
-        return PointCloud.of(self, camera, self.color, mask, near, far)
+        chosen = chosen_pixels(self, mask)
+        chosen = chosen & (self.bound <= max_bound) if max_bound < math.inf else chosen
+        return PointCloud.of(self, camera, self.color, chosen, near, far)
 
     def save(self, folder: str | Path) -> None:
         """Write the files that ``depthcli refine-kinect`` and ``transparent`` write for a scene, with the same bytes.
@@ -85,7 +87,8 @@ class RefinedDepth(Shown, DepthMap):
         The folder is created where it is missing.
         """
         files = made(folder)
-        write_pfm(files / "sigma.pfm", self.sigma)
+        write_pfm(files / "bound.pfm", self.bound)
+        write_pfm(files / "probability.pfm", self.probability)
         write_depth(self, files, self.scale, self.rotate)
         if self.cloud is not None:
             self.to_points(self.cloud).save(files / "points.ply")
@@ -284,12 +287,12 @@ def refined_frame(
 
     ``clock`` books the stages, and ``other``; ``scale`` and ``rotate`` are of the codes that are written.
     """
-    found = _refined(refine, frame, clock, scale, rotate)
+    found = _refined(refine, frame, config.bound, clock, scale, rotate)
     if not config.ply:
         return found
-    maps = found.confidence or {"sigma": -found.sigma}  # a small expected error is a high confidence
-    chosen = chosen_pixels(found, config.mask, maps)
-    return replace(found, cloud=chosen & (found.values >= config.near) & (found.values <= config.far))
+    chosen = chosen_pixels(found, config.mask, found.confidence or {"bound": -found.bound})
+    chosen &= (found.values >= config.near) & (found.values <= config.far)
+    return replace(found, cloud=_within(config.max_bound, found, chosen))
 
 
 def completed_frame(
@@ -303,14 +306,14 @@ def completed_frame(
     need = max(each.peak_bytes(shape) for each in (config.pipeline, stereo) if each is not None)
     check_memory(need, memory, f"{shape[1]} x {shape[0]} pixels")
     if isinstance(given, SparseFrame):
-        completed = _with_cloud(config, _refined(config.pipeline, given, clock, scale, rotate))
+        completed = _with_cloud(config, _refined(config.pipeline, given, config.bound, clock, scale, rotate))
         if given.objects is not None:
             text = "inside the mask is the depth of the surroundings, not of the objects: nothing measured it"
             completed = replace(completed, warnings=(text, *completed.warnings))
         return given, completed
     assert stereo is not None
     frame, figures = stereo(given, clock)
-    found = _refined(config.pipeline, frame, clock, scale, rotate)
+    found = _refined(config.pipeline, frame, config.bound, clock, scale, rotate)
     with np.errstate(invalid="ignore"):
         codes = np.nan_to_num(np.rint(frame.sparse * scale), nan=0.0)
     found.details.figures |= figures
@@ -322,15 +325,26 @@ def completed_frame(
 
 def _with_cloud(config: TransparentConfig, found: RefinedDepth) -> RefinedDepth:
     camera = found.camera if config.intrinsics is None else Intrinsics(*config.intrinsics)
-    return replace(found, camera=camera, cloud=np.isfinite(found.values) if config.ply else None)
+    return replace(found, camera=camera, cloud=_within(config.max_bound, found, found.valid) if config.ply else None)
+
+
+def _within(max_bound: float | None, found: RefinedDepth, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return chosen if max_bound is None else chosen & (found.bound <= max_bound)
 
 
 def _refined(
-    refine: Callable[[Any], DepthResult], frame: RgbdFrame, clock: Clock, scale: float, rotate: int
+    refine: Callable[[Any], DepthResult],
+    frame: RgbdFrame,
+    promise: DepthBound,
+    clock: Clock,
+    scale: float,
+    rotate: int,
 ) -> RefinedDepth:
     clock.start("other")
     result = refine(frame)
     clock.include(result.seconds)
+    clock.start("bound")
+    bound, probability = depth_bounds(frame, result, promise)
     found = result.depth
     if frame.interpolated:
         found.status[found.kept] |= np.uint8(DepthStatus.SMOOTHED)
@@ -338,5 +352,15 @@ def _refined(
     warnings = (f"{beyond}; see depth_scale",) if beyond else ()
     camera, seconds = frame.intrinsics, dict(clock.seconds)
     return RefinedDepth(
-        found.values, found.status, frame.color, camera, result, seconds, scale, rotate, warnings=warnings
+        found.values,
+        found.status,
+        frame.color,
+        camera,
+        bound,
+        probability,
+        result,
+        seconds,
+        scale,
+        rotate,
+        warnings=warnings,
     )

@@ -56,7 +56,7 @@ def config_of(
     given: list[str | tuple[str, str]] = list(settings or [])
     for key, value in options.items():
         if value is not None:
-            given.append((f"--{key.replace('_', '-')}", f"{key}={value}"))
+            given.append((f"--{key.rpartition('.')[2].replace('_', '-')}", f"{key}={value}"))
     found = load_config(model, find_config(model.command, config), given, lambda name: find_preset(model.command, name))
     used_files(found)  # missing ones are an error before any scene is opened
     return found

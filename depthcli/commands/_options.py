@@ -95,6 +95,26 @@ class FrameOptions(SceneOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DepthOptions:
+    """How the depth of sensors is read, and what is written beside the refined map."""
+
+    depth_scale: float | None = option(None, metavar="CODES", help="Codes a meter of the depth files.")
+    intrinsics: str | None = option(None, metavar="NUMBERS", help="Of the color camera, pixels: fx,fy,cx,cy.")
+    ply: bool = option(False, "--ply", help="Also write a colored point cloud of every frame.")
+    max_bound: float | None = option(None, metavar="METERS", min=0, help="Largest bound of the error in point clouds.")
+    level: float | None = option(
+        None,
+        metavar="P",
+        min=0.5,
+        max=0.99,
+        help="Share of the errors within bound.pfm. Default: 0.9.",
+    )
+    within: float | None = option(
+        None, metavar="METERS", help="Error up to which a value is right in probability.pfm. Default: 0.03."
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunOptions(Printing):
     """How the scenes are computed, where the results go, and how they are reported.
 

@@ -14,8 +14,8 @@ import numpy as np
 from depthcli.api.depth import refined_frame
 from depthcli.api.saving import check_limits, empty_cloud, parse_mask
 from depthcli.commands._batch import config_of
-from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.commands._scenes import camera_of, find_scenes, say_typical_cameras
+from depthcli.commands._options import DepthOptions, RunOptions, SceneOptions
+from depthcli.commands._scenes import camera_of, depth_settings, find_scenes, say_typical_cameras
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
@@ -31,8 +31,8 @@ from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import SequencePipeline, frame_by_frame
 from depthcli.run.batch import Batch, Outcome
-from depthcli.run.console import SIZE, percent
-from depthcli.run.json_csv import Row, share
+from depthcli.run.console import SIZE, number, percent
+from depthcli.run.json_csv import Row, median, share
 from depthcli.run.resources import check_memory
 
 FrameOrSequence: TypeAlias = RgbdScene | SequenceScene
@@ -43,15 +43,12 @@ def prepare(
     frames: SceneOptions,
     run: RunOptions,
     settings: Sequence[str | tuple[str, str]] | None,
-    intrinsics: str | None = None,
+    depths: DepthOptions,
     depth_intrinsics: str | None = None,
     **options: Any,
 ) -> tuple[RefineKinect, list[FrameOrSequence]]:
     """Return the batch of ``refine-kinect`` with this config, and the frames or sequences that the options name."""
-    if intrinsics is not None:
-        camera_of("--intrinsics", intrinsics)
-        options["intrinsics"] = f"[{intrinsics}]"
-    found = config_of(RefineKinectConfig, config, settings, **options)
+    found = config_of(RefineKinectConfig, config, settings, **depth_settings(depths), **options)
     check_limits(found.near, found.far)
     parse_mask(found.mask)  # a wrong share is an error before any frame is opened
     scenes = find_scenes(FRAMES, frames, run)
@@ -71,7 +68,7 @@ class RefineKinect(Batch[FrameOrSequence]):
     """Refines frames, or the frames of sequences in order."""
 
     command = "refine-kinect"
-    columns = (SIZE, *map(percent, ("known", "kept", "filled", "corrected")))
+    columns = (SIZE, *map(percent, ("known", "kept", "filled", "corrected")), number("median_bound", "{:.3g} m"))
     palette = DEPTH_STATUS_PALETTE
     shown_as = "depth"
 
@@ -154,6 +151,7 @@ class RefineKinect(Batch[FrameOrSequence]):
                 if bit and bit.name and bit != DepthStatus.SAMPLED
             },
             "density": share(found.valid),
+            "median_bound": median(found.bound),
             **{name: float(value) for name, value in found.details.figures.items()},
             **found.details.words,
         }

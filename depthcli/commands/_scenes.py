@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.commands._options import DepthOptions, RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError
 from depthcli.io.inputs import local
 from depthcli.io.layouts import Layouts
@@ -97,6 +97,15 @@ def camera_of(option: str, text: str) -> tuple[float, float, float, float]:
     if not (all(map(math.isfinite, (fx, fy, cx, cy))) and min(fx, fy) > 0):
         raise ConfigError(f"{option}: expected fx,fy,cx,cy in pixels, focal lengths above 0 (got {text[:64]!r})")
     return fx, fy, cx, cy
+
+
+def depth_settings(options: DepthOptions) -> dict[str, object]:
+    """Return config key -> value, None: not given; ConfigError if no camera can have the intrinsics."""
+    given = vars(options) | {"ply": options.ply or None}
+    if options.intrinsics is not None:
+        camera_of("--intrinsics", options.intrinsics)
+        given["intrinsics"] = f"[{options.intrinsics}]"
+    return given | {"bound.level": given.pop("level"), "bound.within": given.pop("within")}
 
 
 def say_typical_cameras(scenes: Sequence[RgbdScene], reporter: Reporter) -> None:

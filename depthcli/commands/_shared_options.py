@@ -57,7 +57,6 @@ LevelOption: TypeAlias = Annotated[
 BoundOption: TypeAlias = Annotated[
     bool, Option("--bound", help="Also write bound.pfm, which 90 % of the errors do not exceed, and probability.pfm.")
 ]
-DepthScaleOption: TypeAlias = Annotated[float | None, Option(metavar="CODES", help="Codes a meter of the depth files.")]
 HtmlOption: TypeAlias = Annotated[bool, Option("--html", help="Also write evaluation/report.html.")]
 FlagOption: TypeAlias = Annotated[
     list[str] | None, Option(metavar="CONDITION", help="Flag rows, such as 'measured<0.6'; repeatable, any of them.")

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from depthcli.api.depth import completed_frame
 from depthcli.api.saving import empty_cloud
 from depthcli.commands._batch import config_of
-from depthcli.commands._options import RunOptions, SceneOptions
-from depthcli.commands._scenes import camera_of, find_scenes, say_typical_cameras
+from depthcli.commands._options import DepthOptions, RunOptions, SceneOptions
+from depthcli.commands._scenes import depth_settings, find_scenes, say_typical_cameras
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
 from depthcli.core.frames import SparseFrame
@@ -25,8 +24,8 @@ from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame
 from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.run.batch import Batch, Outcome
-from depthcli.run.console import SIZE, percent
-from depthcli.run.json_csv import Row, share
+from depthcli.run.console import SIZE, number, percent
+from depthcli.run.json_csv import Row, median, share
 
 
 def prepare(
@@ -34,14 +33,10 @@ def prepare(
     frames: SceneOptions,
     run: RunOptions,
     settings: Sequence[str | tuple[str, str]] | None,
-    intrinsics: str | None = None,
-    **options: Any,
+    depths: DepthOptions,
 ) -> tuple[Transparent, list[RgbdScene]]:
     """Return the batch of ``transparent`` with this config, and the frames that the command line names."""
-    if intrinsics is not None:
-        camera_of("--intrinsics", intrinsics)
-        options["intrinsics"] = f"[{intrinsics}]"
-    found = config_of(TransparentConfig, config, settings, **options)
+    found = config_of(TransparentConfig, config, settings, **depth_settings(depths))
     scenes = find_scenes(FRAMES, frames, run)
     if found.ply and found.intrinsics is None:
         say_typical_cameras(scenes, run.reporter)
@@ -53,7 +48,11 @@ class Transparent(Batch[RgbdScene]):
     """Computes the dense depth of frames."""
 
     command = "transparent"
-    columns = (SIZE, *map(percent, ("known", "sparse", "kept", "filled", "replaced", "from_stereo")))
+    columns = (
+        SIZE,
+        *map(percent, ("known", "sparse", "kept", "filled", "replaced", "from_stereo")),
+        number("median_bound", "{:.3g} m"),
+    )
     palette = DEPTH_STATUS_PALETTE
     legend = (
         0,
@@ -127,6 +126,7 @@ class Transparent(Batch[RgbdScene]):
             "replaced": share(found.corrected),
             "from_stereo": share((found.status & DepthStatus.SAMPLED) != 0),
             "density": share(found.valid),
+            "median_bound": median(found.bound),
             **{name: float(value) for name, value in found.details.figures.items()},
         }
         warnings = list(found.warnings)

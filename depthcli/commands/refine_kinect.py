@@ -11,20 +11,16 @@ from typing import Annotated
 
 from typer import Option
 
-from depthcli.commands._options import FrameOptions, ScoredRunOptions
-from depthcli.commands._shared_options import ConfigArgument, DepthScaleOption, SetOption
+from depthcli.commands._options import DepthOptions, FrameOptions, ScoredRunOptions
+from depthcli.commands._shared_options import ConfigArgument, SetOption
 
 
 def refine_kinect(
     config: ConfigArgument,
     frames: FrameOptions,
     run: ScoredRunOptions,
-    depth_scale: DepthScaleOption = None,
+    depths: DepthOptions,
     set: SetOption = None,
-    ply: Annotated[bool, Option("--ply", help="Also write a colored point cloud of every frame.")] = False,
-    intrinsics: Annotated[
-        str | None, Option(metavar="NUMBERS", help="Of the color camera, pixels: fx,fy,cx,cy.")
-    ] = None,
     depth_intrinsics: Annotated[
         str | None, Option(metavar="NUMS", help="Of the depth camera, if not registered.")
     ] = None,
@@ -36,8 +32,5 @@ def refine_kinect(
     from depthcli.commands._batch import run_batch
     from depthcli.commands._refine_kinect import prepare
 
-    prepared = prepare(
-        config, frames, run, set, depth_scale=depth_scale, ply=ply or None, intrinsics=intrinsics, mask=mask,
-        near=near, far=far, depth_intrinsics=depth_intrinsics,
-    )  # fmt: skip
+    prepared = prepare(config, frames, run, set, depths, depth_intrinsics, mask=mask, near=near, far=far)
     return run_batch(*prepared, run, frames)

@@ -27,19 +27,14 @@ class Result:
 
 @dataclass
 class DepthResult(Result):
-    """A refined depth map and the uncertainty of its values.
+    """A refined depth map.
 
-    ``sigma``, (H, W) float32, meters, NaN = none, is their standard deviation, estimated from the residuals of the
-    model that they come from.
+    ``deviation``, (H, W) float32, meters, NaN = unknown, is the standard deviation of its values by the model that
+    they come from; None: the model says nothing.
     """
 
     depth: DepthMap
-    sigma: NDArray[np.float32]
-
-    def __post_init__(self) -> None:
-        if self.sigma.shape != self.depth.values.shape or self.sigma.dtype != np.float32:
-            expected, got = self.depth.values.shape, self.sigma.shape
-            raise ValueError(f"expected float32 sigma {expected}, got {got} {self.sigma.dtype}")
+    deviation: NDArray[np.float32] | None = None
 
 
 class Clock:

@@ -52,7 +52,7 @@ def test_a_result_describes_itself_and_codes_are_depths_by_their_scale(made_kine
     assert np.array_equal(found.filled | found.kept | found.corrected, found.valid)
     assert not (found.filled & found.kept).any()
     assert not np.isfinite(depth[found.filled]).any()
-    assert found.sigma.shape == found.values.shape == (72, 96)
+    assert found.bound.shape == found.probability.shape == found.values.shape == (72, 96)
     assert "other" in found.seconds and repr(found).startswith("RefinedDepth(96 x 72, ")
     assert found._repr_png_().startswith(b"\x89PNG")
     points = found.to_points()

@@ -18,12 +18,12 @@ from tests.rendered import COLOR, COLOR_SHAPE, DEPTH, DEPTH_SHAPE, ROTATION, TRA
 
 
 @pytest.mark.slow
-def test_a_frame_gives_depth_status_and_sigma(made_kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_frame_gives_depth_status_and_bound(made_kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     output = tmp_path / "r"
     assert run("refine-kinect", "nearest", "-i", made_kinect, "--scenes", "planes", "-o", output, "--evaluate") == 0
     assert "Depth: mean absolute error, mm" in capsys.readouterr().out
     made = output / "planes"
-    names = {"depth.pfm", "depth.png", "sigma.pfm", "status.png", "preview.png", "record.json"}
+    names = {"depth.pfm", "depth.png", "bound.pfm", "probability.pfm", "status.png", "preview.png", "record.json"}
     assert {p.name for p in made.iterdir()} == names
     values, before = read_pfm(made / "depth.pfm"), read_pfm(made_kinect / "planes" / "depth.pfm")
     measured = np.isfinite(before)

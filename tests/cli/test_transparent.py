@@ -21,11 +21,11 @@ def test_files_report_and_evaluation(made_glass, tmp_path, capsys):
     assert main(["transparent", "sparse", "-i", str(made_glass), "-o", str(run), "--evaluate", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     folder = run / "glass_0"
-    names = {"depth.pfm", "depth.png", "sigma.pfm", "status.png", "preview.png", "unreliable.png"}
+    names = {"depth.pfm", "depth.png", "bound.pfm", "probability.pfm", "status.png", "preview.png", "unreliable.png"}
     assert names <= {path.name for path in folder.iterdir()}
     depth = read_pfm(folder / "depth.pfm")
     np.testing.assert_allclose(read_depth(folder / "depth.png"), depth, atol=0.0006)
-    assert np.isfinite(read_pfm(folder / "sigma.pfm")).all()
+    assert np.isfinite(read_pfm(folder / "bound.pfm")).all()
     row = document["scenes"][0]
     replaced = np.mean(read_image(folder / "unreliable.png") > 0)
     assert row["replaced"] == pytest.approx(replaced, abs=1e-6)
@@ -53,7 +53,7 @@ def test_a_mask_of_the_objects_alone(made_glass, tmp_path, capsys):
     kept = np.isfinite(sensor) & ~objects
     np.testing.assert_array_equal(depth[kept], sensor[kept])
     assert np.isfinite(depth).all()
-    np.testing.assert_array_equal(np.isfinite(read_pfm(tmp_path / "run/a/sigma.pfm")), kept)
+    np.testing.assert_array_equal(np.isfinite(read_pfm(tmp_path / "run/a/bound.pfm")), kept)
     around = kept & (cv2.dilate(objects.astype(np.uint8), np.ones((61, 61), np.uint8)) > 0)
     assert sensor[around].min() * 0.9 < depth[objects].min() and depth[objects].max() < sensor[around].max() * 1.1
     assert row["replaced"] == pytest.approx(np.mean(objects & np.isfinite(sensor)), abs=1e-6)

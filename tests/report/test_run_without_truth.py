@@ -137,7 +137,7 @@ def test_a_page_that_cannot_be_written_fails_no_scene(pairs: Path, tmp_path: Pat
     assert (tmp_path / "run" / "easy" / "disp_left.pfm").is_file()
 
 
-def test_frames_of_a_sensor_show_their_expected_error(tmp_path: Path):
+def test_frames_of_a_sensor_show_their_bound(tmp_path: Path):
     rng = np.random.default_rng(0)
     for number in range(2):
         folder = tmp_path / "set" / f"frame{number}"
@@ -150,10 +150,11 @@ def test_frames_of_a_sensor_show_their_expected_error(tmp_path: Path):
     )
     reader = read(tmp_path / "run" / "evaluation")
     header, *rows = reader.tables[0]
-    assert header[2] == "expected error, mm"
-    sigma = {name: 1000 * np.nanmean(read_pfm(tmp_path / "run" / name / "sigma.pfm")) for name in ("frame0", "frame1")}
-    assert [row[0] for row in rows] == sorted(sigma, key=lambda name: -sigma[name])
-    assert [float(row[2]) for row in rows] == pytest.approx(sorted(sigma.values(), reverse=True), abs=0.01)
+    assert header[2] == "median bound, mm"
+    folders = [tmp_path / "run" / name for name in ("frame0", "frame1")]
+    bound = {folder.name: 1000 * np.nanmedian(read_pfm(folder / "bound.pfm")) for folder in folders}
+    assert [row[0] for row in rows] == sorted(bound, key=lambda name: -bound[name])
+    assert [float(row[2]) for row in rows] == pytest.approx(sorted(bound.values(), reverse=True), abs=0.01)
     for scene in data_of(reader):
         assert scene["views"][0]["runs"]["run"]["error"]
         sensor = unpack(scene["views"][0]["sensor"])

@@ -57,16 +57,16 @@ class DepthTruth:
 
 
 def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
-    """Return a run's map in mm, with the error in ``sigma.pfm`` of its folder."""
+    """Return a run's map in mm, with the bound of its error in ``bound.pfm`` of its folder."""
     scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
-    values, sigma = 1000.0 * read_depth(path, scale).astype(np.float64), path.with_name("sigma.pfm")
-    figures, error, note = {"no value, %": 100.0 * float(np.isnan(values).mean())}, None, ""
-    if sigma.is_file():
-        error = 1000.0 * read_plane(sigma).astype(np.float64)
-        known = error[np.isfinite(error)]
-        figures = {"expected error, mm": float(known.mean()) if known.size else math.nan, **figures}
-        note = "expected error: mean standard deviation of the depth, by the residuals of the fitted models"
-    return ShownMap(values, planes_beside(path, files), error, figures=figures, note=note)
+    values = 1000.0 * read_depth(path, scale).astype(np.float64)
+    figures, bound, note = {"no value, %": 100.0 * float(np.isnan(values).mean())}, None, ""
+    if (file := files.companion(path, "bound")) is not None:
+        bound = 1000.0 * read_plane(file).astype(np.float64)
+        known = bound[np.isfinite(bound)]
+        figures = {"median bound, mm": float(np.median(known)) if known.size else math.nan, **figures}
+        note = "bound: of the error; a share of the errors, the level of the run, is not larger"
+    return ShownMap(values, planes_beside(path, files), bound, figures=figures, note=note)
 
 
 def _sensor(scene: Scene) -> NDArray[np.float64] | None:
@@ -110,6 +110,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     )
     region_order = ("all", "gap", "occluded", "specular", "mismatch", "measured", "object", "transparent")
     map_unit = 1000.0
+    within = 0.03
     status_groups: ClassVar[Mapping[str, int]] = {
         "filled": DepthStatus.GAP_FILLED | DepthStatus.FALLBACK | DepthStatus.CARRIED,
         "corrected": DepthStatus.CORRECTED,
@@ -152,6 +153,13 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         if self.settings.resize is None:
             return array
         return cv2.resize(array, self.settings.resize, interpolation=cv2.INTER_NEAREST)
+
+    def read_confidence(self, path: Path, truth: DepthTruth) -> NDArray[Any]:
+        """Return a map as stored, at the size of the settings; InputError for another size."""
+        values = self._resized(read_plane(path))
+        if values.shape != truth.depth.shape:
+            raise InputError(f"{path}: the size differs from the truth's")
+        return values
 
     def error(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.float64]:
         """Return (H, W) float64, millimeters."""

@@ -6,8 +6,18 @@ from typing import ClassVar
 
 from pydantic import Field
 
+from depthcli.core.method import ConfigModel
 from depthcli.core.root_config import RootConfig
 from depthcli.methods.kinect.pipeline import Pipeline
+
+
+class DepthBound(ConfigModel):
+    """What is said of the errors of a depth map: a bound, and the probability of a small one."""
+
+    level: float = Field(default=0.9, ge=0.5, le=0.99, description="share of the errors that are within the bound")
+    within: float = Field(
+        default=0.03, ge=0.001, le=1, description="error up to which a value is right in probability.pfm, meters"
+    )
 
 
 class RefineKinectConfig(RootConfig):
@@ -29,4 +39,6 @@ class RefineKinectConfig(RootConfig):
     )
     near: float = Field(0.0, ge=0, description="points of clouds are no nearer, meters")
     far: float = Field(1000.0, gt=0, description="points of clouds are no farther, meters")
+    max_bound: float | None = Field(None, ge=0, description="largest bound of points of clouds, meters; null: any")
     ply: bool = Field(False, description="write a colored point cloud of every frame, too")
+    bound: DepthBound = Field(DepthBound(), description="bound of the errors and probability of a small one")

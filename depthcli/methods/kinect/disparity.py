@@ -135,7 +135,7 @@ def refined_depth(
         status[~known & fallback] = DepthStatus.FALLBACK
     status[np.isnan(depth)] = DepthStatus.EMPTY
     sigma = deviation_of_depth(sigma, depth, frame.fb)
-    return DepthResult(seconds=clock.seconds, depth=DepthMap(depth, status), sigma=sigma)
+    return DepthResult(seconds=clock.seconds, depth=DepthMap(depth, status), deviation=sigma)
 
 
 def deviation_of_depth(sigma: Floats, depth: Floats, fb: float) -> Floats:

@@ -110,7 +110,7 @@ class RefinedDisparity:
         kept = self.status == DepthStatus.KEPT
         depth[kept] = frame.depth[kept]
         status = np.where(np.isnan(depth), np.uint8(DepthStatus.EMPTY), self.status)
-        return DepthResult(depth=DepthMap(depth, status), sigma=deviation_of_depth(self.scale, depth, frame.fb))
+        return DepthResult(depth=DepthMap(depth, status), deviation=deviation_of_depth(self.scale, depth, frame.fb))
 
 
 @jit

@@ -7,6 +7,7 @@ from typing import ClassVar
 from pydantic import Field
 
 from depthcli.core.root_config import RootConfig
+from depthcli.methods.kinect.config import DepthBound
 from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.methods.transparent.pipeline import Pipeline
 
@@ -26,4 +27,6 @@ class TransparentConfig(RootConfig):
     intrinsics: tuple[float, float, float, float] | None = Field(
         None, description="fx, fy, cx, cy of the color camera, pixels; null: what the layout says"
     )
+    max_bound: float | None = Field(None, ge=0, description="largest bound of points of clouds, meters; null: any")
     ply: bool = Field(False, description="write a colored point cloud of every frame, too")
+    bound: DepthBound = Field(DepthBound(), description="bound of the errors and probability of a small one")

@@ -53,7 +53,7 @@ def test_the_status_and_the_deviation_of_refined_depth():
     found = refined_depth(frame, disparity, sigma, 0.1, Clock(), fallback)
     names = ("KEPT", "SMOOTHED", "CORRECTED", "EMPTY", "GAP_FILLED", "FALLBACK", "FALLBACK", "EMPTY")
     assert [DepthStatus(bits).name for bits in found.depth.status[0]] == list(names)
-    np.testing.assert_allclose(found.sigma, sigma * found.depth.values**2 / 10, rtol=1e-6)
+    np.testing.assert_allclose(found.deviation, sigma * found.depth.values**2 / 10, rtol=1e-6)
 
 
 def test_shadows_have_a_confidence_of_their_own(sample):

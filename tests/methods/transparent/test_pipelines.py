@@ -117,9 +117,9 @@ def test_deviations_of_depth_by_hand():
     wall, nothing = np.ones((4, 5), np.float32), np.full((4, 5), np.nan, np.float32)
     frame = SparseFrame(np.zeros((4, 5, 3), np.uint8), wall, sparse=nothing)
     found = refined_depth(frame, 0.5 * wall, wall > 0, Clock(), 0.1)
-    np.testing.assert_allclose([found.depth.values, found.sigma], [2 * wall, 0.4 * wall], rtol=1e-6)
+    np.testing.assert_allclose([found.depth.values, found.deviation], [2 * wall, 0.4 * wall], rtol=1e-6)
     sure = DenseCrf(unreliable=None, labels=3, sensor_weight=100, iterations=1)(frame)  # 0.95, 1, 1.05 / m
-    np.testing.assert_allclose(sure.sigma, 0.05 / np.sqrt(12) * wall, rtol=1e-3)
+    np.testing.assert_allclose(sure.deviation, 0.05 / np.sqrt(12) * wall, rtol=1e-3)
 
 
 def test_the_nearest_sample_s_tolerance_is_the_larger_one():

@@ -1,0 +1,20 @@
+"""Bounds of the errors of a depth map, and the probability of a small one."""
+
+from __future__ import annotations
+
+from statistics import NormalDist
+
+import numpy as np
+
+from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import Floats
+from depthcli.core.result import DepthResult
+from depthcli.methods.kinect.config import DepthBound
+
+
+def depth_bounds(frame: RgbdFrame, found: DepthResult, promise: DepthBound) -> tuple[Floats, Floats]:
+    """Return bound, meters, NaN = no value, and probability of an error within ``promise.within``, of a frame's map."""
+    deviation = np.full(frame.shape, np.nan, np.float32) if found.deviation is None else found.deviation
+    bound = np.float32(NormalDist().inv_cdf((1 + promise.level) / 2)) * deviation
+    probability: Floats = (1 - np.exp(-0.5 * (promise.within / deviation) ** 2)).astype(np.float32)
+    return bound, np.where(np.isnan(deviation), np.float32(0), probability)
