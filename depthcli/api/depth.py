@@ -15,6 +15,7 @@ from depthcli.api.depth_bounds import depth_bounds
 from depthcli.api.inputs import Overrides, as_depth, as_image, as_map, computing, load_config
 from depthcli.api.results import PointCloud, Shown
 from depthcli.api.saving import Pixels, chosen_pixels, made, write_depth, write_details
+from depthcli.core.bound import DepthBound
 from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
 from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import sensor_fb
@@ -28,7 +29,7 @@ from depthcli.io.formats.depth import MILLIMETERS, beyond_png, sensor_warning
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings, naming
 from depthcli.io.formats.plain_text import numbers
-from depthcli.methods.kinect.config import DepthBound, RefineKinectConfig
+from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import frame_by_frame
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.run.resources import available_memory, check_memory

@@ -6,10 +6,10 @@ from statistics import NormalDist
 
 import numpy as np
 
+from depthcli.core.bound import DepthBound
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import Floats
 from depthcli.core.result import DepthResult
-from depthcli.methods.kinect.config import DepthBound
 
 
 def depth_bounds(frame: RgbdFrame, found: DepthResult, promise: DepthBound) -> tuple[Floats, Floats]:

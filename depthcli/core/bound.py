@@ -12,3 +12,11 @@ class Bound(ConfigModel):
     within: float = Field(
         default=1.0, ge=0.25, le=8, description="error up to which a value is right in probability.pfm, pixels"
     )
+
+
+class DepthBound(Bound):
+    """The same of a map in meters."""
+
+    within: float = Field(
+        default=0.03, ge=0.001, le=1, description="error up to which a value is right in probability.pfm, meters"
+    )

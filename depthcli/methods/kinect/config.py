@@ -6,18 +6,9 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from depthcli.core.method import ConfigModel
+from depthcli.core.bound import DepthBound
 from depthcli.core.root_config import RootConfig
 from depthcli.methods.kinect.pipeline import Pipeline
-
-
-class DepthBound(ConfigModel):
-    """What is said of the errors of a depth map: a bound, and the probability of a small one."""
-
-    level: float = Field(default=0.9, ge=0.5, le=0.99, description="share of the errors that are within the bound")
-    within: float = Field(
-        default=0.03, ge=0.001, le=1, description="error up to which a value is right in probability.pfm, meters"
-    )
 
 
 class RefineKinectConfig(RootConfig):

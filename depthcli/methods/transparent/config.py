@@ -6,8 +6,8 @@ from typing import ClassVar
 
 from pydantic import Field
 
+from depthcli.core.bound import DepthBound
 from depthcli.core.root_config import RootConfig
-from depthcli.methods.kinect.config import DepthBound
 from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.methods.transparent.pipeline import Pipeline
 
