@@ -88,9 +88,8 @@ class RefinedDepth(Shown, DepthMap):
         The folder is created where it is missing.
         """
         files = made(folder)
-        write_pfm(files / "bound.pfm", self.bound)
+        write_depth(self, files, self.scale, self.rotate, self.bound)
         write_pfm(files / "probability.pfm", self.probability)
-        write_depth(self, files, self.scale, self.rotate)
         if self.cloud is not None:
             self.to_points(self.cloud).save(files / "points.ply")
         write_details(self.details, files)

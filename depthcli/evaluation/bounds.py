@@ -16,6 +16,7 @@ from depthcli.core.bound import Bound, DepthBound
 from depthcli.core.errors import ConfigError
 from depthcli.core.yaml_source import parse_config
 from depthcli.evaluation.curves import ConfidenceCurve, reliability
+from depthcli.evaluation.map_files import PROBABILITY
 from depthcli.evaluation.protocols import AnyProtocol, shown_pixels
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, mean_of_scenes, pooled
 
@@ -23,8 +24,6 @@ COVERAGE, WORST, COVERING = "bound coverage", "bound coverage, worst map", "boun
 """Share of pixels inside the bound; the smallest of all maps; the share of maps near or above the level."""
 BAD = "bad of surest"
 """Share of wrong pixels among the pixels of the smallest bounds, whose share is the threshold."""
-PROBABILITY = "probability_within"
-"""Name of the confidence in the file ``probability``."""
 _SUREST = (100, 90, 80, 50)  # percent of the pixels, those of the smallest bound
 _TOLERANCE = 10.0  # percentage points below the level from which on a map covers too little
 

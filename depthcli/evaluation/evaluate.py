@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from depthcli.core.bound import Bound
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.registry import plugin_of, versions_here
-from depthcli.evaluation.bounds import PROBABILITY, judged, promised
+from depthcli.evaluation.bounds import judged, promised
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
 from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
@@ -57,7 +57,13 @@ class Viewer(typing.Protocol):
         """Begin a scene, to which the maps that follow belong; ``truth`` is what ``protocol.truth(scene)`` returned."""
 
     def add_map(
-        self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, NDArray[Any]]
+        self,
+        result: MapResult,
+        path: Path,
+        estimate: Any,
+        truth: Any,
+        confidences: Mapping[str, NDArray[Any]],
+        bound: NDArray[Any] | None,
     ) -> None:
         """Add one run's map to the scene: its scores, its file, and the data that the protocol read."""
 
@@ -312,10 +318,7 @@ class _Scoring:
             missing, dense = missing_scores(protocol, truth), missing_scores(protocol, truth, dense=True)
             return replace(start, scores=tuple(missing), dense=tuple(dense), error=str(error))
         confidences: dict[str, NDArray[Any]] = {}
-        named = files.confidences(path)
-        if (probability := files.companion(path, "probability")) is not None:
-            named[PROBABILITY] = probability
-        for name, file in named.items():
+        for name, file in files.planes(path).items():
             with _warned():
                 confidences[name] = protocol.read_confidence(file, truth)
         hidden: HiddenPixels | None = None
@@ -354,7 +357,7 @@ class _Scoring:
             for (region, of), plot in result.plots.items():
                 lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
                 write_text(self.output / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))
-        self.show(lambda viewer: viewer.add_map(result, path, estimate, truth, confidences))
+        self.show(lambda viewer: viewer.add_map(result, path, estimate, truth, confidences, bound))
         return result
 
 

@@ -26,6 +26,9 @@ _OTHER_WORDS = re.compile(
 )
 _OTHER_STEMS = ("left", "{scene}_left")
 
+PROBABILITY = "probability_within"
+"""Name of the confidence in the file ``probability``."""
+
 ValueT = TypeVar("ValueT")
 
 
@@ -80,6 +83,11 @@ class MapFiles:
         """Return the file ``bound`` or ``probability`` in the folder of a map, or None."""
         file = path.with_name(f"{name}.pfm")
         return file if self._in_run_folder(path) and file.is_file() else None
+
+    def planes(self, path: Path) -> dict[str, Path]:
+        """Return name -> file of the confidence maps, and of ``PROBABILITY``, in the folder of a map."""
+        probability = self.companion(path, "probability")
+        return self.confidences(path) | ({} if probability is None else {PROBABILITY: probability})
 
     def _in_run_folder(self, path: Path) -> bool:
         """Return whether the map is named as in a run folder, so that the other files of its folder belong to it."""

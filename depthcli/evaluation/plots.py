@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from depthcli.evaluation.bounds import COVERAGE
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.curves import PERCENTAGES, ConfidenceCurve, Reliability, Sparsification
 from depthcli.evaluation.scores import MEAN, Score
@@ -42,6 +43,9 @@ def plots(section: Section) -> dict[str, str]:
     if any(not math.isnan(r.seconds) for r in section.results):
         of_all = f"{metric}, {' + '.join(section.figure_regions)}"
         made[f"Time against {of_all}: means of a scene"] = _times(section, of_all)
+    if coverage := _coverage(section):
+        what = f"Coverage of the bounds against their level, {section.regions[0]}: means over the maps"
+        made[f"{what}; dotted: as promised"] = coverage
     return made | _confidences(section)
 
 
@@ -102,6 +106,17 @@ def _times(section: Section, what: str) -> str:
         axes.set_ylim(0, 1.08 * axes.dataLim.ymax if axes.dataLim.ymax > 0 else 1)
         _legend(axes, len(section.runs))
     return out[0]
+
+
+def _coverage(section: Section) -> str:
+    """Return the coverage of the runs' bounds against the levels that they promise; empty if all have one level."""
+    key = COVERAGE, section.regions[0]
+    found = [(run, s) for run in section.runs for s in section.bounds(run) if (s.metric.name, s.region) == key]
+    lines = [Line(run, [score.metric.threshold or 0], [score.value]) for run, score in found]
+    if len({level for line in lines for level in line.x}) < 2:
+        return ""
+    lines.append(Line("", (50, 100), (50, 100), bound=True))
+    return line_plot(lines, "", "level, %", "coverage, %", any_names=True)
 
 
 def _confidences(section: Section) -> dict[str, str]:

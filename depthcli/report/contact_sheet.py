@@ -69,7 +69,7 @@ class ContactSheet:
             own += [*(_small(map_picture(each, *self._ends)) for each in maps), _bar(*self._ends, presentation.unit)]
         self._rows.append(_Row(scene.name, protocol, {"": own}, []))
 
-    def add_map(self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, Any]) -> None:
+    def add_map(self, result: MapResult, path: Path, estimate: Any, truth: Any, *_: Any) -> None:
         """Add one run's map and its error picture."""
         if result.scene != self._scene:
             return

@@ -95,12 +95,12 @@ async function sceneData(number) {
 async function unpackView(view) {
   const runs = {};
   for (const [name, run] of Object.entries(view.runs)) {
-    const [values, error, wrong, status] = await Promise.all([run.values, run.error, run.wrong, run.status].map(unpack));
+    const [values, error, wrong, bound, status] = await Promise.all([run.values, run.error, run.wrong, run.bound, run.status].map(unpack));
     const confidence = {};
     for (const [measure, packed] of Object.entries(run.confidence)) {
       confidence[measure] = { values: await unpack(packed), shown: packed.shown };
     }
-    runs[name] = { values, error, wrong, status, confidence };
+    runs[name] = { values, error, wrong, bound, status, confidence };
   }
   const [image, sensor, truth, region] = await Promise.all([picture(view.image), ...[view.sensor, view.truth, view.region].map(unpack)]);
   return { ...view, image, sensor, truth, region, runs };

@@ -12,6 +12,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from depthcli.core.errors import InputError
 from depthcli.core.text import printable, without_secrets
 from depthcli.evaluation import tables
@@ -64,7 +66,15 @@ class Page:
         self._save(self._scene)
         self._scene = view_with_truth(protocol, scene, truth)
 
-    def add_map(self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, Any]) -> None:
+    def add_map(
+        self,
+        result: MapResult,
+        path: Path,
+        estimate: Any,
+        truth: Any,
+        confidences: Mapping[str, Any],
+        bound: NDArray[Any] | None,
+    ) -> None:
         """Add one run's map to the scene; the whole map, if its truth is known at few points."""
         if self._scene is None:
             return
@@ -72,9 +82,8 @@ class Page:
         if shown.presentation.at_points(truth):
             with contextlib.suppress(InputError):  # the scores count, the whole map is an extra
                 dense = shown.presentation.show(path, self._scene.scene, shown.files)
-        self._scene.add(result.run, path, estimate, truth, confidences, dense)
+        self._scene.add(result.run, path, estimate, truth, confidences, dense, bound)
         if result.bounds:
-            self._scene.add_picture(result.run, "bound", path.with_name("bound.png"))
             self._scene.add_picture(result.run, "truth outside the bound", self.folder / result.bound_picture)
 
     def _save(self, view: SceneView | None) -> None:
@@ -188,9 +197,8 @@ def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
             inside = {
                 s.region: Number(s.value, 1) for s in r.bounds if s.metric.name == COVERAGE and s.region in figures
             }
-            curves = [(c.region, c.confidence, c.of, Number(c.line.auc, 4)) for c in r.curves]
-            runs.append({"result": r, "figures": figures, "curves": curves, "inside": inside,
-                         "thumbs": view.thumbs.get(r.run, {})})  # fmt: skip
+            thumbs = view.thumbs.get(r.run, {})
+            runs.append({"result": r, "figures": figures, "inside": inside, "thumbs": thumbs})
     return {"name": view.name, "protocol": view.protocol, "view": view, "thumbs": view.thumbs.get("", {}), "runs": runs}
 
 

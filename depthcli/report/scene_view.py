@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.text import side_and_distance
+from depthcli.evaluation.map_files import PROBABILITY
 from depthcli.evaluation.protocols import (
     UNKNOWN,
     AnyProtocol,
@@ -31,6 +32,8 @@ from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import (
     NO_VALUE,
     Palette,
+    bound_picture,
+    bound_range,
     confidence_picture,
     map_picture,
     read_status,
@@ -49,6 +52,8 @@ _MAX_SHEET = 1056  # pixels, width of the preview of a volume in the page
 _MAX_CONFIDENCES = 4  # with a small picture and a mean; the others are in the viewer
 _QUANTILES = (1, 99)  # percent, of the values that span the colors where nothing else gives their scale
 _MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps its pictures near 10 MB per run
+
+_EXPECTED_WRONG = "expected wrong: mean probability of an error above the run's limit (--within)"
 
 Picture = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -113,12 +118,12 @@ class SceneView:
     Attributes
     ----------
     data : what ``viewer.js`` reads, as JSON. Of the scene: ``name``, ``protocol``, ``quantity`` and ``unit`` of its
-        values, ``low`` and ``high`` of their scale, ``top`` of the errors', ``hidden`` (some pixels are occluded),
-        ``words`` of the kinds of pixel, ``status`` (code -> words and color), ``opacity``, ``start`` (first view) and
-        ``views``. Of a view, one per slice: ``name``, ``axis``, ``plane``, ``axes`` (of columns and rows), ``tall``
-        (height of a pixel over its width), ``width``, ``height``, ``factor`` (it is thinned by), ``image`` (data URI),
-        packed ``sensor``, ``truth`` and ``region`` (1: known, 2: occluded), and ``runs``: name -> packed ``values``,
-        ``error``, ``wrong``, ``status``, and ``confidence`` by measure
+        values, ``low`` and ``high`` of their scale, ``top`` of the errors', ``bound`` (ends of the bounds', or None),
+        ``hidden`` (some pixels are occluded), ``words`` of the kinds of pixel, ``status`` (code -> words and color),
+        ``opacity``, ``start`` (first view) and ``views``. Of a view, one per slice: ``name``, ``axis``, ``plane``,
+        ``axes`` (of columns and rows), ``tall`` (height of a pixel over its width), ``width``, ``height``, ``factor``
+        (it is thinned by), ``image`` (data URI), packed ``sensor``, ``truth`` and ``region`` (1: known, 2: occluded),
+        and ``runs``: name -> packed ``values``, ``error``, ``wrong``, ``bound``, ``status``, ``confidence`` by measure
     thumbs : run (empty: the scene itself) -> title of a small picture -> data URI
     above : prefix of the figures: empty, or "> " where they are lower bounds
     figures, note : without truth: heading with unit -> number, by which scenes are ordered, and their explanation
@@ -126,6 +131,7 @@ class SceneView:
     legend : without truth: words -> CSS color of the statuses in the small picture
     sheet : data URI of a volume's preview, instead of small pictures; or None
     scale, top : words for the ends of the values' scale, and for the upper one of the errors'; empty: no errors
+    bound : ends of the bounds' scale; None: there are none
     packed : the data in a file, where they are once the view is closed
     """
 
@@ -144,7 +150,9 @@ class SceneView:
         self.note = self.above = ""
         self.sheet: str | None = None
         self.packed: PackedScene
+        self.bound: Range | None = None
         self._errors: dict[str, _Errors] = {}
+        self._bounds: dict[str, NDArray[np.floating[Any]]] = {}  # run -> small one, drawn once their scale is known
         self._cuts = slices(known.shape)
         # The first view is of the first axis the slice with most known pixels, of such ones the most central.
         first = [number for number, cut in enumerate(self._cuts) if cut.axis == self._cuts[0].axis]
@@ -194,8 +202,9 @@ class SceneView:
         truth: Any,
         confidences: Mapping[str, NDArray[Any]],
         dense: ShownMap | None = None,
+        bound: NDArray[Any] | None = None,
     ) -> None:
-        """Add one run's map, with its status and confidence maps; ``dense``: shown instead of few points."""
+        """Add one run's map, with its status, confidences and bound; ``dense``: shown instead of few points."""
         protocol, known, cut = self.protocol, self.known, self._start.index
         on_grid: Any = protocol.presentation.on_grid
         error = np.where(known, on_grid(protocol.error(estimate, truth), truth), np.nan)
@@ -205,10 +214,13 @@ class SceneView:
         limits = _with_margin(self.data["low"], self.data["high"])
         if dense is not None and dense.values.shape == known.shape:
             values, planes, limits = dense.values, dense.confidence, range_of(dense.values)
+            bound = dense.bound
+        elif bound is not None:
+            bound = on_grid(protocol.map_unit * bound.astype(np.float64), truth)
         # The script takes the difference of values and truth where that is the error.
         is_difference = np.allclose(error[known], np.abs(values - true)[known], rtol=1e-4, atol=1e-4, equal_nan=True)
-        shown = ShownMap(values, planes, None if is_difference else error)
-        self._pack(run, shown, limits, range_of(error)[1], self._status(path), wrong)
+        shown, stored = ShownMap(values, planes, bound), None if is_difference else error
+        self._pack(run, shown, limits, self._status(path), stored, wrong)
         kind = pixel_kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
         worst = error[wrong & ~np.isnan(error)]
         high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
@@ -221,29 +233,31 @@ class SceneView:
             self.thumbs.setdefault(run, {})[kind] = picture
 
     def add_shown(self, run: str, path: Path, shown: ShownMap) -> None:
-        """Add the map of a run without truth: map, status, confidence and expected error."""
-        status, error = self._status(path), shown.expected_error
-        words, cut = self.protocol.presentation, self._start.index
-        top = self.data["top"] = 1.0 if error is None else _significant(scale_of(error)[1], 2)
-        confidence = {n: plane for n, plane in shown.confidence.items() if plane.shape == shown.values.shape}
-        self._pack(run, replace(shown, confidence=confidence), range_of(shown.values), top, status)
+        """Add the map of a run without truth: map, status, confidences and bound."""
+        status, words, cut = self._status(path), self.protocol.presentation, self._start.index
+        known = np.isfinite(shown.values)
+        confidence = {n: plane for n, plane in shown.confidence.items() if plane.shape == known.shape}
+        self._pack(run, replace(shown, confidence=confidence), range_of(shown.values), status)
         for view in self.data["views"]:
             view["region"] = None
-        self.figures, self.note = dict(shown.figures), shown.note
-        chosen = {
-            "confidence" if name == "confidence" else f"confidence {name}": plane
-            for name, plane in list(confidence.items())[:_MAX_CONFIDENCES]
-        }
+        self.note = shown.note
+        if PROBABILITY in confidence and known.any():
+            self.figures["expected wrong, %"] = 100 * (1 - float(confidence[PROBABILITY][known].mean()))
+            self.note = "; ".join(filter(None, (_EXPECTED_WRONG, self.note)))
+        if shown.bound is not None and run in self._bounds and known.any():
+            self.figures[f"median bound, {words.unit}"] = float(np.median(shown.bound[known]))
+        self.figures |= shown.figures
+        titles = {"confidence": "confidence", PROBABILITY: "probability"}
+        chosen = {titles.get(n, f"confidence {n}"): plane for n, plane in [*confidence.items()][:_MAX_CONFIDENCES]}
         for said, plane in chosen.items():
             finite = plane[np.isfinite(plane)]
             self.mean_confidence[f"{said}, mean"] = float(finite.mean()) if finite.size else np.nan
+        self.mean_confidence.pop("probability, mean", None)  # the figure "expected wrong" shows it
         if shown.axes and (preview := _preview(path.with_name("preview.png"))):  # three slices show more than one
             self.sheet, self.thumbs = preview, {}
             return
         low, high = (_significant(self.data[end], 4) for end in ("low", "high"))
         thumbs = {f"{words.quantity}, {low:g} to {high:g} {words.unit}": self._map_thumb(shown.values[cut])}
-        if error is not None:
-            thumbs[f"expected error, 0 to {top:g} {words.unit}"] = png(map_picture(_small(error[cut]), 0.0, top))
         if status is not None:
             table = np.full((256, 3), NO_VALUE, np.uint8)
             for value, entry in self.data["status"].items():
@@ -256,29 +270,44 @@ class SceneView:
             grey = confidence_picture(_small(plane[cut]))
             thumbs[f"{said}, dark: unsure"] = png(np.repeat(grey[..., None], 3, axis=2))
         self.thumbs[run] = thumbs
-        self.add_picture(run, "bound", path.with_name("bound.png"))
 
     def close(self, file: Path) -> None:
         """Draw the pictures of errors, and move the data from memory to ``file``.
 
         The scale of the errors ends at the median of the runs' 90 % quantiles over wrong pixels.
         """
-        if self._errors or "top" not in self.data:
-            highs = [each.high for each in self._errors.values() if not math.isnan(each.high)]
-            self.data["top"] = _significant(float(np.median(highs)) if highs else 1.0, 2) or 1.0
-            self.top = f"{self.data['top']:g}"
-        for run, (kind, error, _) in self._errors.items():
-            shaded = error_scales()[kind, step_of(error, 0.0, self.data["top"], 64)]
-            first = {"map": self.thumbs[run].pop("map"), "error": self._blended(shaded, kind == UNKNOWN)}
-            self.thumbs[run] = {**first, **self.thumbs[run]}
-        self.packed = PackedScene.write(file, self.data)
-        self._errors, self.image, self.data = {}, None, {}
+        highs = [each.high for each in self._errors.values() if not math.isnan(each.high)]
+        self.data["top"] = _significant(float(np.median(highs)) if highs else 1.0, 2) or 1.0
+        self.top = f"{self.data['top']:g}" if self._errors else ""
+        for run, thumbs in self.thumbs.items():
+            first = dict([*thumbs.items()][:1])
+            if run in self._errors:
+                kind, error, _ = self._errors[run]
+                shaded = error_scales()[kind, step_of(error, 0.0, self.data["top"], 64)]
+                first["error"] = self._blended(shaded, kind == UNKNOWN)
+            if run in self._bounds and self.bound is not None:
+                first["bound"] = png(bound_picture(self._bounds[run], *self.bound))
+            self.thumbs[run] = {**first, **thumbs}
+        self.packed = PackedScene.write(file, self.data | {"bound": self.bound})
+        self._errors, self._bounds, self.image, self.data = {}, {}, None, {}
 
     def _pack(
-        self, run: str, shown: ShownMap, limits: Range, top: float, status: Picture | None, wrong: Mask | None = None
+        self,
+        run: str,
+        shown: ShownMap,
+        limits: Range,
+        status: Picture | None,
+        error: NDArray[np.floating[Any]] | None = None,
+        wrong: Mask | None = None,
     ) -> None:
-        """Pack the maps of a run, cut by cut: values between ``limits``, the expected or true error up to ``top``."""
-        error = shown.expected_error
+        """Pack the maps of a run, cut by cut: values between ``limits``; without truth there is no ``wrong``."""
+        bound, top, wide = shown.bound, range_of(error)[1], 0.0
+        if bound is not None and bound.shape != self.known.shape:
+            bound = None
+        if bound is not None:
+            low, wide = bound_range(bound)
+            self.bound = (low, wide) if self.bound is None else (min(low, self.bound[0]), max(wide, self.bound[1]))
+            self._bounds[run] = _small(bound[self._start.index])
         for view, cut in zip(self.data["views"], (each.index for each in self._cuts), strict=True):
             planes = {}
             for name, plane in shown.confidence.items():
@@ -290,6 +319,7 @@ class SceneView:
                 "values": pack(shown.values[cut], *limits),
                 "error": None if error is None else pack(error[cut], 0.0, top),
                 "wrong": None if wrong is None else pack_bytes(wrong[cut]),
+                "bound": None if bound is None else pack(bound[cut], 0.0, wide, _CONFIDENCE_LEVELS),
                 "status": None if status is None else pack_bytes(status[cut]),
                 "confidence": planes,
             }

@@ -13,7 +13,7 @@ function errorAt(run, i) {
   return run.values && view.truth ? Math.abs(run.values[i] - view.truth[i]) : NaN;
 }
 
-// Without truth there are no regions, and errors are those that the method expects.
+// Without truth there are no regions.
 function kindAt(run, i) {
   if (!view.region || !(view.region[i] & 1)) return 0;
   if (Number.isNaN(run.values ? run.values[i] : errorAt(run, i))) return 5;
@@ -35,7 +35,7 @@ function painter(source, layer) {
   }
   if (!run) return null;
   if (layer === "status") return run.status && ((i) => (scene.status[run.status[i]] || { color: page.none }).color);
-  if (layer === "error" && !view.region) return colored(run.error, (v) => page.scale[place(v, 0, scene.top, 256)]);
+  if (layer === "bound") return colored(run.bound, (v) => page.scale[place(Math.log(v), ...scene.bound.map(Math.log), 256)]);
   if (layer === "error") {
     const color = (i) => page.errors[kindAt(run, i)][place(errorAt(run, i) || 0, 0, scene.top, 64)];
     return (i) => none || view.region[i] & 1 ? color(i) : null;
@@ -189,8 +189,9 @@ function setLegend() {
   if (state.layer === "map") {
     entry(`${state.source === "truth" && state.mode !== "all" ? trueQuantity() : scene.quantity} ${shown(scene.low)}`, ramp(page.scale, 200), `${shown(scene.high)} ${scene.unit}`);
     entry(ramp([page.none], 16), "no value");
-  } else if (state.layer === "error" && !view.region) {
-    entry("expected error 0", ramp(page.scale, 200), `${shown(scene.top)} ${scene.unit}`);
+  } else if (state.layer === "bound") {
+    const [low, high] = scene.bound, middle = Math.sqrt(low * high).toPrecision(2);
+    entry(`bound of the error ${low}`, ramp(page.scale.slice(0, 128)), middle, ramp(page.scale.slice(128)), `${high} ${scene.unit}`);
   } else if (state.layer === "error") {
     scene.words.forEach((words, kind) => {
       if (words.includes("occluded") && !scene.hidden) return;
@@ -211,7 +212,7 @@ const text = (value, digits = 2) =>
 
 function setReadout() {
   if (!pointer) {
-    readout.textContent = "Point at a pixel to read it. Keys: 1 to 9 runs, t truth, i image" + (view.sensor ? ", g the map of the sensor" : "") + "; m map, e error, s status, c confidence; f flip, w swipe (Shift+number: right side), a all; + - r zoom; left and right: scenes" +
+    readout.textContent = "Point at a pixel to read it. Keys: 1 to 9 runs, t truth, i image" + (view.sensor ? ", g the map of the sensor" : "") + "; m map, e error, b bound, s status, c confidence; f flip, w swipe (Shift+number: right side), a all; + - r zoom; left and right: scenes" +
       (scene.views.length > 1 ? "; up and down: slices, v: another axis" : "") + (view.image ? "; o: over the image." : ".");
     return;
   }
@@ -227,7 +228,7 @@ function setReadout() {
   }).join(", ");
   const line = make("div", `${place}${view.name && `, ${view.name}`}${truth}${where}`);
   const table = make("table"), head = table.createTHead().insertRow();
-  for (const title of ["run", `${scene.quantity}, ${scene.unit}`, `${view.region ? "" : "expected "}error, ${scene.unit}`, "", "status", "confidence"]) head.append(make("th", title));
+  for (const title of ["run", `${scene.quantity}, ${scene.unit}`, `error, ${scene.unit}`, "", ...(scene.bound ? [`bound, ${scene.unit}`] : []), "status", "confidence"]) head.append(make("th", title));
   const body = table.createTBody();
   page.runs.forEach((name, number) => {
     const run = view.runs[name], row = body.insertRow();
@@ -238,7 +239,7 @@ function setReadout() {
     const confidences = Object.entries(run.confidence).map(([measure, { values }]) =>
       `${measure} ${Number.isFinite(values[i]) ? +values[i].toPrecision(4) : text(values[i])}`);
     const cells = [run.values ? text(run.values[i]) : "-", known ? text(errorAt(run, i)) : "-", view.region ? scene.words[kindAt(run, i)] : "",
-      status ? status.words : "-", confidences.join(", ") || "-"];
+      ...(scene.bound ? [run.bound ? text(run.bound[i]) : "-"] : []), status ? status.words : "-", confidences.join(", ") || "-"];
     for (const cell of cells) row.append(make("td", cell));
   });
   readout.replaceChildren(line, table);
@@ -250,8 +251,7 @@ function setButtons() {
     const { layer } = button.dataset, runs = Object.values(view.runs);
     button.disabled = layer === "status" ? !runs.some((run) => run.status)
       : layer === "confidence" ? !runs.some((run) => Object.keys(run.confidence).length)
-      : layer === "error" && !view.region && !runs.some((run) => run.error);
-    if (layer === "error") button.textContent = view.region ? "error" : "expected error";
+      : layer === "bound" ? !scene.bound : layer === "error" && !view.region;
     button.ariaPressed = `${layer === state.layer}`;
   }
   const measures = [...new Set(Object.values(view.runs).flatMap((run) => Object.keys(run.confidence)))];
@@ -344,7 +344,7 @@ async function open(number, source) {
   state.number = number;
   if (source !== undefined) state.source = source;
   if (state.other === "truth" && page.runs.length > 1) state.other = state.source === 1 ? 0 : 1;
-  if (other && (["status", "confidence"].includes(state.layer) || !view.region)) state.layer = "map";
+  if (other && (["bound", "status", "confidence"].includes(state.layer) || !view.region)) state.layer = "map";
   if (!choices().includes(state.source)) state.source = choices().at(-1);
   if (state.other === "truth" && !view.region) state.other = "image";
   show();
@@ -392,7 +392,7 @@ addEventListener("keydown", (event) => {
   if (event.target.tagName === "INPUT" && event.key.startsWith("Arrow")) return;
   const digit = /^(?:Digit|Numpad)(\d)$/.exec(event.code);
   const keys = { t: () => view.region && choose("truth"), 0: () => view.region && choose("truth"), i: () => choose("image"), f: () => setMode("flip"),
-    w: () => setMode("swipe"), a: () => setMode("all"), m: () => setLayer("map"), e: () => setLayer("error"),
+    w: () => setMode("swipe"), a: () => setMode("all"), m: () => setLayer("map"), e: () => setLayer("error"), b: () => setLayer("bound"),
     s: () => setLayer("status"), g: () => view.sensor && choose("sensor"), c: () => setLayer("confidence"), r: fit, "+": $("closer").onclick, "=": $("closer").onclick,
     "-": $("wider").onclick, ArrowLeft: $("back").onclick, ArrowRight: $("on").onclick,
     ArrowUp: () => step(1), ArrowDown: () => step(-1), v: () => setAxis(axes()[(axes().indexOf(view.axis) + 1) % axes().length]),

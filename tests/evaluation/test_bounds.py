@@ -164,7 +164,10 @@ def test_evaluate_measures_bounds_of_two_runs(two_runs: list[str], tmp_path: Pat
     picture = read_image(scene)
     inside, outside = picture[:20].reshape(-1, 3), picture[20:].reshape(-1, 3)
     assert not {tuple(c) for c in inside.tolist()} & {tuple(c) for c in outside.tolist()} - {(255, 255, 255)}
-    assert "bounds of the error" in (out / "report.html").read_text("utf-8")
+    page = (out / "report.html").read_text("utf-8")
+    assert "bounds of the error" in page
+    assert "Coverage of the bounds against their level, nonocc" in page
+    assert "truth outside the bound" in page
     assert "bounds/b/" in (out / "report.md").read_text("utf-8")
 
 
@@ -179,3 +182,4 @@ def test_runs_without_bounds_have_no_table_and_damaged_ones_a_warning(
     assert "bounds of the error" not in printed.out
     assert "bound.pfm" in printed.err
     assert json.loads((tmp_path / "out" / "scores.json").read_text())["bounds"] == []
+    assert "Coverage of the bounds" not in (tmp_path / "out" / "report.html").read_text("utf-8")

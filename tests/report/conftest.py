@@ -42,7 +42,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """A good run with status and confidence, and a bad one with holes that lacks nothing."""
+    """A good run with status, confidence and bound, and a bad one with holes that lacks nothing."""
     folder = tmp_path_factory.mktemp("runs")
     places = [folder / "good", folder / 'bad "<b>"']
     rng = np.random.default_rng(1)
@@ -54,6 +54,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
                 write_pfm(place / name / "confidence_lrd.pfm", rng.uniform(0, 1, SHAPE).astype(np.float32))
                 status[:, :8] = int(Status.OCCLUDED | Status.FILLED)
                 write_status(place / name / "status.png", status, STATUS_PALETTE)
+                bound = np.abs(values - truth_of(seed)) + np.linspace(-0.2, 8, SHAPE[1], dtype=np.float32)
+                bound[4] = np.inf
+                write_pfm(place / name / "bound.pfm", np.maximum(bound, np.float32(0.01)))
+                write_pfm(place / name / "probability.pfm", rng.uniform(0, 1, SHAPE).astype(np.float32))
             else:
                 values[10:14, 20:30] = np.nan
             write_pfm(place / name / "disp_left.pfm", values)

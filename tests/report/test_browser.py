@@ -91,7 +91,7 @@ def test_values_under_the_pointer(browser: Any, made: Path, runs: list[Path]):
         assert visit.page.locator("#which option:checked").inner_text() == name
         truth = truth_of(seed)
         maps = [read_disparity(run / name / "disp_left.pfm") for run in runs]
-        confidence = read_plane(runs[0] / name / "confidence_lrd.pfm")
+        confidence, bound = (read_plane(runs[0] / name / f"{one}.pfm") for one in ("confidence_lrd", "bound"))
         for x, y in ((3, 5), (25, 12), (47, 35), (8, 0)):
             visit.point(x, y)
             line, rows = visit.reading()
@@ -108,8 +108,11 @@ def test_values_under_the_pointer(browser: Any, made: Path, runs: list[Path]):
                     assert float(row[1]) == pytest.approx(value, abs=0.0055)
                     assert float(row[2]) == pytest.approx(error, abs=0.006)
                 assert row[3] == ("wrong" if error > 1 else "right") + (", occluded" if x < 8 else "")
-            assert rows[0][4] == ("occluded, filled" if x < 8 else "measured")
-            assert float(rows[0][5].removeprefix("lrd ")) == pytest.approx(confidence[y, x], abs=5e-4)
+            assert float(rows[0][4]) == pytest.approx(bound[y, x], abs=0.01)
+            assert rows[0][5] == ("occluded, filled" if x < 8 else "measured")
+            assert float(rows[0][6].split(",")[0].removeprefix("lrd ")) == pytest.approx(confidence[y, x], abs=5e-4)
+    visit.point(30, 4)
+    assert visit.reading()[1][0][4] == "above the scale"
     visit.point(2, 1)
     assert "truth unknown" in visit.reading()[0]
     visit.close()
@@ -127,9 +130,15 @@ def test_keys_flip_layers_and_scenes(browser: Any, made: Path):
     assert [name for name, _ in seen] == ["good", 'bad "<b>"', "truth", "image"]
     assert len({tuple(color) for _, color in seen}) == 4
     keys.press("2")
-    for key, layer in (("e", "error"), ("m", "map"), ("s", "status"), ("c", "confidence")):
+    keys.press("1")
+    for key, layer in (("e", "error"), ("m", "map"), ("b", "bound"), ("s", "status"), ("c", "confidence")):
         keys.press(key)
         assert visit.page.locator("#layers [aria-pressed=true]").inner_text() == layer
+        if layer == "bound":
+            assert re.match(
+                r"bound of the error [\d.]+\s*[\d.]+\s*[\d.]+ px", visit.page.locator("#legend").inner_text()
+            )
+            assert visit.color(0, 0.4)[1] < visit.color(0, 0.6)[1]
     keys.press("w")
     keys.press("1")
     keys.press("Shift+Digit2")

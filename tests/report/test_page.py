@@ -25,7 +25,7 @@ from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.scores import MapResult
 from depthcli.evaluation.truth import scenes_with_truth
-from depthcli.io.formats.disparity import read_disparity
+from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import map_colors
 from depthcli.io.formats.volumes import read_volume
@@ -158,6 +158,14 @@ def test_maps_come_back_as_they_were(made: Path, runs: list[Path]):
         inside = (values > 2) & (values < 14)
         assert np.nanmax(np.abs(values - exact)[inside]) <= step / 2 + 1e-6
         assert packed["error"] is None  # the difference of the two
+    bound, packed = read_pfm(runs[0] / "plain" / "bound.pfm"), view["runs"][runs[0].name]["bound"]
+    assert np.allclose(unpack(packed)[bound < np.inf], bound[bound < np.inf], atol=packed["step"])
+    assert np.all(unpack(packed)[bound == np.inf] > 4 * bound[bound < np.inf].max())  # shown as above the scale
+    assert view["runs"][runs[1].name]["bound"] is None
+    low, high = next(s for s in scenes if s["name"] == "plain")["bound"]
+    assert 0 < low < np.median(bound) < high <= bound[bound < np.inf].max()
+    assert f"bound of the error {low:g}" in page.text
+    assert "good (map, error, bound, truth outside the bound)" in page.text
     region = unpack(view["region"])
     assert np.all(region[:, :8] & 1 == ~np.isnan(unpack(view["truth"]))[:, :8])
     assert np.all((region[:, :8] & 2 > 0) == (region[:, :8] & 1 > 0))
@@ -241,7 +249,7 @@ def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, kind: type[Registr
     result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
     page.begin(tmp_path)
     page.begin_scene(judge, scene, truth)
-    page.add_map(result, tmp_path / "box", points, truth, {"c": points})
+    page.add_map(result, tmp_path / "box", points, truth, {"c": points}, points)
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, "truth"), "{}", {})
     reader = read(tmp_path)
     assert ("data-0" in reader.scripts) == (kind is Shifted)

@@ -13,7 +13,7 @@ from depthcli.cli import main
 from depthcli.core.maps import Status
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.io.formats.disparity import read_pfm, write_pfm
-from depthcli.io.formats.images import read_grey, write_png
+from depthcli.io.formats.images import read_grey, read_image, write_png
 from depthcli.io.formats.pictures import read_status
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import VolumePairScene
@@ -104,9 +104,18 @@ def test_scenes_with_and_without_truth_share_a_page(pairs: Path, tmp_path: Path)
     shutil.copytree(pairs / "hard", scenes / "unknown")
     write_pfm(scenes / "known" / "disp_left.pfm", np.full(SIZE, 3, np.float32))
     (scenes / "known" / "meta.json").write_text(json.dumps({"protocol": "middlebury_v2"}))
-    assert stereo(scenes, tmp_path / "run", "--html") == 0
+    assert stereo(scenes, tmp_path / "run", "--html", "--bound") == 0
     reader = read(tmp_path / "run" / "evaluation")
     known, unknown = data_of(reader)
+    bound, probability, values = (
+        read_pfm(tmp_path / "run" / "unknown" / f"{name}.pfm") for name in ("bound", "probability", "disp_left")
+    )
+    wrong = 100 * (1 - probability[np.isfinite(values)].mean())
+    assert reader.tables[-1][0][2:4] == ["expected wrong, %", "median bound, px"]
+    assert [float(cell) for cell in reader.tables[-1][1][2:4]] == pytest.approx([wrong, np.nanmedian(bound)], abs=0.01)
+    packed = unknown["views"][0]["runs"]["run"]["bound"]
+    np.testing.assert_allclose(unpack(packed), bound, atol=packed["step"])
+    assert unknown["bound"] and known["bound"]
     for scene, name in ((known, "known"), (unknown, "unknown")):
         assert scene["name"] == name
         assert (scene["views"][0]["region"] is None) == (name == "unknown")
@@ -150,13 +159,15 @@ def test_frames_of_a_sensor_show_their_bound(tmp_path: Path):
     )
     reader = read(tmp_path / "run" / "evaluation")
     header, *rows = reader.tables[0]
-    assert header[2] == "median bound, mm"
-    folders = [tmp_path / "run" / name for name in ("frame0", "frame1")]
-    bound = {folder.name: 1000 * np.nanmedian(read_pfm(folder / "bound.pfm")) for folder in folders}
-    assert [row[0] for row in rows] == sorted(bound, key=lambda name: -bound[name])
-    assert [float(row[2]) for row in rows] == pytest.approx(sorted(bound.values(), reverse=True), abs=0.01)
+    assert header[2:4] == ["expected wrong, %", "median bound, mm"]
+    order = [float(row[2]) for row in rows]
+    assert order == sorted(order, reverse=True)
+    for name, figure in ((row[0], row[3]) for row in rows):
+        folder = tmp_path / "run" / name
+        assert float(figure) == pytest.approx(1000 * np.nanmedian(read_pfm(folder / "bound.pfm")), abs=0.01)
+        picture = read_image(folder / "preview.png")
+        assert picture.shape[0] > SIZE[0] and picture.shape[1] > 2 * SIZE[1]  # the bound with its bar beside the map
     for scene in data_of(reader):
-        assert scene["views"][0]["runs"]["run"]["error"]
         sensor = unpack(scene["views"][0]["sensor"])
         depth = read_grey(tmp_path / "set" / scene["name"] / "depth.png")
         np.testing.assert_array_equal(np.isnan(sensor), depth == 0)

@@ -74,7 +74,7 @@ class ShownMap:
 
     values: NDArray[np.floating[Any]]  # (H, W), or (Z, Y, X) of a volume, in the presentation's unit; NaN = none
     confidence: dict[str, NDArray[Any]] = field(default_factory=dict)  # name -> array of that shape, higher is surer
-    expected_error: NDArray[np.floating[Any]] | None = None  # of that shape, NaN = none; or None
+    bound: NDArray[np.floating[Any]] | None = None  # of the error, of that shape and unit, NaN = none; or None
     axes: tuple[SliceAxis, ...] = ()  # of a volume; empty: it is an image
     # Heading with unit -> number, by which scenes are ordered: larger is worse, the first counts most.
     figures: dict[str, float] = field(default_factory=dict)
@@ -82,12 +82,22 @@ class ShownMap:
 
 
 def planes_beside(path: Path, files: MapFiles) -> dict[str, NDArray[Any]]:
-    """Return name -> confidence map in the folder of a map, without those that cannot be read."""
+    """Return name -> confidence or probability in the folder of a map, without those that cannot be read."""
     found = {}
-    for name, file in files.confidences(path).items():
+    for name, file in files.planes(path).items():
         with contextlib.suppress(InputError):
             found[name] = read_plane(file)
     return found
+
+
+def bound_beside(
+    path: Path, files: MapFiles, unit: float = 1.0, read: Callable[[Path], NDArray[Any]] = read_plane
+) -> NDArray[np.float64] | None:
+    """Return the bound in the folder of a map, times ``unit``; None if there is none, or it cannot be read."""
+    file = files.companion(path, "bound")
+    with contextlib.suppress(InputError):
+        return None if file is None else unit * read(file).astype(np.float64)
+    return None
 
 
 def _first_image(scene: Scene) -> NDArray[np.uint8] | None:
@@ -119,7 +129,7 @@ class Presentation:
     scale: tuple[float, float] | None = None  # of the colors if no truth is known; None: by the map
     # Returns one run's map as it is shown if no truth is known; InputError if it cannot be read.
     show: Callable[[Path, Scene, MapFiles], ShownMap] = lambda path, _, files: ShownMap(
-        read_plane(path), planes_beside(path, files)
+        read_plane(path), planes_beside(path, files), bound_beside(path, files)
     )
     # Returns the picture beneath maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey levels of a volume; or None.
     image: Callable[[Scene], NDArray[np.uint8] | None] = _first_image

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.core.maps import DepthStatus
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, planes_beside
+from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, bound_beside, planes_beside
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
@@ -57,16 +56,11 @@ class DepthTruth:
 
 
 def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
-    """Return a run's map in mm, with the bound of its error in ``bound.pfm`` of its folder."""
+    """Return a run's map and its bound in mm."""
     scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
     values = 1000.0 * read_depth(path, scale).astype(np.float64)
-    figures, bound, note = {"no value, %": 100.0 * float(np.isnan(values).mean())}, None, ""
-    if (file := files.companion(path, "bound")) is not None:
-        bound = 1000.0 * read_plane(file).astype(np.float64)
-        known = bound[np.isfinite(bound)]
-        figures = {"median bound, mm": float(np.median(known)) if known.size else math.nan, **figures}
-        note = "bound: of the error; a share of the errors, the level of the run, is not larger"
-    return ShownMap(values, planes_beside(path, files), bound, figures=figures, note=note)
+    figures = {"no value, %": 100.0 * float(np.isnan(values).mean())}
+    return ShownMap(values, planes_beside(path, files), bound_beside(path, files, 1000.0), figures=figures)
 
 
 def _sensor(scene: Scene) -> NDArray[np.float64] | None:
