@@ -146,4 +146,6 @@ def empty_cloud(depth: NDArray[np.float32], cloud: NDArray[np.bool_]) -> list[st
     if not known.any():
         return ["points.ply has no points: no depth is known"]
     low, high = float(depth[known].min()), float(depth[known].max())
-    return [f"points.ply has no points, the depths are {low:.3g} to {high:.3g} m; see --near, --far, --mask"]
+    return [
+        f"points.ply has no points, the depths are {low:.3g} to {high:.3g} m; see --near, --far, --mask, --max-bound"
+    ]

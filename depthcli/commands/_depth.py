@@ -64,6 +64,7 @@ class ToDepth(Batch[DisparityScene]):
         SIZE,
         percent("density"),
         number("median_depth", "{:.4g} m"),
+        number("median_bound", "{:.3g} m"),
         number("focal", "{:.4g} px"),
         number("baseline", "{:.4g} m"),
     )

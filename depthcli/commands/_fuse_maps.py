@@ -49,7 +49,12 @@ class FuseMaps(GivenMaps):
 
     command = "fuse-maps"
     n_added = N_ADDED
-    columns = (SIZE, number("maps", "{}"), *map(percent, ("expected_right", "measured")))
+    columns = (
+        SIZE,
+        number("maps", "{}"),
+        *map(percent, ("expected_right", "measured")),
+        number("median_bound", "{:.3g} px"),
+    )
 
     def compute(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
         """Load a pair and its maps, fuse them, save."""

@@ -29,7 +29,7 @@ from depthcli.methods.stereo.config import PairConfig
 from depthcli.methods.stereo.matching import host_bytes
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.batch import Batch, Outcome
-from depthcli.run.console import SIZE, percent
+from depthcli.run.console import SIZE, number, percent
 from depthcli.run.json_csv import Row, median, share
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
@@ -70,7 +70,7 @@ def bound_columns(found: Disparity) -> Row:
 class MatchPairs(Batch[StereoScene]):
     """Matches pairs and writes the left view's maps; a command chooses the method."""
 
-    columns = (SIZE, *map(percent, ("density", "measured")))
+    columns = (SIZE, *map(percent, ("density", "measured")), number("median_bound", "{:.3g} px"))
     palette = STATUS_PALETTE
     # Each reason, alone and filled.
     legend = (0, int(Status.SMOOTHED), *_REASONS, *(bit | int(Status.FILLED) for bit in _REASONS))

@@ -244,8 +244,6 @@ class SceneView:
         if PROBABILITY in confidence and known.any():
             self.figures["expected wrong, %"] = 100 * (1 - float(confidence[PROBABILITY][known].mean()))
             self.note = "; ".join(filter(None, (_EXPECTED_WRONG, self.note)))
-        if shown.bound is not None and run in self._bounds and known.any():
-            self.figures[f"median bound, {words.unit}"] = float(np.median(shown.bound[known]))
         self.figures |= shown.figures
         titles = {"confidence": "confidence", PROBABILITY: "probability"}
         chosen = {titles.get(n, f"confidence {n}"): plane for n, plane in [*confidence.items()][:_MAX_CONFIDENCES]}

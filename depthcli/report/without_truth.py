@@ -21,7 +21,7 @@ from depthcli.run.console import SECONDS, Column
 from depthcli.run.json_csv import Row
 
 _MAX_SHOWN = 300  # scenes without truth with pictures; more would make the page slow
-_DOUBTS = {"inside_mean": 1, "mean_error": 1, "measured": -1, "density": -1}
+_DOUBTS = {"expected_right": -1, "inside_mean": 1, "mean_error": 1, "measured": -1, "density": -1}
 """Columns of reports by which the scenes with pictures are chosen where there are too many; 1: larger is worse."""
 
 

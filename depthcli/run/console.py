@@ -184,7 +184,12 @@ SIZE = Column("size", lambda row: f"{row['width']}x{row['height']}" if "width" i
 
 
 def run_table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
-    """Return the table of a run: one line per scene, or for a long run its failed scenes and a summary."""
+    """Return the table of a run: one line per scene, or for a long run its failed scenes and a summary.
+
+    Columns without a value in any finished scene are left out.
+    """
+    done = [row for row in rows if row["status"] == "done"]
+    columns = [column for column in columns if not done or any(column.text(row) != "-" for row in done)]
     shown = [row for row in rows if len(rows) <= _MAX_ROWS or row["status"] != "done"]
     lines = [("scene", "status", *(column.title for column in (*columns, SECONDS)), "memory")]
     for row in shown:

@@ -21,7 +21,7 @@ from depthcli.io.formats.files import atomic_path
 from depthcli.io.scenes import Scene
 from depthcli.run import records, workers
 from depthcli.run.batch import Batch, Execution, Outcome
-from depthcli.run.console import Reporter, run_table
+from depthcli.run.console import Column, Reporter, run_table
 from depthcli.run.records import RECORD_FILE, discard, hidden_folder
 from depthcli.run.report import read_report
 from depthcli.run.runner import run_scenes
@@ -421,6 +421,9 @@ def test_of_many_items_the_table_shows_failures_and_totals():
     assert "59 done" in lines[-1]
     assert "60.00" in lines[-1]
     assert len(run_table(rows[:50], ()).splitlines()) == 51
+    columns = [Column("some", lambda row: row.get("some", "-")), Column("none", lambda _: "-")]
+    heading = run_table([*rows[:3], rows[3] | {"some": "7"}], columns).splitlines()[0]
+    assert heading.split() == ["scene", "status", "some", "seconds", "memory"]
 
 
 def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path: Path):
