@@ -25,15 +25,46 @@ def smooth(channels, seed=0):
 def test_the_noise_of_the_mean_channel_is_measured(channels, sigma):
     clean = smooth(channels)
     noisy = clean + np.random.default_rng(1).normal(0, sigma, clean.shape)
-    deviation, contrast = noise.noise_level(np.rint(noisy).astype(np.uint8))
+    noisy = noisy if channels == 1 else noisy.mean(2)
+    deviation, contrast, _ = noise.noise_level(np.rint(noisy).astype(np.float32))
     np.testing.assert_allclose(deviation, sigma / np.sqrt(channels), rtol=0.25)
-    deep, deep_contrast = noise.noise_level(np.rint(noisy * 257).astype(np.uint16))
+    deep, deep_contrast, _ = noise.noise_level(np.rint(noisy * 257).astype(np.float32))
     np.testing.assert_allclose(deep, 257 * sigma / np.sqrt(channels), rtol=0.25)
     np.testing.assert_allclose(deep_contrast, contrast, rtol=0.15)
 
 
 def dark(seed, kind="planes", sigma=1.5):
     return make_scene(kind, seed, 300, 220, 40, wall_contrast=0.6, brightness=0.08, noise=sigma)
+
+
+@pytest.mark.parametrize(("size", "radii"), [(0.7, (3, 5)), (1.0, (5, 8)), (1.6, (9, 10))])
+def test_noise_that_neighbors_share_is_seen_in_the_dark(size, radii):
+    clean = smooth(1) / 25
+    grain = cv2.GaussianBlur(np.random.default_rng(1).normal(size=clean.shape), (0, 0), size)
+    level = np.rint(clean + 0.8 * grain / grain.std()).astype(np.float32)
+    deviation, _, radius = noise.noise_level(level, differing=1.0)
+    assert deviation == pytest.approx(0.8, rel=0.35)
+    assert radii[0] <= radius <= radii[1]
+    assert noise.noise_level(level)[2] == 3
+    white = np.rint(clean + np.random.default_rng(1).normal(0, 0.8, clean.shape)).astype(np.float32)
+    assert noise.noise_level(white, differing=1.0) == noise.noise_level(white)
+
+
+@pytest.mark.parametrize("brightness", [0.05, 0.12])
+def test_texture_in_the_dark_is_no_noise_since_both_views_have_it(brightness):
+    scene = make_scene("planes", 3, 240, 180, 30, brightness=brightness)
+    pair = StereoPair(scene.left, scene.right)
+    grains = np.random.default_rng(1).normal(size=(2, 180, 240))
+    grains = [cv2.GaussianBlur(grain, (0, 0), 1) / 0.28 for grain in grains]
+    noisy = (np.rint(image / 2 + 1.5 * g[..., None]).clip(0, 255) for image, g in zip(pair.color8, grains, strict=True))
+    with pytest.MonkeyPatch.context() as patch:
+        seen = []
+        level = noise.noise_level
+        patch.setattr(noise, "noise_level", lambda *given: seen.append(given[1]) or level(*given))
+        noise.denoised(pair)
+        assert seen == [0, 0]
+        noise.denoised(StereoPair(*(one.astype(np.uint8) for one in noisy)))
+        assert min(seen[2:]) > 0.3
 
 
 @pytest.mark.parametrize("kind", ["planes", "foreground"])

@@ -6,6 +6,7 @@ noise. Means over pixels of similar color do, and both images can be averaged be
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import cast
 
@@ -21,7 +22,10 @@ _SECOND_DIFFERENCE = np.outer((1, -2, 1), (1, -2, 1)).astype(np.float32) / 6  # 
 _TEXTURE_GROWTH = 1.44  # ratio of the energies of texture, halved over full size; that of white noise is 1/4
 _ROUNDING_NOISE = 0.25  # standard deviation, levels: never less is assumed
 _NOISY, _CLEAN = 8.0, 14.0  # contrast over noise: the whole effect and none
-_RADIUS = 3  # of the filter's window, pixels
+_RADII = 3, 10  # of the filter's window, pixels: for white noise, at most
+_DARK = 0.15  # that percentile, parts of the range, below which noise may be of several pixels' size
+_SHARED_NOISE = 1.5  # 4 times the deviation of means over 4 x 4 pixels, over that of pixels; noise of 1 to 2 pixels
+_MATCHED, _ALIKE = 40, (0.7, 0.85)  # percentile of energy of blocks that are matched; correlation of noise, of texture
 _NOISE_LIMIT = 3.0  # standard deviations: variance of a window that is half averaged away
 _BRIGHT_PERCENTILE, _BRIGHT = 90, 0.55  # where that percentile of the levels is raised to, parts of the range
 _MAX_GAIN = 24.0
@@ -31,39 +35,63 @@ _STRIP = 512  # rows that are filtered at a time
 def denoised(pair: StereoPair) -> StereoPair:
     """Return a pair without most of its noise, and brightened where it is dark; a pair of little noise as it is.
 
-    Both images are averaged by a guided filter (He, Sun, Tang, TPAMI 2013) of 7 x 7 pixels whose guide is the mean of
-    the channels, with an epsilon of (3 deviations of the noise) squared. A dark pair is brightened by a curve
-    ``g v / (1 + (g - 1) v)``, v in [0, 1], that raises the 90th percentile to 0.55, as measures compare levels with
-    constants. The result has 16 bits: rounding would bring noise back. Between a contrast over noise of 14 and 8 the
-    effect grows from none to the whole.
+    Both images are averaged by a guided filter (He, Sun, Tang, TPAMI 2013) whose guide is the mean of the channels,
+    with an epsilon of (3 deviations of the noise) squared. Its window has 7 x 7 pixels, more if neighbors share the
+    noise. A dark pair is brightened by a curve ``g v / (1 + (g - 1) v)``, v in [0, 1], that raises the 90th percentile
+    to 0.55, as measures compare levels with constants. The result has 16 bits: rounding would bring noise back. Between
+    a contrast over noise of 14 and 8 the effect grows from none to the whole.
     """
     images = pair.clamped
-    deviations, contrasts = zip(*map(noise_level, images), strict=True)
+    levels = [_level(image) for image in images]
+    is_dark = all(np.mean(level >= _DARK * pair.top) < 1 - _BRIGHT_PERCENTILE / 100 for level in levels)
+    differing = _differing(*levels) if is_dark else 0.0
+    deviations, contrasts, radii = zip(*(noise_level(level, differing) for level in levels), strict=True)
     deviation, contrast = max(deviations), min(contrasts)
     share = float(np.clip((_CLEAN - contrast) / (_CLEAN - _NOISY), 0, 1))
     if share == 0:
         return pair
-    bright = max(float(np.percentile(_level(image), _BRIGHT_PERCENTILE)) for image in images) / pair.top
+    bright = max(float(np.percentile(level, _BRIGHT_PERCENTILE)) for level in levels) / pair.top
     gain = _BRIGHT * (1 - bright) / max(bright * (1 - _BRIGHT), 1e-6)
     gain = 1 + share * (float(np.clip(gain, 1, _MAX_GAIN)) - 1)
     epsilon = (_NOISE_LIMIT * share * deviation) ** 2
-    left, right = (_filtered(image, epsilon, share, gain, pair.top) for image in images)
+    left, right = (_filtered(image, max(radii), epsilon, share, gain, pair.top) for image in images)
     return replace(pair, left=left, right=right, bits=None)
 
 
-def noise_level(image: Image) -> tuple[float, float]:
-    """Return the standard deviation of an image's noise, levels, and the contrast over it, by the flattest blocks.
+def noise_level(level: NDArray[np.float32], differing: float = 0.0) -> tuple[float, float, int]:
+    """Return the standard deviation of an image's noise, levels, the contrast over it, and the radius to average over.
 
     The contrast is the typical standard deviation within 32 x 32 pixels. Noise is white: averaged over 2 x 2 pixels it
     has a quarter of the energy, while fine texture, which may fill an image as evenly as noise, does not lose any.
+    Neighbors share the noise of cameras that smooth or compress. It shows in means over 4 x 4 pixels, as texture does:
+    ``differing`` is the share of noise in them, 0 .. 1. The radius grows with the size of its grains.
     """
-    level = _level(image)
-    full = _flat_energy(level)
-    half = _flat_energy(_block_means(level, 2))
-    variance = np.clip((_TEXTURE_GROWTH * full - half) / (_TEXTURE_GROWTH - 0.25), 0, full)
-    deviation = max(float(np.sqrt(variance)), _ROUNDING_NOISE)
+    half = _block_means(level, 2)
+    full, two = _flat_energy(level), _flat_energy(half)
+    variance = np.clip((_TEXTURE_GROWTH * full - two) / (_TEXTURE_GROWTH - 0.25), 0, full)
+    deviation, radius = max(float(np.sqrt(variance)), _ROUNDING_NOISE), _RADII[0]
+    if differing and two > 0:
+        four = _flat_energy(_block_means(half, 2))
+        more = 4 * math.sqrt(four) / _SHARED_NOISE - deviation
+        if more > 0:
+            deviation += differing * more
+            radius = min(max(round(6 * math.sqrt(four / two)) - 1, radius), _RADII[1])
     spread = _block_means(level * level, _REGION) - _block_means(level, _REGION) ** 2
-    return deviation, float(np.sqrt(max(np.median(spread), 0))) / deviation
+    return deviation, float(np.sqrt(max(np.median(spread), 0))) / deviation, radius
+
+
+def _differing(left: NDArray[np.float32], right: NDArray[np.float32]) -> float:
+    # How far the views differ in means over 4 x 4 pixels, 0 .. 1: flat blocks of texture have a match in the row.
+    left, right = (_block_means(level, 4) for level in (left, right))
+    energy = _block_means(_details(left), _BLOCK)
+    found = []
+    for row, column in np.argwhere((energy > 0) & (energy <= np.percentile(energy, _MATCHED))) * _BLOCK:
+        block, strip = (v[row : row + _BLOCK, : column + _BLOCK] for v in (left, right))
+        found.append(float(cv2.matchTemplate(strip, block[:, column:], cv2.TM_CCOEFF_NORMED).max()))
+    if not found:
+        return 0.0
+    noise, texture = _ALIKE
+    return min(max((texture - float(np.median(found))) / (texture - noise), 0.0), 1.0)
 
 
 def _level(image: Image) -> NDArray[np.float32]:
@@ -73,9 +101,13 @@ def _level(image: Image) -> NDArray[np.float32]:
     return cast(NDArray[np.float32], cv2.transform(image.astype(np.float32), np.full((1, 3), 1 / 3, np.float32)))
 
 
-def _flat_energy(level: NDArray[np.float32]) -> float:
+def _details(level: NDArray[np.float32]) -> NDArray[np.float32]:
     details = cv2.filter2D(level, cv2.CV_32F, _SECOND_DIFFERENCE, borderType=cv2.BORDER_REFLECT)
-    return float(np.percentile(_block_means(details * details, _BLOCK), _FLAT_PERCENTILE))
+    return np.asarray(details * details, np.float32)
+
+
+def _flat_energy(level: NDArray[np.float32]) -> float:
+    return float(np.percentile(_block_means(_details(level), _BLOCK), _FLAT_PERCENTILE))
 
 
 def _block_means(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
@@ -85,17 +117,17 @@ def _block_means(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _filtered(image: Image, epsilon: float, share: float, gain: float, top: int) -> NDArray[np.uint16]:
+def _filtered(image: Image, radius: int, epsilon: float, share: float, gain: float, top: int) -> NDArray[np.uint16]:
     result = np.empty(image.shape, np.uint16)
-    margin = 2 * _RADIUS
+    margin = 2 * radius
     for y in range(0, image.shape[0], _STRIP):
         first = max(0, y - margin)
         part = image[first : y + _STRIP + margin]
         guide, values = _level(part), part.astype(np.float32)
-        averaged = cv2.ximgproc.guidedFilter(guide, values, _RADIUS, epsilon)
+        averaged = cv2.ximgproc.guidedFilter(guide, values, radius, epsilon)
         if image.ndim == 3 and share < 1:
             # A weak filter must not take away colors that the guide does not have: then all channels change alike.
-            alike = values + (cv2.ximgproc.guidedFilter(guide, guide, _RADIUS, epsilon) - guide)[..., None]
+            alike = values + (cv2.ximgproc.guidedFilter(guide, guide, radius, epsilon) - guide)[..., None]
             averaged = alike + np.float32(share) * (averaged - alike)
         values = np.clip(averaged[y - first :][:_STRIP] / np.float32(top), 0, 1)
         values = gain * values / (1 + (gain - 1) * values)
