@@ -152,6 +152,19 @@ def test_where_the_calibration_comes_from(matched: tuple[Path, Path], tmp_path: 
     assert run("depth", *one, *by_hand, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "d") == 2
 
 
+def test_other_cameras_of_a_calibration_give_another_depth(tmp_path: Path):
+    scenes = tmp_path / "scenes"
+    scenes.mkdir()
+    (scenes / "calib.txt").write_text(KITTI)
+    write_pfm(tmp_path / "run/000000/disp_left.pfm", np.full((20, 30), 7, np.float32))
+    for first, depth in ((0, 371 / 7), (2, 383.4 / (7 + 2))):  # the same images as of the grey, then the color cameras
+        for side in (0, 1):
+            write_png(scenes / f"image_{first + side}/000000.png", np.zeros((20, 30), np.uint8))
+        assert run("depth", tmp_path / "run", "-i", scenes, "-o", tmp_path / "d", "-q") == 0
+        np.testing.assert_allclose(read_pfm(tmp_path / "d/000000/depth.pfm"), depth, rtol=1e-6)
+        shutil.rmtree(scenes / "image_0", ignore_errors=True)
+
+
 def test_a_single_map_of_far_things(tmp_path: Path, capsys):
     values = np.full((20, 30), 0.5, np.float32)
     values[:, :10] = 20
@@ -171,6 +184,11 @@ def test_a_single_map_of_far_things(tmp_path: Path, capsys):
         assert "67 % of the depths are beyond the 65.53 m" in capsys.readouterr().err
     assert run("depth", tmp_path / "map.pfm", *known, "-o", tmp_path / "k", "--depth-scale", "256") == 0
     assert "beyond" not in capsys.readouterr().err
+    by_hand = ("--focal", "50", "--baseline", "0.1", *known[2:])
+    assert run("depth", tmp_path / "map.pfm", *by_hand, "-o", tmp_path / "h") == 0
+    cloud = vertices(tmp_path / "h/map/points.ply")["xyz"]
+    ends = (cloud[:, :2] / cloud[:, 2:] * 50).max(axis=0)  # the principal point is the center of the image
+    np.testing.assert_allclose(ends, (14.5, 9.5), rtol=1e-5)
 
 
 def test_the_run_has_moved(matched: tuple[Path, Path], tmp_path: Path, capsys):

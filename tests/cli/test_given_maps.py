@@ -50,7 +50,10 @@ def test_confidence_writes_what_it_says(two_scenes: Path, maps: Path, tmp_path: 
     assert rows(out)[NAMES[0]]["median_bound"] == pytest.approx(np.median(bound[np.isfinite(bound)]), abs=1e-3)
     known = np.count_nonzero(read_pfm(maps / f"{NAMES[0]}.pfm") >= 0)
     assert np.count_nonzero(np.isfinite(kept)) == pytest.approx(0.8 * known, rel=0.01)
-    assert (read_status(made / "status.png")[50:56, 22:38] == Status.NO_DATA).all()
+    status = read_status(made / "status.png")
+    assert (status[50:56, 22:38] == Status.NO_DATA).all()
+    outside, occluded = ((status & bit) != 0 for bit in (Status.OUT_OF_RANGE, Status.OCCLUDED))
+    assert outside.any() and rows(out)[NAMES[0]]["hidden"] == pytest.approx(np.mean(outside | occluded), abs=1e-6)
 
 
 def test_the_same_bytes_from_the_command_and_from_python(two_scenes: Path, maps: Path, tmp_path: Path):
@@ -152,6 +155,8 @@ def test_a_changed_map_is_judged_again_and_others_are_not(two_scenes: Path, maps
     after = [file.stat().st_mtime_ns for file in files]
     assert after[0] != before[0]
     assert after[1] == before[1]
+    assert run(*words, "--invalid", "7") == 0  # read in another way
+    assert all(file.stat().st_mtime_ns != stamp for file, stamp in zip(files, after, strict=True))
 
 
 def test_what_is_wrong_with_one_scene_fails_alone(two_scenes: Path, maps: Path, tmp_path: Path, capsys):
