@@ -90,15 +90,21 @@ def test_regions_of_registrations_are_reported_and_flagged(pairs, capsys):
     half[:, :, : half.shape[2] // 2] = 1
     write_array(pairs / "pair_0" / "mask_low.nii.gz", volume.grid, half)
     write_array(pairs / "pair_0" / "mask_all.nii.gz", volume.grid, np.full_like(half, 255))
-    write_array(pairs / "pair_0" / "mask_none.nii.gz", volume.grid, np.zeros_like(half))
-    assert measure(pairs, "--json", "--flag", "region_95_low>=0", "--flag", "region_95_all<0", "--fail-flagged") == 4
+    tiny = np.zeros_like(half)
+    write_array(pairs / "pair_0" / "mask_none.nii.gz", volume.grid, tiny)
+    tiny[20, 30, 30] = 1  # a quarter of a block
+    write_array(pairs / "pair_0" / "mask_tiny.nii.gz", volume.grid, tiny)
+    flags = ("--flag", "region_95_low>=0", "--flag", "region_95_all<0", "--fail-flagged")
+    assert measure(pairs, "--json", "--set", "max_voxels=20000", *flags) == 4  # blocks of 2 x 2 x 1 voxels
     document = json.loads(capsys.readouterr().out)
     row = document["scenes"][0]
     error = read_volume(pairs.parent / "run" / "pair_0" / "expected_error.nii.gz").values
     assert row["region_mean_all"] == pytest.approx(error.mean(), rel=0.02)
     assert row["region_mean_low"] == pytest.approx(error[half > 0].mean(), rel=0.05)
     assert row["region_95_low"] > row["region_mean_low"] and "region_mean_none" not in row
-    assert row["region_volume_low"] == pytest.approx(half.sum() * np.prod(volume.grid.spacing) / 1000, rel=0.01)
+    voxel = np.prod(volume.grid.spacing) / 1000
+    assert row["region_volume_low"] == pytest.approx(half.sum() * voxel, rel=0.01)
+    assert row["region_volume_tiny"] == pytest.approx(voxel, abs=1e-4) and row["region_mean_tiny"] > 0
     assert [each["scene"] for each in document["flagged"]] == ["pair_0"]
 
 

@@ -17,7 +17,7 @@ from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_beyond, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.simulate.stereo_scenes import make_scene
-from tests.command_line import run
+from tests.command_line import rows, run
 
 
 def blobs(width: int, height: int = 60, seed: int = 3) -> np.ndarray:
@@ -217,5 +217,8 @@ def test_evaluation_and_depth_with_negative_disparities(tmp_path: Path):
         assert run("stereo", "fast", "-i", tmp_path / "data", "-o", out, "--evaluate", "-q") == 0
         scores = json.loads((out / "evaluation/scores.json").read_text())
         assert scores["headlines"][0]["value"] < 3
+    (scene / "meta.json").write_text(json.dumps(meta | {"min_disparity": -24}))
+    assert run("stereo", "fast", "-i", tmp_path / "data", "-o", out, "-q") == 0
+    assert rows(out)["s"]["min_disparity"] == -24  # another range is another result
     assert run("depth", tmp_path / "eth3d", "-o", tmp_path / "depth", "-q") == 0
     assert abs(np.median(read_pfm(tmp_path / "depth/s/depth.pfm")) - 5 / 8) < 0.01
