@@ -70,11 +70,17 @@ def test_a_mask_of_the_objects_alone(made_glass, tmp_path, capsys):
 
 
 def test_scores_say_that_sparse_depth_is_from_the_truth(made_glass, tmp_path, capsys):
-    run = ["transparent", "nearest", "-i", str(made_glass), "-o", str(tmp_path / "run"), "--evaluate", "--json"]
+    frames = Path(shutil.copytree(made_glass, tmp_path / "in"))
+    run = ["transparent", "nearest", "-i", str(frames), "-o", str(tmp_path / "run"), "--evaluate", "--json"]
     assert main(run) == 0
     assert "from the truth" in json.dumps(json.loads(capsys.readouterr().out)["evaluation"])
     assert main([*run[:1], "kinect", *run[2:], "--overwrite"]) == 0  # its sparse depth is of stereo
     assert "from the truth" not in capsys.readouterr().out
+    meta = frames / "glass_0" / "meta.json"
+    meta.write_text(json.dumps(json.loads(meta.read_text()) | {"max_disparity": 9}))
+    assert main([*run[:1], "kinect", *run[2:], "--dry-run"]) == 0
+    planned = {row["scene"]: row["status"] for row in json.loads(capsys.readouterr().out)["scenes"]}
+    assert planned == {"glass_0": "to do", "glass_1": "done, kept"}  # another range of stereo is another result
 
 
 def test_memory_is_respected(made_glass, tmp_path, capsys):
