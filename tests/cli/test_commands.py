@@ -21,6 +21,7 @@ from PIL import Image
 
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
+from depthcli.commands._shared_options import parse_bytes
 from depthcli.commands._sweep_axes import parse_axes
 from depthcli.core.config_file import load_config
 from depthcli.io.formats.disparity import read_disparity, read_pfm
@@ -337,6 +338,11 @@ def test_results_are_not_written_to_stdout(command: tuple[str, ...], capsys, tmp
     monkeypatch.chdir(tmp_path)
     assert run(*command, "-o", "-") == 2
     assert "stdout" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_sizes_have_units_of_1000_or_of_1024():
+    sizes = {"2GiB": 2 << 30, "500M": 500 * 10**6, "1.5 kB": 1500, "64KiB": 1 << 16, "1e9": 10**9}
+    assert {text: parse_bytes(text) for text in sizes} == sizes
 
 
 def test_identical_and_flat_images_are_named_in_the_record(tmp_path: Path) -> None:

@@ -228,7 +228,7 @@ def test_kitti_by_camera(tmp_path: Path):
     assert again.fb == pytest.approx(half.fb)
     assert (again.offset, again.size) == (2, (500, 100))
     scaled = again.for_size(250, 50)
-    assert scaled.left.fx == pytest.approx(355)
+    assert (scaled.left.fx, scaled.left.cx, scaled.left.cy) == (355, 304.75, 85.75)  # corners of pixels stay
     assert scaled.offset == 1
     # A point's depth stays when its image is halved.
     np.testing.assert_allclose(scaled.depth(np.float32([[4.0]])), again.depth(np.float32([[8.0]])))

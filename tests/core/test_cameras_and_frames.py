@@ -9,7 +9,7 @@ import pytest
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
-from depthcli.core.frames import StereoPair
+from depthcli.core.frames import StereoPair, infrared_image
 from depthcli.core.volumes import ENDS, Grid
 from tests.command_line import refused
 
@@ -57,6 +57,9 @@ def test_a_camera_sees_a_point_on_the_ray_of_its_pixel_and_of_two_the_nearer_one
     expected[[30, 100], [20, 150]] = 1
     np.testing.assert_array_equal(depth, expected)
     assert (values[30, 20], values[100, 150]) == (0, 1)
+    # Of an image of another size the corners of pixels stay.
+    scaled = CAMERA.scaled((0.5, 2)).rays((pixels + 0.5) * (0.5, 2) - 0.5)
+    np.testing.assert_allclose(scaled, CAMERA.rays(pixels), atol=1e-6)
 
 
 @pytest.mark.parametrize("bits", [10, 12, 14, 16, None])
@@ -77,6 +80,11 @@ def test_both_images_share_one_scale_and_larger_samples_are_white():
     pair = StereoPair(left, right, 12)
     assert [int(image[0, 0, 0]) for image in pair.color8] == [255, 62]
     assert int(StereoPair(left, right, 10).grey8[0][0, 0]) == 255
+
+
+def test_infrared_is_white_above_999_of_1000_pixels():
+    levels = infrared_image(np.arange(10_000, dtype=np.uint16)[None])[0]
+    assert (levels[5000], levels[9950], levels[9990]) == (128, 254, 255)
 
 
 def test_bits_must_fit_the_type():

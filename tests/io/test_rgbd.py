@@ -285,6 +285,10 @@ def test_raw_codes_follow_the_thesis_s_formula():
     shift = (740 - raw[0, :3].astype(float)) / 350.0
     np.testing.assert_allclose(model.depth_of_raw(raw)[0, :3], reference / (1 + reference * shift), rtol=1e-6)
     assert np.isnan(model.depth_of_raw(raw)[0, 3:]).all()
+    # Herrera et al.: raw + beta(x, y) exp(alpha_0 - alpha_1 raw).
+    codes = raw[0, :3] + 2 * np.exp(0.3 - 0.002 * raw[0, :3])
+    distorted = replace(model, beta=np.full(raw.shape, 2.0), alpha=(0.3, 0.002))
+    np.testing.assert_allclose(distorted.depth_of_raw(raw)[0, :3], 350 / (1090 - codes), rtol=1e-6)
 
 
 _MATRIX = "{0} 0 {1} 0\n0 {0} {2} 0\n0 0 1 0\n0 0 0 1\n"

@@ -93,17 +93,18 @@ def test_realsense_temporal_filter_smooths_carries_over_and_follows():
     color = np.zeros((1, 3, 3), np.uint8)
     # steady; seen twice, then gone for long; moves by more than the threshold
     columns = [[10, 10.4, 10, 10, 10, 10, 10], [10, 10] + [np.nan] * 5, [10, 12, 12, 12, 12, 12, 12]]
-    state, seen, status = None, [], []
+    state, seen, carried = None, [], []
     for disparity in np.array(columns).T:
         refined, state = method.step(RgbdFrame(color, (43.5 / disparity[None]).astype(np.float32)), state)
         seen.append(43.5 / refined.depth.values[0])
-        status.append(refined.depth.status[0, 1])
+        carried.append(bool(refined.depth.status[0, 1] & DepthStatus.CARRIED))
+        assert refined.depth.filled[0, 1] == carried[-1]
     seen = np.array(seen)
     assert seen[1, 0] == pytest.approx(0.4 * 10.4 + 0.6 * 10, rel=1e-5)
     np.testing.assert_allclose(seen[:, 2], columns[2], rtol=1e-5)
     # valid in 2 of the last 4 frames: for three frames after the value is gone
     np.testing.assert_array_equal(np.isnan(seen[:, 1]), [False] * 5 + [True] * 2)
-    assert [bool(s & DepthStatus.CARRIED) for s in status] == [False, False, True, True, True, False, False]
+    assert carried == [False, False, True, True, True, False, False]
     with pytest.raises(ValueError, match="size"):
         method.step(RgbdFrame(np.zeros((2, 3, 3), np.uint8), np.ones((2, 3), np.float32)), state)
 
