@@ -152,7 +152,7 @@ def test_it_is_a_method_for_python_matched_in_tiles_where_a_halo_is_given(here: 
 @pytest.mark.slow
 def test_formats_scales_and_values_that_mean_none(here: Path):
     values = np.full((20, 30), 4.5, np.float32)
-    values[0, :3] = (-10, np.nan, 40)
+    values[0, :5] = (-10, np.nan, 40, 15.5, 16)
     write_pfm(here / "map.pfm", values)
     np.save(here / "map.npy", values)
     write_disparity_png(here / "kitti.png", np.where(np.isfinite(values), np.abs(values), np.nan))
@@ -169,8 +169,8 @@ def test_formats_scales_and_values_that_mean_none(here: Path):
         ("kitti.png", {"format": "kitti", "invalid": [2560]}),
     ):
         result = found(file, **fields)
-        assert np.isnan(result.values[0, :3]).all()
-        assert list(result.status[0, :4]) == [2, 2, 4, 0]
+        assert list(result.status[0, :6]) == [2, 2, 4, 0, 4, 0]
+        np.testing.assert_array_equal(np.isnan(result.values), result.status > 0)
         assert (result.values[1:] == 4.5).all()
     assert found("map.png", format="png", scale=2).values[5, 5] == 14.5
     assert found("map.npy", format="npy", scale=0.5).values[5, 5] == 9

@@ -11,7 +11,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.method import used_files
 from depthcli.methods.stereo.cost.onnx import NetworkCost
-from depthcli.methods.stereo.networks import MeanDeviation, networks_in, normalized, samples
+from depthcli.methods.stereo.networks import MeanDeviation, networks_in, normalized, padded, samples
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.pipeline.onnx import NetworkPipeline
 from depthcli.testing.inputs import assert_pure, inside, shifted_pair
@@ -155,6 +155,7 @@ def test_values_that_networks_take():
     for view, n in ((0, 1), (1, 3)):
         image = samples(wide, view, n)
         assert (image == 255).all() and image.shape == (4, 4, n)
+    assert padded(np.zeros((5, 7, 1), np.float32), 4, margin=1).shape == (8, 12, 1)
     with pytest.raises(ValueError, match="deviations are above 0"):
         MeanDeviation(mean=(0.5,), deviation=(0.0,))
 

@@ -57,3 +57,5 @@ def test_holes_are_mismatches_and_fills_keep_the_reason():
     assert np.all(holes.status[empty] & (Status.MISMATCH | Status.OUT_OF_RANGE))
     np.testing.assert_array_equal(filled.status[empty], holes.status[empty] | Status.FILLED)
     np.testing.assert_array_equal(filled.values[~empty], holes.values[~empty])
+    by_hand = OpencvSgbm(p1=8 * 3 * 5**2, p2=32 * 3 * 5**2)(pair, 20).disparity  # for each channel
+    np.testing.assert_array_equal(filled.values, by_hand.values)
