@@ -9,9 +9,11 @@ from depthcli.core.cameras.rig import Rig
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.walk import discover_scenes
+from depthcli.methods.stereo.volume import CostVolume
 from depthcli.methods.transparent.cross_modal import GREY, CrossModal, learned_weights, mix_channels
 from depthcli.methods.transparent.match_selection import MatchSelection
 from depthcli.simulate.transparent_scenes import glass_of_pair, make_transparent_scene
@@ -120,6 +122,20 @@ def test_selected_matches_are_right_and_none_lie_on_widened_edges():
     known = np.isfinite(kept)
     assert 0.15 < known.mean() < np.isfinite(all_of).mean()
     assert np.mean(np.abs(kept - scene.disparity)[known] > 1) < 0.08
+
+
+def test_margins_are_those_of_a_sensor_that_knows_and_of_one_that_is_blind():
+    """A match cheaper by .12 than the sensor's disparity, or the mean: enough where the sensor is blind."""
+    costs = np.full((20, 20, 32), 1000, np.uint16)
+    costs[:, :, 10] = 988
+    sensor = np.full((20, 20), 20, np.float32)
+    sensor[:, 10:] = np.nan
+    grey = np.zeros((20, 20), np.uint8)
+    rule = MatchSelection(margin=0.15, blind_margin=0.1, speckle=0)
+    found, _ = rule(
+        np.full_like(sensor, 10), np.ones_like(sensor), sensor, CostVolume(costs, 100.0), StereoPair(grey, grey)
+    )
+    np.testing.assert_array_equal(np.isfinite(found), np.isnan(sensor))
 
 
 def test_same_bytes_at_any_thread_count_and_inputs_untouched():

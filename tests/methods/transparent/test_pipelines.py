@@ -40,6 +40,18 @@ def test_glass_is_found_and_nothing_else_is_touched(name, seed):
     assert outside < 1.02 * sensor
 
 
+def test_glass_that_the_sensor_hardly_sees_through_is_found():
+    """Samples where it is blind neither contradict it nor agree with it."""
+    rng, mask = np.random.default_rng(0), np.zeros((80, 100), bool)
+    mask[25:55, 35:70] = True
+    wall, true = (1 / (inverse + 0.002 * rng.standard_normal(mask.shape)) for inverse in (0.5, np.where(mask, 1, 0.5)))
+    sensor = np.where(mask & (rng.random(mask.shape) < 0.9), np.nan, wall).astype(np.float32)
+    sparse = np.where(rng.random(mask.shape) < 0.12, true, np.nan).astype(np.float32)
+    color = np.where(mask[..., None], np.uint8([[[140] * 3]]), np.uint8([[[90] * 3]]))
+    found = pipeline("sparse")(SparseFrame(color, sensor, sparse=sparse)).pictures["unreliable"] > 0
+    assert found[mask & np.isfinite(sensor)].mean() > 0.9 and not found[~mask].any()
+
+
 def test_little_confidence_makes_samples_count_less():
     frame, truth, mask = glass(7, outliers=0.0)
     plain = np.full(frame.shape, 1, np.float32)
@@ -79,6 +91,9 @@ def test_a_region_without_contradicting_samples_is_reliable():
     assert rule(sensor, planes, contradicting, 0.01, image)[:, 30:].mean() > 0.9
     alone = contradicting.chosen(np.arange(contradicting.values.size) <= samples.values.size)
     assert not rule(sensor, planes, alone, 0.01, image).any(), "one sample, where 150 were to be expected"
+    rows, columns = np.append(np.mgrid[0:40:4, 40:60:10].reshape(2, -1), [[21], [45]], axis=1).astype(np.int32)
+    outvoted = Samples(rows, columns, np.append(np.ones(20), 1.5).astype(np.float32))
+    assert not rule(sensor, planes, outvoted, 0.01, image).any(), "one sample, however far off, counts as 4 deviations"
 
 
 def test_a_sensor_that_measures_nearer_surfaces_stays():
