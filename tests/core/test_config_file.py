@@ -177,7 +177,8 @@ def test_a_config_is_laid_over_its_base(tmp_path: Path):
         top="base: middle.yaml\ncost: {method: rank}\n",
         other="base: low\npipeline: opencv_bm\n",
     )
-    assert load_config(StereoConfig, tmp_path / "other.yaml").model_dump()["pipeline"] == "opencv_bm"
+    other = load_config(StereoConfig, tmp_path / "other.yaml", find=lambda name: tmp_path / "top.yaml")
+    assert other.model_dump()["pipeline"] == "opencv_bm"  # a file beside the config wins over a preset
     config = load_config(StereoConfig, tmp_path / "top.yaml")
     dumped = config.model_dump(mode="json")
     assert dumped["cost"]["method"] == "rank"  # another method brings nothing of the base's parameters

@@ -162,7 +162,7 @@ def test_a_volume_made_elsewhere_counts_as_a_measure():
     ("volumes", "message"),
     [
         ({}, "learned.npy: no such volume"),
-        ({"learned.npy": np.zeros((40, 70, 3))}, r"expected shape \(40, 70, 12 or more\), got \(40, 70, 3\)"),
+        ({"learned.npy": np.zeros((40, 70, 11))}, r"expected shape \(40, 70, 12 or more\), got \(40, 70, 11\)"),
         ({"learned.npy": np.full((40, 70, 12), np.nan)}, "NaN or infinite"),
     ],
 )

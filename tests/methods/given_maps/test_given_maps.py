@@ -88,8 +88,8 @@ def test_a_wider_limit_is_never_less_likely(pair: StereoPair, broken: np.ndarray
 def test_pixels_beyond_the_right_image():
     values, right = np.array([[2, 0, 2, 3]], np.float32), np.array([[2, 0, 0, 0]], np.float32)
     nowhere = values < 0
-    status = given_maps.with_reasons(values, nowhere, np.ones_like(values), nowhere)
-    assert status.tolist() == [[Status.OUT_OF_RANGE, 0, 0, 0]]
+    status = given_maps.with_reasons(values, nowhere, np.ones_like(values), values == 2)
+    assert status.tolist() == [[Status.OUT_OF_RANGE, 0, Status.OCCLUDED, 0]]
     assert given_maps._left_right(SimpleNamespace(values=values), None, right).tolist() == [[-16, 0, 0, -1]]
 
 
