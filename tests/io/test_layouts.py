@@ -10,6 +10,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import write_png
 from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.layouts.registration import VOLUMES
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.walk import discover_scenes
@@ -163,23 +164,24 @@ def test_every_layout_says_what_it_wants():
     assert all(each.wants and issubclass(each.kind, Scene) for each in ALL_KINDS.rows)
 
 
-@pytest.mark.parametrize(("stems", "truth"), [
-    (("im2", "im6"), ("disp2", "disp6")),
-    (("imL", "imR"), ("groundtruth", None)),
-    (("view1", "view5"), ("disp1", "disp5")),
+@pytest.mark.parametrize(("stems", "truth", "width", "codes"), [
+    (("im2", "im6"), ("disp2", "disp6"), 8, 4),
+    (("imL", "imR"), ("groundtruth", None), 8, 4),
+    (("view1", "view5"), ("disp1", "disp5"), 413, 3),  # 2005/2006 sets: third, half, or full size by the width
+    (("view1", "view5"), ("disp1", "disp5"), 620, 2),
+    (("view1", "view5"), ("disp1", "disp5"), 1240, 1),
 ])  # fmt: skip
-def test_middlebury_v2(tmp_path: Path, stems, truth):
+def test_middlebury_v2(tmp_path: Path, stems, truth, width, codes):
     folder = tmp_path / "Teddy"
     for stem in stems:
-        write_png(folder / f"{stem}.png", COLOR)
+        write_png(folder / f"{stem}.png", np.resize(COLOR, (6, width, 3)))
     for stem in filter(None, truth):
-        write_png(folder / f"{stem}.png", np.full((6, 8), 12, np.uint8))
+        write_png(folder / f"{stem}.png", np.full((6, width), 12, np.uint8))
     (scene,) = find(tmp_path)
     assert scene.layout == "middlebury-v2"
-    third = stems[0] == "view1"  # 2005/2006 sets: a narrow image is third size
-    assert scene.max_disparity == (None if third else 59)
+    assert scene.max_disparity == (None if stems[0] == "view1" else 59)
     loaded = true(scene)
-    assert np.all(loaded.disparity == (4 if third else 3))
+    assert np.all(loaded.disparity == 12 / codes)
     assert (loaded.right is None) == (truth[1] is None)
     assert scene.protocol == "middlebury_v2"
 
@@ -216,12 +218,24 @@ def test_kitti(tmp_path: Path):
 @pytest.mark.parametrize(("meta", "said"), [
     ([1], "object"), ({"disp_scale": "4"}, "disp_scale"), ({"disp_scale": 0}, "disp_scale"),
     ({"max_disparity": -3}, "max_disparity"), ({"max_disparity": 2.5}, "whole"), ({"disp_scale": True}, "disp_scale"),
+    ({"min_disparity": 4, "max_disparity": 4}, "max_disparity: expected a number above 4"),
 ])  # fmt: skip
 def test_broken_meta(tmp_path: Path, meta, said):
     own(tmp_path / "a", meta)
     refused(InputError, rf"meta\.json: .*{said}", find, tmp_path / "a")
     (tmp_path / "a" / "meta.json").write_bytes(b"{\xff")
     refused(InputError, "not valid JSON", find, tmp_path / "a")
+
+
+@pytest.mark.parametrize(("labels", "said"), [
+    ('{"liver": 1, "lung": 1}', "two regions have one label"), ('{"=": 1}', "expected a name without"),
+    ('{"liver": 1.5}', "expected the regions of each mask"),
+])  # fmt: skip
+def test_broken_names_of_labels(tmp_path: Path, labels: str, said: str):
+    for name in ("fixed.mha", "warped.mha", "mask_organs.mha"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "meta.json").write_text(f'{{"labels": {{"organs": {labels}}}}}')
+    refused(InputError, rf"meta\.json: labels: {said}", discover_scenes, tmp_path, VOLUMES)
 
 
 def test_what_is_said_where_nothing_fits(tmp_path: Path):

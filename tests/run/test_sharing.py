@@ -156,6 +156,8 @@ def test_the_process_that_ends_last_evaluates_all_scenes(
     assert statuses(out) == {"planes_1": "done"}
     assert not (out / "evaluation").exists()
     assert runs_beside_another(tmp_path / "nothing", ends_before=True) == 3
+    assert runs_beside_another(whole / "planes_1", ends_before=True) == 3  # a result of another input
+    shutil.rmtree(out / "planes_0")
     assert runs_beside_another(whole / "planes_0", ends_before=True) == 0
     assert statuses(out) == {"planes_0": "done", "planes_1": "done"}
     scores = json.loads((out / "evaluation" / "scores.json").read_text())
