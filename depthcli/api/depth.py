@@ -20,6 +20,7 @@ from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
 from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.color_and_infrared import RgbIrFrame
+from depthcli.core.depth_config import DepthConfig
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import RgbdFrame, SparseFrame, color8, infrared_image
 from depthcli.core.maps import DepthMap, DepthStatus
@@ -288,11 +289,7 @@ def refined_frame(
     ``clock`` books the stages, and ``other``; ``scale`` and ``rotate`` are of the codes that are written.
     """
     found = _refined(refine, frame, config.bound, clock, scale, rotate)
-    if not config.ply:
-        return found
-    chosen = chosen_pixels(found, config.mask, found.confidence or {"bound": -found.bound})
-    chosen &= (found.values >= config.near) & (found.values <= config.far)
-    return replace(found, cloud=_within(config.max_bound, found, chosen))
+    return _with_cloud(config, found, found.confidence or {"bound": -found.bound})
 
 
 def completed_frame(
@@ -305,31 +302,35 @@ def completed_frame(
     shape, stereo = (given.depth.shape[0], given.depth.shape[1]), config.stereo
     need = max(each.peak_bytes(shape) for each in (config.pipeline, stereo) if each is not None)
     check_memory(need, memory, f"{shape[1]} x {shape[0]} pixels")
+    figures: dict[str, float] | None = None
     if isinstance(given, SparseFrame):
-        completed = _with_cloud(config, _refined(config.pipeline, given, config.bound, clock, scale, rotate))
-        if given.objects is not None:
-            text = "inside the mask is the depth of the surroundings, not of the objects: nothing measured it"
-            completed = replace(completed, warnings=(text, *completed.warnings))
-        return given, completed
-    assert stereo is not None
-    frame, figures = stereo(given, clock)
+        frame = given
+    else:
+        assert stereo is not None
+        frame, figures = stereo(given, clock)
     found = _refined(config.pipeline, frame, config.bound, clock, scale, rotate)
+    camera = found.camera if config.intrinsics is None else Intrinsics(*config.intrinsics)
+    found = _with_cloud(config, replace(found, camera=camera), {"bound": -found.bound})
+    if frame.objects is not None:
+        text = "inside the mask is the depth of the surroundings, not of the objects: nothing measured it"
+        found = replace(found, warnings=(text, *found.warnings))
+    if figures is None:
+        return frame, found
     with np.errstate(invalid="ignore"):
         codes = np.nan_to_num(np.rint(frame.sparse * scale), nan=0.0)
     found.details.figures |= figures
     found.details.pictures["stereo"] = np.where(codes <= 65535, codes, 0).astype(np.uint16)
     if frame.sparse_confidence is not None:
         found.details.confidence["stereo"] = frame.sparse_confidence
-    return frame, _with_cloud(config, found)
+    return frame, found
 
 
-def _with_cloud(config: TransparentConfig, found: RefinedDepth) -> RefinedDepth:
-    camera = found.camera if config.intrinsics is None else Intrinsics(*config.intrinsics)
-    return replace(found, camera=camera, cloud=_within(config.max_bound, found, found.valid) if config.ply else None)
-
-
-def _within(max_bound: float | None, found: RefinedDepth, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return chosen if max_bound is None else chosen & (found.bound <= max_bound)
+def _with_cloud(config: DepthConfig, found: RefinedDepth, maps: Mapping[str, NDArray[np.float32]]) -> RefinedDepth:
+    """Return a map with the pixels of its cloud, if there is to be one; ``maps``: of ``confident:0.8``."""
+    if not config.ply:
+        return found
+    chosen = chosen_pixels(found, config.mask, maps) & (found.values >= config.near) & (found.values <= config.far)
+    return replace(found, cloud=chosen if config.max_bound is None else chosen & (found.bound <= config.max_bound))
 
 
 def _refined(

@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import TypeAlias, cast
 
 import numpy as np
 
@@ -45,10 +45,9 @@ def prepare(
     settings: Sequence[str | tuple[str, str]] | None,
     depths: DepthOptions,
     depth_intrinsics: str | None = None,
-    **options: Any,
 ) -> tuple[RefineKinect, list[FrameOrSequence]]:
     """Return the batch of ``refine-kinect`` with this config, and the frames or sequences that the options name."""
-    found = config_of(RefineKinectConfig, config, settings, **depth_settings(depths), **options)
+    found = config_of(RefineKinectConfig, config, settings, **depth_settings(depths))
     check_limits(found.near, found.far)
     parse_mask(found.mask)  # a wrong share is an error before any frame is opened
     scenes = find_scenes(FRAMES, frames, run)

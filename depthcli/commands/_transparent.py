@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from depthcli.api.depth import completed_frame
-from depthcli.api.saving import empty_cloud
+from depthcli.api.saving import check_limits, empty_cloud, parse_mask
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import DepthOptions, RunOptions, SceneOptions
 from depthcli.commands._scenes import depth_settings, find_scenes, say_typical_cameras
@@ -37,6 +37,8 @@ def prepare(
 ) -> tuple[Transparent, list[RgbdScene]]:
     """Return the batch of ``transparent`` with this config, and the frames that the command line names."""
     found = config_of(TransparentConfig, config, settings, **depth_settings(depths))
+    check_limits(found.near, found.far)
+    parse_mask(found.mask)  # a wrong share is an error before any frame is opened
     scenes = find_scenes(FRAMES, frames, run)
     if found.ply and found.intrinsics is None:
         say_typical_cameras(scenes, run.reporter)

@@ -62,6 +62,9 @@ def test_a_mask_of_the_objects_alone(made_glass, tmp_path, capsys):
     points = (tmp_path / "run/a/points.ply").read_bytes().partition(b"end_header\n")[2]
     first = np.frombuffer(points[:12], "<f4")
     np.testing.assert_allclose(first, depth[0, 0] * np.array([-0.64, -0.48, 1]), rtol=1e-4)
+    near = float(np.median(depth))
+    assert main([*command, "--overwrite", "--ply", "--near", str(near), "-q"]) == 0
+    assert b"vertex %d\n" % (depth >= near).sum() in (tmp_path / "run/a/points.ply").read_bytes()[:200]
     # What lies inside the mask does not count.
     write_pfm(frame / "depth.pfm", np.where(objects, np.float32(0.1), sensor))
     assert main([*command, "--overwrite", "-q"]) == 0
