@@ -62,7 +62,8 @@ OUTPUTS = {
         "stereo, fuse": MAPS,
         "confidence": f"confidence.*, {MAPS}",
         "refine-kinect, transparent, depth": f"{DEPTH}, probability.pfm, confidence_*, points.ply",
-        "register-confidence": "confidence.*, expected_error.*, shift.*, preview.png, points.csv",
+        "register-confidence": "confidence.*, expected_error.*, bound.*, probability.*, shift.*, preview.png, "
+        "points.csv",
         "rectify": "left.png, right.png, calib.txt, meta.json",
         "sample": "*.png, *.pfm, *.nii.gz, meta.json, calib.json",
     },

@@ -83,34 +83,40 @@ def falling(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArra
     return np.repeat([b[0] for b in blocks], [int(b[2]) for b in blocks])
 
 
-def table(maps: Sequence[tuple[str, Map]], odds: str) -> ErrorTable:
-    """Return the table of data sets and their maps; maps weigh the same, and so do data sets."""
+def table(
+    maps: Sequence[tuple[str, Map]], odds: str, shares: NDArray[np.float64] = BINS, min_samples: int = 200
+) -> ErrorTable:
+    """Return the table of data sets and their maps; maps weigh the same, and so do data sets.
+
+    Parameters
+    ----------
+    shares : of the samples below the edges of the bins
+    min_samples : of a data set in a bin, so that it counts there
+    """
     key, error = (np.concatenate([one[name] for _, one in maps]) for name in (odds, "error"))
     weight = np.concatenate([np.full(one["error"].size, 1 / one["error"].size) for _, one in maps])
     of = np.repeat([family for family, _ in maps], [one["error"].size for _, one in maps])
-    edges = quantiles(key, weight, BINS)
+    edges = quantiles(key, weight, shares)
     bins = np.searchsorted(edges[1:-1], key, side="right")
-    rows = np.full((len(set(of)), len(BINS) - 1, len(LEVELS)), np.nan)
+    rows = np.full((len(set(of)), len(shares) - 1, len(LEVELS)), np.nan)
     for k, family in enumerate(sorted(set(of))):
         for row in range(rows.shape[1]):
             inside = (of == family) & (bins == row)
-            if inside.sum() >= 200:
+            if inside.sum() >= min_samples:
                 rows[k, row] = quantiles(np.log2(np.maximum(error[inside], 1 / 64)), weight[inside], LEVELS)
     mean = np.nanmean(rows, axis=0)
     mixed = mean + WORST_SHARE * (np.nanmax(rows, axis=0) - mean)
-    shares = np.bincount(bins, weight, rows.shape[1])
-    log2 = np.maximum.accumulate(np.stack([falling(column, shares) for column in mixed.T], axis=1), axis=1)
-    centers = np.bincount(bins, weight * key) / shares
+    filled = np.bincount(bins, weight, rows.shape[1])
+    log2 = np.maximum.accumulate(np.stack([falling(column, filled) for column in mixed.T], axis=1), axis=1)
+    centers = np.bincount(bins, weight * key) / filled
     # Beyond the ends it goes on a little, so that the order of the pixels stays.
     ends = [log2[:1] + 0.5, log2, log2[-1:] - 0.5]
     return ErrorTable(np.array([centers[0] - 10, *centers, centers[-1] + 10]), LEVELS, np.concatenate(ends))
 
 
-def write(path: Path, made: ErrorTable) -> None:
+def write(path: Path, made: ErrorTable, what: str = "log odds", unit: str = "pixels") -> None:
     rows = np.vstack([np.append(0, made.levels), np.column_stack([made.log_odds, made.log2_errors])])
-    np.savetxt(
-        path, rows, "%.4g", ",", header="log odds, then log2 of the errors' quantiles, pixels; first row: levels"
-    )
+    np.savetxt(path, rows, "%.4g", ",", header=f"{what}, then log2 of the errors' quantiles, {unit}; first row: levels")
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -14,15 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from depthcli.algorithms.body import body_of_volume
+from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.api.inputs import Overrides, as_volume, computing, load_config
 from depthcli.api.registration_preview import registration_preview
 from depthcli.api.saving import made
+from depthcli.core.bound import VolumeBound
 from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png
+from depthcli.io.formats.networks import read_errors
 from depthcli.io.formats.volumes import simple_itk, write_volume
 from depthcli.io.volume_pairs import LoadedPair, blocks_of, joined, usable
 from depthcli.methods.registration.config import RegisterConfidenceConfig
@@ -30,10 +33,10 @@ from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
 from depthcli.run.json_csv import to_csv
 from depthcli.run.resources import available_memory, check_memory
 
+_USUAL = VolumeBound()
 _MAX_BORDER_SHARE = 0.2  # of best matches on the border of the search; above it errors exceed its range
 _WRONG_MM = 3.0  # expected errors above it are located
-_DECIMALS = {"x": 4, "y": 4, "z": 4, "confidence": 5, "expected_error": 4, "shift_x": 4, "shift_y": 4, "shift_z": 4}
-"""Columns of the table of landmarks; those of the shift of pipelines that look for matches."""
+_DECIMALS = {"confidence": 5, "probability": 5}  # of columns of the table of landmarks; of others 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,6 +45,7 @@ class RegistrationConfidence:
 
     loaded: LoadedPair  # the pair as it was compared, maybe as means of blocks
     details: RegistrationResult  # what the method returns, on its own grid of measured voxels
+    bounds: Mapping[str, NDArray[np.float32]]  # bound and probability on that grid; empty: the method gives none
     seconds: Mapping[str, float]  # stage -> time
     warnings: tuple[str, ...] = ()  # what looks wrong, one line each
     neurological: bool = False  # pictures have the patient's right on the right
@@ -62,44 +66,68 @@ class RegistrationConfidence:
         return self._on_fixed_grid(self.details.certainty)
 
     @cached_property
+    def bound(self) -> NDArray[np.float32]:
+        """(Z, Y, X) float32, mm: a share ``level`` of the errors is not larger; InputError without one.
+
+        Where it is ``details.figures["reach"]``, as far as matches were searched for, it may be any larger number.
+        """
+        return self._bounds("bound")
+
+    @cached_property
+    def probability(self) -> NDArray[np.float32]:
+        """(Z, Y, X) float32: of an error up to ``within`` mm; InputError without one."""
+        return self._bounds("probability")
+
+    @cached_property
     def shift(self) -> NDArray[np.float32]:
         """(Z, Y, X, 3) float32, mm along x, y, z: where the match of a voxel lies; InputError without one."""
         return self._shift()
 
     def at(self, points: ArrayLike) -> list[dict[str, float]]:
-        """Return position, confidence, expected error and any shift at points (N, 3) x, y, z, mm; a row for each."""
+        """Return position, confidence, expected error, and any shift, bound and probability, of points; a row for each.
+
+        The points are (N, 3) positions x, y, z, mm.
+        """
         places = np.asarray(points, np.float64)
         if places.ndim != 2 or places.shape[1] != 3:
             raise InputError(f"points: expected (N, 3) positions in mm, got {places.shape}")
         starts, steps = self.loaded.on_grid(self.details.start, self.details.step)
         found = (self.grid.to_index(places) - np.array(starts)) / np.array(steps)
-        values = [trilinear(each, found) for each in (self.details.certainty, self.details.expected_error)]
-        columns: list[NDArray[Any]] = [places, *(each[:, None] for each in values)]
+        columns: dict[str, NDArray[Any]] = dict(zip("xyz", places.T, strict=True))
+        columns["confidence"] = trilinear(self.details.certainty, found)
+        columns["expected_error"] = trilinear(self.details.expected_error, found)
         if self.details.shift is not None:
             own = np.stack([trilinear(self.details.shift[axis], found) for axis in (2, 1, 0)], axis=-1)
-            columns.append(own @ self.grid.axes.T)
-        columns_and_decimals = tuple(_DECIMALS.items())[: 8 if self.details.shift is not None else 5]
+            columns |= zip(("shift_x", "shift_y", "shift_z"), (own @ self.grid.axes.T).T, strict=True)
+        columns |= {name: trilinear(values, found) for name, values in self.bounds.items()}
         return [
-            {name: round(float(value), n) for (name, n), value in zip(columns_and_decimals, row, strict=True)}
-            for row in np.hstack(columns)
+            {name: round(float(v), _DECIMALS.get(name, 4)) for name, v in zip(columns, row, strict=True)}
+            for row in zip(*columns.values(), strict=True)
         ]
 
     def save(self, folder: str | Path, suffix: str = ".nii.gz", landmarks: ArrayLike | None = None) -> None:
         """Write the files that ``depthcli register-confidence`` writes for a scene, with the same bytes.
 
         The folder is created where it is missing; volumes have the suffix ``.nii.gz``, ``.nii``, ``.mha`` or ``.nrrd``;
-        landmarks, (N, 3) positions x, y, z, mm, are for the table ``points.csv``.
+        landmarks, (N, 3) positions x, y, z, mm, are for the table ``points.csv``, where a bound that ends with the
+        search is ``> 14``.
         """
         if suffix not in (".nii.gz", ".nii", ".mha", ".nrrd"):
             raise InputError(f"suffix: must be .nii.gz, .nii, .mha or .nrrd (got {suffix!r})")
         files = made(folder)
-        for name, values in (("confidence", self.details.certainty), ("expected_error", self.details.expected_error)):
+        maps = {"confidence": self.details.certainty, "expected_error": self.details.expected_error, **self.bounds}
+        for name, values in maps.items():
             write_volume(files / f"{name}{suffix}", self.grid, partial(self._on_fixed_grid, values))
         if self.details.shift is not None:
             write_volume(files / f"shift{suffix}", self.grid, self._shift, vector=True)
         write_png(files / "preview.png", self._preview())
         if landmarks is not None:
-            write_text(files / "points.csv", to_csv(self.at(landmarks)))
+            reach = round(self.details.figures.get("reach", math.inf), 4)
+            rows: list[dict[str, Any]] = list(self.at(landmarks))
+            for row in rows:
+                if row.get("bound", 0) >= reach:
+                    row["bound"] = f"> {reach:g}"
+            write_text(files / "points.csv", to_csv(rows))
 
     def _on_fixed_grid(
         self, values: NDArray[np.float32], first: int = 0, last: int | None = None
@@ -109,6 +137,11 @@ class RegistrationConfidence:
         place = self.loaded.on_grid(self.details.start, self.details.step)
         shape = ((depth if last is None else last) - first, height, width)
         return at_voxels(values, *place, shape, (first, 0, 0))
+
+    def _bounds(self, name: str) -> NDArray[np.float32]:
+        if name not in self.bounds:
+            raise InputError(f"{name}: this pipeline gives no score of the error, so there is none")
+        return self._on_fixed_grid(self.bounds[name])
 
     def _shift(self, first: int = 0, last: int | None = None) -> NDArray[np.float32]:
         if self.details.shift is None:
@@ -140,7 +173,7 @@ def registration_confidence(
     mask: Any = None,
     **fields: object,
 ) -> RegistrationConfidence:
-    """Return expected error, confidence and shift of every voxel of a registration, from the registered volumes alone.
+    """Return expected error, bound, confidence and shift of every voxel of a registration, from the registered volumes.
 
     ConfigError for an unknown preset, or keys and values that do not fit; InputError for volumes of different grids,
     with values that are no numbers, or that are the same everywhere, or too little memory.
@@ -199,8 +232,14 @@ def measured_pair(
     check_memory(need, memory, f"{' x '.join(map(str, loaded.grid.size))} voxels", "max_voxels, iso")
     clock.start("other")
     result = config.pipeline(loaded.pair)
-    result.figures.update(inside_figures(result, loaded))
     clock.include(result.seconds)
+    clock.start("bound")
+    bounds: dict[str, NDArray[np.float32]] = {}
+    if result.scores:
+        table = read_errors(config.pipeline.error_table)
+        bounds = bounds_of(result.scores, result.figures["iso"], result.figures["reach"], table, config.bound)
+    clock.start("other")
+    result.figures.update(inside_figures(result, loaded, bounds.get("bound")))
     warnings = []
     if beyond_search(result.figures):
         warnings.append(
@@ -209,7 +248,26 @@ def measured_pair(
         )
     if np.array_equal(loaded.pair.fixed, loaded.pair.warped):
         warnings.append("fixed and registered volume are the same: is one of them given twice?")
-    return RegistrationConfidence(loaded, result, dict(clock.seconds), tuple(warnings), config.neurological)
+    return RegistrationConfidence(loaded, result, bounds, dict(clock.seconds), tuple(warnings), config.neurological)
+
+
+def bounds_of(
+    scores: Sequence[NDArray[np.float32]], iso: float, reach: float, table: ErrorTable, promise: VolumeBound
+) -> dict[str, NDArray[np.float32]]:
+    """Return bound, mm, and probability of the scores of a result, with its figures, by a table of errors in voxels.
+
+    They are those of the finest resolution whose usual bound does not end with its search; empty without scores.
+    """
+    bounds: dict[str, NDArray[np.float32]] = {}
+    for k, score in reversed(list(enumerate(scores))):
+        unit = iso * 2**k
+        found = {
+            "bound": np.minimum(table.bound(score, promise.level) * np.float32(unit), np.float32(reach)),
+            "probability": table.probability(score, promise.within / unit),
+        }
+        ends = table.bound(score, _USUAL.level) * unit >= reach / 2 ** (len(scores) - 1 - k)
+        bounds = {name: np.where(ends, bounds[name], values) for name, values in found.items()} if bounds else found
+    return bounds
 
 
 def beyond_search(figures: Mapping[str, Any]) -> bool:
@@ -228,11 +286,14 @@ def peak_bytes(
     return max(working, reading)
 
 
-def inside_figures(result: RegistrationResult, loaded: LoadedPair) -> dict[str, float]:
+def inside_figures(
+    result: RegistrationResult, loaded: LoadedPair, bound: NDArray[np.float32] | None = None
+) -> dict[str, float]:
     """Return figures of the expected error in the mask, or else in the body; empty where no voxel lies there.
 
     They are ``inside_mean``, ``inside_95`` (quantile), ``inside_max``, mm; ``above_3mm``, mL of larger errors; where
-    there are any, ``above_x``, ``above_y`` and ``above_z``: center of their largest connected region, mm, LPS.
+    there are any, ``above_x``, ``above_y`` and ``above_z``: center of their largest connected region, mm, LPS. Of a
+    bound ``inside_bound``, its median, mm, and ``at_reach``, the share of voxels where it ends with the search.
     """
     pair, grid = loaded.pair, loaded.grid
     inside = pair.mask
@@ -255,6 +316,10 @@ def inside_figures(result: RegistrationResult, loaded: LoadedPair) -> dict[str, 
         first, blocks = (np.array(values) for values in loaded.on_grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
         place = grid.to_point(first + blocks * center)[0]
         figures |= dict(zip(("above_x", "above_y", "above_z"), map(float, place), strict=True))
+    if bound is not None:
+        within = at_voxels(bound, result.start, result.step, pair.shape)[inside]
+        figures["inside_bound"] = float(np.median(within))
+        figures["at_reach"] = float(np.mean(within >= bound.dtype.type(result.figures["reach"])))
     return {name: round(value, 4) for name, value in figures.items()}
 
 

@@ -58,6 +58,11 @@ def _error(key: str, form: str, title: str) -> Column:
     return Column(title, lambda row: "> " * (key in row and beyond_search(row)) + plain.text(row))
 
 
+def _bound(row: Row) -> str:
+    lower: bool = row.get("at_reach", 0) >= 0.5  # the figure is a median
+    return "> " * lower + number("inside_bound", "{:.1f}").text(row)
+
+
 @dataclass(frozen=True)
 class RegisterConfidence(Batch[VolumePairScene]):
     """Computes confidence, expected error and, where matches are searched for, shift of pairs."""
@@ -68,6 +73,7 @@ class RegisterConfidence(Batch[VolumePairScene]):
         _error("inside_mean", "{:.2f}", "mean mm"),
         _error("inside_95", "{:.1f}", "95 % mm"),
         _error("inside_max", "{:.1f}", "largest mm"),
+        Column("bound mm", _bound),
         number("above_3mm", "{:.1f}", "above 3 mm, mL"),
         Column("center, LPS", _center),
         percent("border", "at border"),

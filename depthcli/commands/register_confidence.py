@@ -40,6 +40,14 @@ def register_confidence(
     field: Annotated[
         str | None, Option(metavar="NAME", help="Convention of the field: auto, itk, ants, niftyreg, voxels.")
     ] = None,
+    level: Annotated[
+        float | None,
+        Option(metavar="P", min=0.5, max=0.99, help="Share of the errors within the volume bound. Default: 0.9."),
+    ] = None,
+    within: Annotated[
+        float | None,
+        Option(metavar="MM", help="Error up to which a voxel is right in the volume probability. Default: 3."),
+    ] = None,
     neurological: Annotated[
         bool, Option("--neurological", help="Show the patient's right on the right in pictures.")
     ] = False,
@@ -48,5 +56,6 @@ def register_confidence(
     from depthcli.commands._batch import run_batch
     from depthcli.commands._register_confidence import prepare
 
-    prepared = prepare(config, volumes, run, set, field=field, neurological=neurological or None)
+    promise = {"bound.level": level, "bound.within": within}
+    prepared = prepare(config, volumes, run, set, field=field, neurological=neurological or None, **promise)
     return run_batch(*prepared, run, volumes)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from depthcli.core.bound import Bound, DepthBound
+from depthcli.core.bound import Bound, DepthBound, VolumeBound
 from depthcli.core.errors import ConfigError
 from depthcli.core.yaml_source import parse_config
 from depthcli.evaluation.curves import ConfidenceCurve, reliability
@@ -30,7 +30,7 @@ _TOLERANCE = 10.0  # percentage points below the level from which on a map cover
 
 def promised(text: str) -> Bound | None:
     """Return the promise of a run by the key ``bound`` of its config's text; None without one."""
-    for model in (Bound, DepthBound):
+    for model in (Bound, DepthBound, VolumeBound):
         with contextlib.suppress(ConfigError, KeyError, ValidationError):
             return model.model_validate(parse_config(text, "").data["bound"])
     return None

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.bound import Bound
@@ -331,8 +332,10 @@ class _Scoring:
         if (bound_file := files.companion(path, "bound")) is not None:
             with _warned():
                 bound = protocol.read_confidence(bound_file, truth)
+        # A bound that ends with the search, of a registration, promises no limit; reach is rounded.
+        limit = None if bound is None else np.where(bound >= row.get("reach", math.inf) - 1e-3, np.inf, bound)
         promise = self.promises[start.run]
-        curves, bounds, outside = judged(protocol, estimate, truth, confidences, bound, status, promise)
+        curves, bounds, outside = judged(protocol, estimate, truth, confidences, limit, status, promise)
         points, pooling_data = protocol.points(estimate, truth)
         result = replace(
             start,

@@ -1,5 +1,6 @@
 """``refine_depth``, ``complete_transparent`` and ``registration_confidence`` from Python."""
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from depthcli.cli import main
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.volumes import read_volume
+from depthcli.simulate.deformed_volumes import make_deformed_pair
 from tests.command_line import contents, refused
 
 
@@ -164,9 +166,10 @@ def test_saved_files_are_those_of_the_command(tmp_path: Path, made_volumes: Path
     words = ["-i", str(made_volumes), "--scenes", "pair_0", "--set", "max_voxels=30000"]
     assert main(["register-confidence", "mind", *words, "-o", run, "-q"]) == 0
     assert contents(tmp_path / "python") == contents(tmp_path / "run" / "pair_0")
-    written = {name: read_volume(tmp_path / "python" / f"{name}.nii.gz") for name in ("expected_error", "confidence")}
-    assert np.array_equal(written["expected_error"].values, found.values)
-    assert np.array_equal(written["confidence"].values, found.confidence)
+    names = {"expected_error": "values", "confidence": "confidence", "bound": "bound", "probability": "probability"}
+    for name, attribute in names.items():
+        written = read_volume(tmp_path / "python" / f"{name}.nii.gz").values
+        assert np.array_equal(written, getattr(found, attribute)), name
     assert found.shift.shape == (*found.values.shape, 3)
     center = fixed.grid.to_point(np.array([[20.0, 28, 28]]))
     (row,) = found.at(center)
@@ -206,6 +209,33 @@ FIXED = np.random.default_rng(0).random(SHAPE, np.float32)
 def test_wrong_volumes_are_refused(arguments: dict[str, Any], message: str):
     with pytest.raises(depthcli.InputError, match=message):
         depthcli.registration_confidence(**{"fixed": FIXED, "warped": FIXED, "spacing": (1, 1, 1), **arguments})
+
+
+def test_bounds_and_probabilities_of_registrations_are_monotone():
+    wide = make_deformed_pair(1, (20, 24, 24), 5.0)
+    pair = (wide.fixed, wide.warped, (1.0, 1.0, 1.0), "mind")
+    promises = [(0.5, 1.0), (0.9, 3.0), (0.99, 6.0)]
+    found = [
+        depthcli.registration_confidence(*pair, overrides={"bound.level": level, "bound.within": within, "levels": 2})
+        for level, within in promises
+    ]
+    for less, more in itertools.pairwise(found):
+        assert (less.bound <= more.bound).all() and (less.bound < more.bound).any()
+        assert (less.probability <= more.probability).all()
+        np.testing.assert_array_equal(less.values, more.values)
+    assert all(one.probability.min() >= 0 and one.probability.max() <= 1 for one in found)
+    assert found[2].bound.max() <= found[2].details.figures["reach"] == 10
+
+
+def test_a_bound_that_ends_with_the_search_is_at_least_that(tmp_path: Path):
+    fixed, warped = np.random.default_rng(1).random((2, 16, 18, 18), np.float32)  # nothing matches
+    found = depthcli.registration_confidence(fixed, warped, (2, 1, 1), "mind", radius=2)
+    reach = found.details.figures["reach"]
+    assert reach == pytest.approx(2 * 2 ** (1 / 3), abs=1e-4)
+    assert found.details.figures["at_reach"] == 1 and found.details.figures["inside_bound"] == round(reach, 4)
+    assert (found.bound == np.float32(reach)).all()
+    found.save(tmp_path, landmarks=[[5, 5, 5]])
+    assert (tmp_path / "points.csv").read_text().splitlines()[1].split(",")[-2] == "> 2.5198"
 
 
 def test_a_volume_given_twice_is_said():

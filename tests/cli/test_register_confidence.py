@@ -29,7 +29,8 @@ with warnings.catch_warnings():
     SimpleITK = pytest.importorskip("SimpleITK")
 
 SMALL = ("--set", "radius=3", "--set", "half_window=1", "-q")
-FILES = {"confidence.nii.gz", "expected_error.nii.gz", "shift.nii.gz", "preview.png", "record.json"}
+VOLUMES = ("confidence", "expected_error", "bound", "probability", "shift")
+FILES = {"preview.png", "record.json", *(f"{name}.nii.gz" for name in VOLUMES)}
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +47,8 @@ def test_evaluated_against_the_dense_truth(made_volumes, run, tmp_path, capsys):
     assert {path.name for path in (run / "pair_0").iterdir()} == FILES
     scores = {s["metric"]: s["value"] for s in found["results"][0]["scores"]}
     assert scores["Spearman"] > 0.6 and scores["MAE"] < 1.5 and 2 < scores["TRE"] < 3
+    (coverage,) = (s["value"] for s in found["bounds"] if s["metric"] == "bound coverage")
+    assert 75 < coverage <= 100
 
 
 def moved_files(made_volumes, folder):
@@ -69,10 +72,11 @@ def test_a_moving_volume_with_its_field_and_landmarks(made_volumes, tmp_path):
     folder = moved_files(made_volumes, tmp_path / "pair")
     assert main(["register-confidence", "mind", "-i", str(folder), "-o", str(tmp_path / "run"), *SMALL]) == 0
     rows = (tmp_path / "run" / "pair" / "points.csv").read_text().splitlines()
-    assert rows[0] == "x,y,z,confidence,expected_error,shift_x,shift_y,shift_z"
+    assert rows[0] == "x,y,z,confidence,expected_error,shift_x,shift_y,shift_z,bound,probability"
     values = [dict(zip(rows[0].split(","), map(float, row.split(",")), strict=True)) for row in rows[1:]]
-    assert all(v["confidence"] > 0.8 for v in values)
-    expected = [v["expected_error"] for v in values]
+    assert all(v["confidence"] > 0.5 and v["probability"] > 0.8 for v in values)
+    expected, bounds = ([v[name] for v in values] for name in ("expected_error", "bound"))
+    assert all(e < b < 4.5 for e, b in zip(expected, bounds, strict=True))  # mm, the search ends at 4.5
     evaluated = tmp_path / "evaluated"
     assert main(["evaluate", str(tmp_path / "run"), "--truth", str(folder), "-o", str(evaluated), "-q"]) == 0
     rows = (evaluated / "points" / "run" / "pair.csv").read_text().splitlines()
@@ -299,7 +303,7 @@ def test_reports_say_that_they_are_estimates_and_link_files_that_are_there(made_
     links = re.findall(r"!\[[^]]*\]\(([^)]+)\)", markdown)
     assert links and all((evaluated / unquote(link)).is_file() for link in links)
     for text in (markdown, (evaluated / "report.html").read_text()):
-        assert "no bound" in text and "no medical device" in text
+        assert "no guarantee" in text and "no medical device" in text
 
 
 def dicom(folder, values, missing=()):

@@ -33,7 +33,7 @@ LIMITS_MM = (3.0, 6.0)
 HEADLINE = Metric("Spearman", "", worst=-1.0, larger_is_better=True)
 """Rank correlation of expected and true errors."""
 
-_CAUTION = "an expected error is an estimate, no bound, and this program is no medical device"
+_CAUTION = "expected errors and bounds are estimates checked on other patients, no guarantee; this is no medical device"
 _WORST_SHARE = 0.3  # of TRE30, the robustness of Learn2Reg
 _MAX_POOLED = 8_000_000  # points of several pairs; of more, which take minutes, so many are drawn
 _DRAWING_SEED = 0  # of the points that are drawn, any number: the same for all runs
@@ -215,6 +215,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         tables=_tables,
     )
     region_order = ("landmarks", "voxels")
+    within = LIMITS_MM[0]
     headline = HEADLINE
 
     def truth(self, scene: Scene) -> PreparedTruth:

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
+from depthcli.core.bound import VolumeBound
 from depthcli.core.root_config import RootConfig
 from depthcli.methods.registration.pipeline import Pipeline
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
@@ -17,6 +18,7 @@ class RegisterConfidenceConfig(RootConfig):
     command: ClassVar[str] = "register-confidence"
 
     pipeline: Pipeline = Field(RegistrationSearch(), description="the data flow from registered pair to expected error")
+    bound: VolumeBound = Field(VolumeBound(), description="bound of the errors and probability of small ones")
     field: str = Field(
         "auto",
         pattern="^(auto|itk|ants|niftyreg|voxels)$",

@@ -49,4 +49,4 @@ def test_expected_error_after_a_registration_stopped_early(liver):
     spearman, cost0 = (correlation(ranks(score), ranks(true)) for score in (found, cost))
     assert true.mean() == pytest.approx(2.2, abs=0.2)
     assert spearman >= 0.80 and spearman >= cost0 + 0.04
-    assert np.abs(found - true).mean() <= 0.75  # mm
+    assert np.abs(found - true).mean() <= 0.9  # mm

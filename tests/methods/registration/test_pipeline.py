@@ -66,19 +66,20 @@ def test_expected_error_ranks_voxels_as_the_true_error_does(deformed):
 
 @pytest.mark.slow
 def test_expected_error_is_a_mean_weighted_by_inverse_variance(deformed):
-    """Gaussian mean of eshift, weights 1 / (variance + iso^2 / 2), over features and places."""
+    """Gaussian mean of eshift, weights 1 / (variance + iso^2 / 2), over features and places; and what grids hide."""
     pair = replace(deformed[0], spacing=(2.0, 2.0, 2.0))
     features = ("mind", "local_ncc")
     result = config(features=features, smoothing=1.5)(pair)
-    total = weights = np.float32(0)
+    sums = np.zeros((3, *pair.shape))
     for feature in features:
-        method = config(features=[feature], smoothing=0)
-        alone = method(pair)
-        variance = method._searches(pair.fixed, pair.warped, 2.0, Clock())[0][0].variance
-        weight = 1 / (variance.astype(float) + 2)
-        total = total + ndimage.gaussian_filter(weight * alone.expected_error, 1.5, mode="nearest", truncate=3.4)
-        weights = weights + ndimage.gaussian_filter(weight, 1.5, mode="nearest", truncate=3.4)
-    np.testing.assert_allclose(result.expected_error, total / weights, rtol=2e-3, atol=2e-3)
+        curves = config(features=[feature])._searches(pair.fixed, pair.warped, 2.0, Clock())[0][0]
+        weight = 1 / (curves.variance.astype(float) + 2)
+        doubt = np.minimum(510 * curves.maps["cost0"], 1)
+        for k, values in enumerate((weight * doubt * curves.maps["eshift"], weight * doubt, weight)):
+            sums[k] += ndimage.gaussian_filter(values, 1.5, mode="nearest", truncate=3.4)
+    length, hidden = sums[:2] / sums[2]
+    expected = np.sqrt(length**2 + 2 * hidden**2)  # half of the square of a voxel's side
+    np.testing.assert_allclose(result.expected_error, expected, rtol=2e-3, atol=2e-3)
 
 
 @pytest.mark.slow

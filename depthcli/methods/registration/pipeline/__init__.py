@@ -29,6 +29,8 @@ class RegistrationResult(Result):
     expected_error : (z, y, x) float32, mm
     shift : (3, z, y, x) float32, where the match of a voxel lies, (z, y, x) mm along the volume's axes; None: the
         method looks for no match
+    scores : (z, y, x) float32 of each resolution, the finest first, by which a table of errors in voxels of that
+        resolution gives the bound, the larger the surer; empty: the method gives no bound
     measures : name -> (z, y, x) float32, of the first feature at full resolution
     step, start : of the working grid, in voxels of the fixed volume, (z, y, x)
     certainty : (z, y, x) float32 in [0, 1]: exp(-expected error / 3 mm)
@@ -38,6 +40,7 @@ class RegistrationResult(Result):
     step: tuple[float, float, float]
     start: tuple[float, float, float]
     shift: NDArray[np.float32] | None = None
+    scores: tuple[NDArray[np.float32], ...] = ()
     measures: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     certainty: NDArray[np.float32] = field(init=False)
 
@@ -66,6 +69,11 @@ class RegistrationPipeline(Method):
         """Most voxels that volumes are read as, larger ones as means of blocks; None: they are read as they are."""
         return None
 
+    @property
+    def error_table(self) -> str:
+        """Name of the table of the package that gives bounds by the scores of a result; empty: results have none."""
+        return ""
+
     @abstractmethod
     def __call__(self, pair: RegisteredPair) -> RegistrationResult:
         """Estimate the error at every place of a grid over the fixed volume.
@@ -73,7 +81,8 @@ class RegistrationPipeline(Method):
         Returns
         -------
         Finite errors, none of them negative. ``figures``: ``mean_error``, mm; where matches are searched for
-        ``border``, the share of them that lie on the border of the search.
+        ``border``, the share of them that lie on the border of the search; with scores ``iso``, the side of a voxel of
+        the finest resolution, and ``reach``, the largest displacement along an axis of the coarsest search, mm.
         """
 
     @abstractmethod

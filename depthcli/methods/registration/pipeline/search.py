@@ -32,6 +32,9 @@ _MAX_EXPONENT = 40  # intensities up to 2^40 stay as they are: their squares, 2^
 _PYRAMID_SIGMA = 0.8  # of the Gaussian before a volume is halved, voxels
 # Where coarse searches take over: errors as shares of the reach of the search, by the coarse one and by the finer one.
 _COARSE_SHARE, _FINE_SHARE = (0.6, 1.2), (0.8, 1.1)
+_GRID_ERROR = math.sqrt(1 / 2)  # voxels, of two volumes on grids: half a voxel along each of three axes, uniform
+_MIN_ERROR = 1 / 16  # voxels, of scores, where both volumes are the same
+_SCORE_SMOOTHING, _SCORE_RADIUS = 2.0, 5  # voxels, of the errors that scores are made of: those of the table's presets
 _STRUCTURED_QUANTILE = 0.8  # of the gradient, above which a voxel counts as structured; chosen by hand
 _N_BINS, _MIN_PER_BIN = 200, 20  # of the isotonic regression; chosen by hand
 
@@ -104,11 +107,15 @@ class RegistrationSearch(RegistrationPipeline):
     def voxel_limit(self) -> int | None:
         return self.max_voxels
 
+    @property
+    def error_table(self) -> str:
+        return f"registration_{self.search}"
+
     def __call__(self, pair: RegisteredPair) -> RegistrationResult:
         """Search around every voxel, and express the measures of its cost curve in mm, on the working grid.
 
         ``figures``: ``border``, the share of voxels of interest whose cheapest displacement lies on the border of the
-        coarsest search; ``iso``, mm; ``mean_error``, mm.
+        coarsest search; ``iso``, mm; ``mean_error``, mm; ``reach``, the radius of the coarsest search, mm.
         """
         clock = Clock()
         clock.start("resample")
@@ -140,11 +147,13 @@ class RegistrationSearch(RegistrationPipeline):
             "iso": round(float(iso), 6),
             "border": round(float((coarse or fine)[-1].border[measured].mean()), 6),
             "mean_error": round(float(error[measured].mean(dtype=np.float64)), 6),
+            "reach": round(float(self.radius * iso * 2 ** len(coarse)), 6),
         }
         z, y, x = (step * (self.stride if n > 1 else 1) for step, n in zip(grid.step, grid.shape, strict=True))
         return RegistrationResult(
             expected_error=error,
             shift=displacement,
+            scores=self._scores(fine, coarse, iso),
             measures=fine[0].maps,
             step=(z, y, x),
             start=grid.start,
@@ -224,6 +233,17 @@ class RegistrationSearch(RegistrationPipeline):
             displacement = displacement + share * (curves.displacement - displacement)
         return error, displacement
 
+    def _scores(
+        self, fine: list[CurveMeasures], coarse: list[CurveMeasures], iso: float
+    ) -> tuple[NDArray[np.float32], ...]:
+        # Of each resolution minus log2 of the expected error in its voxels, whatever the measure. A search of a smaller
+        # radius than the table's expects less where nothing matches.
+        scores, doubt = [], max(1, _SCORE_RADIUS / self.radius)
+        for k, searches in enumerate([fine, *([curves] for curves in coarse)]):
+            error = expected_error(searches, "eshift", iso * 2**k, _SCORE_SMOOTHING / self.stride)
+            scores.append(-np.log2(np.maximum(error * np.float32(doubt / (iso * 2**k)), np.float32(_MIN_ERROR))))
+        return tuple(scores)
+
 
 def _ramp(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.float32]:
     # 0 below low, 1 above high, linear between
@@ -265,17 +285,19 @@ def expected_error(searches: list[CurveMeasures], measure: str, iso: float, sigm
     """Average a measure in mm over searches and surroundings, weighted by the inverse variance of the displacement.
 
     An error is smooth where a registration is, and the curves of places without texture, or of a feature that is blind
-    to it, say little. The surroundings are a Gaussian of ``sigma`` measured places; ``iso`` is a voxel's side, mm.
+    to it, say little. To its square comes what the grids hide from the search. The surroundings are a Gaussian of
+    ``sigma`` measured places; ``iso`` is a voxel's side, mm.
     """
-    error = np.zeros_like(searches[0].variance)
-    total = np.zeros_like(error)
+    error, hidden, total = (np.zeros_like(searches[0].variance) for _ in range(3))
     for curves in searches:
         weight = np.reciprocal(curves.variance + np.float32(0.5 * iso**2))
         # Windows that do not differ by half a level of the features are the same: nothing is in doubt there.
         doubt = np.minimum(curves.maps["cost0"] * np.float32(2 * 255), 1)
         error += gaussian(curves.maps[measure] * weight * doubt, sigma)
+        hidden += gaussian(weight * doubt, sigma)
         total += gaussian(weight, sigma)
-    return error / total
+    whole: NDArray[np.float32] = np.hypot(error / total, hidden / total * np.float32(_GRID_ERROR * iso))
+    return whole
 
 
 def monotone(score: NDArray[np.float32], error: NDArray[np.float32], fitted: NDArray[np.bool_]) -> NDArray[np.float32]:
