@@ -8,9 +8,11 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.io.formats.images import read_image
+from depthcli.io.formats.volumes import read_volume
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.walk import discover_scenes
+from depthcli.simulate.deformed_volumes import make_deformed_pair
 from depthcli.simulate.stereo_scenes import Radiometry, make_scene
 from tests.command_line import contents
 from tests.scenes import load, true
@@ -82,6 +84,12 @@ def test_cross_modal_keeps_the_truth(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert load(after).right.ndim == 2
     assert sample(tmp_path / "in", "--cross-modal", "--from", tmp_path / "in") == 2
     assert sample(tmp_path / "x", "--cross-modal", "--from", tmp_path / "missing") == 2
+
+
+def test_true_errors_of_volumes_are_in_mm(made_volumes: Path):
+    error, fixed = (read_volume(made_volumes / "pair_0" / f"{name}.nii.gz") for name in ("error_true", "fixed"))
+    residual = make_deformed_pair(0, error.values.shape, 3.0).residual
+    np.testing.assert_allclose(error.values, np.linalg.norm(residual * fixed.grid.spacing, axis=-1), rtol=1e-4)
 
 
 def test_kinect_scenes_that_are_too_narrow_are_refused(tmp_path, capsys):

@@ -51,7 +51,7 @@ def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path,
     write_pfm(folder / "disp_left.pfm", np.full(visible.shape, 5, np.float32))
     write_pfm(folder / "confidence.pfm", np.full(visible.shape, 0.25, np.float32))
     write_pfm(folder / "confidence_da.pfm", np.full(visible.shape, 0.5, np.float32))  # a share, no probability
-    write_png(folder / "status.png", np.where(visible, 0, 1).astype(np.uint8))
+    write_png(folder / "status.png", np.where(visible, 0, [1, 4] * (visible.shape[1] // 2)).astype(np.uint8))
     words = ["evaluate", tmp_path / "run", "--truth", made_scenes, "--scenes", name, "-o", tmp_path / "out", "--html"]
     assert main([str(word) for word in [*words, "--tables", "confidence,hidden"]]) == 0
     printed = capsys.readouterr().out

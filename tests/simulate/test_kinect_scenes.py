@@ -17,13 +17,13 @@ def box_scene(near: float = 22.0, far: float = 10.0) -> np.ndarray:
     return truth
 
 
-@pytest.mark.parametrize("fattening", [0, 2, 4, 7])
-def test_a_box_gets_wider_and_casts_a_shadow_as_wide_as_the_jump(fattening):
+@pytest.mark.parametrize(("left", "right", "sides"), [(0, 0, "both"), (4, 4, "both"), (2, 0, "left"), (0, 7, "right")])
+def test_a_box_gets_wider_and_casts_a_shadow_as_wide_as_the_jump(left, right, sides):
     truth = box_scene()
-    sample = simulate_kinect(GREY, truth, 0, fattening=fattening, noise=0.0, discs=0)
+    sample = simulate_kinect(GREY, truth, 0, fattening=max(left, right), sides=sides, noise=0.0, discs=0)
     columns = np.arange(120)
-    wide = (columns >= 50 - fattening) & (columns < 80 + fattening)
-    shadow = (columns >= 50 - fattening - 12) & (columns < 50 - fattening)
+    wide = (columns >= 50 - left) & (columns < 80 + right)
+    shadow = (columns >= 50 - left - 12) & (columns < 50 - left)
     for y in range(60):
         np.testing.assert_array_equal(sample.occluded[y], shadow)
         np.testing.assert_array_equal(sample.mismatch[y], wide & (truth[y] == 10))
