@@ -245,6 +245,9 @@ def test_what_a_run_that_stops_at_a_failure_has_done(folder: Folder, capsys: pyt
 
 def test_a_result_does_not_outlive_its_input(folder: Folder):
     folder.run()
+    before, other = folder.bytes(), records.Record("a", "another run", {}, {}, {"status": "failed"})
+    records.record_failure(folder.output / "a", other, overwrite=False)  # results that another run made meanwhile
+    assert folder.bytes() == before
     folder.texts["a"] = "damaged"
     assert folder.run()["a"]["status"] == "failed"
     assert [path.name for path in (folder.output / "a").iterdir()] == [RECORD_FILE]
