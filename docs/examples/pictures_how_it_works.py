@@ -11,6 +11,7 @@ import SimpleITK
 from pictures import command, maps, panels, picture, read, sample, scene
 
 import depthcli
+from depthcli.io.formats.pictures import bound_picture, bound_range, draw_text, preview, with_bound
 
 PLANES, FOREGROUND = ("--kind", "planes"), ("--kind", "foreground")
 OTHER_LIGHT = (*PLANES, "--radiometric", "0.3")
@@ -173,6 +174,19 @@ def fusion_choice() -> Any:
         settings = {"maps.choice": name, "confidence": []}
         found[f"fuse accurate, {name}"] = depthcli.fuse(left, right, N_DISPARITIES, "accurate", settings).values
     return maps(found, truth, visible)
+
+
+@picture
+def bound() -> Any:
+    """A map and its bound, as in preview.png, and the true error in the bound's colors."""
+    left, right, truth, _ = scene("--kind", "repetitive")
+    found = depthcli.stereo(left, right, N_DISPARITIES, "accurate", bound=True)
+    sheet = with_bound(preview(found.values, N_DISPARITIES), found.bound, "px")
+    error = np.full((len(sheet), truth.shape[1] + 8, 3), 255, np.uint8)
+    error[: len(truth), 8:] = bound_picture(np.abs(found.values - truth), *bound_range(found.bound))
+    draw_text(sheet, "map", (0, len(truth) + 10), (0, 0, 0))
+    draw_text(error, "true error, same colors", (8, len(truth) + 10), (0, 0, 0))
+    return np.concatenate([sheet, error], axis=1)
 
 
 @picture
