@@ -84,17 +84,22 @@ def falling(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArra
 
 
 def table(
-    maps: Sequence[tuple[str, Map]], odds: str, shares: NDArray[np.float64] = BINS, min_samples: int = 200
+    maps: Sequence[tuple[str, Map]],
+    odds: str,
+    shares: NDArray[np.float64] = BINS,
+    min_samples: int = 200,
+    worst_share: float = WORST_SHARE,
 ) -> ErrorTable:
-    """Return the table of data sets and their maps; maps weigh the same, and so do data sets.
+    """Return the table of data sets and their maps; data sets weigh the same, and so do maps without a ``weight``.
 
     Parameters
     ----------
     shares : of the samples below the edges of the bins
     min_samples : of a data set in a bin, so that it counts there
+    worst_share : how far entries lie from the mean over data sets toward the worst one
     """
     key, error = (np.concatenate([one[name] for _, one in maps]) for name in (odds, "error"))
-    weight = np.concatenate([np.full(one["error"].size, 1 / one["error"].size) for _, one in maps])
+    weight = np.concatenate([np.full(one["error"].size, one.get("weight", 1) / one["error"].size) for _, one in maps])
     of = np.repeat([family for family, _ in maps], [one["error"].size for _, one in maps])
     edges = quantiles(key, weight, shares)
     bins = np.searchsorted(edges[1:-1], key, side="right")
@@ -105,7 +110,7 @@ def table(
             if inside.sum() >= min_samples:
                 rows[k, row] = quantiles(np.log2(np.maximum(error[inside], 1 / 64)), weight[inside], LEVELS)
     mean = np.nanmean(rows, axis=0)
-    mixed = mean + WORST_SHARE * (np.nanmax(rows, axis=0) - mean)
+    mixed = mean + worst_share * (np.nanmax(rows, axis=0) - mean)
     filled = np.bincount(bins, weight, rows.shape[1])
     log2 = np.maximum.accumulate(np.stack([falling(column, filled) for column in mixed.T], axis=1), axis=1)
     centers = np.bincount(bins, weight * key) / filled

@@ -4,45 +4,71 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 _POINTS = 1024  # of the log odds, between which probabilities are interpolated
+_LIMITS = 64  # of errors, likewise, where each value has its own
 _DOUBTFUL = 0.3  # mean probability of a map's values below which each is less likely than its own log odds say
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorTable:
-    """Quantiles of the errors of maps whose truth is known, by the log odds of an error up to 1 pixel.
+    """Quantiles of the errors of maps whose truth is known, by the log odds of a small error.
 
-    ``scripts/train_bounds.py`` makes it. It is interpolated in the log odds, the log odds of the level, and the
-    logarithm of the error, so that a bound never shrinks as the level grows, nor grows with the odds, and a probability
-    never shrinks as the limit grows.
+    ``scripts/train_bounds.py`` makes that of disparity maps, with errors in pixels, and
+    ``scripts/train_depth_bounds.py`` that of depth maps, in multiples of the noise. It is interpolated in the log odds,
+    the log odds of the level, and the logarithm of the error, so that a bound never shrinks as the level grows, nor
+    grows with the odds, and a probability never shrinks as the limit grows.
     """
 
     log_odds: NDArray[np.float64]  # (R,) ascending
     levels: NDArray[np.float64]  # (L,) ascending, in 0 .. 1
-    log2_errors: NDArray[np.float64]  # (R, L), pixels; columns fall, rows rise
+    log2_errors: NDArray[np.float64]  # (R, L); columns fall, rows rise
 
     def bound(self, log_odds: NDArray[np.float32], level: float) -> NDArray[np.float32]:
-        """Return the error, pixels, that a share ``level`` of the values with these log odds does not exceed."""
+        """Return the error that a share ``level`` of the values with these log odds does not exceed."""
         at, places = _logit(level), _logit(self.levels)
         column = np.array([np.interp(at, places, row) for row in self.log2_errors])
         bound: NDArray[np.float32] = np.exp2(np.interp(log_odds, self.log_odds, column)).astype(np.float32)
         return bound
 
-    def probability(self, log_odds: NDArray[np.float32], within: float) -> NDArray[np.float32]:
-        """Return the share of the values with these log odds whose error is at most ``within`` pixels."""
-        points = np.linspace(self.log_odds[0], self.log_odds[-1], _POINTS)
-        rows = np.stack([np.interp(points, self.log_odds, column) for column in self.log2_errors.T], axis=1)
-        limit, places = math.log2(within), _logit(self.levels)
-        inside = 1 / (1 + np.exp(-np.array([np.interp(limit, row, places) for row in rows])))
-        below = self.levels[0] * np.exp2(np.minimum(limit - rows[:, 0], 0))
-        above = 1 - (1 - self.levels[-1]) * np.exp2(np.minimum(rows[:, -1] - limit, 0))
-        shares = np.where(limit < rows[:, 0], below, np.where(limit > rows[:, -1], above, inside))
-        found: NDArray[np.float32] = np.interp(log_odds, points, shares).astype(np.float32)
-        return found
+    def probability(self, log_odds: NDArray[np.float32], within: float | NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the share of the values with these log odds whose error is at most ``within``.
+
+        That may be a number, or one a value: then both are (H, W), and shares are also interpolated between limits.
+        """
+        if isinstance(within, float):
+            shares = self._shares(np.array([math.log2(within)]))[:, 0]
+            found: NDArray[np.float32] = np.interp(log_odds, self._points, shares).astype(np.float32)
+            return found
+        limits, grid = self._grid
+        with np.errstate(divide="ignore"):
+            column = (np.log2(within) - limits[0]) * (_LIMITS - 1) / (limits[-1] - limits[0])
+        row = (log_odds - self._points[0]) * (_POINTS - 1) / (self._points[-1] - self._points[0])
+        at = (column.clip(0, _LIMITS - 1).astype(np.float32), row.clip(0, _POINTS - 1).astype(np.float32))
+        return np.asarray(cv2.remap(grid, *at, cv2.INTER_LINEAR), np.float32)
+
+    @cached_property
+    def _points(self) -> NDArray[np.float64]:
+        return np.linspace(self.log_odds[0], self.log_odds[-1], _POINTS)
+
+    @cached_property
+    def _grid(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        limits = np.linspace(self.log2_errors.min() - 2, self.log2_errors.max() + 2, _LIMITS)
+        return limits, self._shares(limits).astype(np.float32)
+
+    def _shares(self, limits: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the shares of the errors up to 2 ** limit, a row a point of the log odds, a column a limit."""
+        rows = np.stack([np.interp(self._points, self.log_odds, column) for column in self.log2_errors.T], axis=1)
+        places = _logit(self.levels)
+        inside = 1 / (1 + np.exp(-np.array([np.interp(limits, row, places) for row in rows])))
+        below = self.levels[0] * np.exp2(np.minimum(limits - rows[:, :1], 0))
+        above = 1 - (1 - self.levels[-1]) * np.exp2(np.minimum(rows[:, -1:] - limits, 0))
+        return np.asarray(np.where(limits < rows[:, :1], below, np.where(limits > rows[:, -1:], above, inside)))
 
 
 def doubted(log_odds: NDArray[np.float32], missing: NDArray[np.bool_]) -> NDArray[np.float32]:

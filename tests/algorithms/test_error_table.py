@@ -7,15 +7,16 @@ import pytest
 
 from depthcli.algorithms.error_table import ErrorTable, doubted
 from depthcli.api.bounds import networks
+from depthcli.api.depth_bounds import kinect_errors
 
 LEVELS = np.linspace(0.5, 0.99, 15)
 WITHIN = np.geomspace(0.25, 8, 25)
 ODDS = np.linspace(-12, 12, 300).astype(np.float32)
 
 
-@pytest.fixture(params=["errors", "one_view_errors"])
+@pytest.fixture(params=["errors", "one_view_errors", "depth"])
 def table(request: pytest.FixtureRequest) -> ErrorTable:
-    found = getattr(networks(), request.param)
+    found = kinect_errors().errors if request.param == "depth" else getattr(networks(), request.param)
     assert isinstance(found, ErrorTable)
     return found
 
@@ -45,6 +46,14 @@ def test_bounds_and_probabilities_are_monotone(table: ErrorTable):
     chances = np.stack([table.probability(ODDS, within) for within in WITHIN])
     assert (np.diff(chances, axis=0) >= 0).all() and (np.diff(chances, axis=1) >= 0).all()
     assert chances.min() >= 0 and chances.max() <= 1
+
+
+def test_limits_of_single_values_give_what_one_for_all_gives(table: ErrorTable):
+    odds = np.tile(ODDS, (len(WITHIN), 1))
+    found = table.probability(odds, np.repeat(WITHIN[:, None], ODDS.size, axis=1).astype(np.float32))
+    want = np.stack([table.probability(ODDS, float(within)) for within in WITHIN])
+    np.testing.assert_allclose(found, want, atol=0.03)
+    assert (np.diff(found, axis=0) >= 0).all() and (np.diff(found, axis=1) >= 0).all()
 
 
 def test_the_probability_of_the_bound_is_its_level(table: ErrorTable):

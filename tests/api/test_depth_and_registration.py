@@ -57,6 +57,8 @@ def test_a_result_describes_itself_and_codes_are_depths_by_their_scale(made_kine
     assert found.bound.shape == found.probability.shape == found.values.shape == (72, 96)
     assert "other" in found.seconds and repr(found).startswith("RefinedDepth(96 x 72, ")
     assert found._repr_png_().startswith(b"\x89PNG")
+    limit = float(np.median(found.bound))
+    assert len(found.to_points(max_bound=limit)) == np.count_nonzero(found.bound <= limit)
     points = found.to_points()
     again = found.to_points(intrinsics=(80, 80, 47.5, 35.5))
     assert len(points) == found.valid.sum() and np.array_equal(points.points, again.points)

@@ -39,6 +39,27 @@ def test_a_frame_gives_depth_status_and_bound(made_kinect: Path, tmp_path: Path,
     assert (output / "legend.png").is_file()
 
 
+def test_bounds_at_another_level_are_evaluated_and_limit_clouds(made_kinect: Path, tmp_path: Path):
+    one = ("refine-kinect", "nearest", "-i", made_kinect, "--scenes", "planes", "-q")
+    assert run(*one, "-o", tmp_path / "a") == 0
+    cloud = ("--ply", "--max-bound", "0.05", "--level", "0.6", "--within", "0.1", "--evaluate")
+    assert run(*one, "-o", tmp_path / "b", *cloud) == 0
+    (bound, sure), (low, likely) = (
+        [read_pfm(tmp_path / name / "planes" / f"{file}.pfm") for file in ("bound", "probability")] for name in "ab"
+    )
+    assert (low < bound).all() and (likely >= sure).all()
+    header = (tmp_path / "b" / "planes" / "points.ply").read_bytes().partition(b"end_header")[0]
+    assert f"element vertex {np.count_nonzero(low <= 0.05)}\n".encode() in header
+    scored = json.loads((tmp_path / "b" / "evaluation" / "scores.json").read_text())["results"][0]["bounds"]
+    coverage = {row["mask"]: row for row in scored if row["metric"] == "bound coverage"}
+    truth = read_pfm(made_kinect / "planes" / "depth_true.pfm")
+    inside = np.abs(read_pfm(tmp_path / "b" / "planes" / "depth.pfm") - truth) <= low
+    assert coverage["all"]["value"] == pytest.approx(100 * inside[np.isfinite(truth)].mean(), abs=0.1)
+    assert coverage["all"]["threshold"] == 60 and {"said kept", "said filled"} <= set(coverage)
+    assert run(*one, "-o", tmp_path / "c", "--level", "0.2") == 2
+    assert run(*one, "-o", tmp_path / "c", "--within", "7") == 2
+
+
 def test_a_sequence_is_one_item_and_resumes_with_the_same_bytes(made_kinect: Path, tmp_path: Path):
     one = ("refine-kinect", "sequence", "-i", made_kinect, "--scenes", "moving/*", "-q")
     assert run(*one, "-o", tmp_path / "a") == 0

@@ -1,9 +1,9 @@
 """Refinement of Kinect depth maps: gaps filled, depth edges moved to color edges, noise smoothed (thesis, chapter 4).
 
-In: an ``RgbdFrame``, color (H, W, 3) uint8 and depth (H, W) float32, m. Out: a ``DepthResult`` with depth, status and
-standard deviation. Start at ``pipeline``: one file per pipeline, its steps in order. All pipelines compute with the
-sensor's disparity, in pixels, which is proportional to inverse depth; ``disparity`` has what they begin and end with:
-the measured disparity, its noise, the way back to depth.
+In: an ``RgbdFrame``, color (H, W, 3) uint8 and depth (H, W) float32, m. Out: a ``DepthResult`` with depth and status.
+Start at ``pipeline``: one file per pipeline, its steps in order; ``bounds`` finds how wrong the values of any of them
+may be. All pipelines compute with the sensor's disparity, in pixels, which is proportional to inverse depth;
+``disparity`` has what they begin and end with: the measured disparity, its noise, the way back to depth.
 
 A sensor shows near surfaces too wide and throws *shadows*, gaps on the far side of a step. Where they lie and how wide
 they are is measured in each frame (``shadows``); without a color image nothing is said of outlines.

@@ -107,7 +107,7 @@ def nearest_fill(values: Floats) -> Floats:
 
 
 def refined_depth(
-    frame: RgbdFrame, disparity: Floats, sigma: Floats, noise: float, clock: Clock, fallback: Mask | None = None
+    frame: RgbdFrame, disparity: Floats, noise: float, clock: Clock, fallback: Mask | None = None
 ) -> DepthResult:
     """Convert a refined disparity to depth, with a status that says what became of every measurement.
 
@@ -115,7 +115,6 @@ def refined_depth(
     ----------
     disparity : (H, W) float32 refined, pixels, NaN = none. Values that are not positive, or farther than 1000 times
         the farthest measurement, count as none
-    sigma : (H, W) float32, pixels, NaN = none
     noise : of the measurement, pixels: a measured value that moved by more than three times the noise is
         ``CORRECTED``, by less ``SMOOTHED``
     fallback : (H, W) bool, gaps filled from around instead of by the model
@@ -134,11 +133,4 @@ def refined_depth(
     if fallback is not None:
         status[~known & fallback] = DepthStatus.FALLBACK
     status[np.isnan(depth)] = DepthStatus.EMPTY
-    sigma = deviation_of_depth(sigma, depth, frame.fb)
-    return DepthResult(seconds=clock.seconds, depth=DepthMap(depth, status), deviation=sigma)
-
-
-def deviation_of_depth(sigma: Floats, depth: Floats, fb: float) -> Floats:
-    """Return the standard deviation of the depth, (H, W) float32, m, from that of the disparity ``sigma``, pixels."""
-    with np.errstate(over="ignore"):  # infinite for depths of 1e19 m and more: nothing is known of them
-        return np.asarray(sigma * depth * depth / np.float32(fb), np.float32)
+    return DepthResult(seconds=clock.seconds, depth=DepthMap(depth, status))

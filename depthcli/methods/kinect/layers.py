@@ -17,7 +17,7 @@ from depthcli.core.maps import DepthMap, DepthStatus, Floats, Image8, Ints, Mask
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import DepthResult
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.disparity import Measurement, deviation_of_depth
+from depthcli.methods.kinect.disparity import Measurement
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 
 SHADOW_PENALTY = 1000.0
@@ -110,7 +110,7 @@ class RefinedDisparity:
         kept = self.status == DepthStatus.KEPT
         depth[kept] = frame.depth[kept]
         status = np.where(np.isnan(depth), np.uint8(DepthStatus.EMPTY), self.status)
-        return DepthResult(depth=DepthMap(depth, status), deviation=deviation_of_depth(self.scale, depth, frame.fb))
+        return DepthResult(depth=DepthMap(depth, status))
 
 
 @jit

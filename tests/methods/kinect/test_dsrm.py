@@ -90,7 +90,6 @@ def test_status_says_what_was_done(name):
     assert (status & DepthStatus.CORRECTED).any()
     assert (depth[known & ~kept] != frame.depth[known & ~kept]).mean() > 0.99
     assert np.isfinite(depth).all() and (depth > 0).all()
-    assert np.isfinite(result.deviation).all() and (result.deviation > 0).all()
     assert {"segmentation", "refinement"} <= set(result.seconds)
 
 

@@ -6,8 +6,6 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
-
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import Floats
 from depthcli.core.method import Method, method_of
@@ -34,7 +32,7 @@ class KinectPipeline(Method):
 
 
 class FilterPipeline(KinectPipeline):
-    """A refinement that filters the disparity; its noise is the sigma of measured pixels, filled ones have none."""
+    """A refinement that filters the disparity."""
 
     @abstractmethod
     def filtered(self, frame: RgbdFrame, measured: Floats, noise: float) -> Floats:
@@ -46,8 +44,7 @@ class FilterPipeline(KinectPipeline):
         measured = measured_disparity(frame)
         noise = noise_level(measured)
         values = self.filtered(frame, measured, noise)
-        sigma = np.where(np.isnan(measured), np.nan, noise).astype(np.float32)
-        return refined_depth(frame, values, sigma, noise, clock)
+        return refined_depth(frame, values, noise, clock)
 
 
 class SequencePipeline(KinectPipeline):

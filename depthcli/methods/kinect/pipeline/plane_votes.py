@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.window_planes import RADIUS, WindowPlanes, window_planes
+from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import Floats, Mask
 from depthcli.core.result import Clock, DepthResult
@@ -105,8 +105,7 @@ class PlaneVotes(KinectPipeline):
             changed = (trust != old_trust) | ((refined != old) & (trust > 0))
             clock.start("planes")
             planes = window_planes(refined, trust, noise, planes, changed)
-        sigma = np.maximum(planes.scale, np.float32(noise / (2 * RADIUS + 1))).astype(np.float32)
-        result = refined_depth(frame, nearest_fill(planes.value), sigma, noise, clock, np.isnan(planes.value))
+        result = refined_depth(frame, nearest_fill(planes.value), noise, clock, np.isnan(planes.value))
         result.figures = shadows.figures()
         return result
 

@@ -74,8 +74,7 @@ class Realsense(SequencePipeline):
         if self.hole_filling != "off":
             _fill(values, _HOLES[self.hole_filling])
         noise = noise_level(measured)
-        sigma = np.where(np.isnan(measured), np.nan, noise).astype(np.float32)
-        result = refined_depth(frame, values, sigma, noise, clock)
+        result = refined_depth(frame, values, noise, clock)
         result.depth.status[carried] = DepthStatus.CARRIED
         return result, RealsenseState(last, history)
 

@@ -73,7 +73,6 @@ class ShadowSmoother(KinectPipeline):
         # Without a color edge the smoother crosses depth edges: reliable measurements stay.
         crossed = known & ~band & (np.abs(values - measured) > self.max_change * noise)
         values[crossed] = measured[crossed]
-        sigma = np.where(known & ~band, noise, np.nan).astype(np.float32)
-        result = refined_depth(frame, values, sigma, noise, clock)
+        result = refined_depth(frame, values, noise, clock)
         result.figures = shadows.figures()
         return result

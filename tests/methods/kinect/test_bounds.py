@@ -1,0 +1,82 @@
+"""Bounds of refined depth: coverage on simulated frames, their order, meters, and large gaps."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from depthcli.api.depth_bounds import kinect_errors
+from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import DepthMap, DepthStatus
+from depthcli.methods.kinect.bounds import INPUTS, depth_bounds, error_planes
+from depthcli.simulate.depth_sensor import simulate_kinect
+from depthcli.simulate.kinect_scenes import make_kinect_scene
+from tests.contracts.inputs import preset
+
+
+def bounds_of(frame: RgbdFrame, found: DepthMap, level: float = 0.9, within: float = 0.03):
+    return depth_bounds(kinect_errors(), frame, found, level, within)
+
+
+@pytest.fixture(scope="module")
+def made():
+    """A frame of a sensor that no table was made of, refined."""
+    kinect = simulate_kinect(*make_kinect_scene("foreground", 7, 240, 180, 40), 7, noise=0.35, fattening=3)
+    frame = kinect.frame()
+    return kinect, frame, preset("refine-kinect", "dsrm").pipeline(frame).depth
+
+
+@pytest.mark.parametrize("name", ["dsrm", "nearest", "guided"])
+def test_nine_of_ten_errors_are_within_the_bound(made, name):
+    kinect, frame, _ = made
+    found = preset("refine-kinect", name).pipeline(frame).depth
+    bound, probability = bounds_of(frame, found)
+    error = np.abs(found.values - kinect.depth_true())
+    assert 0.8 < np.mean((error <= bound)[found.kept]) < 0.99
+    assert np.mean((error <= bound)[found.filled]) > 0.7
+    right, pixels = error <= 0.03, found.valid
+    assert right[pixels & (probability > 0.8)].mean() > 0.75 > 0.5 > right[pixels & (probability < 0.3)].mean()
+    surest = bound <= np.quantile(bound, 0.8)
+    assert error[surest].mean() < 0.7 * error.mean()
+
+
+def test_bounds_grow_with_the_level_and_probabilities_with_the_limit(made):
+    _, frame, found = made
+    bounds, chances = zip(
+        *(bounds_of(frame, found, p, t) for p, t in ((0.5, 0.01), (0.8, 0.02), (0.9, 0.05), (0.99, 0.5))), strict=True
+    )
+    for values in (bounds, chances):
+        assert all((low <= high).all() for low, high in itertools.pairwise(values))
+    assert np.min(chances) >= 0 and np.max(chances) <= 1
+
+
+def test_the_probability_of_an_error_within_the_bound_is_the_level(made):
+    _, frame, found = made
+    bound, _ = bounds_of(frame, found)
+    for at in ((20, 30), (90, 120), (150, 200)):
+        assert bounds_of(frame, found, within=float(bound[at]))[1][at] == pytest.approx(0.9, abs=0.03)
+
+
+def test_bounds_grow_into_large_gaps():
+    rows, columns = np.mgrid[:120, :160].astype(np.float32)
+    disparity = 20 + 0.02 * columns + 0.1 * np.random.default_rng(0).standard_normal(rows.shape).astype(np.float32)
+    disparity[20:100, 30:130] = np.nan
+    color = np.random.default_rng(1).integers(90, 110, (120, 160, 3)).astype(np.uint8)
+    frame = RgbdFrame(color, (43.5 / disparity).astype(np.float32))
+    bound, _ = bounds_of(frame, preset("refine-kinect", "nearest").pipeline(frame).depth)
+    kept, rim, middle = (
+        float(np.median(bound[part])) for part in (np.s_[:15], np.s_[22:26, 40:120], np.s_[55:65, 70:90])
+    )
+    assert kept < rim < middle / 1.5
+
+
+def test_pixels_without_a_value_and_frames_without_color():
+    measured = np.full((40, 50), 2.0, np.float32)
+    measured[:, 30:] = np.nan
+    frame = RgbdFrame.without_color(measured, 43.5, None)
+    found = DepthMap(measured, np.where(np.isnan(measured), np.uint8(DepthStatus.EMPTY), np.uint8(0)))
+    bound, probability = bounds_of(frame, found)
+    np.testing.assert_array_equal(np.isnan(bound), np.isnan(measured))
+    np.testing.assert_array_equal(probability == 0, np.isnan(measured))
+    planes, noise = error_planes(frame, found)
+    assert planes.shape == (len(INPUTS), 40, 50) and np.isfinite(planes).all() and noise == pytest.approx(0.1)
