@@ -150,7 +150,7 @@ class RegistrationConfidence:
         return np.asarray(np.stack(parts, axis=-1) @ self.grid.axes.T, np.float32)
 
     def _preview(self) -> NDArray[np.uint8]:
-        return registration_preview(self.details, self.loaded, self.neurological)
+        return registration_preview(self.details, self.loaded, self.neurological, self.bounds.get("bound"))
 
     def __repr__(self) -> str:
         error, size = self.details.figures["mean_error"], " x ".join(map(str, self.grid.size))

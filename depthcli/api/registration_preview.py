@@ -19,12 +19,14 @@ _SCALE_WIDTH = 90  # pixels, of the scale with its numbers
 _PAPER, _INK = 24, (225, 225, 225)
 
 
-def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurological: bool) -> NDArray[np.uint8]:
+def registration_preview(
+    result: RegistrationResult, loaded: LoadedPair, neurological: bool, bound: NDArray[np.float32] | None = None
+) -> NDArray[np.uint8]:
     """Return (H, W, 3) RGB, at least 900 wide: a row for the middle slice across each axis of the body.
 
-    Columns: the fixed volume, the registered one, and the expected error over the fixed one where there is tissue and
-    the mask is set. Sides are true in mm; anterior and superior are up; the patient's right is on the left, or, in
-    neurological pictures, on the right.
+    Columns: the fixed volume, the registered one, and the expected error and any ``bound``, on the grid of the result,
+    over the fixed one where there is tissue and the mask is set. Sides are true in mm; anterior and superior are up;
+    the patient's right is on the left, or, in neurological pictures, on the right.
     """
     grid, pair = loaded.grid, loaded.pair
     low, high = (float(v) for v in np.percentile(pair.fixed[:: max(1, pair.shape[0] // 16)], [1, 99]))
@@ -33,6 +35,7 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
     blocks = [loaded.blocks[axis] for axis in order]
     shape = [pair.shape[axis] for axis in order]
     lengths = [shape[k] * grid.spacing[2 - axis] * blocks[k] for k, axis in enumerate(order)]  # mm
+    maps = {"expected error": result.expected_error, **({} if bound is None else {"bound of the error": bound})}
     rows = []
     for axis, plane in enumerate(PLANES):
         across = [k for k in range(3) if k != axis]
@@ -46,30 +49,31 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
         )
         corner, size = [0, 0, 0], list(pair.shape)
         corner[order[axis]], size[order[axis]] = stored, 1
-        errors = at_voxels(result.expected_error, result.start, result.step, size, corner)
-        error = grid.turned(errors).squeeze(axis)
         if pair.mask is None:
             seen = body(fixed)
         else:
             seen = grid.turned(np.take(pair.mask, [stored], order[axis])).squeeze(axis)
         plain = [np.repeat(cut[..., None], 3, axis=2) for cut in (fixed, warped)]
-        colored = (0.5 * plain[0] + 0.5 * preview(error, _MAX_SHOWN_ERROR)).astype(np.uint8)
+        over = []
+        for values in maps.values():
+            error = grid.turned(at_voxels(values, result.start, result.step, size, corner)).squeeze(axis)
+            colored = (0.5 * plain[0] + 0.5 * preview(error, _MAX_SHOWN_ERROR)).astype(np.uint8)
+            over.append(np.where(seen[..., None], colored, plain[0]))
         longest = max(lengths[k] for k in across)
         height, width = (max(1, round(_SIDE * lengths[k] / longest)) for k in across)
-        over = np.where(seen[..., None], colored, plain[0])
-        pictures = [np.asarray(cv2.resize(p, (width, height)), np.uint8) for p in (*plain, over)]
+        pictures = [np.asarray(cv2.resize(p, (width, height)), np.uint8) for p in (*plain, *over)]
         ends = "".join(ENDS[k] for k in across)  # top, bottom, left, right
         if neurological and axis < 2:
             pictures = [picture[:, ::-1] for picture in pictures]
             ends = ends[:2] + ends[:1:-1]
         first, step = grid.slice_positions(axis)
         place = side_and_distance(ENDS[axis], first + step * ((middle + 0.5) * blocks[axis] - 0.5))
-        titles = (f"{plane}, {place}", "", "")
+        titles = (f"{plane}, {place}", *[""] * (len(pictures) - 1))
         framed = [_framed(picture, ends, title) for picture, title in zip(pictures, titles, strict=True)]
         rows.append(np.concatenate(framed, axis=1))
     side = _SIDE + 2 * _MARGIN
-    heading = np.full((_LINE + 6, 3 * side, 3), _PAPER, np.uint8)
-    for k, title in enumerate(("fixed", "moving, registered", "expected error")):
+    heading = np.full((_LINE + 6, (2 + len(maps)) * side, 3), _PAPER, np.uint8)
+    for k, title in enumerate(("fixed", "moving, registered", *maps)):
         draw_text(heading, title, (k * side + side // 2, _LINE // 2 + 4), _INK, centered=True)
     sheet = np.concatenate([heading, *rows])
     return np.concatenate([sheet, _scale(len(sheet))], axis=1)
@@ -91,7 +95,7 @@ def _framed(picture: NDArray[np.uint8], ends: str, title: str) -> NDArray[np.uin
 
 
 def _scale(height: int) -> NDArray[np.uint8]:
-    """Return the colors of expected errors with their numbers."""
+    """Return the colors of errors and bounds with their numbers."""
     scale = np.full((height, _SCALE_WIDTH, 3), _PAPER, np.uint8)
     top, length = _LINE + 6 + _MARGIN, _SIDE
     ramp = np.linspace(255, 0, length).astype(np.uint8)[:, None]
