@@ -91,6 +91,21 @@ def test_a_moving_volume_with_its_field_and_landmarks(made_volumes, tmp_path):
     assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
 
 
+@pytest.mark.slow
+def test_bounds_that_end_with_the_search_cover_all_errors(made_volumes, tmp_path, capsys):
+    folder = moved_files(made_volumes, tmp_path / "pair")
+    grid = read_volume(folder / "fixed.mha").grid
+    write_array(folder / "displacement.mha", grid, np.full((*grid.shape, 3), (-9, 0, 0), np.float32))
+    words = ["-i", str(folder), "--field", "itk", "--within", "20", *SMALL]
+    assert main(["register-confidence", "mind", *words, "-o", str(tmp_path / "run")]) == 0
+    rows = (tmp_path / "run" / "pair" / "points.csv").read_text().splitlines()[1:]
+    assert all(row.split(",")[-2].startswith("> 4.9") for row in rows)
+    assert main(["evaluate", str(tmp_path / "run"), "--truth", str(folder), "-o", str(tmp_path / "e"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    values = {s["metric"]: s["value"] for s in found["bounds"]}
+    assert values["bound coverage"] == 100 and values["bound finite"] == 0 and values["bound median"] is None
+
+
 def test_a_field_and_a_transform_are_refused_unless_one_counts(tmp_path, capsys):
     folder = tmp_path / "pair"
     folder.mkdir()
