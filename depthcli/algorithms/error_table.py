@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_POINTS = 1024  # of the log odds, between which probabilities are interpolated
+from depthcli.kernels.jit import parallel_jit, prange
+
+_POINTS = 4096  # of the log odds, equally far apart, between which a column is interpolated
 _LIMITS = 64  # of errors, likewise, where each value has its own
-_DOUBTFUL = 0.3  # mean probability of a map's values below which each is less likely than its own log odds say
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +34,7 @@ class ErrorTable:
         """Return the error that a share ``level`` of the values with these log odds does not exceed."""
         at, places = _logit(level), _logit(self.levels)
         column = np.array([np.interp(at, places, row) for row in self.log2_errors])
-        bound: NDArray[np.float32] = np.exp2(np.interp(log_odds, self.log_odds, column)).astype(np.float32)
-        return bound
+        return self._looked_up(log_odds, np.exp2(np.interp(self._points, self.log_odds, column)))
 
     def probability(self, log_odds: NDArray[np.float32], within: float | NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the share of the values with these log odds whose error is at most ``within``.
@@ -42,9 +42,7 @@ class ErrorTable:
         That may be a number, or one a value: then both are (H, W), and shares are also interpolated between limits.
         """
         if isinstance(within, float):
-            shares = self._shares(np.array([math.log2(within)]))[:, 0]
-            found: NDArray[np.float32] = np.interp(log_odds, self._points, shares).astype(np.float32)
-            return found
+            return self._looked_up(log_odds, _shares_within(self, within))
         limits, grid = self._grid
         with np.errstate(divide="ignore"):
             column = (np.log2(within) - limits[0]) * (_LIMITS - 1) / (limits[-1] - limits[0])
@@ -70,19 +68,29 @@ class ErrorTable:
         above = 1 - (1 - self.levels[-1]) * np.exp2(np.minimum(rows[:, -1:] - limits, 0))
         return np.asarray(np.where(limits < rows[:, :1], below, np.where(limits > rows[:, -1:], above, inside)))
 
+    def _looked_up(self, log_odds: NDArray[np.float32], column: NDArray[np.float64]) -> NDArray[np.float32]:
+        # The column, which has a value at each of the points, at log odds of any shape.
+        found = np.empty(log_odds.shape, np.float32)
+        flat = np.ascontiguousarray(log_odds, np.float32).reshape(-1)
+        first, step = self._points[0], self._points[1] - self._points[0]
+        _interpolate(flat, np.float32(first), np.float32(1 / step), column.astype(np.float32), found.reshape(-1))
+        return found
 
-def doubted(log_odds: NDArray[np.float32], missing: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the log odds (H, W) of a map, lower where few of its values are likely right.
 
-    Then it is most likely not a map of this pair, or has another scale, and values that seem right are so by chance.
-    """
-    known = log_odds[~missing]
-    if not known.size:
-        return log_odds
-    mean = float(np.mean(1 / (1 + np.exp(-known.clip(-30, 30))), dtype=np.float64))
-    return log_odds + np.float32(min(0.0, float(_logit(max(mean, 1e-6)) - _logit(_DOUBTFUL))))
+@lru_cache(16)
+def _shares_within(table: ErrorTable, within: float) -> NDArray[np.float64]:
+    return table._shares(np.array([math.log2(within)]))[:, 0]
 
 
 def _logit(share: float | NDArray[np.float64]) -> NDArray[np.float64]:
     odds: NDArray[np.float64] = np.log(np.asarray(share) / (1 - np.asarray(share)))
     return odds
+
+
+@parallel_jit
+def _interpolate(values, first, per_step, column, out):
+    top = np.float32(column.size - 1)
+    for i in prange(values.size):
+        at = min(max((values[i] - first) * per_step, np.float32(0)), top)
+        k = min(int(at), column.size - 2)
+        out[i] = column[k] + (at - np.float32(k)) * (column[k + 1] - column[k])

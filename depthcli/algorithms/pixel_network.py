@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.kernels.lanes import LANES, load, minimum, splat, store
+from depthcli.kernels.lanes import LANES, load, maximum, minimum, splat, store
 
 INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
 TILE = 4  # units of a layer that are summed at a time: their sums stay in registers
-_CHUNK = 64  # vectors of pixels a task
+_CHUNK = 32  # pairs of vectors of pixels a task
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +71,20 @@ def log_odds(
     return out
 
 
+def of_first(trained: TrainedNetwork, count: int) -> TrainedNetwork:
+    """Return the network of the first ``count`` inputs where all others are 0."""
+    (w1, rows), *rest = trained.layers
+    zeros = ((0 - trained.mean[count:]) * trained.scale[count:]).clip(-INPUT_BOUND, INPUT_BOUND)
+    first = np.ascontiguousarray(w1[:count]), (rows + zeros @ w1[count:]).astype(np.float32)
+    return replace(
+        trained,
+        inputs=trained.inputs[:count],
+        mean=trained.mean[:count],
+        scale=trained.scale[:count],
+        layers=(first, *rest),
+    )
+
+
 def _tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
     # (units / 4, inputs, 4): in the order in which the kernel reads them
     inputs, units = weights.shape
@@ -79,56 +93,73 @@ def _tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @jit
 def _positive(a):
-    return splat(np.float32(0)) - minimum(splat(np.float32(0)) - a, splat(np.float32(0)))
+    return maximum(a, splat(np.float32(0)))
 
 
 @jit
 def _layer(source, inputs, weights, offsets, target):
-    # Rectified units of LANES pixels: flat ``source`` and ``target`` hold LANES values an input, a unit.
+    # Rectified units of two vectors of pixels: flat ``source`` and ``target`` hold both, an input, a unit. Eight sums
+    # are enough for none of them to wait for the one before.
     for tile in range(weights.shape[0]):
-        w = weights[tile]
-        a, b = splat(offsets[tile * TILE]), splat(offsets[tile * TILE + 1])
-        c, d = splat(offsets[tile * TILE + 2]), splat(offsets[tile * TILE + 3])
+        w, unit = weights[tile], tile * TILE
+        a, b, c, d = splat(offsets[unit]), splat(offsets[unit + 1]), splat(offsets[unit + 2]), splat(offsets[unit + 3])
+        e, f, g, h = a, b, c, d
         for i in range(inputs):
-            x = load(source, i * LANES)
-            a += splat(w[i, 0]) * x
-            b += splat(w[i, 1]) * x
-            c += splat(w[i, 2]) * x
-            d += splat(w[i, 3]) * x
-        store(target, (tile * TILE) * LANES, _positive(a))
-        store(target, (tile * TILE + 1) * LANES, _positive(b))
-        store(target, (tile * TILE + 2) * LANES, _positive(c))
-        store(target, (tile * TILE + 3) * LANES, _positive(d))
+            x, y = load(source, 2 * i * LANES), load(source, (2 * i + 1) * LANES)
+            p, q, r, s = splat(w[i, 0]), splat(w[i, 1]), splat(w[i, 2]), splat(w[i, 3])
+            a += p * x
+            e += p * y
+            b += q * x
+            f += q * y
+            c += r * x
+            g += r * y
+            d += s * x
+            h += s * y
+        at = 2 * unit * LANES
+        store(target, at, _positive(a))
+        store(target, at + LANES, _positive(e))
+        store(target, at + 2 * LANES, _positive(b))
+        store(target, at + 3 * LANES, _positive(f))
+        store(target, at + 4 * LANES, _positive(c))
+        store(target, at + 5 * LANES, _positive(g))
+        store(target, at + 6 * LANES, _positive(d))
+        store(target, at + 7 * LANES, _positive(h))
+
+
+@jit
+def _scaled(planes, at, center, factor, inputs, k):
+    # Two vectors of a plane become those of input ``k``.
+    low, high = splat(-INPUT_BOUND), splat(INPUT_BOUND)
+    for half in range(2):
+        z = (load(planes, at + half * LANES) - splat(center)) * splat(factor)
+        store(inputs, (2 * k + half) * LANES, minimum(maximum(z, low), high))
 
 
 @parallel_jit
 def _evaluate(alone, others, mean, scale, w1, b1, w2, b2, w3, b3, out):
     pixels = out.size
-    n_alone, size = alone.size // pixels, mean.size
-    groups = (pixels + LANES - 1) // LANES
+    n_alone, size, width = alone.size // pixels, mean.size, 2 * LANES
+    groups = (pixels + width - 1) // width
     for task in prange((groups + _CHUNK - 1) // _CHUNK):
-        inputs = np.zeros(size * LANES, np.float32)
-        hidden = np.empty(w1.shape[0] * TILE * LANES, np.float32)
-        second = np.empty(w2.shape[0] * TILE * LANES, np.float32)
-        last = np.empty(LANES, np.float32)
+        inputs = np.empty(size * width, np.float32)
+        hidden = np.empty(w1.shape[0] * TILE * width, np.float32)
+        second = np.empty(w2.shape[0] * TILE * width, np.float32)
+        last = np.zeros(width, np.float32)
         for group in range(task * _CHUNK, min(groups, (task + 1) * _CHUNK)):
-            first = group * LANES
-            count = min(LANES, pixels - first)
-            for k in range(n_alone):
-                center, factor, at = mean[k], scale[k], k * pixels + first
-                for i in range(count):
-                    z = (alone[at + i] - center) * factor
-                    inputs[k * LANES + i] = min(max(z, -INPUT_BOUND), INPUT_BOUND)
-            for k in range(n_alone, size):
-                center, factor, at = mean[k], scale[k], (k - n_alone) * pixels + first
-                for i in range(count):
-                    z = (others[at + i] - center) * factor
-                    inputs[k * LANES + i] = min(max(z, -INPUT_BOUND), INPUT_BOUND)
+            first = group * width
+            count = min(width, pixels - first)
+            for k in range(size):
+                source, at = (alone, k * pixels + first) if k < n_alone else (others, (k - n_alone) * pixels + first)
+                if count < width:  # the last pixels
+                    last[:count] = source[at : at + count]
+                    source, at = last, 0
+                _scaled(source, at, mean[k], scale[k], inputs, k)
             _layer(inputs, size, w1, b1, hidden)
             _layer(hidden, w1.shape[0] * TILE, w2, b2, second)
-            total = splat(b3[0])
+            x, y = splat(b3[0]), splat(b3[0])
             for k in range(w3.size):
-                total += splat(w3[k]) * load(second, k * LANES)
-            store(last, 0, total)
-            for i in range(count):
-                out[first + i] = last[i]
+                x += splat(w3[k]) * load(second, 2 * k * LANES)
+                y += splat(w3[k]) * load(second, (2 * k + 1) * LANES)
+            store(last, 0, x)
+            store(last, LANES, y)
+            out[first : first + count] = last[:count]

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -35,16 +35,18 @@ _SOFTNESS = 15.0  # of the supports by which maps are judged, grey levels
 class Support(ABC):
     """Weighted sums over the pixels that vote for a pixel, for 16 disparities at a time."""
 
-    inverse_sum: NDArray[np.float32]  # (H, W) float32, 1 / (sum of the weights of a pixel's support)
+    shape: tuple[int, int]  # (H, W) of the images
 
     @abstractmethod
     def sum(self, block: NDArray[np.float32]) -> None:
         """Replace (H, W, 16) float32 ``block`` by its sums over every pixel's support."""
 
-    def _normalize(self, shape: tuple[int, ...]) -> None:
-        ones = np.ones((*shape, BLOCK_DEPTH), np.float32)
+    @cached_property
+    def inverse_sum(self) -> NDArray[np.float32]:
+        """(H, W) float32, 1 / (sum of the weights of a pixel's support)."""
+        ones = np.ones((*self.shape, BLOCK_DEPTH), np.float32)
         self.sum(ones)
-        self.inverse_sum = np.float32(1.0) / ones[:, :, 0]
+        return np.float32(1.0) / ones[:, :, 0]
 
 
 class ColorSupport(Support):
@@ -55,13 +57,12 @@ class ColorSupport(Support):
     """
 
     def __init__(self, image: NDArray[np.uint8], reach: float, softness: float) -> None:
-        smooth = cv2.medianBlur(image, 3).astype(np.int16)
-        shape = image.shape[:2]
-        self._across = np.zeros(shape, np.float32)
-        self._down = np.zeros(shape, np.float32)
-        self._across[:, 1:] = _decay(smooth[:, 1:] - smooth[:, :-1], reach, softness)
-        self._down[1:] = _decay(smooth[1:] - smooth[:-1], reach, softness)
-        self._normalize(shape)
+        smooth = cv2.medianBlur(image, 3)
+        self.shape = image.shape[0], image.shape[1]
+        self._across = np.zeros(self.shape, np.float32)
+        self._down = np.zeros(self.shape, np.float32)
+        self._across[:, 1:] = _decay(cv2.absdiff(smooth[:, 1:], smooth[:, :-1]), reach, softness)
+        self._down[1:] = _decay(cv2.absdiff(smooth[1:], smooth[:-1]), reach, softness)
 
     def sum(self, block: NDArray[np.float32]) -> None:
         _recurse_rows(block, self._across)
@@ -88,8 +89,7 @@ class WindowSupport(Support):
     """Equal weights of all pixels of a square window, clipped at the image border."""
 
     def __init__(self, shape: tuple[int, int], window: int) -> None:
-        self._size = (window, window)
-        self._normalize(shape)
+        self.shape, self._size = shape, (window, window)
 
     def sum(self, block: NDArray[np.float32]) -> None:
         cv2.boxFilter(block, -1, self._size, dst=block, normalize=False, borderType=cv2.BORDER_CONSTANT)
@@ -209,12 +209,10 @@ def _add(block, inverse_sum, base, gain, strength, first, out):
                 cells[k] = np.uint16(np.int32(np.float32(known[k]) * gain + strength * absent + half))
 
 
-def _decay(step: NDArray[np.int16], reach: float, softness: float) -> NDArray[np.float32]:
-    largest = np.abs(step[:, :, 0])
-    for channel in range(1, step.shape[2]):  # several times as fast as a maximum over the last axis
-        np.maximum(largest, np.abs(step[:, :, channel]), out=largest)
-    decay: NDArray[np.float32] = np.exp(-(1.0 / reach + largest / softness)).astype(np.float32)
-    return decay
+def _decay(step: Any, reach: float, softness: float) -> NDArray[np.float32]:
+    first, second, third = cv2.split(step)
+    decays = np.exp(-(1.0 / reach + np.arange(256) / softness)).astype(np.float32)
+    return np.asarray(decays[cv2.max(cv2.max(first, second), third)], np.float32)
 
 
 @parallel_jit

@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.error_table import ErrorTable, doubted
-from depthcli.algorithms.pixel_network import TrainedNetwork, log_odds
+from depthcli.algorithms.error_table import ErrorTable
+from depthcli.algorithms.pixel_network import TrainedNetwork, log_odds, of_first
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock, Result
@@ -35,6 +35,10 @@ HIDDEN = "hidden"
 """Name of the offsets of the network that says what is hidden."""
 RIGHT_NAMES = tuple(f"within {threshold:g}" for threshold in THRESHOLDS)
 _MAX_DIFFERENCE = np.float32(16.0)  # between the views, pixels
+_DISTINCT = 0.6  # log(second smallest cost / smallest) from which on a match of the pair itself is sure
+# Share of the sure matches of the pair itself that a map may contradict; by how much more of them lower the log odds of
+# all its values, and by how much at most. Maps of methods contradict fewer, another scene's map contradicts more.
+_CONTRADICTED, _DOUBT, _MOST_DOUBT = 0.45, 70.0, 16.0
 
 
 class Networks(NamedTuple):
@@ -247,7 +251,9 @@ def without_gaps(values: Plane, max_disparity: int) -> tuple[Plane, NDArray[np.b
 
 def odds_of(networks: Networks, judged: Judged, within: float) -> Plane:
     """Return the log odds (H, W) that the values of a map are right within so many pixels."""
-    return odds_within(networks.right, within, judged.alone, judged.others)
+    if judged.others[OTHERS.index("maps"), 0, 0]:
+        return odds_within(networks.right, within, judged.alone, judged.others)
+    return odds_within(of_first(networks.right, len(ALONE)), within, judged.alone, judged.others[:0])
 
 
 def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Plane) -> Plane:
@@ -271,14 +277,25 @@ def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Pl
 
 def promised_of(networks: Networks, judged: Judged, within: float, level: float) -> tuple[Plane, Plane]:
     """Return probability and bound (H, W) of a judged map."""
-    return promised(networks.errors, odds_of(networks, judged, 1.0), judged.missing, within, level)
+    odds = odds_of(networks, judged, 1.0) - doubt(judged)
+    return promised(networks.errors, odds, judged.missing, within, level)
+
+
+def doubt(judged: Judged) -> np.float32:
+    """Return by how much the log odds of all values are lower, since the pair's own sure matches contradict the map.
+
+    It is then most likely no map of this pair, or has another scale, and values that seem right are so by chance.
+    """
+    sure = (judged.plane("peak") > _DISTINCT) & (judged.plane("reference_filled") == 0) & ~judged.missing
+    wrong = sure & (np.abs(judged.plane("reference_difference")) > 1)
+    share = np.count_nonzero(wrong) / (np.count_nonzero(sure) + 0.001 * sure.size)  # of a few matches none is sure
+    return np.float32(np.clip(_DOUBT * (share - _CONTRADICTED), 0, _MOST_DOUBT))
 
 
 def promised(
     table: ErrorTable, odds: Plane, missing: NDArray[np.bool_], within: float, level: float
 ) -> tuple[Plane, Plane]:
     """Return probability and bound (H, W) of a map by its log odds of an error up to 1 pixel."""
-    odds = doubted(odds, missing)
     probability = np.where(missing, np.float32(0), table.probability(odds, within))
     return probability, _known(table.bound(odds, level), missing)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import cv2
 import numpy as np
@@ -133,86 +132,95 @@ farthest one, pixels above their middle, planes relative to the smallest among t
 INPUTS = (*ALONE, *OTHERS)
 """Inputs of the network, in their order."""
 
-_MAX_DEVIATION = np.float32(40.0)  # grey levels
+Planes = dict[str, NDArray[np.float32]]
+"""By name, (H, W) each."""
+_MAX_DEVIATION = 40.0  # grey levels
 
 
-def shape_planes(values: NDArray[np.float32], max_disparity: int) -> dict[str, NDArray[Any]]:
-    """Return the planes ``SHAPE`` of a map without gaps, (H, W) float32 each."""
-    plane: dict[str, NDArray[Any]] = {}
+def shape_planes(values: NDArray[np.float32], max_disparity: int, plane: Planes) -> None:
+    """Write the planes ``SHAPE`` of a map without gaps."""
     for side in (5, 11, 21, 41):
-        plane[f"deviation_of_map_{side}"] = np.minimum(np.sqrt(local_moments(values, side)[1]), 10)
-    for side in (11, 25):
-        plane[f"above_mean_{side}"] = np.clip(values - cv2.blur(values, (side, side)), -6, 6)
-    plane["above_median_5"] = np.clip(values - cv2.medianBlur(values, 5), -6, 6)
+        _deviation(values, side, 10, plane[f"deviation_of_map_{side}"])
     top = np.float32(max(max_disparity, 1))
     coarse = cv2.medianBlur((values * (255 / top)).astype(np.uint8), 21).astype(np.float32) * (top / 255)
-    plane["above_median_21"] = np.clip(values - coarse, -8, 8)
+    middles = {f"mean_{side}": cv2.blur(values, (side, side)) for side in (11, 25)}
+    for name, middle in {**middles, "median_5": cv2.medianBlur(values, 5), "median_21": coarse}.items():
+        above, most = plane[f"above_{name}"], 8 if middle is coarse else 6
+        np.clip(values - middle, -most, most, out=above)
     edges = np.zeros(values.shape, np.uint8)
     edges[:, 1:] |= np.abs(np.diff(values, axis=1)) > 1
     edges[1:] |= np.abs(np.diff(values, axis=0)) > 1
     far = cv2.distanceTransform(1 - edges, cv2.DIST_L2, 3) if edges.any() else np.full(values.shape, 30, np.float32)
-    plane["edge_distance"] = np.minimum(far, 30)
+    np.minimum(far, 30, out=plane["edge_distance"])
     line = np.ones((1, 15), np.uint8)
-    plane["step_right"] = np.minimum(cv2.dilate(values, line, anchor=(0, 0)) - values, 12)
-    plane["step_left"] = np.minimum(cv2.dilate(values, line, anchor=(14, 0)) - values, 12)
-    plane["step_around"] = np.minimum(values - cv2.erode(values, np.ones((9, 9), np.uint8)), 12)
-    plane["relative"] = values / top
-    return plane
+    np.subtract(cv2.dilate(values, line, anchor=(0, 0)), values, out=plane["step_right"])
+    np.subtract(cv2.dilate(values, line, anchor=(14, 0)), values, out=plane["step_left"])
+    np.subtract(values, cv2.erode(values, np.ones((9, 9), np.uint8)), out=plane["step_around"])
+    for name in ("step_right", "step_left", "step_around"):
+        np.minimum(plane[name], 12, out=plane[name])
+    np.divide(values, top, out=plane["relative"])
 
 
-def image_planes(grey: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
-    """Return the planes ``IMAGE`` of the left image, grey levels 0 .. 255, (H, W) float32 each."""
+def image_planes(grey: NDArray[np.float32], plane: Planes) -> None:
+    """Write the planes ``IMAGE`` of the left image, grey levels 0 .. 255."""
     height, width = grey.shape
-    plane: dict[str, NDArray[Any]] = {
-        f"deviation_{side}": np.minimum(np.sqrt(local_moments(grey, side)[1]), _MAX_DEVIATION) for side in (5, 13, 31)
-    }
-    plane["gradient"] = np.minimum(np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0)) / 8, 30)
+    for side in (5, 13, 31):
+        _deviation(grey, side, _MAX_DEVIATION, plane[f"deviation_{side}"])
+    np.minimum(np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0)) / 8, 30, out=plane["gradient"])
     columns, rows = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
     beside, above = np.minimum(columns, width - 1 - columns), np.minimum(rows, height - 1 - rows)
-    plane["border_distance"] = np.minimum(np.minimum(beside, above), 20)
-    return plane
+    np.minimum(np.minimum(beside, above), 20, out=plane["border_distance"])
+
+
+def _deviation(image: NDArray[np.float32], side: int, most: float, out: NDArray[np.float32]) -> None:
+    np.sqrt(local_moments(image, side)[1], out=out)
+    np.minimum(out, most, out=out)
 
 
 def one_view_planes(values: NDArray[np.float32], grey: NDArray[np.float32], max_disparity: int) -> NDArray[np.float32]:
     """Return the planes ``ONE_VIEW`` of a map without gaps, (len(ONE_VIEW), H, W) float32."""
-    planes = shape_planes(values, max_disparity) | image_planes(grey)
-    return np.stack([planes[name] for name in ONE_VIEW]).astype(np.float32)
+    out = np.empty((len(ONE_VIEW), *values.shape), np.float32)
+    plane = dict(zip(ONE_VIEW, out, strict=True))
+    shape_planes(values, max_disparity, plane)
+    image_planes(grey, plane)
+    return out
 
 
-def pixel_planes(evidence: Evidence) -> dict[str, NDArray[Any]]:
-    """Return the planes ``PIXEL``, which are the same for all maps, (H, W) float32 each."""
-    trust = evidence.pair.light_trust
-    planes = image_planes(evidence.grey[0])
-    planes["light_trust"] = np.ones(evidence.pair.shape, np.float32) if trust is None else trust / np.float32(255)
-    best, peak = (np.empty(evidence.left.shape, np.float32) for _ in range(2))
-    _peaks(evidence.optimized.costs, evidence.left, np.float32(1 / evidence.optimized.scale), best, peak)
-    return planes | {"min_cost": best, "peak": peak}
+def pixel_planes(evidence: Evidence) -> NDArray[np.float32]:
+    """Return the planes ``PIXEL``, which are the same for all maps, (len(PIXEL), H, W) float32."""
+    out, trust = np.empty((len(PIXEL), *evidence.pair.shape), np.float32), evidence.pair.light_trust
+    plane = dict(zip(PIXEL, out, strict=True))
+    image_planes(evidence.grey[0], plane)
+    plane["light_trust"][:] = 1 if trust is None else trust / np.float32(255)
+    unit = np.float32(1 / evidence.optimized.scale)
+    _peaks(evidence.optimized.costs, evidence.left, unit, plane["min_cost"], plane["peak"])
+    return out
 
 
 def alone_planes(
-    values: NDArray[np.float32], missing: NDArray[np.bool_], evidence: Evidence, shared: dict[str, NDArray[Any]]
+    values: NDArray[np.float32], missing: NDArray[np.bool_], evidence: Evidence, shared: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Return the planes ``ALONE`` of a map without gaps, (len(ALONE), H, W) float32."""
     height, width = values.shape
     out = memory.empty((len(ALONE), height, width), np.float32)
-    plane = {name: out[k] for k, name in enumerate(ALONE)}
+    plane = dict(zip(ALONE, out, strict=True))
+    out[-len(PIXEL) :] = shared
     block = memory.empty((height, width, BLOCK_DEPTH), np.float32)
     first = 2 * len(AVERAGED)
     single = out[first : first + len(SINGLE)]
     warped = np.empty((height, width), np.float32)
     unit, optimized_unit = np.float32(1 / evidence.volume.scale), np.float32(1 / evidence.optimized.scale)
     costs = (evidence.volume.costs, evidence.optimized.costs, unit, optimized_unit, evidence.left, evidence.right)
-    views = (*evidence.pair.color8, evidence.grey[1], shared["min_cost"])
+    views = (*evidence.pair.color8, evidence.grey[1], plane["min_cost"])
     reference = (evidence.reference.values, evidence.reference.status)
     out_planes = (block, single, warped, plane["color_difference"])
     _compare(values, missing.view(np.uint8), *costs, *views, *reference, *out_planes)
     for k, (support, array) in enumerate(((evidence.narrow, block.copy()), (evidence.wide, block))):
         support.sum(array)
-        _spread(array, support.inverse_sum, out[k * len(AVERAGED) : (k + 1) * len(AVERAGED)])
+        _spread(array, out[k * len(AVERAGED) : (k + 1) * len(AVERAGED)])
     grey = evidence.grey[0]
-    plane["decorrelation"][:] = 1 - correlation(grey, local_moments(grey, CORRELATED), warped)
-    for name, array in (shape_planes(values, evidence.volume.n_disparities - 1) | shared).items():
-        plane[name][:] = array
+    np.subtract(1, correlation(grey, local_moments(grey, CORRELATED), warped), out=plane["decorrelation"])
+    shape_planes(values, evidence.volume.n_disparities - 1, plane)
     return out
 
 
@@ -324,6 +332,7 @@ def _compare(
             cells[11] = min(abs(away), far)
             cells[12] = one if abs(away) > one else zero
             cells[13] = filled
+            cells[14] = one
             single[0, y, x] = raw
             single[1, y, x] = excess
             single[2, y, x] = to_winner
@@ -338,12 +347,13 @@ def _compare(
 
 
 @parallel_jit
-def _spread(block, factor, planes):
-    """Write ``planes[k] = block[:, :, k] factor``."""
+def _spread(block, planes):
+    """Write the first sums of a block as planes of means; the sum of ones is behind them."""
     count, height, width = planes.shape
     for y in prange(height):
         for x in range(width):
-            cells, f = block[y, x], factor[y, x]
+            cells = block[y, x]
+            f = np.float32(1) / cells[count]
             for k in range(count):
                 planes[k, y, x] = cells[k] * f
 

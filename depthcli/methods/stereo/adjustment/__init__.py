@@ -66,12 +66,19 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
     where it was large, the corrected pair is matched again. ``light``: every channel is multiplied by the local ratio
     of the left to the right grey levels of the matches; the differences that remain give the pair's ``light_trust``.
     Only noise changes the left image. Disparities, at most ``max_disparity``, stay as they are. ``clock`` receives the
-    seconds as the stage "adjustment".
+    seconds as the stage "adjustment". The pair remembers what became of it.
     """
     if not what:
         return pair
     if clock is not None:
         clock.start("adjustment")
+    found = pair.adjusted.get((max_disparity, what)) or _adjusted(pair, max_disparity, what)
+    if found is not pair:  # which would not be freed
+        pair.adjusted[max_disparity, what] = found
+    return found
+
+
+def _adjusted(pair: StereoPair, max_disparity: int, what: Adjust) -> StereoPair:
     if "noise" in what:
         pair = denoised(pair)
     if "rows" not in what and "light" not in what:
