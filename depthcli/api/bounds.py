@@ -10,6 +10,7 @@ import numpy as np
 from depthcli.api.results import Disparity
 from depthcli.core.bound import Bound
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Status
 from depthcli.core.result import Clock
 from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.methods.given_maps import Networks, bounds, peak_bytes
@@ -24,7 +25,7 @@ def networks() -> Networks:
 
 
 def with_bound(found: Disparity, pair: StereoPair, promise: Bound, memory: int) -> Disparity:
-    """Return the map of a pair with its ``bound`` and ``probability``, which cost about as much as ``stereo fast``.
+    """Return the map of a pair with its ``bound`` and ``probability``, which cost somewhat more than ``stereo fast``.
 
     InputError where ``memory`` bytes do not suffice.
     """
@@ -33,11 +34,12 @@ def with_bound(found: Disparity, pair: StereoPair, promise: Bound, memory: int) 
     shifted, width = search.shift(pair), found.values.shape[1]
     # Where the range begins above 0, the first columns have no match at all.
     first, top = max(search.min_disparity, 0), search.shifted_max_disparity
-    values = np.full(shifted.shape, np.nan, np.float32)
+    values, filled = np.full(shifted.shape, np.nan, np.float32), np.zeros(shifted.shape, np.bool_)
     values[:, : width - first] = found.values[:, first:] - np.float32(search.min_disparity)
+    filled[:, : width - first] = (found.status[:, first:] & np.uint8(Status.FILLED)) > 0
     size = f"a bound of {shifted.shape[1]} x {shifted.shape[0]} pixels, {top + 1} disparities"
     check_memory(peak_bytes(shifted.shape, top, 1), memory, size)
-    probable, bounded = bounds(networks(), shifted, values, top, promise.within, promise.level)
+    probable, bounded = bounds(networks(), shifted, values, filled, top, promise.within, promise.level)
     known = np.isfinite(found.values)
     # A value without a match may be any of the range.
     bound = np.where(known, np.float32(max(top, 1)), np.float32(np.nan))

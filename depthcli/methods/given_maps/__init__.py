@@ -34,10 +34,14 @@ THRESHOLDS = (0.5, 1.0, 2.0, 4.0)
 HIDDEN = "hidden"
 """Name of the offsets of the network that says what is hidden."""
 RIGHT_NAMES = tuple(f"within {threshold:g}" for threshold in THRESHOLDS)
+Filled = NDArray[np.bool_] | np.bool_
+_NOWHERE = np.False_
+FILLED_DOUBT = np.float32(0.75)
+"""By how much the log odds of values that were filled, as a program says, are lower (scripts/train_bounds.py)."""
 _MAX_DIFFERENCE = np.float32(16.0)  # between the views, pixels
-_DISTINCT = 0.6  # log(second smallest cost / smallest) from which on a match of the pair itself is sure
-# Share of the sure matches of the pair itself that a map may contradict; by how much more of them lower the log odds of
-# all its values, and by how much at most. Maps of methods contradict fewer, another scene's map contradicts more.
+_DISTINCT = 0.6  # log(second smallest cost / smallest) from which on a match of the pair itself is distinct
+# Share of these matches that a map may contradict; by how much the log odds of all its values fall as the share grows,
+# and by how much at most. Maps of methods contradict less, another scene's map contradicts more.
 _CONTRADICTED, _DOUBT, _MOST_DOUBT = 0.45, 70.0, 16.0
 
 
@@ -178,11 +182,20 @@ def judge(
 
 
 def bounds(
-    networks: Networks, pair: StereoPair, values: Plane, max_disparity: int, within: float = 1.0, level: float = 0.9
+    networks: Networks,
+    pair: StereoPair,
+    values: Plane,
+    filled: Filled,
+    max_disparity: int,
+    within: float = 1.0,
+    level: float = 0.9,
 ) -> tuple[Plane, Plane]:
-    """Return probability and bound of a map as :func:`judge` does, in less time, since it says nothing else."""
+    """Return probability and bound of a map as :func:`judge` does, in less time, since it says nothing else.
+
+    ``filled`` values, (H, W) bool, are less sure than those that were measured.
+    """
     judged = judged_maps(Evidence.of(pair, max_disparity, Clock()), [values])[0]
-    return promised_of(networks, judged, within, level)
+    return promised_of(networks, judged, within, level, filled)
 
 
 def judge_by_one_view(
@@ -275,20 +288,22 @@ def odds_within(network: TrainedNetwork, within: float, alone: Plane, others: Pl
     return between.clip(np.minimum(before, odds), np.maximum(before, odds))
 
 
-def promised_of(networks: Networks, judged: Judged, within: float, level: float) -> tuple[Plane, Plane]:
+def promised_of(
+    networks: Networks, judged: Judged, within: float, level: float, filled: Filled = _NOWHERE
+) -> tuple[Plane, Plane]:
     """Return probability and bound (H, W) of a judged map."""
-    odds = odds_of(networks, judged, 1.0) - doubt(judged)
+    odds = odds_of(networks, judged, 1.0) - doubt(judged) - FILLED_DOUBT * filled
     return promised(networks.errors, odds, judged.missing, within, level)
 
 
 def doubt(judged: Judged) -> np.float32:
-    """Return by how much the log odds of all values are lower, since the pair's own sure matches contradict the map.
+    """Return by how much the log odds of all values are lower since the pair's own distinct matches contradict the map.
 
     It is then most likely no map of this pair, or has another scale, and values that seem right are so by chance.
     """
-    sure = (judged.plane("peak") > _DISTINCT) & (judged.plane("reference_filled") == 0) & ~judged.missing
-    wrong = sure & (np.abs(judged.plane("reference_difference")) > 1)
-    share = np.count_nonzero(wrong) / (np.count_nonzero(sure) + 0.001 * sure.size)  # of a few matches none is sure
+    distinct = (judged.plane("peak") > _DISTINCT) & ~judged.missing
+    wrong = np.count_nonzero(distinct & (judged.plane("winner_difference") > 1))
+    share = wrong / (np.count_nonzero(distinct) + 0.01 * distinct.size)  # a few matches say nothing of the map
     return np.float32(np.clip(_DOUBT * (share - _CONTRADICTED), 0, _MOST_DOUBT))
 
 

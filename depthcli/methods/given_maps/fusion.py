@@ -93,5 +93,6 @@ def fuse(
     bound = None
     if level is not None:
         clock.start("bound")
-        probability, bound = promised_of(networks, judged_maps(evidence, [values])[0], within, level)
+        filled = (status & np.uint8(Status.FILLED)) > 0
+        probability, bound = promised_of(networks, judged_maps(evidence, [values])[0], within, level, filled)
     return Fused(DisparityMap(values, status), clock.seconds, probability, bound)
