@@ -75,6 +75,13 @@ def test_the_same_bytes_from_the_command_and_from_python(two_scenes: Path, maps:
         assert contents(tmp_path / "pf" / name) == contents(three / name)
 
 
+def same_but_where_filled(judged: depthcli.MapConfidence, folder: Path) -> None:
+    """Compare a map's bounds with those of a run, which knows what it filled: these are wider."""
+    bound, filled = read_pfm(folder / "bound.pfm"), (read_status(folder / "status.png") & Status.FILLED) > 0
+    np.testing.assert_array_equal(judged.bound[~filled], bound[~filled])
+    assert filled.any() and (judged.bound[filled] < bound[filled]).all()
+
+
 def test_stereo_and_fuse_write_the_same_bounds_as_python_and_confidence(two_scenes: Path, tmp_path: Path):
     one = ("-i", two_scenes, "--scenes", NAMES[0], "-q")
     wanted = ("--bound", "--level", "0.8", "--max-disparity", "16")
@@ -88,14 +95,12 @@ def test_stereo_and_fuse_write_the_same_bounds_as_python_and_confidence(two_scen
         row = rows(tmp_path / command)[NAMES[0]]
         assert row["median_bound"] == pytest.approx(np.median(found.bound), abs=1e-3)
         assert row["expected_right"] == pytest.approx(found.probability.mean(), abs=1e-3)
-        judged = depthcli.map_confidence(left, right, found.values, max_disparity=16, level=0.8)
-        np.testing.assert_array_equal(judged.bound, read_pfm(made / "bound.pfm"))
+        same_but_where_filled(depthcli.map_confidence(left, right, found.values, max_disparity=16, level=0.8), made)
     maps = ("--maps", tmp_path / "stereo", "--maps", tmp_path / "fuse", "-o", tmp_path / "maps")
     assert run("fuse", "maps", *one, *maps, *wanted) == 0
     best = tmp_path / "maps" / NAMES[0]
     values = read_pfm(best / "disp_left.pfm")
-    judged = depthcli.map_confidence(left, right, values, max_disparity=16, level=0.8)
-    np.testing.assert_array_equal(judged.bound, read_pfm(best / "bound.pfm"))
+    same_but_where_filled(depthcli.map_confidence(left, right, values, max_disparity=16, level=0.8), best)
     assert not depthcli.stereo(left, right, 16, "fast").bound
 
 
