@@ -32,7 +32,7 @@ METHODS = (*TAUGHT, "segments")  # the last one only checks the tables
 LEVELS = np.array([0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98, 0.99])
 BINS = np.array([0, 0.005, 0.01, 0.02, *np.linspace(0.04, 1, 25)])  # shares of the pixels, by their log odds
 NEW_DATA = {"worst_share": 0.15, "noise": 0.08}
-"""How much worse than the mean new data may be, as :func:`table` has it; noise in pixels, of truth and rectification."""
+"""How much worse than the mean new data may be, as :func:`table` has it; noise of truth and rectification, pixels."""
 PIXELS = 20_000  # of a map
 Map = dict[str, NDArray[np.float64]]
 
