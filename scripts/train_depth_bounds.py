@@ -173,7 +173,7 @@ def main() -> None:
     weights = np.concatenate([np.full(len(one["error"]), one["weight"] / len(one["error"])) for _, one in taught])
     names = tuple(f"within {threshold:g} of the noise" for threshold in THRESHOLDS)
     seen = list(dict.fromkeys(item.family for item, _ in taught))
-    trained = network({1: (x, errors, weights.astype(np.float32))}, THRESHOLDS, names, INPUTS, (16, 8), seen)
+    trained = network({1: (x, errors, weights.astype(np.float32))}, THRESHOLDS, names, INPUTS, (32, 16), seen)
     for *_, one in maps:
         one["odds"] = log_odds(trained, one["planes"], THRESHOLDS.index(2.0))
     made = table([(item.family, one) for item, one in taught], "odds", worst_share=0.0)
