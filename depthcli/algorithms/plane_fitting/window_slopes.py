@@ -35,9 +35,10 @@ _STEPS = 4  # samples from the center of the window to its side
 
 def framed(array: NDArray[Any], margin: int, value: float = 0) -> NDArray[Any]:
     """Return (..., H, W) padded with ``value``: by ``margin`` on all sides, and on the right up to whole vectors."""
-    *others, _, width = array.shape
-    frame = [(0, 0)] * len(others) + [(margin, margin), (margin, margin + -width % SHORT_LANES)]
-    return np.pad(array, frame, constant_values=value)
+    *others, height, width = array.shape
+    result = np.full((*others, height + 2 * margin, width + 2 * margin + -width % SHORT_LANES), value, array.dtype)
+    result[..., margin : margin + height, margin : margin + width] = array
+    return result
 
 
 def color_planes(image: NDArray[np.uint8], margin: int) -> NDArray[np.uint8]:

@@ -16,7 +16,7 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Result
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import parallel_jit, prange
 
 
 @dataclass(frozen=True)
@@ -110,11 +110,11 @@ def _scale(costs, factor, fixed):
             out[i] = np.uint16(np.int32(np.float32(source[i]) * factor + half))
 
 
-@jit
+@parallel_jit
 def fill_outside(costs, outside):
     """Set the cells of (H, W, D) costs whose match lies outside the right image, d > x."""
     height, width, n_disparities = costs.shape
-    for y in range(height):
+    for y in prange(height):
         for x in range(min(width, n_disparities - 1)):
             for d in range(x + 1, n_disparities):
                 costs[y, x, d] = outside

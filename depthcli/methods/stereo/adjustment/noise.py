@@ -43,7 +43,8 @@ def denoised(pair: StereoPair) -> StereoPair:
     """
     images = pair.clamped
     levels = [_level(image) for image in images]
-    is_dark = all(np.mean(level >= _DARK * pair.top) < 1 - _BRIGHT_PERCENTILE / 100 for level in levels)
+    rest = 1 - _BRIGHT_PERCENTILE / 100
+    is_dark = all(np.count_nonzero(level >= _DARK * pair.top) < rest * level.size for level in levels)
     differing = _differing(*levels) if is_dark else 0.0
     deviations, contrasts, radii = zip(*(noise_level(level, differing) for level in levels), strict=True)
     deviation, contrast = max(deviations), min(contrasts)

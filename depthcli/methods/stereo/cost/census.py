@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -41,7 +42,7 @@ def census_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint64
     The border pixels of the image are repeated outwards.
     """
     ry, rx = window[1] // 2, window[0] // 2
-    padded = np.pad(image, ((ry, ry), (rx, rx)), mode="edge")
+    padded = cv2.copyMakeBorder(image, ry, ry, rx, rx, cv2.BORDER_REPLICATE)
     bits: NDArray[np.uint64] = memory.empty(image.shape, np.uint64)
     _census(padded, bits, ry, rx)
     return bits

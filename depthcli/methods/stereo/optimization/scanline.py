@@ -10,12 +10,14 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
+from depthcli.kernels.color_steps import color_steps
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.optimization import Optimizer
 from depthcli.methods.stereo.optimization._path_step import BYTE_LANES, LANES, path_step
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 _GUARD, _BYTE_GUARD = 0x7FFF, 0xFF  # above all path costs, in 16 or 8 bits
+_BACK: NDArray[np.int64] = np.array([(0, 1), (1, 1), (1, 0), (1, -1)])  # to the pixels before, on paths downwards
 _PADDING_COST = 20000  # of disparities added to fill a vector: above every cost, so that no path selects them
 
 
@@ -44,9 +46,10 @@ class Scanline(Optimizer):
             costs = np.pad(costs.astype(np.uint16), padding, constant_values=_PADDING_COST)
         table = self.penalties(volume.scale, volume.costs.dtype == np.uint8)
         in_bytes = costs.dtype == np.uint8 and n_disparities >= BYTE_LANES
-        if in_bytes and int(table.max()) + int(costs.max()) < _BYTE_GUARD:
+        if in_bytes and int(table.max()) + _largest(costs) < _BYTE_GUARD:
             table = table.astype(np.uint8)
-        edges = _color_edges(pair.color8[0], self.edge_threshold)
+        # 1 where the pixel to the left, upper left, above, upper right differs in color.
+        edges = (color_steps(pair.color8[0], _BACK, largest=True) > self.edge_threshold).view(np.uint8)
         total = memory.empty(costs.shape, np.uint16)
         # Path costs of two sweeps, 0 between guard cells, and their minima; see _sweep.
         n_states = 2 + 6 * (pair.shape[1] + 2)
@@ -68,17 +71,20 @@ class Scanline(Optimizer):
         )
 
 
-def _color_edges(image: NDArray[np.uint8], threshold: int) -> NDArray[np.uint8]:
-    # (4, H, W): 1 where the pixel to the left, upper left, above, upper right differs in color.
-    height, width = image.shape[:2]
-    planes = np.ascontiguousarray(image.transpose(2, 0, 1))
-    edges = np.zeros((4, height, width), np.uint8)
-    for k, (dy, dx) in enumerate(((0, -1), (1, -1), (1, 0), (1, 1))):
-        first, end = max(0, -dx), width - max(0, dx)
-        here, there = planes[:, dy:, first:end], planes[:, : height - dy, first + dx : end + dx]
-        difference = np.maximum(here, there) - np.minimum(here, there)
-        edges[k, dy:, first:end] = difference.max(axis=0) > threshold
-    return edges
+def _largest(costs: NDArray[np.uint8]) -> int:
+    maxima = np.zeros(costs.shape[0], np.uint8)
+    _row_maxima(costs, maxima)
+    return int(maxima.max())
+
+
+@parallel_jit
+def _row_maxima(costs, maxima):
+    for y in prange(costs.shape[0]):
+        row = costs[y].reshape(costs.shape[1] * costs.shape[2])
+        largest = row[0]
+        for i in range(row.size):
+            largest = max(largest, row[i])
+        maxima[y] = largest
 
 
 @parallel_jit

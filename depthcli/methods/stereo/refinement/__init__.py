@@ -35,7 +35,7 @@ def marked(
     disparity: DisparityMap, values: NDArray[np.float32], pixels: NDArray[np.bool_], status: Status
 ) -> DisparityMap:
     """Return the map with new ``values``, and ``status`` added to the status of ``pixels`` (H, W)."""
-    return DisparityMap(values, disparity.status | np.where(pixels, np.uint8(status), np.uint8(0)))
+    return DisparityMap(values, disparity.status | pixels.view(np.uint8) * np.uint8(status))
 
 
 def with_filled(disparity: DisparityMap, values: NDArray[np.float32]) -> DisparityMap:

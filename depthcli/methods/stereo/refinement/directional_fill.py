@@ -9,6 +9,7 @@ from pydantic import Field
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
+from depthcli.kernels.color_steps import color_steps
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
@@ -48,7 +49,7 @@ class DirectionalFill(Refinement):
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         measured = disparity.valid & ((disparity.status & np.uint8(Status.FILLED)) == 0)
-        changes = _color_changes(self.smoothed(context.pair))
+        changes = color_steps(self.smoothed(context.pair), _AXES, largest=False)
         values = disparity.values.copy()
         _replace(disparity.values, measured, changes, context.right, _AXES, *self.rates(), values)
         return DisparityMap(values, disparity.status)
@@ -61,19 +62,6 @@ class DirectionalFill(Refinement):
     def rates(self) -> tuple[np.float32, np.float32]:
         """Return what a sum of color differences of 1 costs, and what a pixel of distance does."""
         return np.float32(1 / (3 * self.color_scale)), np.float32(1 / self.distance_scale)
-
-
-def _color_changes(image: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    # Sums over the channels of the differences between pixels and the ones a step back along each axis, (4, H, W).
-    height, width = image.shape[:2]
-    planes = np.ascontiguousarray(image.transpose(2, 0, 1))
-    changes = np.zeros((len(_AXES), height, width), np.uint16)
-    for k, (dy, dx) in enumerate(_AXES.tolist()):
-        first, end = max(dx, 0), width + min(dx, 0)
-        here, there = planes[:, dy:, first:end], planes[:, : height - dy, first - dx : end - dx]
-        difference = np.maximum(here, there) - np.minimum(here, there)
-        changes[k, dy:, first:end] = difference.sum(axis=0, dtype=np.uint16)
-    return changes
 
 
 @parallel_jit

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.least_squares import huber_weight, plane_moments, plane_slopes
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, n_threads, parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -46,42 +46,49 @@ class SurfaceFill(Refinement):
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = disparity.values.copy()
         largest = np.float32(context.volume.n_disparities - 1)
-        _continue_surfaces(disparity.values, values, self.rows, self.reach, self.support, largest)
+        _continue_surfaces(disparity.values, values, self.rows, self.reach, self.support, largest, n_threads())
         return with_filled(disparity, values)
 
 
 @parallel_jit
-def _continue_surfaces(values, filled, rows, reach, support, largest):
-    height, width = values.shape
-    for row in prange(height):
-        y = np.int64(row)  # unsigned in the loop: functions would be compiled for both
+def _continue_surfaces(values, filled, rows, reach, support, largest, n_tasks):
+    # Gaps gather in some rows: a task takes every n-th.
+    height = values.shape[0]
+    for task in prange(n_tasks):
         sample = np.empty((4, (2 * rows + 1) * reach), np.float64)
-        x = 0
-        while x < width:
-            if not np.isnan(values[y, x]):
-                x += 1
-                continue
-            end = x
-            while end < width and np.isnan(values[y, end]):
-                end += 1
-            left_slope = left_value = right_slope = right_value = 0.0
-            for step in (-1, 1):  # not literal arguments: the plane would be compiled once for each
-                at = end if step == 1 else x - 1
-                if 0 <= at < width:
-                    slope, value_there = _plane_along_row(values, y, at, step, rows, reach, support, sample)
-                    if step == 1:
-                        right_slope, right_value = slope, value_there
-                    else:
-                        left_slope, left_value = slope, value_there
-            for u in range(x, end):
-                value: float = np.inf
-                if x > 0:
-                    value = left_value + left_slope * (u - x + 1)
-                if end < width:
-                    value = min(value, right_value + right_slope * (u - end))
-                if value < np.inf:
-                    filled[y, u] = min(largest, np.float32(max(value, 0.0)))
-            x = end
+        for y in range(np.int64(task), height, n_tasks):
+            _fill_row(values, y, rows, reach, support, largest, sample, filled[y])
+
+
+@jit
+def _fill_row(values, y, rows, reach, support, largest, sample, filled):
+    width = values.shape[1]
+    x = 0
+    while x < width:
+        if not np.isnan(values[y, x]):
+            x += 1
+            continue
+        end = x
+        while end < width and np.isnan(values[y, end]):
+            end += 1
+        left_slope = left_value = right_slope = right_value = 0.0
+        for step in (-1, 1):  # not literal arguments: the plane would be compiled once for each
+            at = end if step == 1 else x - 1
+            if 0 <= at < width:
+                slope, value_there = _plane_along_row(values, y, at, step, rows, reach, support, sample)
+                if step == 1:
+                    right_slope, right_value = slope, value_there
+                else:
+                    left_slope, left_value = slope, value_there
+        for u in range(x, end):
+            value: float = np.inf
+            if x > 0:
+                value = left_value + left_slope * (u - x + 1)
+            if end < width:
+                value = min(value, right_value + right_slope * (u - end))
+            if value < np.inf:
+                filled[u] = min(largest, np.float32(max(value, 0.0)))
+        x = end
 
 
 @jit

@@ -1,0 +1,42 @@
+"""Differences of color between a pixel and others near it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.kernels.jit import parallel_jit, prange
+
+
+def color_steps(image: NDArray[np.uint8], back: NDArray[np.int64], largest: bool) -> NDArray[np.uint16]:
+    """Return sums over the channels of the differences from other pixels, or the ``largest`` of them; (K, H, W) uint16.
+
+    Plane k is of the pixel ``back[k]`` behind, (K, 2) rows, 0 or 1, and columns; 0 where that lies outside the image,
+    (H, W, 3).
+    """
+    steps = np.zeros((len(back), *image.shape[:2]), np.uint16)
+    _differences(np.ascontiguousarray(image), back, largest, steps)
+    return steps
+
+
+@parallel_jit
+def _differences(image, back, largest, steps):
+    n_steps, height, width = steps.shape
+    for y in prange(height):
+        rows = np.empty((2, 3, width), np.int16)  # planes: loops over interleaved channels are no vectors
+        for dy in range(min(2, y + 1)):
+            for c in range(3):
+                for x in range(width):
+                    rows[dy, c, x] = image[y - dy, x, c]
+        for k in range(n_steps):
+            dy, dx = back[k]
+            if dy > y:
+                continue
+            first, end = max(dx, 0), width + min(dx, 0)
+            red, green, blue = rows[0, 0, first:end], rows[0, 1, first:end], rows[0, 2, first:end]
+            other = rows[dy, :, first - dx : end - dx]
+            other_red, other_green, other_blue = other[0], other[1], other[2]
+            out = steps[k, y, first:end]
+            for i in range(out.size):
+                r, g, b = abs(red[i] - other_red[i]), abs(green[i] - other_green[i]), abs(blue[i] - other_blue[i])
+                out[i] = max(r, g, b) if largest else r + g + b
