@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,9 +75,24 @@ def difference_volume(
 
 def _half_pixel_range(image: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
     # Smallest and largest value within half a pixel along the row, linear between pixels.
-    rows, three = image.reshape(-1, image.shape[-1]), np.ones((1, 3), np.uint8)
-    low, high = ((rows + np.asarray(extreme(rows, three), np.int16)) >> 1 for extreme in (cv2.erode, cv2.dilate))
+    rows = np.ascontiguousarray(image).reshape(-1, image.shape[-1])
+    low, high = np.empty_like(rows), np.empty_like(rows)
+    _extremes(rows, low, high)
     return low.reshape(image.shape), high.reshape(image.shape)
+
+
+@parallel_jit
+def _extremes(rows, low, high):
+    height, width = rows.shape
+    padded = width + 2
+    for y in prange(height):
+        row = np.empty(padded, np.int16)
+        row[1 : width + 1] = rows[y]
+        row[0], row[width + 1] = row[1], row[width]
+        left, middle, right, below, above = row[:width], row[1 : width + 1], row[2:padded], low[y], high[y]
+        for i in range(below.size):
+            below[i] = np.int16(middle[i] + min(left[i], middle[i], right[i])) >> np.int16(1)
+            above[i] = np.int16(middle[i] + max(left[i], middle[i], right[i])) >> np.int16(1)
 
 
 @parallel_jit

@@ -51,15 +51,15 @@ class Combined(CostMeasure):
     def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
         unit, n_padded = 255 // len(self.parts), max(n_disparities, LANES)
         total: NDArray[np.uint8] = memory.empty((*pair.shape, n_padded), np.uint8)
-        total[:] = 0
         weights = light_weights([part.cost for part in self.parts], pair)
         if weights is None:
             weights = np.ones((len(self.parts), pair.shape[0], 1), np.float32)
         runs = (*weights.shape[1:], -1)  # of costs of one weight: those of a pixel, or of a whole row
-        for part, weight in zip(self.parts, weights, strict=True):
+        for k, (part, weight) in enumerate(zip(self.parts, weights, strict=True)):
             volume = part.cost.checked_costs(pair, n_padded)
             rate = _rate(volume.scale * part.lambda_)
-            _add_exponential(volume.costs.reshape(runs), rate, np.float32(unit) * weight, total.reshape(runs))
+            terms = volume.costs.reshape(runs), rate, np.float32(unit) * weight
+            _add_exponential(*terms, k > 0, total.reshape(runs))
         fill_outside(total, np.uint8(min(255, round(self.outside * unit))))
         return CostVolume(np.ascontiguousarray(total[:, :, :n_disparities]), float(unit))
 
@@ -82,8 +82,9 @@ def _share(rate, shares):
 
 
 @parallel_jit
-def _add_exponential(costs, rate, units, total):
-    # Adds ``units`` (H, R) times the terms of the costs, (H, R, N). A table of 256 terms would not vectorize.
+def _add_exponential(costs, rate, units, adds, total):
+    # Writes ``units`` (H, R) times the terms of the costs, (H, R, N), or adds them. A table of 256 terms would not
+    # vectorize.
     height, n_runs, length = costs.shape
     for y in prange(height):
         sources, sums = costs[y].reshape(n_runs * length), total[y].reshape(n_runs * length)
@@ -91,15 +92,15 @@ def _add_exponential(costs, rate, units, total):
             at = x * length
             end = at + length - LANES
             # The last vector ends at the end of the run. It overlaps the one before and is added to what was there.
-            last = _with_share(sources, sums, end, rate, units[y, x])
+            last = _with_share(sources, sums, end, rate, units[y, x], adds)
             for first in range(at, end, LANES):
-                store(sums, first, _with_share(sources, sums, first, rate, units[y, x]))
+                store(sums, first, _with_share(sources, sums, first, rate, units[y, x], adds))
             store(sums, end, last)
 
 
 @jit
-def _with_share(costs, sums, at, rate, unit):
-    # Lanes of ``sums`` with the part's terms added, rounded half up, at most 255; see ``exp_minus_16``.
+def _with_share(costs, sums, at, rate, unit, adds):
+    # Lanes of the part's terms, with ``adds`` added to ``sums``, rounded half up, at most 255; see ``exp_minus_16``.
     share = splat(np.float32(1)) - lane_exp_minus_16(load(costs, at) * splat(rate))
     part = as_bytes(splat(unit) * share + splat(np.float32(0.5)))
-    return load_like(part, sums, at) + part
+    return load_like(part, sums, at) + part if adds else part
