@@ -35,16 +35,15 @@ def match_rectified(
     ratio: float = 0.7,
     max_distance: float = 0.2,
     max_scale_ratio: float = 1.1,
-    min_disparity: float = 0.0,
 ) -> Matches:
     """Match mutual nearest neighbors in descriptor space along epipolar lines (thesis, eq. 2.1), by ratio test.
 
-    Candidates lie less than ``max_row_difference`` rows apart, have a disparity in [``min_disparity``,
-    ``max_disparity``] and the same sign of the Laplacian, and about the same scale: in a rectified pair a patch
-    keeps its height. (On Cones 9 % of the matches with scales within 5 % are wrong; beyond 10 % it is 8 in 10.)
-    The ratio test compares with the best candidate elsewhere on the line, at least two pixels away: two
-    responses to one blob do not make it ambiguous. From both sides a match must be nearer than ``ratio`` times the
-    second candidate (1: no test), and at most ``max_distance``; two unit vectors are at most 2 apart.
+    Candidates lie less than ``max_row_difference`` rows apart, have a disparity in [0, ``max_disparity``] and the same
+    sign of the Laplacian, and about the same scale: in a rectified pair a patch keeps its height. (On Cones 9 % of the
+    matches with scales within 5 % are wrong; beyond 10 % it is 8 in 10.) The ratio test compares with the best
+    candidate elsewhere on the line, at least two pixels away: two responses to one blob do not make it ambiguous. From
+    both sides a match must be nearer than ``ratio`` times the second candidate (1: no test), and at most
+    ``max_distance``; two unit vectors are at most 2 apart.
     """
 
     def search(points: KeyPoints, others: KeyPoints, low: float, high: float) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -59,8 +58,8 @@ def match_rectified(
         nearest, distance = _nearest(*own, *other, first, last, (low, high, ratio, max_scale_ratio))
         return np.append(order, np.int32(-1))[nearest], distance
 
-    nearest, distance = search(left, right, min_disparity, max_disparity)
-    back, _ = search(right, left, -max_disparity, -min_disparity)
+    nearest, distance = search(left, right, 0.0, max_disparity)
+    back, _ = search(right, left, -max_disparity, 0.0)
     one = np.flatnonzero((nearest >= 0) & (distance <= max_distance)).astype(np.int32)
     one = one[back[nearest[one]] == one]
     other = nearest[one]
