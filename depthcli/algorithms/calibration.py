@@ -27,7 +27,7 @@ SIMILAR_ERROR_RATIO = 2.0  # to those of its cameras alone; above, it is doubtfu
 _WINDOW = 0.25  # of the spacing of corners: half the window in which a corner's edges are fitted
 _BLUR = (0.4, 0.2)  # standard deviation, pixels, alone and for each of half the window: fewer steps along edges
 _AGREEMENT = 0.15  # pixels
-_MIN_WINDOW, _MAX_WINDOW = 3, 25  # pixels; smaller ones hold too few
+_MIN_WINDOW, _MAX_WINDOW = 3, 25  # pixels; smaller ones have too few
 _REFINEMENT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
 _FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _OUTLIER_DEVIATIONS = 3.0
@@ -68,7 +68,7 @@ class Board(ABC):
     @property
     @abstractmethod
     def words(self) -> str:
-        """What is looked for, for a message."""
+        """Name of the board, for a message."""
 
     @abstractmethod
     def find(self, grey: NDArray[np.uint8]) -> Corners | None:
@@ -102,7 +102,7 @@ class Board(ABC):
 class Chessboard(Board):
     """A plain chessboard: found as a whole or not at all.
 
-    With an even and an odd number of corners, the dark square at the first corner says which way up the board is.
+    With an even and an odd number of corners, the dark square at the first corner tells which way up the board is.
     Other boards look the same upside down: their first corner is the one at the upper left of the image, and that of a
     second view is chosen so that the board is turned least against the first view.
     """
@@ -175,7 +175,7 @@ class CharucoBoard(Board):
         refined, sure = self._refined(grey, found, (self.square - self.marker) / 2 / self.square)
         numbers = found.ids[sure]  # in a doubtful window is a part of a marker
         n_lines = min(len(np.unique(numbers // self.columns)), len(np.unique(numbers % self.columns)))
-        if len(numbers) < MIN_CORNERS or n_lines < 2:  # one line does not say where the plane lies
+        if len(numbers) < MIN_CORNERS or n_lines < 2:  # one line does not determine the plane
             return None
         return Corners(numbers, refined[sure])
 
@@ -194,9 +194,9 @@ Size = tuple[int, int]
 class CameraFit:
     """A camera, and how well the photos agree with it."""
 
-    camera: Camera  # what was found
+    camera: Camera  # the result
     # standard deviations of fx and fy, pixels; None for fisheye lenses, and where the tilt is below ``MIN_TILT``: then
-    # the equations are nearly singular, and what they say of their errors is too little
+    # the equations are nearly singular, and their own deviations are too small
     focal_deviations: tuple[float, float] | None
     # name of a photo -> root mean square of its reprojection errors, pixels; outliers are not among them
     errors: dict[str, float]
@@ -214,7 +214,7 @@ class CameraFit:
 class RigFit:
     """Two cameras, and how well the pairs agree with them."""
 
-    rig: Rig  # what was found
+    rig: Rig  # the result
     # name of a pair -> the larger reprojection error of its views with one place of the board for both, pixels
     errors: dict[str, float]
     outliers: dict[str, float]  # name -> error, of the pairs that were left out
@@ -348,7 +348,7 @@ def _fit_rig(
         raise InputError("the pairs do not determine where the cameras stand") from error
     errors, zero = {}, np.zeros(3)
     for name, points, in_left, in_right in zip(pairs, objects, left, right, strict=True):
-        # The board lies where the left view shows it.
+        # The place of the board is the one that the left view shows.
         points64 = points.astype(np.float64)
         _, turn, shift = cv2.solvePnP(points64, rig.left.rays(in_left)[:, None], np.eye(3), np.zeros(5))
         placed = points64 @ cv2.Rodrigues(turn)[0].T + shift.ravel()

@@ -1,1 +1,1 @@
-"""Methods: what is computed from arrays, one package a problem."""
+"""Methods, arrays in and arrays out, one package per problem."""

@@ -58,7 +58,7 @@ def measure(name: str) -> Callable[[CostCurves], Map]:
 
 
 def measure_name(name: str, *others: str) -> str:
-    """Return the measure, or the one of ``others``, that ``name`` stands for in any case; ValueError if none does.
+    """Return the measure, or the one of ``others``, of that ``name`` in any case; ValueError if there is none.
 
     ConfigError: it is a plug-in's measure that cannot be loaded.
     """

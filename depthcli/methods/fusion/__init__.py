@@ -5,12 +5,11 @@ In: a ``StereoPair``, the largest disparity (pixels), and for measures made else
 of the command's config. Start reading at :meth:`.pipeline.Fusion.fuse`, which numbers the steps.
 
 A *voter* is a disparity map: each measure's own one, in further rounds the optimized one. At every pixel its disparity
-is a *vote*, which counts as much as its confidence says. The *support* of a pixel are the pixels around that vote for
-it. The *share* of a disparity at a pixel, 0 .. 1, is the sum of the votes for it in the support, weighted by distance
-and color, over the largest possible sum. A *ballot* (``Ballot``) holds the votes of all voters at all pixels. In the
-order of first use:
+is a *vote*, weighted by its confidence. The *support* of a pixel are the pixels around that vote for it. The *share* of
+a disparity at a pixel, 0 .. 1, is the sum of the votes for it in the support, weighted by distance and color, over the
+largest possible sum. A *ballot* (``Ballot``) holds the votes of all voters at all pixels. In the order of first use:
 
-| module | what it does |
+| module | purpose |
 |---|---|
 | ``pipeline`` | costs (H, W, D) of every measure, and the order of the steps |
 | ``blend`` | brings them to one scale; later the measures' weights (M, H, W), and the weighted mean of the costs |

@@ -149,7 +149,7 @@ def _largest_agreement(agreeing: NDArray[np.int64], labels: NDArray[np.int32], c
 
 
 def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint8]:
-    # Measured where the right view agrees within one pixel; else filled, and hidden from it or mismatched.
+    # Measured if the right view agrees within one pixel; filled otherwise, and hidden from it or mismatched.
     columns = np.arange(values.shape[1])[None] - np.rint(values).astype(np.int64)
     at_match = np.take_along_axis(right, np.clip(columns, 0, None), axis=1).astype(np.float32)
     hidden = (columns < 0) | (at_match > values + 1)

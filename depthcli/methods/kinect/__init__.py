@@ -3,10 +3,10 @@
 In: an ``RgbdFrame``, color (H, W, 3) uint8 and depth (H, W) float32, m. Out: a ``DepthResult`` with depth and status.
 Start at ``pipeline``: one file per pipeline, its steps in order; ``bounds`` finds how wrong the values of any of them
 may be. All pipelines compute with the sensor's disparity, in pixels, which is proportional to inverse depth;
-``disparity`` has what they begin and end with: the measured disparity, its noise, the way back to depth.
+``disparity`` has their first and last steps: the measured disparity, its noise, the way back to depth.
 
-A sensor shows near surfaces too wide and throws *shadows*, gaps on the far side of a step. Where they lie and how wide
-they are is measured in each frame (``shadows``); without a color image nothing is said of outlines.
+A sensor shows near surfaces too wide and throws *shadows*, gaps on the far side of a step. Their side and width are
+measured in each frame (``shadows``); without a color image the outlines are unknown.
 
 In all modules ``disparity`` is (H, W) float32, in pixels, NaN = unknown, ``color`` (H, W, 3) uint8 RGB, ``lab`` the
 same in CIE Lab as OpenCV scales it, ``labels`` (H, W) int32; ``noise`` is the standard deviation of the measured

@@ -1,4 +1,4 @@
-"""Disparity of a frame: as it was measured, its noise, what of it is reliable, and the depth it was refined to."""
+"""Disparity of a frame: as it was measured, its noise, its reliable pixels, and the depth it was refined to."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def nearest_fill(values: Floats) -> Floats:
 def refined_depth(
     frame: RgbdFrame, disparity: Floats, noise: float, clock: Clock, fallback: Mask | None = None
 ) -> DepthResult:
-    """Convert a refined disparity to depth, with a status that says what became of every measurement.
+    """Convert a refined disparity to depth, with the status of every pixel.
 
     Parameters
     ----------

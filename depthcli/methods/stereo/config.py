@@ -19,7 +19,7 @@ _End = Annotated[int, Field(ge=-_MAX_DISPARITY, le=_MAX_DISPARITY)] | Literal["a
 
 
 class Calibration(ConfigModel):
-    """A calibration of two cameras and how images are rectified by it; a file name may stand for the whole section."""
+    """A calibration of two cameras and how images are rectified by it; a file name may replace the whole section."""
 
     files: tuple[str, ...] = Field(
         min_length=1,
@@ -49,7 +49,7 @@ class Calibration(ConfigModel):
 
 
 class PairConfig(RootConfig):
-    """What the configs of all commands that match pairs have in common."""
+    """The common keys of the configs of all commands that match pairs."""
 
     max_disparity: _End = Field(
         None,
@@ -96,7 +96,7 @@ class PairConfig(RootConfig):
 
 
 class StereoConfig(PairConfig):
-    """The config of ``stereo``: a pipeline, whose parameters stand beside its name, and where it runs."""
+    """The config of ``stereo``: a pipeline with its parameters, and the device that it runs on."""
 
     command: ClassVar[str] = "stereo"
 

@@ -50,7 +50,7 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
     """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive, in the way that ``limits`` ask for.
 
     On the device, where one is given and the matcher has an implementation for it; in tiles, where the whole pair needs
-    more memory than tiles may take, or always; else whole. InputError where memory does not suffice.
+    more memory than tiles may take, or always; otherwise whole. InputError where memory does not suffice.
     """
     device = limits.device_for(matcher)
     need, has_tiles = _needs(matcher, pair.shape, max_disparity, limits)

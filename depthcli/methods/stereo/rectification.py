@@ -16,7 +16,7 @@ _MIN_MATCHES = 20  # for six unknowns
 _MAX_ROW_ERROR = 1.0  # median, pixels, that a pair rectified without calibration may keep: what matching tolerates
 _MAX_STEPS = 60  # of Levenberg-Marquardt; an upper bound, it ends when steps are small
 _FIRST_FOCALS = (1.0, 1.5, 0.7, 2.5)  # starts of the search, in lengths of the longer side: wide to long lenses
-_REGULARIZATION = 0.1  # pixels per radian, and per unit of log f: keeps at zero what the matches do not determine
+_REGULARIZATION = 0.1  # pixels per radian, and per unit of log f: keeps undetermined parameters at zero
 _MIN_DISPARITY_SHARE = 0.02  # smallest disparity of the matches afterwards, share of the width
 
 
@@ -29,7 +29,7 @@ class RectifyingHomographies:
     size: tuple[int, int]
 
     def images(self, left: NDArray[Any], right: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
-        """Return both warped images, and (H, W) bool of the pixels that both hold."""
+        """Return both warped images, and (H, W) bool of the pixels inside both."""
         views, in_both = [], np.ones(self.size[::-1], bool)
         for image, homography in ((left, self.left), (right, self.right)):
             views.append(cv2.warpPerspective(image, homography, self.size, flags=cv2.INTER_CUBIC))
@@ -43,7 +43,7 @@ class RectifyingHomographies:
 
 
 def rectify_uncalibrated(left: Points, right: Points, size: tuple[int, int]) -> RectifyingHomographies:
-    """Turn both cameras, whose focal length is not known, so that matched points lie in the same rows.
+    """Turn both cameras, whose focal length is not known, so that matched points are in the same rows.
 
     The homographies are those of two turned pin-hole cameras of one focal length, so that the images keep their
     shape (quasi-Euclidean rectification, Fusiello and Irsara, ICPR 2008); only matches that a fundamental matrix

@@ -1,4 +1,4 @@
-"""Which matches of color and infrared are reliable, given what the sensor measured."""
+"""Selection of reliable matches of color and infrared, given the measurements of the sensor."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class MatchSelection(ConfigModel):
     def __call__(
         self, dense: Floats, votes: Floats, sensor: Floats, volume: CostVolume, pair: StereoPair
     ) -> tuple[Floats, Floats]:
-        """Return the kept matches, (H, W), else NaN, and the share of the margin by which they are cheaper, 0 .. 1.
+        """Return the kept matches, (H, W), NaN = none, and the share of the margin by which they are cheaper, 0 .. 1.
 
         ``dense`` and ``sensor`` are disparities of the matches and of the sensor, pixels, ``votes`` the share of the
         votes around, ``volume`` the costs that the matches of the ``pair`` of (H, W) images were found with.

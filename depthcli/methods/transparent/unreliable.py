@@ -20,7 +20,7 @@ _MAX_SAMPLE_EVIDENCE = 4.0  # of one sample for a region, standard deviations
 _MIN_EXPECTED_SAMPLES = 4.0  # a piece of a region whose area should hold as many is dropped if it holds one or none
 _SCORE_RANGE = -2, 4  # smallest and largest score of a pixel, half squared deviations
 _OUTLIER = 2.5  # standard deviations beyond which samples do not count for the noise
-_TRUNCATION_LOSS = 0.97  # deviation of a normal distribution without what lies beyond 2.5, over the whole one's
+_TRUNCATION_LOSS = 0.97  # deviation of a normal distribution cut at 2.5 deviations, over that of the whole one
 
 
 def sample_noise(samples: Samples, sensor: Floats) -> float:
@@ -105,7 +105,7 @@ class UnreliableRegions(ConfigModel):
         return np.asarray(keep[labels] & region, np.bool_)
 
     def _scores(self, sensor: Floats, planes: SamplePlanes, samples: Samples, noise: float) -> Doubles:
-        """Return what it is worth that a pixel lies in an unreliable region, (H, W)."""
+        """Return the gain of assigning each pixel to an unreliable region, (H, W)."""
         distance = samples.distance((sensor.shape[0], sensor.shape[1])).ravel()
         fading = np.exp(-(distance**2.0) / (2 * (self.reach * sensor.shape[1]) ** 2))
         spread = np.sqrt(noise**2 + (self.model_error * planes.sigma) ** 2.0)
@@ -119,7 +119,7 @@ class UnreliableRegions(ConfigModel):
         return np.where(np.isfinite(deviation), score, 0.0).reshape(sensor.shape)
 
     def _outline_costs(self, image: Image8) -> tuple[Doubles, ...]:
-        """Return what an outline between two pixels costs, for each of the steps between neighbors."""
+        """Return the cost of an outline between two pixels, for each of the steps between neighbors."""
         color, costs = image.astype(np.float64), []
         for step in STEPS:
             here, there = edge_ends((image.shape[0], image.shape[1]), step)

@@ -14,7 +14,7 @@ from depthcli.methods.kinect.disparity import measured_disparity, noise_level, r
 
 
 class KinectPipeline(Method):
-    """A complete refinement of one frame; in a config its name stands under ``pipeline``."""
+    """A complete refinement of one frame; a config names it under the key ``pipeline``."""
 
     bytes_per_pixel: ClassVar[int] = 60
     """Estimate of the peak working memory."""

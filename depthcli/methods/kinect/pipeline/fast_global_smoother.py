@@ -17,7 +17,7 @@ from depthcli.methods.kinect.pipeline import FilterPipeline
 class FastGlobalSmoother(FilterPipeline):
     """``FGS(c d) / FGS(c)`` with ``cv2.ximgproc.fastGlobalSmootherFilter``, guided by the color image.
 
-    The confidence c is 0 in gaps, low in the band on both sides of depth edges and around gaps, else 1 (Min et
+    The confidence c is 0 in gaps, low in the band on both sides of depth edges and around gaps, 1 elsewhere (Min et
     al., TIP 2014, applied as in OpenCV's WLS disparity filter).
     """
 

@@ -49,7 +49,7 @@ class ShadowSmoother(KinectPipeline):
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
         shadows = shadows_of(measured, jump, self.shadows).likely()
-        # Where most gaps are holes, a wide one says nothing of surfaces that have grown over it.
+        # If most gaps are holes, a wide gap is no evidence that surfaces have grown over it.
         tolerance = 2.5 if shadows.p_hole < 0.5 else np.inf
         band = np.zeros(measured.shape, bool)
         if frame.has_color:  # without colors nothing shows true outlines

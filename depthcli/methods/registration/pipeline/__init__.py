@@ -62,7 +62,7 @@ def at_voxels(
 
 
 class RegistrationPipeline(Method):
-    """A complete estimate of the errors of one registration; in a config its name stands under ``pipeline``."""
+    """A complete estimate of the errors of one registration; a config names it under the key ``pipeline``."""
 
     @property
     def voxel_limit(self) -> int | None:

@@ -1,6 +1,6 @@
 """Sensor noise: how strong it is beside the contrast of a pair, and its removal before matching.
 
-Costs of single pixels do not say much about a pair taken in the dark: most of the differences that they measure are
+Costs of single pixels are of little use for a pair taken in the dark: most of the differences that they measure are
 noise. Means over pixels of similar color do, and both images can be averaged before any measure compares them.
 """
 

@@ -18,7 +18,7 @@ from depthcli.methods.stereo.stages import PairMatcher
 
 
 class StereoPipeline(PairMatcher, Method):
-    """A complete stereo method; in a config its name stands under ``pipeline``."""
+    """A complete stereo method; a config names it under the key ``pipeline``."""
 
 
 Pipeline = Annotated[StereoPipeline, *method_of("depthcli.methods.stereo.pipeline", key="pipeline")]

@@ -1,4 +1,4 @@
-"""What the two OpenCV matchers share: fields, padding, WLS filter, filling, and conversion to disparity maps."""
+"""Common parts of the two OpenCV matchers: fields, padding, WLS filter, filling, and conversion to disparity maps."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from depthcli.methods.stereo.volume import StereoResult
 class Segments(SegmentSteps, AdjustingMatcher, StereoPipeline):
     """Every segment of the left image is a plane; which plane is decided for all segments at once.
 
-    What it adds to the method (thesis, chapter 2), all off by default; the presets say what they use:
+    Additions to the method (thesis, chapter 2), all off by default; each preset names those that it uses:
 
     - ``optimization`` between window and selection, so that more disparities are trusted;
     - ``split``: segments that are not planar (curved things) are cut along a grid;

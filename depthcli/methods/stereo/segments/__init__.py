@@ -2,8 +2,8 @@
 
 | module | step, with its part of the config |
 |---|---|
-| ``steps`` | the data flow of all steps, where to start, and what they give: map, figures, tables and pictures |
+| ``steps`` | the data flow of all steps, where to start, and their results: map, figures, tables and pictures |
 | ``ranges`` | matched key points -> disparities that their segment may have |
 | ``first_estimate`` | costs -> first disparities, and which are trusted -> segments, those that are not planar cut |
-| ``planes`` | segments -> planes that they may lie on -> energies -> one plane for every segment, by graph cuts |
+| ``planes`` | segments -> candidate planes -> energies -> one plane for every segment, by graph cuts |
 """

@@ -1,4 +1,4 @@
-"""The segment-based pipeline, from a cost volume to a disparity map, and what it writes beside the map."""
+"""The segment-based pipeline, from a cost volume to a disparity map, with its tables and pictures."""
 
 from __future__ import annotations
 

@@ -11,10 +11,10 @@ from depthcli.core.result import DepthResult
 
 
 class TransparentPipeline(Method):
-    """A complete method; in a config its name stands under ``pipeline``."""
+    """A complete method; a config names it under the key ``pipeline``."""
 
     needs: ClassVar[Literal["sparse", "objects"]] = "sparse"
-    """What of the frame it looks at beside color and depth: the sparse depth, or the mask of the objects."""
+    """Input in addition to color and depth: the sparse depth, or the mask of the objects."""
 
     @abstractmethod
     def __call__(self, frame: SparseFrame) -> DepthResult:

@@ -1,6 +1,6 @@
 """Device implementations of the refinement steps; see :mod:`depthcli.methods.stereo.on_device`.
 
-Each returns the same map as the step of its name, unless its docstring says otherwise.
+Each returns the same map as the step of its name, unless its docstring states otherwise.
 """
 
 from __future__ import annotations
