@@ -59,8 +59,8 @@ OUTPUTS = {
         "SCENE/record.json": "inputs and files of a scene, by their digests: by it a run is resumed",
     },
     "In the folder of a scene": {
-        "stereo, fuse": MAPS,
-        "confidence": f"confidence.*, {MAPS}",
+        "stereo, fuse": f"{MAPS}; with --bound also bound.pfm, probability.pfm",
+        "confidence": f"bound.pfm, probability.*, {MAPS}",
         "refine-kinect, transparent, depth": f"{DEPTH}, probability.pfm, confidence_*, points.ply",
         "register-confidence": "confidence.*, expected_error.*, bound.*, probability.*, shift.*, preview.png, "
         "points.csv",
