@@ -172,7 +172,7 @@ def refine_depth(
         if refined and (height, width) != refined[0].values.shape:
             first_height, first_width = refined[0].values.shape
             raise InputError(f"frame {number}: {width} x {height}, but frame 0 is {first_width} x {first_height}")
-        check_memory(config.pipeline.peak_bytes((height, width)), available_memory(), f"{width} x {height} pixels")
+        check_memory(config.peak_bytes((height, width)), available_memory(), f"{width} x {height} pixels")
         camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
         if image is None:
             camera = camera or depth_camera

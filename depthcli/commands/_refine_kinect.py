@@ -93,7 +93,7 @@ class RefineKinect(Batch[FrameOrSequence]):
     def memory(self, scene: FrameOrSequence) -> int:
         """Estimate by the size of the image, or of the first one."""
         first = scene.frames[0] if isinstance(scene, SequenceScene) else scene
-        return self.config.pipeline.peak_bytes(frame_size(first))
+        return self.config.peak_bytes(frame_size(first))
 
     def compute(self, scene: FrameOrSequence, folder: Path, memory: int) -> Outcome:
         """Refine a frame; or the frames of a sequence, each into a folder, with means of their facts."""
@@ -133,7 +133,7 @@ class RefineKinect(Batch[FrameOrSequence]):
             scene = replace(scene, depth_scale=scale, intrinsics=intrinsics)
         frame = load_frame(scene)
         height, width = frame.shape
-        check_memory(config.pipeline.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
+        check_memory(config.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
         found = refined_frame(config, frame, refine, clock, scene.depth_scale, 3 if scene.rotated else 0)
         clock.start("save")
         found.save(folder)

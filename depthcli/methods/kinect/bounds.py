@@ -27,6 +27,8 @@ INPUTS = (
     "roughness_of_sensor", "change", "change_of_map", "corrected_of_map", "contrast_at_edges", "contrast_at_new_edges",
 )  # fmt: skip
 """Names of the planes, in their order."""
+BYTES_PER_PIXEL = 220
+"""Estimate of the peak working memory of bounds."""
 _SCORE = THRESHOLDS.index(2.0)  # the threshold whose log odds the table has
 _EDGE = 5.0  # a larger step between neighbors is a depth edge, multiples of the noise, as in all pipelines
 _LOG2_E = np.float32(np.log2(np.e))
@@ -82,8 +84,9 @@ def error_planes(frame: RgbdFrame, found: DepthMap) -> tuple[Floats, np.float32]
     change = np.where(known, np.abs(values - np.nan_to_num(measured) / noise), np.float32(0))
     around, small = _mean(known, 7), np.float32(0.01)
     grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
-    slopes = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
-    contrast = cv2.dilate(cv2.magnitude(*slopes) / 8, np.ones((3, 3), np.uint8))
+    across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
+    # cv2.magnitude depends on the number of threads.
+    contrast = cv2.dilate(np.sqrt(across * across + down * down) / 8, np.ones((3, 3), np.uint8))
     edges = _mean(edge, 9)
 
     def of_map(plane: Floats) -> float:
