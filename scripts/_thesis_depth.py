@@ -247,14 +247,17 @@ def glass_frames(data: Path) -> Iterator[tuple[str, Any]]:
     yield from ((files.name, files) for files in discover_scenes(data / "transparent" / "real_d435", FRAMES))
 
 
+def halved(color: Any, *maps: NDArray[Any]) -> Iterator[Any]:
+    """Yield a color image and maps at half their size."""
+    height, width = color.shape[:2]
+    yield np.asarray(cv2.resize(color, (width // 2, height // 2), interpolation=cv2.INTER_AREA), np.uint8)
+    yield from (np.ascontiguousarray(part[: height // 2 * 2 : 2, : width // 2 * 2 : 2]) for part in maps)
+
+
 def glass(files: Any) -> Rows:
     """Return errors of presets and kinds of samples: mm in the object and at its outline; outside, sensor = 1."""
     frame, truth = load_frame(files), true_depth(files)
-    height, width = frame.shape
-    color = np.asarray(cv2.resize(frame.color, (width // 2, height // 2), interpolation=cv2.INTER_AREA), np.uint8)
-    cut = slice(0, height // 2 * 2, 2), slice(0, width // 2 * 2, 2)
-    maps = frame.depth[cut], truth.depth[cut], truth.masks["transparent"][cut]
-    sensor, depth, mask = (np.ascontiguousarray(part) for part in maps)
+    color, sensor, depth, mask = halved(frame.color, frame.depth, truth.depth, truth.masks["transparent"])
     rows = {}
     for preset in GLASS:
         run = config_of("transparent", preset).pipeline

@@ -115,14 +115,15 @@ def table(
             inside = (of == family) & (bins == row)
             if inside.sum() >= min_samples:
                 rows[k, row] = quantiles(np.log2(np.maximum(error[inside], 1 / 64)), weight[inside], LEVELS)
+    enough = ~np.isnan(rows[:, :, 0]).all(axis=0)
+    rows, filled = rows[:, enough], np.bincount(bins, weight, rows.shape[1])[enough]
     mean = np.nanmean(rows, axis=0)
     mixed = mean + worst_share * (np.nanmax(rows, axis=0) - mean)
     if noise:
         least = noise * np.array([NormalDist().inv_cdf((1 + level) / 2) for level in LEVELS])
         mixed = np.log2(np.hypot(np.exp2(mixed), least))
-    filled = np.bincount(bins, weight, rows.shape[1])
     log2 = np.maximum.accumulate(np.stack([falling(column, filled) for column in mixed.T], axis=1), axis=1)
-    centers = np.bincount(bins, weight * key) / filled
+    centers = np.bincount(bins, weight * key, enough.size)[enough] / filled
     # Beyond the ends it goes on a little, so that the order of the pixels stays.
     ends = [log2[:1] + 0.5, log2, log2[-1:] - 0.5]
     return ErrorTable(np.array([centers[0] - 10, *centers, centers[-1] + 10]), LEVELS, np.concatenate(ends))

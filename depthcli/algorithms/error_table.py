@@ -45,7 +45,7 @@ class ErrorTable:
             return self._looked_up(log_odds, _shares_within(self, within))
         limits, grid = self._grid
         with np.errstate(divide="ignore"):
-            column = (np.log2(within) - limits[0]) * (_LIMITS - 1) / (limits[-1] - limits[0])
+            column = (np.log2(within, dtype=np.float64) - limits[0]) * (_LIMITS - 1) / (limits[-1] - limits[0])
         row = (log_odds - self._points[0]) * (_POINTS - 1) / (self._points[-1] - self._points[0])
         at = (column.clip(0, _LIMITS - 1).astype(np.float32), row.clip(0, _POINTS - 1).astype(np.float32))
         return np.asarray(cv2.remap(grid, *at, cv2.INTER_LINEAR), np.float32)

@@ -345,7 +345,7 @@ def _refined(
     result = refine(frame)
     clock.include(result.seconds)
     clock.start("bound")
-    bound, probability = depth_bounds(frame, result, promise)
+    bound, probability = depth_bounds(frame, result.depth, promise)
     found = result.depth
     if frame.interpolated:
         found.status[found.kept] |= np.uint8(DepthStatus.SMOOTHED)

@@ -27,14 +27,9 @@ class Result:
 
 @dataclass
 class DepthResult(Result):
-    """A refined depth map.
-
-    ``deviation``, (H, W) float32, meters, NaN = unknown, is the standard deviation of its values by the model that
-    they come from; None: the model says nothing.
-    """
+    """A refined depth map."""
 
     depth: DepthMap
-    deviation: NDArray[np.float32] | None = None
 
 
 class Clock:

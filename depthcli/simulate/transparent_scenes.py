@@ -70,11 +70,11 @@ def make_transparent_scene(
         mixed.append(levels8(255 * image))
     disparity, owner = seen[0]
     truth, mask = disparity.astype(np.float32), owner >= opaque
-    sensor = _sensor_through(truth, behind.astype(np.float32), mask, seed)
+    sensor = sensor_through(truth, behind.astype(np.float32), mask, seed)
     return TransparentScene(mixed[0], infrared_like(mixed[1], seed, speckles), truth, sensor, mask)
 
 
-def _sensor_through(truth: Floats, behind: Floats, mask: Mask, seed: int) -> Floats:
+def sensor_through(truth: Floats, behind: Floats, mask: Mask, seed: int) -> Floats:
     """Return the disparity that a sensor measures: the truth, and in spots of the mask what lies behind it, or nothing.
 
     ``truth`` is the disparity with the object ``mask``, ``behind`` that without it.
@@ -112,7 +112,7 @@ def glass_of_pair(
         y, x = np.mgrid[:height, :width]
         at = np.random.default_rng([seed, 0xE1]).uniform(0.4, 0.6, 2) * (height, width)
         mask = (((x - at[1]) / (0.12 * width)) ** 2 + ((y - at[0]) / (0.16 * height)) ** 2 < 1) & np.isfinite(disparity)
-    sensor = _sensor_through(disparity, _behind(disparity, mask), mask, seed)
+    sensor = sensor_through(disparity, _behind(disparity, mask), mask, seed)
     return TransparentScene(color8(left), infrared_like(right, seed, speckles), disparity, sensor, mask)
 
 

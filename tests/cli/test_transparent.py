@@ -54,8 +54,8 @@ def test_a_mask_of_the_objects_alone(made_glass, tmp_path, capsys):
     np.testing.assert_array_equal(depth[kept], sensor[kept])
     assert np.isfinite(depth).all()
     bound = read_pfm(tmp_path / "run/a/bound.pfm")
-    np.testing.assert_array_equal(np.isfinite(bound), kept)
-    np.testing.assert_allclose(bound[kept] * 24 / depth[kept] ** 2, 0.16, rtol=0.5)  # noise of 0.1 px at a level of 0.9
+    assert 0.1 < np.median(bound[kept] * 24 / depth[kept] ** 2) < 0.5  # pixels; the noise is 0.1
+    assert np.median(bound[objects]) > 5 * np.median(bound[kept])
     around = kept & (cv2.dilate(objects.astype(np.uint8), np.ones((61, 61), np.uint8)) > 0)
     assert sensor[around].min() * 0.9 < depth[objects].min() and depth[objects].max() < sensor[around].max() * 1.1
     assert row["replaced"] == pytest.approx(np.mean(objects & np.isfinite(sensor)), abs=1e-6)

@@ -53,9 +53,14 @@ def read_network(path: Path) -> TrainedNetwork:
             raise InputError(f"not a network that depthcli wrote ({str(error)[:200]})") from None
 
 
+def read_numbers(name: str) -> NDArray[np.float64]:
+    """Return the rows of numbers of a CSV file of the package."""
+    return np.loadtxt(_SHIPPED / f"{name}.csv", delimiter=",", ndmin=2)
+
+
 def read_errors(name: str) -> ErrorTable:
     """Return a table of errors of the package, which ``scripts/train_bounds.py`` wrote."""
-    rows = np.loadtxt(_SHIPPED / f"{name}.csv", delimiter=",")
+    rows = read_numbers(name)
     return ErrorTable(rows[1:, 0], rows[0, 1:], rows[1:, 1:])
 
 

@@ -1,9 +1,8 @@
 """Depth of transparent objects, which the sensor sees through, by sparse depth from elsewhere (thesis, section 5.1).
 
 In: a ``SparseFrame`` (color, the sensor's depth, sparse depth; (H, W), meters), or an ``RgbIrFrame`` (color, infrared,
-the sensor's depth), of which ``cross_modal`` makes one. Out: a ``DepthResult``: (H, W) meters, with a status and a
-standard deviation. ``config`` is the root of the command's config; start reading at ``pipeline/robust``. In the order
-in which they are used:
+the sensor's depth), of which ``cross_modal`` makes one. Out: a ``DepthResult``: (H, W) meters, with a status.
+``config`` is the root of the command's config; start reading at ``pipeline/robust``. In the order of use:
 
 | module | decision |
 |---|---|
@@ -11,6 +10,7 @@ in which they are used:
 | ``match_selection`` | which of their matches become sparse depth |
 | ``fitted_frame`` | which sparse samples are outliers; planes through the others at every pixel |
 | ``unreliable`` | in which regions the sensor contradicts the planes |
+| ``bounds`` | how wrong each value of the result may be |
 
 | pipeline | what replaces the sensor where it is unreliable or unknown |
 |---|---|

@@ -27,7 +27,6 @@ class FittedFrame:
     samples: Samples  # those that agree with their neighbors or with the sensor
     noise: float  # their standard deviation
     fit: Floats  # planes through the samples
-    sigma: Floats  # the planes' standard deviation
     unreliable: Mask  # the sensor knows the pixel and contradicts the samples
 
     def sampled(self, values: NDArray[np.floating[Any]]) -> Mask:
@@ -60,8 +59,7 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, regions: UnreliableRegion
     planes = fit(samples, frame.color, noise, (rows, columns), to_average=contradiction.astype(np.float32))
     clock.start("unreliable")
     unreliable = regions(sensor, planes, samples, noise, frame.color)
-    values, sigma = planes.values.reshape(frame.shape), planes.sigma.reshape(frame.shape)
-    return FittedFrame(sensor, samples, noise, values, sigma, unreliable)
+    return FittedFrame(sensor, samples, noise, planes.values.reshape(frame.shape), unreliable)
 
 
 def inverse_depth(depth: Floats) -> Floats:
@@ -74,11 +72,10 @@ def refined_depth(
     values: NDArray[np.floating[Any]],
     unreliable: Mask,
     clock: Clock,
-    sigma: NDArray[np.floating[Any]] | float = np.nan,
     sampled: Mask | None = None,
     **figures: float,
 ) -> DepthResult:
-    """Convert inverse depths ``values``, (H, W), and their standard deviations, to the result of a pipeline.
+    """Convert inverse depths ``values``, (H, W), to the result of a pipeline.
 
     The sensor's depth was replaced at ``unreliable`` pixels; a sample at the pixel agrees at ``sampled`` ones, None:
     at all samples. ``figures`` are for the report.
@@ -87,7 +84,6 @@ def refined_depth(
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(values > 0, 1.0 / values, np.nan).astype(np.float32)
         depth = np.where(known & (values == inverse_depth(frame.depth)), frame.depth, depth)
-        deviation = (sigma * depth.astype(np.float64) ** 2).astype(np.float32)
     status = np.zeros(frame.shape, np.uint8)
     status[~known] = DepthStatus.GAP_FILLED
     status[known & unreliable] = DepthStatus.CORRECTED
@@ -96,4 +92,4 @@ def refined_depth(
     status[np.isnan(depth)] = DepthStatus.EMPTY
     pictures = {"unreliable": np.where(unreliable & known, np.uint8(255), np.uint8(0))}
     map_ = DepthMap(depth, status)
-    return DepthResult(map_, deviation, seconds=clock.seconds, pictures=pictures, figures=figures)
+    return DepthResult(map_, seconds=clock.seconds, pictures=pictures, figures=figures)

@@ -8,11 +8,8 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
 from depthcli.core.frames import SparseFrame
-from depthcli.core.result import Clock
 from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.walk import discover_scenes
-from depthcli.methods.transparent.fitted_frame import refined_depth
-from depthcli.methods.transparent.pipeline.crf import DenseCrf
 from depthcli.methods.transparent.pipeline.nearest import NearestSample
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 from depthcli.simulate.transparent_scenes import sparse_samples
@@ -125,16 +122,6 @@ def test_sparse_on_every_real_scene(share, outliers, max_error):
     assert len(ratios) == 3
     assert max(ratios) < 1.04
     assert np.mean(ratios) < 1.02
-
-
-def test_deviations_of_depth_by_hand():
-    """That of an inverse depth times depth squared; that of a label that is sure is the rounding to labels."""
-    wall, nothing = np.ones((4, 5), np.float32), np.full((4, 5), np.nan, np.float32)
-    frame = SparseFrame(np.zeros((4, 5, 3), np.uint8), wall, sparse=nothing)
-    found = refined_depth(frame, 0.5 * wall, wall > 0, Clock(), 0.1)
-    np.testing.assert_allclose([found.depth.values, found.deviation], [2 * wall, 0.4 * wall], rtol=1e-6)
-    sure = DenseCrf(unreliable=None, labels=3, sensor_weight=100, iterations=1)(frame)  # 0.95, 1, 1.05 / m
-    np.testing.assert_allclose(sure.deviation, 0.05 / np.sqrt(12) * wall, rtol=1e-3)
 
 
 def test_the_nearest_sample_s_tolerance_is_the_larger_one():

@@ -58,7 +58,7 @@ class DenseCrf(TransparentPipeline):
         if self.unreliable is None:  # every sample agrees, no pixel is known to be unreliable, and all are labelled
             sensor, samples = inverse_depth(frame.depth), Samples.of(inverse_depth(frame.sparse))
             blank = np.full(frame.shape, np.nan, np.float32)
-            fitted = FittedFrame(sensor, samples, np.inf, blank, blank, np.zeros(frame.shape, np.bool_))
+            fitted = FittedFrame(sensor, samples, np.inf, blank, np.zeros(frame.shape, np.bool_))
             region = replaced = set_by_labels = np.ones(frame.shape, np.bool_)
             frame, separation = replace(frame, dense=None), 0.0
         else:
@@ -66,7 +66,7 @@ class DenseCrf(TransparentPipeline):
             replaced, set_by_labels = fitted.unreliable, fitted.unreliable | np.isnan(fitted.sensor)
             square = np.ones((2 * self.band + 1,) * 2, np.uint8)
             region = cv2.dilate(set_by_labels.astype(np.uint8), square) > 0
-        values, sigma = fitted.sensor.astype(np.float64), np.full(frame.shape, fitted.noise)
+        values = fitted.sensor.astype(np.float64)
         if region.any():
             clock.start("crf")
             first, step, unary = self._unary(frame, fitted, region)
@@ -74,12 +74,10 @@ class DenseCrf(TransparentPipeline):
             q = mean_field(unary, kernels, self.smooth_truncation, self.iterations)
             label, chosen = np.arange(self.labels, dtype=np.float32), set_by_labels[region]
             mean = (q @ label).astype(np.float64)
-            spread = np.sqrt(np.maximum((q @ label**2).astype(np.float64) - mean**2, 0.0))
             values[set_by_labels] = (first + step * mean)[chosen]
-            sigma[set_by_labels] = (step * np.sqrt(spread**2 + 1 / 12))[chosen]
         clock.start("decode")
         figures = {"labelled": float(region.mean()), "samples": float(fitted.samples.values.size)}
-        return refined_depth(frame, values, replaced, clock, sigma, fitted.sampled(values), **figures)
+        return refined_depth(frame, values, replaced, clock, fitted.sampled(values), **figures)
 
     def _unary(self, frame: SparseFrame, fitted: FittedFrame, region: Mask) -> tuple[float, float, Floats]:
         """Return the inverse depth of the first label, the step between labels, and the costs of the region's pixels.

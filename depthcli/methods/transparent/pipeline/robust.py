@@ -58,9 +58,8 @@ class RobustPlanes(TransparentPipeline):
         kept = np.isfinite(fitted.sensor) & ~fitted.unreliable
         smooth = self.smoothing(fitted.fit, fitted.samples, frame.color, ~kept)
         values = np.where(kept, fitted.sensor, smooth)
-        sigma = np.where(kept, np.float32(fitted.noise), fitted.sigma)
         figures = {"samples": float(fitted.samples.values.size), "noise": fitted.noise}
-        return refined_depth(frame, values, fitted.unreliable, clock, sigma, fitted.sampled(values), **figures)
+        return refined_depth(frame, values, fitted.unreliable, clock, fitted.sampled(values), **figures)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         # Neighbors of every pixel, and the graph of the cut.

@@ -20,8 +20,7 @@ class SensorAlone(TransparentPipeline):
 
     The depth inside the mask is that of the scene around and behind, not of the objects, whose height is the error. On
     three real frames (ClearGrasp, Sajjan et al. 2020) its median there is 19 to 100 mm, twice that of what the sensor
-    sees through the glass: use it to remove objects, or where holes are worse. ``sigma`` is the sensor's noise; it has
-    no value inside the mask and in gaps, since nothing was measured there.
+    sees through the glass: use it to remove objects, or where holes are worse.
     """
 
     needs: ClassVar[Literal["sparse", "objects"]] = "objects"
@@ -33,13 +32,11 @@ class SensorAlone(TransparentPipeline):
         objects = np.zeros_like(known) if frame.objects is None else frame.objects
         kept = known & ~objects
         around = np.where(kept, frame.disparity, np.float32(np.nan))
-        sigma = np.full_like(around, np.nan)
         if kept.any():
-            noise = noise_level(around)
-            sigma[kept] = noise / frame.fb
-            around, _ = fill_gaps(around, frame_lab(frame), None, None, np.zeros_like(around), noise)
+            level = np.zeros_like(around)
+            around, _ = fill_gaps(around, frame_lab(frame), None, None, level, noise_level(around))
         values = np.where(kept, inverse_depth(frame.depth), around / np.float32(frame.fb))
-        return refined_depth(frame, values, known & objects, clock, sigma, np.zeros_like(known))
+        return refined_depth(frame, values, known & objects, clock, np.zeros_like(known))
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         return 160 * shape[0] * shape[1] + (16 << 20)
