@@ -8,6 +8,7 @@ frames.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import cv2
@@ -31,7 +32,7 @@ BYTES_PER_PIXEL = 220
 """Estimate of the peak working memory of bounds."""
 _SCORE = THRESHOLDS.index(2.0)  # the threshold whose log odds the table has
 _EDGE = 5.0  # a larger step between neighbors is a depth edge, multiples of the noise, as in all pipelines
-_LOG2_E = np.float32(np.log2(np.e))
+_LOG2_E = np.float32(math.log2(math.e))
 _FAR = 64.0  # pixels; larger distances are alike
 _EVERY = 3  # row and column counts for the median of a map
 _CELL = 4  # pixels, side of the cells that the largest step around is sought by
