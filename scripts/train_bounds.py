@@ -26,6 +26,7 @@ from depthcli.core.result import Clock
 from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.methods.given_maps import FILLED_DOUBT, judged_maps, odds_of, odds_within
 from depthcli.methods.given_maps._planes import ONE_VIEW, Evidence
+from depthcli.methods.registration.pipeline.search import isotonic
 
 TAUGHT = ("fast", "accurate", "opencv-sgbm")
 METHODS = (*TAUGHT, "segments")  # the last one only checks the tables
@@ -76,17 +77,6 @@ def quantiles(
     return np.interp(at, below / weights.sum(), values[order])
 
 
-def falling(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the closest sequence that never rises (pool adjacent violators)."""
-    blocks: list[list[float]] = []
-    for value, weight in zip(values, weights, strict=True):
-        blocks.append([value, weight, 1])
-        while len(blocks) > 1 and blocks[-2][0] < blocks[-1][0]:
-            (a, v, m), (b, w, n) = blocks[-2:]
-            blocks[-2:] = [[(a * v + b * w) / (v + w), v + w, m + n]]
-    return np.repeat([b[0] for b in blocks], [int(b[2]) for b in blocks])
-
-
 def table(
     maps: Sequence[tuple[str, Map]],
     odds: str,
@@ -122,7 +112,7 @@ def table(
     if noise:
         least = noise * np.array([NormalDist().inv_cdf((1 + level) / 2) for level in LEVELS])
         mixed = np.log2(np.hypot(np.exp2(mixed), least))
-    log2 = np.maximum.accumulate(np.stack([falling(column, filled) for column in mixed.T], axis=1), axis=1)
+    log2 = np.maximum.accumulate(np.stack([-isotonic(-column, filled) for column in mixed.T], axis=1), axis=1)
     centers = np.bincount(bins, weight * key, enough.size)[enough] / filled
     # Beyond the ends it goes on a little, so that the order of the pixels stays.
     ends = [log2[:1] + 0.5, log2, log2[-1:] - 0.5]

@@ -27,6 +27,12 @@ def local_moments(image: NDArray[np.float32], side: int) -> tuple[NDArray[np.flo
     return np.asarray(mean, np.float32), np.asarray(variance, np.float32)
 
 
+def local_range(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    """Return the largest minus the smallest value in square windows of ``side`` pixels, (H, W) float32."""
+    window = np.ones((side, side), np.uint8)
+    return np.asarray(cv2.dilate(values, window) - cv2.erode(values, window), np.float32)
+
+
 def correlation(
     image: NDArray[np.float32], moments: tuple[NDArray[np.float32], NDArray[np.float32]], other: NDArray[np.float32]
 ) -> NDArray[np.float32]:

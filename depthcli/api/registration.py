@@ -265,8 +265,10 @@ def bounds_of(
             "bound": np.minimum(table.bound(score, promise.level) * np.float32(unit), np.float32(reach)),
             "probability": table.probability(score, promise.within / unit),
         }
-        ends = table.bound(score, _USUAL.level) * unit >= reach / 2 ** (len(scores) - 1 - k)
-        bounds = {name: np.where(ends, bounds[name], values) for name, values in found.items()} if bounds else found
+        if bounds:
+            ends = table.bound(score, _USUAL.level) * unit >= reach / 2 ** (len(scores) - 1 - k)
+            found = {name: np.where(ends, bounds[name], values) for name, values in found.items()}
+        bounds = found
     return bounds
 
 

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from depthcli.algorithms.error_table import ErrorTable
+from depthcli.algorithms.filters import local_range
 from depthcli.algorithms.pixel_network import TrainedNetwork, log_odds
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus, Floats, Mask
@@ -79,7 +80,7 @@ def error_planes(frame: RgbdFrame, found: DepthMap) -> tuple[Floats, np.float32]
     kept = known & ~corrected
     values = nearest_fill((np.float32(frame.fb) / found.values).astype(np.float32)) / noise
     sensor = nearest_fill(np.where(kept, measured, np.float32(np.nan))) / noise if kept.any() else values
-    step, range_3 = _range(sensor, 3), _range(values, 3)
+    step, range_3 = local_range(sensor, 3), local_range(values, 3)
     edge = range_3 > _EDGE
     rough = _roughness(values)
     change = np.where(known, np.abs(values - np.nan_to_num(measured) / noise), np.float32(0))
@@ -109,7 +110,7 @@ def error_planes(frame: RgbdFrame, found: DepthMap) -> tuple[Floats, np.float32]
         _log2(_largest_around(step), 0.5),
         _log2(_distance(step <= _EDGE), 0.5),
         _log2(range_3, 1 / 16),
-        _log2(_range(values, 15), 1 / 4),
+        _log2(local_range(values, 15), 1 / 4),
         _log2(_distance(~edge), 0.5),
         _log2(np.abs(values - sensor), 0.25),
         _log2(_mean(rough, 7), 1 / 64),
@@ -144,11 +145,6 @@ def _roughness(values: Floats) -> Floats:
     padded = np.pad(values, 1, mode="edge")
     across, down = padded[1:-1, 2:] + padded[1:-1, :-2], padded[2:, 1:-1] + padded[:-2, 1:-1]
     return np.asarray(np.minimum(np.abs(across - 2 * values), np.abs(down - 2 * values)), np.float32)
-
-
-def _range(values: Floats, side: int) -> Floats:
-    window = np.ones((side, side), np.uint8)
-    return np.asarray(cv2.dilate(values, window) - cv2.erode(values, window), np.float32)
 
 
 def _mean(values: Floats | Mask, side: int) -> Floats:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.error_table import ErrorTable
+from depthcli.algorithms.filters import local_range
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, Floats, Mask
 
@@ -107,10 +108,10 @@ def evidence(frame: SparseFrame, found: DepthMap) -> NDArray[np.float32]:
         _log2((gap + 1) / (spacing + 1)),
         _log2((gap + 1) / width),
         _log2((distance + 1) / width),
-        _log2(_range(log_depth, 7)),
+        _log2(local_range(log_depth, 7)),
         _noise(np.where(kept, frame.depth, np.float32(np.nan)), _NOISE_REACH * width),
         _log2((np.where(kept, _distance(~kept), _distance(kept)) + 1) / width),
-        _log2(_range(log_depth, width // 16 * 2 + 1)),
+        _log2(local_range(log_depth, width // 16 * 2 + 1)),
     )
     return np.stack(planes)
 
@@ -148,11 +149,6 @@ def _local_mean(values: Floats, where: Mask, reach: float, common: float) -> Flo
 
 def _blurred(plane: Floats, sigma: float) -> Floats:
     return np.asarray(cv2.GaussianBlur(plane, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), np.float32)
-
-
-def _range(plane: Floats, window: int) -> Floats:
-    square = np.ones((window, window), np.uint8)
-    return np.asarray(cv2.dilate(plane, square) - cv2.erode(plane, square), np.float32)
 
 
 def _noise(depth: Floats, reach: float) -> Floats:
