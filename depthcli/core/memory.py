@@ -7,6 +7,7 @@ takes longer than most kernels here need to fill it; a block that was used befor
 from __future__ import annotations
 
 import ctypes
+import math
 import threading
 import weakref
 from collections.abc import Callable
@@ -41,7 +42,7 @@ _trim = _keep_freed_memory()
 def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """Return an array as :func:`numpy.empty` does; its memory goes back to a pool after the last view of it."""
     kind = np.dtype(dtype)
-    size = int(np.prod(shape, dtype=np.int64)) * kind.itemsize
+    size = math.prod(shape) * kind.itemsize
     if size < _MIN_BYTES:
         return np.empty(shape, kind)
     with _lock:

@@ -51,14 +51,19 @@ def census_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint64
 @parallel_jit
 def _census(padded, bits, ry, rx):
     height, width = bits.shape
+    side, count = 2 * rx + 1, (2 * ry + 1) * (2 * rx + 1) - 1
     for y in prange(height):
+        part = np.empty(width, np.uint16)
         out = bits[y]
         out[:] = 0
         center = padded[y + ry, rx : rx + width]
-        for dy in range(2 * ry + 1):
-            for dx in range(2 * rx + 1):
-                if dy == ry and dx == rx:
-                    continue
+        for first in range(0, count, 16):  # vectors of 16 bits have four times as many lanes as those of 64
+            end = min(first + 16, count)
+            part[:] = 0
+            for k in range(first, end):
+                dy, dx = divmod(k + (k >= count // 2), side)  # leaves out the center
                 neighbor = padded[y + dy, dx : dx + width]
-                for i in range(out.size):
-                    out[i] = (out[i] << np.uint64(1)) | np.uint64(neighbor[i] > center[i])
+                for i in range(part.size):
+                    part[i] = (part[i] << np.uint16(1)) | np.uint16(neighbor[i] > center[i])
+            for i in range(out.size):
+                out[i] = (out[i] << np.uint64(end - first)) | np.uint64(part[i])

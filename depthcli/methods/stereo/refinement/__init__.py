@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import Method, method_of
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.volume import RefinementContext
 
 
@@ -31,21 +32,29 @@ class Refinement(Method):
         """Return a new map; the input is not modified."""
 
 
-def marked(
-    disparity: DisparityMap, values: NDArray[np.float32], pixels: NDArray[np.bool_], status: Status
-) -> DisparityMap:
-    """Return the map with new ``values``, and ``status`` added to the status of ``pixels`` (H, W)."""
-    return DisparityMap(values, disparity.status | pixels.view(np.uint8) * np.uint8(status))
-
-
 def with_filled(disparity: DisparityMap, values: NDArray[np.float32]) -> DisparityMap:
     """Return the map with new ``values``; pixels that had none are marked as filled."""
-    return marked(disparity, values, ~disparity.valid & ~np.isnan(values), Status.FILLED)
+    return _marked(disparity, values, Status.FILLED)
 
 
 def with_smoothed(disparity: DisparityMap, values: NDArray[np.float32]) -> DisparityMap:
     """Return the map with new ``values``; pixels whose value changed are marked as smoothed."""
-    return marked(disparity, values, disparity.valid & (values != disparity.values), Status.SMOOTHED)
+    return _marked(disparity, values, Status.SMOOTHED)
+
+
+def _marked(disparity: DisparityMap, values: NDArray[np.float32], status: Status) -> DisparityMap:
+    marked = disparity.status.copy()
+    _mark(disparity.values, values, status == Status.FILLED, np.uint8(status), marked)
+    return DisparityMap(values, marked)
+
+
+@parallel_jit
+def _mark(before, after, filled, bit, status):
+    for y in prange(status.shape[0]):
+        for x in range(status.shape[1]):
+            old, new = before[y, x], after[y, x]
+            changed = np.isnan(old) & ~np.isnan(new) if filled else ~np.isnan(old) & (new != old)
+            status[y, x] |= bit * np.uint8(changed)
 
 
 RefinementStep = Annotated[Refinement, *method_of("depthcli.methods.stereo.refinement")]

@@ -30,26 +30,26 @@ class LeftRightCheck(Refinement):
         return 0
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
-        values, status = disparity.values.copy(), disparity.status.copy()
-        _check(values, status, context.right, np.float32(self.tolerance), context.volume.n_disparities)
+        values, status = np.empty_like(disparity.values), disparity.status.copy()
+        limits = np.float32(self.tolerance), context.volume.n_disparities
+        _check(disparity.values, context.right, *limits, values, status)
         return DisparityMap(values, status)
 
 
 @parallel_jit
-def _check(values, status, right, tolerance, n_disparities):
+def _check(values, right, tolerance, n_disparities, out, status):
     occluded, mismatch = np.uint8(1), np.uint8(2)
     height, width = values.shape
     for y in prange(height):
+        matched = np.zeros(width, np.bool_)  # by a pixel of the right view
+        for u in range(width):
+            d = right[y, u]
+            if 0 <= d < min(n_disparities, width - u) and d == int(d):
+                matched[u + int(d)] = True
         for x in range(width):
             d = values[y, x]
-            if np.isnan(d):
+            out[y, x] = d
+            if np.isnan(d) or partner_difference(d, x, right[y]) <= tolerance:
                 continue
-            if partner_difference(d, x, right[y]) <= tolerance:
-                continue
-            mutual = False
-            for other in range(min(n_disparities, x + 1)):
-                if right[y, x - other] == other:
-                    mutual = True
-                    break
-            values[y, x] = np.nan
-            status[y, x] |= mismatch if mutual else occluded
+            out[y, x] = np.nan
+            status[y, x] |= mismatch if matched[x] else occluded

@@ -25,6 +25,8 @@ class Median(Refinement):
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         valid = disparity.valid
+        if valid.all():
+            return with_smoothed(disparity, np.asarray(cv2.medianBlur(disparity.values, self.window), np.float32))
         whole = cv2.erode(valid.astype(np.uint8), np.ones((self.window, self.window), np.uint8)).astype(bool)
         filtered = cv2.medianBlur(np.where(valid, disparity.values, np.float32(0)), self.window)
         values = np.where(whole, filtered, disparity.values).astype(np.float32)

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from pydantic import Field
 
+from depthcli.algorithms.regions import join, root
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 
 _NONE = -32768  # of a pixel without a value
+_BAND = 32  # rows that are joined by one thread
 _MAX_STEPS = 16  # of a pixel, as in OpenCV's 16-bit disparities; fewer above 2000 disparities
 
 
 class SpeckleFilter(Refinement):
-    """Remove connected regions of similar disparity that are too small to be trusted (``cv2.filterSpeckles``)."""
+    """Remove connected regions of similar disparity that are too small to be trusted (as ``cv2.filterSpeckles`` does)."""
 
     needs_costs = False
 
@@ -25,11 +26,8 @@ class SpeckleFilter(Refinement):
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         steps = steps_of(context.volume.n_disparities)
-        fixed = np.empty(disparity.values.shape, np.int16)
-        _to_steps(disparity.values, np.float32(steps), fixed)
-        cv2.filterSpeckles(fixed, _NONE, self.size, self.step * steps)
         values, status = disparity.values.copy(), disparity.status.copy()
-        _remove(fixed, np.uint8(Status.MISMATCH), values, status)
+        _filter(values, status, np.float32(steps), round(self.step * steps), self.size, np.uint8(Status.MISMATCH))
         return DisparityMap(values, status)
 
 
@@ -39,17 +37,58 @@ def steps_of(n_disparities: int) -> int:
 
 
 @parallel_jit
-def _to_steps(values, steps, fixed):
-    for y in prange(values.shape[0]):
-        for x in range(values.shape[1]):
-            value = values[y, x]
-            fixed[y, x] = np.int16(_NONE) if np.isnan(value) else np.int16(np.rint(value * steps))
-
-
-@parallel_jit
-def _remove(fixed, mark, values, status):
-    for y in prange(fixed.shape[0]):
-        for x in range(fixed.shape[1]):
-            if fixed[y, x] == _NONE and not np.isnan(values[y, x]):
+def _filter(values, status, steps, limit, size, mark):
+    # Regions are joined inside of bands of rows, side by side, then across the rims of the bands. Each run of similar
+    # values in a row is a node; its first pixel stands for it in ``parent``, and for its region in ``sizes``.
+    height, width = values.shape
+    fixed = np.empty((height, width), np.int16)
+    parent = np.empty(height * width, np.int32)
+    sizes = np.empty(height * width, np.int32)
+    for band in prange(-(-height // _BAND)):
+        for y in range(band * _BAND, min(height, (band + 1) * _BAND)):
+            _find_runs(values[y], steps, limit, y * width, fixed[y], parent, sizes)
+            if y > band * _BAND:
+                _join_rows(fixed, y, limit, parent, sizes)
+    for y in range(_BAND, height, _BAND):
+        _join_rows(fixed, y, limit, parent, sizes)
+    for y in prange(height):
+        run, small = -1, False
+        for x in range(width):
+            if parent[y * width + x] != run:
+                run = parent[y * width + x]
+                region = run
+                while parent[region] != region:  # not root(), which would write to rows of other threads
+                    region = parent[region]
+                small = sizes[region] <= size
+            if small and not np.isnan(values[y, x]):
                 values[y, x] = np.nan
                 status[y, x] |= mark
+
+
+@jit
+def _find_runs(values, steps, limit, at, fixed, parent, sizes):
+    first = 0
+    for x in range(values.size):
+        fixed[x] = np.int16(_NONE) if np.isnan(values[x]) else np.int16(np.rint(values[x] * steps))
+        if x > 0 and abs(np.int32(fixed[x]) - np.int32(fixed[x - 1])) > limit:
+            sizes[at + first] = x - first
+            first = x
+        parent[at + x] = at + first
+    sizes[at + first] = values.size - first
+
+
+@jit
+def _join_rows(fixed, y, limit, parent, sizes):
+    width = fixed.shape[1]
+    below = above = -1  # the runs that were joined last
+    for x in range(width):
+        p = y * width + x
+        if abs(np.int32(fixed[y, x]) - np.int32(fixed[y - 1, x])) > limit:
+            continue
+        if parent[p] == below and parent[p - width] == above:
+            continue
+        below, above = parent[p], parent[p - width]
+        i, j = root(parent, below), root(parent, above)
+        if i != j:
+            join(parent, i, j)
+            sizes[min(i, j)] += sizes[max(i, j)]
