@@ -105,26 +105,27 @@ def alpha_expansion(
             chosen = _candidates(labels, alpha, rise, starts, other, weight, total)
             if len(chosen) == 0:
                 continue
-            moved = labels.copy()
-            moved[chosen[binary_cut(*_binary_problem(labels, alpha, rise, starts, other, weight, chosen))]] = alpha
-            moved_energy = energy + _energy_change(labels, moved, rise, ends, strength)
+            moved = chosen[binary_cut(*_binary_problem(labels, alpha, rise, starts, other, weight, chosen))]
+            change = _energy_change(labels, moved, alpha, rise, starts, other, weight)
             # Rounding alone must not keep the loop alive.
-            if moved_energy < energy - 1e-9 * max(1.0, abs(energy)):
-                labels, energy, since_change = moved, moved_energy, 0
-                keep = costs[np.arange(nodes), labels]
+            if change < -1e-9 * max(1.0, abs(energy)):
+                labels[moved], keep[moved] = alpha, by_label[alpha, moved]
+                energy, since_change = energy + change, 0
     return labels, potts_energy(labels, costs, ends, strength)
 
 
 @jit
-def _energy_change(labels, moved, rise, ends, strength):
-    # Of the energy, where ``labels`` become ``moved``.
+def _energy_change(labels, moved, alpha, rise, starts, other, weight):
+    # Of the energy, where the labels of the nodes ``moved`` become ``alpha``.
+    after = labels.copy()
+    after[moved] = alpha
     change = 0.0
-    for n in range(labels.size):
-        if moved[n] != labels[n]:
-            change += rise[n]
-    for e in range(strength.size):
-        a, b = ends[e, 0], ends[e, 1]
-        change += strength[e] * ((moved[a] != moved[b]) - (labels[a] != labels[b]))
+    for n in moved:
+        change += rise[n]
+        for e in range(starts[n], starts[n + 1]):
+            m = other[e]
+            if after[m] == labels[m] or n < m:  # an edge of two moved nodes once
+                change += weight[e] * ((after[m] != alpha) - (labels[m] != labels[n]))
     return change
 
 
@@ -133,28 +134,24 @@ def _candidates(labels, alpha, rise, starts, other, weight, total):
     # The (K,) int64 nodes, in order, that can be in a set whose switch lowers the energy. In the best case all
     # neighbors of a node that may switch do, which saves all its edges to them and to ``alpha``. Where that does not
     # outweigh ``rise``, the node stays, which raises the cost of switching for its neighbors, and so on.
-    nodes = labels.size
-    may = labels != alpha
     slack = rise - total
-    stack = np.empty(nodes, np.int64)
-    top = 0
-    for n in range(nodes):
-        if may[n] and slack[n] >= 0.0:
-            may[n] = False
-            stack[top] = n
-            top += 1
-    while top:
-        top -= 1
-        n = stack[top]
+    slack[labels == alpha] = np.inf
+    stay = np.empty(labels.size + 1, np.int64)
+    count = 0
+    for n in range(labels.size):
+        stay[count] = n  # counted if it stays; a branch would be predicted wrong half of the times
+        count += (slack[n] >= 0.0) & (labels[n] != alpha)
+    k = 0
+    while k < count:
+        n = stay[k]
+        k += 1
         for e in range(starts[n], starts[n + 1]):
             m = other[e]
-            if may[m]:
-                slack[m] += weight[e] if labels[m] != labels[n] else 2.0 * weight[e]
-                if slack[m] >= 0.0:
-                    may[m] = False
-                    stack[top] = m
-                    top += 1
-    return np.flatnonzero(may)
+            before = slack[m]
+            slack[m] = before + weight[e] * (2.0 - np.float64(labels[m] != labels[n]))
+            stay[count] = m
+            count += (before < 0.0) & (slack[m] >= 0.0)
+    return np.flatnonzero(slack < 0.0)
 
 
 @jit

@@ -8,7 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
+
+BAND = 32
+"""Rows of an image that one thread joins; the result does not depend on it."""
 
 
 @jit
@@ -30,23 +33,41 @@ def join(parent, i, j):
         parent[i] = j
 
 
-@jit
+@parallel_jit
 def _components(color, limit):
-    height, width, channels = color.shape
-    parent = np.arange(height * width).astype(np.int32)
-    for y in range(height):
-        for x in range(width):
-            for step in range(2):
-                y2, x2 = (y, x - 1) if step == 0 else (y - 1, x)
-                if y2 < 0 or x2 < 0:
-                    continue
-                squared = np.int64(0)
-                for c in range(channels):
-                    difference = np.int64(color[y, x, c]) - np.int64(color[y2, x2, c])
-                    squared += difference * difference
-                if squared <= limit:
-                    join(parent, y * width + x, y2 * width + x2)
+    # Pixels are joined inside of bands of rows, side by side, then across the rims of the bands.
+    height, width, _ = color.shape
+    parent = np.empty(height * width, np.int32)
+    for band in prange(-(-height // BAND)):
+        for y in range(band * BAND, min(height, (band + 1) * BAND)):
+            for x in range(width):
+                p = y * width + x
+                parent[p] = parent[p - 1] if x > 0 and _similar(color[y, x], color[y, x - 1], limit) else p
+            if y > band * BAND:
+                _join_rows(color, y, limit, parent)
+    for y in range(BAND, height, BAND):
+        _join_rows(color, y, limit, parent)
     return consecutive(parent).reshape(height, width)
+
+
+@jit
+def _similar(color, other, limit):
+    squared = np.int64(0)
+    for c in range(color.size):
+        difference = np.int64(color[c]) - np.int64(other[c])
+        squared += difference * difference
+    return squared <= limit
+
+
+@jit
+def _join_rows(color, y, limit, parent):
+    width = color.shape[1]
+    below = above = -1  # what was joined last
+    for x in range(width):
+        p = y * width + x
+        if _similar(color[y, x], color[y - 1, x], limit) and (parent[p] != below or parent[p - width] != above):
+            below, above = parent[p], parent[p - width]
+            join(parent, below, above)
 
 
 @jit
@@ -55,12 +76,11 @@ def consecutive(parent):
     labels = np.empty(parent.size, np.int32)
     count = 0
     for i in range(parent.size):
-        first = root(parent, i)
-        if first == i:  # roots come before their members
+        if parent[i] == i:  # parents come before their members
             labels[i] = count
             count += 1
         else:
-            labels[i] = labels[first]
+            labels[i] = labels[parent[i]]
     return labels
 
 
@@ -117,8 +137,8 @@ def _best_neighbors(edges, rank, selected):
     return best
 
 
-def connected_components(color: NDArray[np.uint8], max_distance: float) -> NDArray[np.int32]:
-    """Return the labels of regions of an (H, W, C) image in which neighbors have similar colors.
+def connected_components(color: NDArray[Any], max_distance: float) -> NDArray[np.int32]:
+    """Return the labels of regions of an (H, W, C) image of integers in which neighbors have similar colors.
 
     4-neighbors whose Euclidean color distance is at most ``max_distance`` belong to the same region. Labels count from
     0 in raster order of the regions' first pixels.
@@ -145,21 +165,75 @@ class RegionGraph:
         """Mean color of every region, (N, C) float64."""
         return self.sums / np.maximum(self.sizes, 1)[:, None]
 
+    @property
+    def distances(self) -> NDArray[np.float64]:
+        """Squared distance of the mean colors of the two regions of every edge, (E,) float64."""
+        first, second = self.edges.T
+        # By channels: gathering rows of three numbers, and sums over so few, are slow.
+        channels = (np.ascontiguousarray(channel) for channel in self.means.T)
+        return np.asarray(sum(np.square(channel[first] - channel[second]) for channel in channels), np.float64)
+
 
 def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
     """Return the graph of the regions of ``labels`` (H, W), 0 .. n - 1, over ``image`` (H, W) or (H, W, C)."""
     count = int(labels.max()) + 1 if labels.size else 0
-    flat = labels.ravel().astype(np.intp)  # once, not in each of the sums
-    sizes = np.bincount(flat, minlength=count)
-    channels = image.reshape(flat.size, -1).T.astype(np.float64, order="C")
-    sums = np.stack([np.bincount(flat, channel, count) for channel in channels], axis=1)
-    starts, neighbors, boundary = region_adjacency(labels, count)
-    regions = np.repeat(np.arange(count), np.diff(starts))
-    once = regions < neighbors
-    pairs, boundary = regions[once] * count + neighbors[once], boundary[once]
-    order = np.argsort(pairs)
-    edges = np.stack(np.divmod(pairs[order], max(count, 1)), axis=1).astype(np.int32)
-    return RegionGraph(sizes.astype(np.int64), edges, boundary[order], sums.astype(np.float64))
+    sizes, sums = _sums(labels.ravel(), image.reshape(labels.size, -1), count)
+    ends = _neighbors(labels)
+    edges, boundary = _distinct_edges(ends, np.ones(len(ends), np.int64), count)
+    return RegionGraph(sizes, edges, boundary, sums)
+
+
+@jit
+def _sums(labels, colors, count):
+    sizes, sums = np.zeros(count, np.int64), np.zeros((count, colors.shape[1]))
+    for p in range(labels.size):
+        sizes[labels[p]] += 1
+        for c in range(colors.shape[1]):
+            sums[labels[p], c] += colors[p, c]
+    return sizes, sums
+
+
+@jit
+def _neighbors(labels):
+    # The (M, 2) labels of all 4-neighboring pixels of two regions.
+    height, width = labels.shape
+    ends = np.empty((2 * labels.size, 2), np.int32)
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            for y2, x2 in ((y, x + 1), (y + 1, x)):
+                if y2 < height and x2 < width and labels[y2, x2] != labels[y, x]:
+                    ends[count, 0], ends[count, 1] = labels[y, x], labels[y2, x2]
+                    count += 1
+    return ends[:count].copy()
+
+
+@jit
+def _distinct_edges(ends, weights, count):
+    # The sorted (E, 2) edges i < j between regions 0 .. count - 1, each once, and the sums of their weights.
+    order = np.flatnonzero(ends[:, 0] != ends[:, 1])
+    for turn in range(2):  # sorted by the larger end, then by the smaller one
+        key = np.empty(order.size, np.int32)
+        starts = np.zeros(count + 1, np.int64)
+        for k in range(order.size):
+            a, b = ends[order[k], 0], ends[order[k], 1]
+            key[k] = max(a, b) if turn == 0 else min(a, b)
+            starts[key[k] + 1] += 1
+        for s in range(count):
+            starts[s + 1] += starts[s]
+        before, order = order, np.empty_like(order)
+        for k in range(order.size):
+            order[starts[key[k]]] = before[k]
+            starts[key[k]] += 1
+    edges, sums = np.empty((order.size, 2), np.int32), np.zeros(order.size, np.int64)
+    n = -1
+    for e in order:
+        a, b = min(ends[e, 0], ends[e, 1]), max(ends[e, 0], ends[e, 1])
+        if n < 0 or edges[n, 0] != a or edges[n, 1] != b:
+            n += 1
+            edges[n, 0], edges[n, 1] = a, b
+        sums[n] += weights[e]
+    return edges[: n + 1].copy(), sums[: n + 1].copy()
 
 
 def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> tuple[RegionGraph, NDArray[np.int32]]:
@@ -168,12 +242,8 @@ def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> t
     count = int(group.max()) + 1
     sizes = np.bincount(group, graph.sizes, count).astype(np.int64)
     sums = np.stack([np.bincount(group, column, count) for column in graph.sums.T], axis=1).astype(np.float64)
-    first, second = group[graph.edges.T]
-    separate = first != second
-    first, second = first[separate].astype(np.int64), second[separate]
-    pairs, place = np.unique(np.minimum(first, second) * count + np.maximum(first, second), return_inverse=True)
-    boundary = np.bincount(place, graph.boundary[separate], len(pairs)).astype(np.int64)
-    return RegionGraph(sizes, np.stack(np.divmod(pairs, count), axis=1).astype(np.int32), boundary, sums), group
+    edges, boundary = _distinct_edges(group[graph.edges], graph.boundary, count)
+    return RegionGraph(sizes, edges, boundary, sums), group
 
 
 def merge_small_regions(
@@ -187,8 +257,7 @@ def merge_small_regions(
     graph = region_graph(labels, image)
     number = np.arange(len(graph.sizes), dtype=np.int32)
     while True:
-        first, second = graph.edges.T
-        distance = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
+        distance = graph.distances
         edges, rank = graph.edges, distance
         if by_boundary:
             edges, rank = edges[distance == 0], -graph.boundary[distance == 0].astype(np.float64)

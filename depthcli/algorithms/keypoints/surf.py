@@ -162,6 +162,10 @@ def _offset(r, k, j, i):
 @parallel_jit
 def _describe(integral, points, descriptors):
     # (N, 64) from 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9.
+    inner = np.empty((9, 9), np.float32)
+    for j in range(9):
+        for i in range(9):
+            inner[j, i] = np.exp(((i - 4) * (i - 4) + (j - 4) * (j - 4)) / -12.5)
     for n in prange(points.shape[0]):
         cx, cy, scale = points[n, 0], points[n, 1], points[n, 2]
         half = max(1, int(np.floor(scale + 0.5)))
@@ -185,9 +189,8 @@ def _describe(integral, points, descriptors):
             dx, dy, ax, ay = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
             for j in range(9):
                 for i in range(9):
-                    weight = np.float32(np.exp(((i - 4) * (i - 4) + (j - 4) * (j - 4)) / -12.5))
-                    h = weight * horizontal[top + j, left + i]
-                    v = weight * vertical[top + j, left + i]
+                    h = inner[j, i] * horizontal[top + j, left + i]
+                    v = inner[j, i] * vertical[top + j, left + i]
                     dx += h
                     dy += v
                     ax += abs(h)

@@ -14,6 +14,8 @@ from depthcli.algorithms.regions import RegionPixels
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
+TASKS = 64
+"""Parts of the work on all segments, of every 64th one: some rows have larger segments than others."""
 # Choices of this program; nothing in the repository varies them.
 _SAMPLED_PIXELS = 2000  # RANSAC planes of larger segments are judged by about so many pixels
 _MIN_CROSS = 0.5  # three pixels that span less than this many square pixels determine no plane
@@ -102,27 +104,28 @@ class SegmentPlaneFit(ConfigModel):
 def _fit(
     values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center
 ):
-    for k in prange(chosen.size):
-        pixels = order[starts[chosen[k]] : starts[chosen[k] + 1]]
-        px, py, pd = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size)
-        for i in range(pixels.size):
-            px[i], py[i], pd[i] = pixels[i] % width, pixels[i] // width, values[pixels[i]]
-        mx, my, flat = px.mean(), py.mean(), np.median(pd)
-        for i in range(pixels.size):
-            px[i] -= mx
-            py[i] -= my
-        state = np.uint64(seed + 1) * np.uint64(0x9E3779B97F4A7C15)
-        state += np.uint64(chosen[k] + 1) * np.uint64(0xBF58476D1CE4E5B9)
-        a, b, c = _ransac(px, py, pd, flat, tolerance, trials, max_slope, state)
-        a, b, c = _refit(px, py, pd, a, b, c, tolerance, max_slope)
-        # Where a slope hardly lowers the misfit, it follows noise.
-        misfit = _misfit(px, py, pd, 1, a, b, c, tolerance, np.inf)
-        if flatness * _misfit(px, py, pd, 1, 0.0, 0.0, flat, tolerance, np.inf) <= misfit:
-            a, b, c = 0.0, 0.0, flat
-        n, sx, sy, _ = _inlier_sums(px, py, pd, a, b, c, tolerance)
-        coefficients[k, 0], coefficients[k, 1], coefficients[k, 2] = a, b, c - a * mx - b * my
-        center[k, 0], center[k, 1] = mx + sx / max(n, 1), my + sy / max(n, 1)
-        support[k] = n
+    for task in prange(TASKS):
+        for k in range(np.int64(task), chosen.size, TASKS):
+            pixels = order[starts[chosen[k]] : starts[chosen[k] + 1]]
+            px, py, pd = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size)
+            for i in range(pixels.size):
+                px[i], py[i], pd[i] = pixels[i] % width, pixels[i] // width, values[pixels[i]]
+            mx, my, flat = px.mean(), py.mean(), np.median(pd)
+            for i in range(pixels.size):
+                px[i] -= mx
+                py[i] -= my
+            state = np.uint64(seed + 1) * np.uint64(0x9E3779B97F4A7C15)
+            state += np.uint64(chosen[k] + 1) * np.uint64(0xBF58476D1CE4E5B9)
+            a, b, c = _ransac(px, py, pd, flat, tolerance, trials, max_slope, state)
+            a, b, c = _refit(px, py, pd, a, b, c, tolerance, max_slope)
+            # Where a slope hardly lowers the misfit, it follows noise.
+            misfit = _misfit(px, py, pd, 1, a, b, c, tolerance, np.inf)
+            if flatness * _misfit(px, py, pd, 1, 0.0, 0.0, flat, tolerance, np.inf) <= misfit:
+                a, b, c = 0.0, 0.0, flat
+            n, sx, sy, _ = _inlier_sums(px, py, pd, a, b, c, tolerance)
+            coefficients[k, 0], coefficients[k, 1], coefficients[k, 2] = a, b, c - a * mx - b * my
+            center[k, 0], center[k, 1] = mx + sx / max(n, 1), my + sy / max(n, 1)
+            support[k] = n
 
 
 @jit

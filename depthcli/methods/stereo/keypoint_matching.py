@@ -136,23 +136,42 @@ def nearest_points(
     squared = np.full((len(center_x), count), np.inf)
     if count:
         center_x, center_y, x, y = (np.asarray(one, np.float64) for one in (center_x, center_y, x, y))
-        _insert_nearest(center_x, center_y, x, y, index, squared)
+        by_row = np.argsort(y)
+        _insert_nearest(center_x, center_y, x[by_row], y[by_row], by_row, index, squared)
     return index, squared
 
 
 @parallel_jit
-def _insert_nearest(center_x, center_y, x, y, index, squared):
+def _insert_nearest(center_x, center_y, x, y, name, index, squared):
+    # Points are sorted by ``y`` and have the index ``name``; they are visited up and down from the center's row.
     for n in prange(index.shape[0]):
         nearest, distances = index[n], squared[n]
         last = distances.size - 1
-        for m in range(x.size):
+        below = np.searchsorted(y, center_y[n])
+        above = below - 1
+        while above >= 0 or below < y.size:
+            up = center_y[n] - y[above] if above >= 0 else np.inf
+            down = y[below] - center_y[n] if below < y.size else np.inf
+            if min(up, down) ** 2 > distances[last]:
+                break
+            if down <= up:
+                m = below
+                below += 1
+            else:
+                m = above
+                above -= 1
             distance = (center_x[n] - x[m]) ** 2 + (center_y[n] - y[m]) ** 2
-            if distance >= distances[last]:
+            if not _comes_before(distance, name[m], distances[last], nearest[last]):
                 continue
             place = last
-            while place > 0 and distances[place - 1] > distance:
+            while place > 0 and _comes_before(distance, name[m], distances[place - 1], nearest[place - 1]):
                 distances[place] = distances[place - 1]
                 nearest[place] = nearest[place - 1]
                 place -= 1
             distances[place] = distance
-            nearest[place] = m
+            nearest[place] = name[m]
+
+
+@jit
+def _comes_before(distance, name, other_distance, other_name):
+    return distance < other_distance or (distance == other_distance and name < other_name)

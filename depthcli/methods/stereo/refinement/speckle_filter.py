@@ -5,19 +5,18 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from depthcli.algorithms.regions import join, root
+from depthcli.algorithms.regions import BAND, join, root
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 
 _NONE = -32768  # of a pixel without a value
-_BAND = 32  # rows that are joined by one thread
 _MAX_STEPS = 16  # of a pixel, as in OpenCV's 16-bit disparities; fewer above 2000 disparities
 
 
 class SpeckleFilter(Refinement):
-    """Remove connected regions of similar disparity that are too small to be trusted (as ``cv2.filterSpeckles`` does)."""
+    """Remove connected regions of similar disparity that are too small to be trusted (``cv2.filterSpeckles``)."""
 
     needs_costs = False
 
@@ -44,12 +43,12 @@ def _filter(values, status, steps, limit, size, mark):
     fixed = np.empty((height, width), np.int16)
     parent = np.empty(height * width, np.int32)
     sizes = np.empty(height * width, np.int32)
-    for band in prange(-(-height // _BAND)):
-        for y in range(band * _BAND, min(height, (band + 1) * _BAND)):
+    for band in prange(-(-height // BAND)):
+        for y in range(band * BAND, min(height, (band + 1) * BAND)):
             _find_runs(values[y], steps, limit, y * width, fixed[y], parent, sizes)
-            if y > band * _BAND:
+            if y > band * BAND:
                 _join_rows(fixed, y, limit, parent, sizes)
-    for y in range(_BAND, height, _BAND):
+    for y in range(BAND, height, BAND):
         _join_rows(fixed, y, limit, parent, sizes)
     for y in prange(height):
         run, small = -1, False

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
-from depthcli.algorithms.regions import RegionGraph, RegionPixels, connected_components_of_labels, merge_small_regions
+from depthcli.algorithms.regions import RegionGraph, RegionPixels, connected_components, merge_small_regions
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, parallel_jit, prange
@@ -144,12 +144,11 @@ class Split(ConfigModel):
             planes = plane_fit(first.values, members, active)
             not_planar = np.zeros(count, bool)
             not_planar[active] = planes.support < (1 - self.misfits) * members.sizes[active]
-            grid, n_cells = grid_cells(labels.shape, cell)
+            grid, _ = grid_cells(labels.shape, cell)
             # Every (segment, cell) pair becomes a value of its own; pieces of less than a quarter cell
             # join the piece of the same segment with the longest common boundary.
-            keys = labels.astype(np.int64) * n_cells + np.where(not_planar[labels], grid, 0)
-            _, cut = np.unique(keys, return_inverse=True)
-            pieces = connected_components_of_labels(cut.reshape(labels.shape).astype(np.int32))
+            keys = np.stack([labels, np.where(not_planar[labels], grid, 0)], axis=-1).astype(np.int32)
+            pieces = connected_components(keys, 0.0)
             labels = merge_small_regions(pieces, labels, cell * cell // 4, by_boundary=True)
         return labels
 

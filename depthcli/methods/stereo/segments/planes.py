@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from depthcli.algorithms.graph_cut import alpha_expansion, potts_energy
-from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
+from depthcli.algorithms.plane_fitting.segment_planes import TASKS, SegmentPlaneFit, SegmentPlanes
 from depthcli.algorithms.regions import RegionGraph, RegionPixels, joined_regions
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
@@ -219,15 +219,16 @@ def visibility(right, order, starts, coefficients, weight):
     """
     unary = np.zeros((starts.size - 1, coefficients.shape[0]))
     width = right.shape[1]
-    for t in prange(unary.shape[0]):
-        for i in range(starts[t], starts[t + 1]):
-            x = order[i] % width
-            y = order[i] // width
-            for label in range(coefficients.shape[0]):
-                d = coefficients[label, 0] * x + coefficients[label, 1] * y + coefficients[label, 2]
-                target = int(np.floor(x - d + 0.5))
-                if 0 <= target < width and d > right[y, target] + 1.0:
-                    unary[t, label] += weight
+    for task in prange(TASKS):
+        for t in range(np.int64(task), unary.shape[0], TASKS):
+            for i in range(starts[t], starts[t + 1]):
+                x = order[i] % width
+                y = order[i] // width
+                for label in range(coefficients.shape[0]):
+                    d = coefficients[label, 0] * x + coefficients[label, 1] * y + coefficients[label, 2]
+                    target = int(np.floor(x - d + 0.5))
+                    if 0 <= target < width and d > right[y, target] + 1.0:
+                        unary[t, label] += weight
     return unary
 
 
@@ -236,26 +237,27 @@ def out_of_range(width, order, starts, coefficients, max_disparity):
     """Compute the prohibitive cost of planes that leave [0, ``max_disparity``] by more than a pixel, of all pixels."""
     unary = np.zeros((starts.size - 1, coefficients.shape[0]))
     lowest, highest = np.float32(-1), np.float32(max_disparity + 1)
-    for t in prange(unary.shape[0]):
-        x, y = _coordinates(order[starts[t] : starts[t + 1]], width)
-        x0, x1 = np.float32(width), np.float32(0)
-        for i in range(x.size):
-            x0, x1 = min(x0, x[i]), max(x1, x[i])
-        y0, y1 = (y[0], y[x.size - 1]) if x.size else (np.float32(0), np.float32(0))
-        for label in range(coefficients.shape[0]):
-            a = np.float32(coefficients[label, 0])
-            b = np.float32(coefficients[label, 1])
-            c = np.float32(coefficients[label, 2])
-            # Most planes stay inside at all corners of the segment's box, and then everywhere in it.
-            low = c + min(a * x0, a * x1) + min(b * y0, b * y1)
-            high = c + max(a * x0, a * x1) + max(b * y0, b * y1)
-            if low >= -0.99 and high <= max_disparity + 0.99:
-                continue
-            outside = np.int32(0)
+    for task in prange(TASKS):
+        for t in range(np.int64(task), unary.shape[0], TASKS):
+            x, y = _coordinates(order[starts[t] : starts[t + 1]], width)
+            x0, x1 = np.float32(width), np.float32(0)
             for i in range(x.size):
-                d = a * x[i] + b * y[i] + c
-                outside += np.int32((d < lowest) | (d > highest))
-            unary[t, label] = 1000.0 * outside
+                x0, x1 = min(x0, x[i]), max(x1, x[i])
+            y0, y1 = (y[0], y[x.size - 1]) if x.size else (np.float32(0), np.float32(0))
+            for label in range(coefficients.shape[0]):
+                a = np.float32(coefficients[label, 0])
+                b = np.float32(coefficients[label, 1])
+                c = np.float32(coefficients[label, 2])
+                # Most planes stay inside at all corners of the segment's box, and then everywhere in it.
+                low = c + min(a * x0, a * x1) + min(b * y0, b * y1)
+                high = c + max(a * x0, a * x1) + max(b * y0, b * y1)
+                if low >= -0.99 and high <= max_disparity + 0.99:
+                    continue
+                outside = np.int32(0)
+                for i in range(x.size):
+                    d = a * x[i] + b * y[i] + c
+                    outside += np.int32((d < lowest) | (d > highest))
+                unary[t, label] = 1000.0 * outside
     return unary
 
 
@@ -265,7 +267,4 @@ def smoothness(graph: RegionGraph, weight: float, color_scale: float) -> NDArray
     ``w beta exp(-tau^2 / sigma^2)``, where beta is the length of the common boundary in pixels, tau the distance of
     the mean colors.
     """
-    first, second = graph.edges.T
-    distance = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
-    strength: NDArray[np.float64] = weight * graph.boundary * np.exp(-distance / color_scale**2)
-    return strength
+    return np.asarray(weight * graph.boundary * np.exp(-graph.distances / color_scale**2), np.float64)
