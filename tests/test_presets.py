@@ -1,6 +1,9 @@
 """Every preset that ships: read, shown, run on a small scene."""
 
 import json
+import os
+import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -111,6 +114,24 @@ def test_same_bytes_at_any_number_of_threads(request, tmp_path: Path, monkeypatc
     assert len(found[0]) > 2
     assert found[0].keys() == found[1].keys()
     assert [name for name, data in found[0].items() if found[1][name] != data] == []
+
+
+@pytest.mark.slow
+def test_same_bytes_at_more_threads_than_cores(made_scenes: Path, tmp_path: Path):
+    presets, counts = ("stereo fast", "stereo accurate", "stereo segments", "fuse accurate"), (1, 2, 3, 4, 7, 16)
+    given = "-i", str(made_scenes), "--scenes", "planes_0", "-q"
+    calls = [
+        [*words.split(), *given, "-o", str(tmp_path / words / str(count)), "--threads", str(count)]
+        for words in presets
+        for count in counts
+    ]
+    code = "import json, sys; from depthcli.cli import main; sys.exit(max(map(main, json.loads(sys.argv[1]))))"
+    env = os.environ | {"NUMBA_NUM_THREADS": str(max(counts))}
+    subprocess.run([sys.executable, "-c", code, json.dumps(calls)], env=env, check=True, timeout=600)
+    for words in presets:
+        alone, *others = (contents(tmp_path / words / str(count)) for count in counts)
+        assert "planes_0/disp_left.pfm" in alone
+        assert all(found == alone for found in others), words
 
 
 def test_the_methods_that_fuse_writes_out_are_those_of_stereo():

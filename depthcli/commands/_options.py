@@ -29,6 +29,7 @@ from depthcli.run.flags import Condition, conditions_of
 
 NOWHERE = Path(os.devnull, "no output")
 """In place of a run folder where nothing is computed and none is given."""
+_MAX_JOBS = 512
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +134,9 @@ class RunOptions(Printing):
     ] = NOWHERE  # fmt: skip
     overwrite: bool = option(False, "--overwrite", help="Replace an earlier run that had another config.")
     keep: str | None = option(None, metavar="NAMES", help="Files kept, as disp_left.pfm,status.png. Default: all.")
-    jobs: int = option(1, "--jobs", "-j", metavar="N", min=1, max=512, help="Scenes at a time, each in a process.")
+    jobs: str = option(
+        "auto", "--jobs", "-j", metavar="N", help="Scenes at a time, each in a process; auto: what finishes first."
+    )
     threads: int | None = option(
         None, metavar="N", min=1, max=1024, help="Threads of a process. Default: cores / --jobs."
     )
@@ -154,7 +157,7 @@ class RunOptions(Printing):
             raise ConfigError("give --output DIR, the folder to write into")
         if self.execution.shard is not None and (self.evaluate or self.html):
             raise ConfigError("--evaluate needs all scenes: run depthcli evaluate when all shards are done")
-        if self.scheduler is not None and self.jobs != 1:
+        if self.scheduler is not None and self.jobs not in ("auto", "1"):
             raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
         assert isinstance(self.conditions, list)
 
@@ -165,9 +168,11 @@ class RunOptions(Printing):
 
     @cached_property
     def execution(self) -> Execution:
-        """How the run is carried out; ConfigError for a wrong size or shard."""
+        """How the run is carried out; ConfigError for a wrong number, size or shard."""
+        if self.jobs != "auto" and not (self.jobs.isdecimal() and 1 <= int(self.jobs) <= _MAX_JOBS):
+            raise ConfigError(f"--jobs: must be auto, or 1 to {_MAX_JOBS} (got {self.jobs!r})")
         return Execution(
-            jobs=self.jobs,
+            jobs=None if self.jobs == "auto" else int(self.jobs),
             threads=self.threads,
             max_memory=parse_bytes(self.max_memory) if self.max_memory else None,
             overwrite=self.overwrite,

@@ -18,6 +18,7 @@ from depthcli.commands._options import SceneOptions
 from depthcli.commands._rectified_pairs import calibration_files, check_unit, rectified_pair, sequence_range
 from depthcli.core.errors import ConfigError
 from depthcli.core.maps import Status
+from depthcli.core.method import parts_of
 from depthcli.core.result import Clock
 from depthcli.core.scene import current_scene
 from depthcli.device import Device
@@ -27,6 +28,8 @@ from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.stereo.config import PairConfig
 from depthcli.methods.stereo.matching import host_bytes
+from depthcli.methods.stereo.networks import Network
+from depthcli.methods.stereo.pipeline.command import Program
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, number, percent
@@ -92,12 +95,23 @@ class MatchPairs(Batch[StereoScene]):
 
     def memory(self, scene: StereoScene) -> int | None:
         """Estimate by the left image's size; None if the range comes from the pair itself."""
-        low, top = self.given_range(scene)
-        if not (isinstance(low, int) and isinstance(top, int)):
+        return None if any(not isinstance(end, int) for end in self.given_range(scene)) else self._memory(scene)
+
+    def memory_bound(self, scene: StereoScene) -> int | None:
+        """Estimate by the left image's size; None for programs, networks and devices, which serve one scene well."""
+        on_device = getattr(self.config, "device", "cpu") != "cpu"
+        if on_device or any(isinstance(part, Network | Program) for part in parts_of(self.config)):
             return None
-        limits = limits_of(self.config, 0, self.device())
+        return self._memory(scene)
+
+    def _memory(self, scene: StereoScene) -> int:
+        """Estimate the bytes of matching a pair over its range, or over the widest one where that is not known."""
         height, width = image_size(scene.left)
-        return host_bytes(self.matcher(scene), (height, width), max(min(top, width - 1) - low, 1), limits)
+        low, top = self.given_range(scene)
+        low = low if isinstance(low, int) and top is not None else 1 - width
+        top = min(top, width - 1) if isinstance(top, int) else width - 1
+        limits = limits_of(self.config, 0, self.device())
+        return host_bytes(self.matcher(scene), (height, width), max(top - low, 1), limits)
 
     def files(self, scene: StereoScene) -> dict[str, Path]:
         """Return the files of the pair, the calibration that rectifies it, and the frames that give its range."""

@@ -95,6 +95,10 @@ class Transparent(Batch[RgbdScene]):
         """Return an estimate of the peak memory once the sparse depth is known, bytes."""
         return self.config.pipeline.peak_bytes(frame_size(scene))
 
+    def memory_bound(self, scene: RgbdScene) -> int | None:
+        """Return the estimate, or None if the color and infrared images are matched first."""
+        return self.memory(scene) if self.config.stereo is None else None
+
     def compute(self, scene: RgbdScene, folder: Path, memory: int) -> Outcome:
         """Load a frame with its sparse depth, or match color and infrared image for it; complete it; save."""
         config, clock = self.config, Clock()

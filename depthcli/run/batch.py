@@ -34,7 +34,7 @@ class Outcome:
 class Execution:
     """How a run is carried out; none of it but ``keep`` changes the results."""
 
-    jobs: int = 1  # worker processes; 1 computes in this process
+    jobs: int | None = 1  # worker processes; 1 computes in this process, None in as many as finish first
     threads: int | None = None  # of each process; None divides the cores among them
     max_memory: int | None = None  # bytes, of all processes together; None: all that is available
     overwrite: bool = False
@@ -45,11 +45,11 @@ class Execution:
 
     def threads_each(self) -> int:
         """Return the number of threads of one worker."""
-        return self.threads or max(1, cores() // self.jobs)
+        return self.threads or max(1, cores() // (self.jobs or 1))
 
     def memory_each(self) -> int:
         """Return the bytes that one worker may use."""
-        return (self.max_memory or available_memory()) // self.jobs
+        return (self.max_memory or available_memory()) // (self.jobs or 1)
 
     def own(self, scenes: Sequence[SceneT]) -> list[SceneT]:
         """Return the scenes that this process computes."""
@@ -99,6 +99,10 @@ class Batch(ABC, Generic[SceneT]):
     def memory(self, scene: SceneT) -> int | None:
         """Estimate the peak memory in bytes from the headers of the files; None where that is not known."""
         return None
+
+    def memory_bound(self, scene: SceneT) -> int | None:
+        """Return the largest peak memory in bytes; where it is None, one scene is computed at a time by default."""
+        return self.memory(scene)
 
     def truth_scenes(self, scenes: Sequence[SceneT]) -> Sequence[Scene]:
         """Return the scenes whose ground truth ``--evaluate`` compares the results with."""

@@ -223,6 +223,7 @@ def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Ca
             yield made
             with lock.reporting(), naming():
                 install(made, folder, Record("", command, {}, digests_below(made), {}))
+                flush(folder.parent)
         finally:
             discard(made)
 

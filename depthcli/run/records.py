@@ -151,13 +151,13 @@ def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -
     OutputError, and nothing was moved: the folder has results of another run and ``overwrite`` is not set, or files
     that no record claims have the names of results.
 
-    Files and record are on the disk, and then their names, before they are moved: a power cut leaves no record in
-    ``folder`` without its files.
+    Files and record, and their names, are on the disk before they are moved: a power cut leaves no record in ``folder``
+    without its files. That they were moved is on the disk when the next results are, or when the caller flushes the
+    folder above: a power cut before costs these results alone.
     """
     write_record(made, record)
-    flush_all(made / name for name in (*record.files, RECORD_FILE))
-    for path in _folders(made, record):
-        flush(path)
+    above = [path for path in (folder.parent,) if path.is_dir()]  # of the results before
+    flush_all([*(made / name for name in (*record.files, RECORD_FILE)), *_folders(made, record), *above])
     earlier = read_record(folder)
     if earlier is not None and earlier.run != record.run and not overwrite:
         raise OutputError(f"{folder}: {OTHER_RUN}")
@@ -178,7 +178,6 @@ def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -
             flush(path)
         os.replace(folder / CLAIM_FILE, folder / RECORD_FILE)
         flush(folder)
-    flush(folder.parent)
 
 
 def _folders(folder: Path, record: Record) -> list[Path]:

@@ -12,10 +12,12 @@ from depthcli.core.text import show_bytes
 
 
 def cores() -> int:
-    """Return the number of cores that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Return the number of cores that this process may run on, within the limit of the control group."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    with contextlib.suppress(OSError, ValueError):  # no such file; "max" is no limit
+        quota, period = map(int, Path("/sys/fs/cgroup/cpu.max").read_text("ascii").split())
+        count = min(count, max(quota // period, 1))
+    return count
 
 
 def check_memory(need: int, limit: int, size: str, keys: str = "") -> None:

@@ -17,6 +17,7 @@ from typing import Any
 from depthcli.core.errors import ConfigError, IncompleteError, OutputError
 from depthcli.core.method import used_files, used_plugins
 from depthcli.core.registry import plugins_in
+from depthcli.io.formats.files import flush_all
 from depthcli.io.formats.map_format import format_plugins
 from depthcli.io.inputs import origin
 from depthcli.io.layouts import layout_plugins
@@ -35,7 +36,7 @@ from depthcli.run.records import (
     write_record,
 )
 from depthcli.run.report import is_gone, write_report
-from depthcli.run.workers import GOES_ON, Task, Work, compute_here, compute_in_processes
+from depthcli.run.workers import GOES_ON, Task, Work, compute_on_this_machine
 
 # Digests that are remembered: calibrations and videos belong to several scenes that follow each other.
 _MAX_REMEMBERED = 16
@@ -142,6 +143,7 @@ class _Run:
                 self._take_from_others()
                 try:
                     self._tell_of_gone(write_report(self.plan.output, command, self.plan.identity))
+                    self._flush()
                 except OutputError as error:  # a scene that cannot be written reports that itself
                     self.no_report = str(error)
             self.warnings.close()
@@ -183,12 +185,9 @@ class _Run:
     def _computed(self, tasks: Sequence[Task]) -> Generator[Row, None, None]:
         """Return an iterator over the rows of the tasks, computed by the options."""
         todo, plan = self._claimed(tasks), self.plan
-        how, jobs = plan.work.how, min(plan.work.how.jobs, len(tasks))
-        if how.scheduler is not None and tasks:
+        if plan.work.how.scheduler is not None and tasks:
             return compute_on_cluster(todo, plan.work, self.reporter, plan.workspace)
-        if jobs > 1:
-            return compute_in_processes(todo, plan.work, self.reporter, jobs)
-        return compute_here(todo, plan.work, self.reporter)
+        return compute_on_this_machine(todo, plan.work, self.reporter, [task.scene for task in tasks])
 
     def _claimed(self, tasks: Sequence[Task]) -> Iterator[Task]:
         """Yield the tasks that no other process computes, or has computed since."""
@@ -234,6 +233,13 @@ class _Run:
                 of_task = known is not None and (known.run, known.inputs) == (task.run, task.inputs)
                 self._take(known.row if known and of_task else task.failed("its process ended; run the command again"))
                 del self.elsewhere[name]
+
+    def _flush(self) -> None:
+        """Wait until the last scenes are on the disk under their names; OutputError where it refuses them."""
+        try:
+            flush_all({self.plan.output, *((self.plan.output / name).parent for name in self.rows)})
+        except OSError as error:
+            raise OutputError(f"{self.plan.output}: cannot be written ({error.strerror or error})") from error
 
     def _tell_of_gone(self, rows: Iterable[Row]) -> None:
         """Tell of scenes of earlier calls whose input was removed: the report and the folder still have them."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fnmatch
+import math
 import multiprocessing
 import os
 import platform
@@ -17,8 +18,9 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from importlib import metadata
 from multiprocessing import connection, resource_tracker
 from pathlib import Path
@@ -33,7 +35,7 @@ from depthcli.core.config_file import dump_config
 from depthcli.core.errors import DepthcliError, InputError, OutputError, Terminated
 from depthcli.core.registry import Plugin, plugin_behind, versions_here
 from depthcli.core.result import Clock
-from depthcli.core.scene import computing
+from depthcli.core.scene import BASE_BYTES, computing
 from depthcli.core.text import show_bytes, without_secrets
 from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.files import collected_warnings, file_states, shown
@@ -54,6 +56,9 @@ GOES_ON = "the same command goes on where it stopped"
 _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
 _MAX_TRACE_NAME = 200  # bytes of a scene's name in the name of its traceback; a file's name has 255
 _HEAD_START = 1.0  # seconds in which the first worker can show that kernels have to be compiled
+_KEPT_SHARE = 16  # of the memory that a process may use, for arrays of its next scene: fresh pages take long
+_START_SECONDS, _START_EACH = 1.5, 0.05  # until processes work, and more for each: two take 1.2 s on two cores
+_PROCESS_BYTES = 2 * BASE_BYTES  # of a process beside its scene: its own, and arrays that it keeps for the next one
 _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up the memory
 
 
@@ -172,7 +177,7 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
             if "disk_full" not in row and (opened is None or _is_open(task.hidden, opened)):
                 record_failure(task.target, task.record(row, {}), work.how.overwrite)
         finally:
-            memory.release()
+            memory.release(limit // _KEPT_SHARE)
             if opened is not None:
                 os.close(opened)
             shutil.rmtree(task.hidden, ignore_errors=True)
@@ -251,14 +256,71 @@ def report_compilation(reporter: Reporter, kernels: int, seconds: float) -> None
         reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s{kept}")
 
 
-def compute_here(tasks: Iterable[Task], work: Work, reporter: Reporter) -> Generator[Row, None, None]:
-    """Yield the rows of the tasks, computed one by one in this process."""
-    use_threads(work.how.threads_each())
+def compute_on_this_machine(
+    tasks: Iterable[Task], work: Work, reporter: Reporter, scenes: Sequence[Scene]
+) -> Generator[Row, None, None]:
+    """Yield the rows of the tasks of ``scenes``, computed in this process or in as many as ``--jobs`` says.
+
+    Without a number, scenes are computed here until their time tells that processes finish the others sooner. Each of
+    these may take as much memory as this one, so that their number changes no map.
+    """
+    tasks, how = iter(tasks), work.how
+    if how.jobs is not None and (jobs := min(how.jobs, len(scenes))) > 1:
+        yield from compute_in_processes(tasks, work, reporter, jobs)
+        return
+    need = cache(lambda: _largest_need(work.batch, scenes))  # which takes a look into every file
+    use_threads(how.threads_each())
+    last = math.inf, math.inf
     with CompileWatch(lambda _: _announce_compilation(reporter)) as watch:
-        for task in tasks:
-            row, kernels, seconds = counted(task, work, work.how.memory_each(), watch)
+        for number, task in enumerate(tasks, 1):
+            begun, begun_busy = time.perf_counter(), time.process_time()
+            row, kernels, seconds = counted(task, work, how.memory_each(), watch)
+            took = time.perf_counter() - begun, time.process_time() - begun_busy
             report_compilation(reporter, kernels, seconds)
             yield row
+            # The first scene loads or compiles kernels; any may have waited for the disk. Where kernels cannot be kept,
+            # each process would compile its own.
+            if how.jobs is None and number > 1 and cache_folder() is not None:
+                jobs = n_processes(how, len(scenes) - number, *min(took, last), need)
+                if jobs > 1:
+                    break
+            last = took
+        else:
+            return
+    memory.release()
+    reporter.detail(f"{jobs} processes compute the other {len(scenes) - number} scenes")
+    work = replace(work, how=replace(how, jobs=jobs, max_memory=jobs * how.memory_each()))
+    yield from compute_in_processes(tasks, work, reporter, jobs, compiled=True)
+
+
+def n_processes(how: Execution, left: int, took: float, busy: float, need: Callable[[], int | None]) -> int:
+    """Return how many processes compute the ``left`` scenes soonest; 1: this one, as starting others takes longer.
+
+    Parameters
+    ----------
+    took, busy : seconds of a scene here, and of all cores together, of which several processes save nothing
+    need : returns the largest bytes of a scene, None where they are not known
+    """
+
+    def seconds(jobs: int) -> float:
+        start = 0.0 if jobs == 1 else _START_SECONDS + _START_EACH * jobs
+        return start + math.ceil(left / jobs) * max(took, busy * jobs / resources.cores())
+
+    def soonest(most: int) -> int:
+        return min(range(1, most + 1), key=seconds, default=1)
+
+    jobs = soonest(min(left, resources.cores() // (how.threads or 1)))
+    if jobs == 1 or (bound := need()) is None:
+        return 1
+    return soonest(min(jobs, how.memory_each() // (bound + _PROCESS_BYTES)))
+
+
+def _largest_need(batch: Batch[Any], scenes: Sequence[Scene]) -> int | None:
+    needs: list[int | None] = [0]
+    for scene in scenes:
+        with contextlib.suppress(InputError):  # it will fail
+            needs.append(0 if scene.problem else batch.memory_bound(scene))
+    return None if None in needs else max(need or 0 for need in needs)
 
 
 @dataclass(eq=False)
@@ -272,20 +334,23 @@ class _Worker:
 
 
 def compute_in_processes(
-    tasks: Iterable[Task], work: Work, reporter: Reporter, jobs: int
+    tasks: Iterable[Task], work: Work, reporter: Reporter, jobs: int, compiled: bool = False
 ) -> Generator[Row, None, None]:
     """Yield the rows of the tasks, computed by ``jobs`` processes, in the order in which they are finished.
 
-    The first scene is computed alone for a moment. If kernels have to be compiled for it, the other processes wait
-    for them instead of compiling the same ones.
+    The first scene is computed alone for a moment, unless all is ``compiled``. If kernels have to be compiled for it,
+    the other processes wait for them instead of compiling the same ones.
     """
     context = multiprocessing.get_context("spawn")  # threads of OpenMP do not survive a fork
     waiting, retried = iter(tasks), list[tuple[Task, int]]()
     workers: list[_Worker] = []
-    alone_until = time.monotonic() + 60.0  # until the first worker has begun
+    alone_until = 0.0 if compiled else time.monotonic() + 60.0  # until the first worker has begun
     earlier = {name: value for name, value in os.environ.items() if name == "NUMBA_NUM_THREADS"}
     os.environ["NUMBA_NUM_THREADS"] = str(work.how.threads_each())  # which the processes inherit
     try:
+        with _ctrl_c_later():  # so that those that have started are ended
+            for _ in range(jobs):  # side by side
+                workers.append(_start(context, work))
         while True:
             alone = time.monotonic() < alone_until
             while sum(worker.task is not None for worker in workers) < (1 if alone else jobs):
@@ -293,8 +358,8 @@ def compute_in_processes(
                 if task is None:
                     break
                 worker = next((worker for worker in workers if worker.task is None), None)
-                if worker is None:
-                    with _ctrl_c_later():  # so that one that has started is among those that are ended
+                if worker is None:  # one has died
+                    with _ctrl_c_later():
                         workers.append(worker := _start(context, work))
                 worker.task, worker.tries = task, tries + 1
                 with contextlib.suppress(OSError):  # it has died meanwhile, which is seen below

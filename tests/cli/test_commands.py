@@ -21,7 +21,9 @@ from PIL import Image
 
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
+from depthcli.commands._options import PairOptions, RunOptions
 from depthcli.commands._shared_options import parse_bytes
+from depthcli.commands._stereo import prepare
 from depthcli.commands._sweep_axes import parse_axes
 from depthcli.core.config_file import load_config
 from depthcli.io.formats.disparity import read_disparity, read_pfm
@@ -361,3 +363,30 @@ def test_a_window_of_one_number_is_answered_by_two(tmp_path: Path, capsys: pytes
     command = ("stereo", "fast", "-i", tmp_path, "-o", tmp_path / "run", "--dry-run", "--set")
     assert run(*command, "cost.window=9") == 2
     assert "cost.window" in (err := capsys.readouterr().err) and "write [9, 9]" in err
+
+
+def test_numbers_of_processes(two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    command = ("stereo", "opencv-bm", "-i", two_scenes, "-o", tmp_path / "run", "--dry-run", "--jobs")
+    for number in ("0", "-1", "513", "many", ""):
+        assert run(*command, number) == 2
+        assert "--jobs" in capsys.readouterr().err
+    for number in ("auto", "512"):
+        assert run(*command, number) == 0
+
+
+def test_the_largest_need_of_a_scene(two_scenes: Path, tmp_path: Path):
+    """Where the pair gives the range, that of the widest one; None for what is computed by others."""
+    pairs, options = PairOptions(input=two_scenes), RunOptions(output=tmp_path)
+
+    def needs(*settings: str, config: str = "fast") -> tuple[int | None, int | None]:
+        batch, scenes = prepare(config, pairs, options, settings)
+        return batch.memory(scenes[0]), batch.memory_bound(scenes[0])
+
+    known, bound = needs()
+    assert known is not None and known == bound == needs("max_disparity=12")[1]
+    for auto in ("max_disparity=auto", "min_disparity=auto"):
+        unknown, widest = needs(auto)
+        assert unknown is None and widest is not None and widest > known
+    program = [sys.executable, "-c", "pass", "{left}", "{right}", "{output}"]
+    (tmp_path / "program.yaml").write_text(json.dumps({"pipeline": "command", "program": program}))
+    assert needs(config=str(tmp_path / "program.yaml"))[1] is None

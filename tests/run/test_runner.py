@@ -289,7 +289,7 @@ def test_interruption_leaves_a_folder_to_go_on_with(folder: Folder):
 
 
 def test_what_is_finished_when_the_signal_comes_is_reported(folder: Folder, monkeypatch: pytest.MonkeyPatch):
-    def interrupt() -> int:  # called when a scene's files are in place
+    def interrupt(_: int) -> int:  # called when a scene's files are in place
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
@@ -584,6 +584,47 @@ def test_files_are_kept_by_their_paths_and_memory_is_shared(tmp_path: Path):
     assert Execution(jobs=2, max_memory=100).memory_each() == 50
 
 
+@pytest.mark.parametrize(
+    ("left", "took", "busy", "options", "need", "found"),
+    [
+        (0, 0.05, 0.05, {}, 0, [1]),  # there was a single scene
+        (9, 0.2, 0.2, {}, 0, [1]),  # as soon done as others have started
+        (198, 0.05, 0.05, {}, 0, range(2, 9)),
+        (1000, 1.0, 1.0, {}, 0, [8]),
+        (1000, 1.0, 8.0, {}, 0, [1]),  # threads keep all cores busy
+        (1000, 1.0, 1.0, {"threads": 3}, 0, [2]),
+        (1000, 1.0, 1.0, {"threads": 16}, 0, [1]),
+        (1000, 1.0, 1.0, {"max_memory": 4 << 30}, 1 << 30, [3]),
+        (1000, 1.0, 1.0, {"max_memory": 1 << 30}, 1 << 30, [1]),
+        (1000, 1.0, 1.0, {}, None, [1]),
+    ],
+)
+def test_how_many_processes_finish_first_on_eight_cores(left, took, busy, options, need, found, monkeypatch):
+    monkeypatch.setattr(workers.resources, "cores", lambda: 8)
+    how = Execution(**{"jobs": None, "max_memory": 64 << 30} | options)
+    assert workers.n_processes(how, left, took, busy, lambda: need) in found
+
+
+@pytest.mark.slow
+def test_processes_take_over_where_they_finish_sooner(folder: Folder, monkeypatch: pytest.MonkeyPatch):
+    folder.run()
+    alone = folder.bytes()
+    shutil.rmtree(folder.output)
+    chosen: list[int] = []
+
+    def two(how: Execution, left: int, *measured: Any) -> int:
+        chosen.append(left)
+        return 2
+
+    monkeypatch.setattr(workers, "n_processes", two)
+    folder.texts["c"] = f"killed once {folder.root / 'mark'}"  # not this process
+    rows = folder.run(jobs=None)
+    assert chosen == [2] and [rows[name]["status"] for name in "abcd"] == ["done"] * 4
+    folder.texts["c"] = "ccc"
+    folder.run(jobs=None)
+    assert chosen == [2] and folder.computed() == ["c"] and folder.bytes() == alone
+
+
 def test_a_used_up_quota_elsewhere_is_named_by_its_place(folder: Folder):
     folder.texts["b"] = "quota"
     refused(OutputError, r"^/tmp/scratch: Disk quota exceeded.*; stopped, 1 of 4 scenes done", folder.run)
@@ -647,12 +688,12 @@ def test_files_are_on_the_disk_before_their_record_says_done(folder: Folder, for
     record = next(k for k, step in enumerate(steps) if step[0] == "move" and step[2] == f"{hidden}/record.json")
     assert not [step for step in steps[run_file + 1 : record] if step[0] == "flush"]
     rest = [step for step in steps[record + 1 :] if "a" in Path(step[-1]).parts or step[0] == "flush"]
-    assert {step[1] for step in rest[:3]} == {f"{hidden}/{name}" for name in ("first.txt", "out.txt", "record.json")}
-    assert rest[3] == ("flush", hidden)
+    made = {f"{hidden}/{name}" for name in ("first.txt", "out.txt", "record.json")}
+    assert {step[1] for step in rest[:5]} == {*made, hidden, "."}  # and the moves of earlier scenes
     if foreign:
         done = rest.index(("move", "a/.claim.json", "a/record.json"))
         assert {step[2] for step in rest[:done] if step[0] == "move"} == {"a/.claim.json", "a/first.txt", "a/out.txt"}
         assert rest[done - 1] == rest[done + 1] == ("flush", "a")
     else:
-        done = rest.index(("move", hidden, "a"))
-        assert rest[done + 1] == ("flush", ".")
+        assert rest[5] == ("move", hidden, "a")
+    assert rest[-1] == ("flush", ".")

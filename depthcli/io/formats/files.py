@@ -33,6 +33,7 @@ _END_BYTES = 40  # of a longer name that stay
 _MAX_START = 40  # characters of a name that its temporary one begins with; all may be too long for a file system
 _MAX_SHOWN = 400  # characters of a path in a message; the longest path has 4096
 _MAX_FLUSHES = 16  # threads that wait for the disk; a scene has about 6 files
+_flushes = ThreadPoolExecutor(_MAX_FLUSHES, "flush")  # which starts no thread before it has work
 # A pipe would wait for its other end when it is opened; a terminal would become ours.
 _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
 
@@ -155,8 +156,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
 def flush_all(paths: Iterable[Path]) -> None:
     """Flush files side by side, which costs about as much as one; OSError where the disk refuses one."""
-    with ThreadPoolExecutor(_MAX_FLUSHES) as pool:
-        list(pool.map(flush, paths))
+    list(_flushes.map(flush, paths))
 
 
 def flush(path: Path) -> None:
