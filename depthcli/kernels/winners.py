@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 
-def winners(costs: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+def winners(
+    costs: NDArray[Any], minima: NDArray[np.float32] | None = None
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     """Return the disparities of the smallest costs of the left and of the right view.
 
     The right view's costs are the left's along diagonals, ``c_R(x, d) = c(x + d, d)``. Disparities that lead outside
@@ -19,6 +21,7 @@ def winners(costs: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.uint16]
     Parameters
     ----------
     costs : (H, W, D) uint8, uint16 or float32
+    minima : (H, W) float32, written: the left view's disparities moved by :func:`parabola_minimum`; None: not needed
 
     Returns
     -------
@@ -27,14 +30,14 @@ def winners(costs: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.uint16]
     left = np.empty(costs.shape[:2], np.uint16)
     right = np.empty(costs.shape[:2], np.uint16)
     if costs.dtype == np.float32:
-        _float_winners(costs, left, right)
+        _float_winners(costs, left, right, minima)
     else:
-        _integer_winners(costs, left, right)
+        _integer_winners(costs, left, right, minima)
     return left, right
 
 
 @parallel_jit
-def _integer_winners(costs, left, right):
+def _integer_winners(costs, left, right, minima):
     # Cost and disparity share one 32-bit key, so that a plain minimum finds both.
     height, width, n_disparities = costs.shape
     for y in prange(height):
@@ -51,10 +54,28 @@ def _integer_winners(costs, left, right):
             left[y, x] = np.uint16(best & np.uint32(0xFFFF))
         for x in range(width):
             right[y, x] = np.uint16(best_right[width - 1 - x] & np.uint32(0xFFFF))
+        if minima is not None:
+            _integer_minima(costs[y], left[y], minima[y])
+
+
+@jit
+def _integer_minima(costs, left, minima):
+    # parabola_minimum of the cheapest costs of a row, in a form that compiles to vector code.
+    width, n_disparities = costs.shape
+    around = np.zeros((3, width), np.int32)
+    for x in range(width):
+        d = np.int64(left[x])
+        if 1 <= d < min(n_disparities, x + 1) - 1:
+            around[0, x], around[1, x], around[2, x] = costs[x, d - 1], costs[x, d], costs[x, d + 1]
+    below, lowest, above = around[0], around[1], around[2]
+    for x in range(width):
+        curvature = below[x] + above[x] - 2 * lowest[x]
+        shift = 0.5 * np.float64(below[x] - above[x]) / np.float64(max(curvature, 1))
+        minima[x] = np.float32(np.float64(left[x]) + shift) if curvature > 0 else np.float32(left[x])
 
 
 @parallel_jit
-def _float_winners(costs, left, right):
+def _float_winners(costs, left, right, minima):
     height, width, n_disparities = costs.shape
     for y in prange(height):
         best_right = np.full(width, np.inf, np.float32)
@@ -70,6 +91,22 @@ def _float_winners(costs, left, right):
                     best_right[x - d] = cost
                     right[y, x - d] = d
             left[y, x] = winner
+            if minima is not None:
+                minima[y, x] = parabola_minimum(costs[y, x, : min(n_disparities, x + 1)], winner)
+
+
+@jit
+def parabola_minimum(costs, d):
+    """Return the minimum of the parabola through ``costs[d]`` and the two beside it; ``d`` if they are no minimum.
+
+    Of ``costs`` (K,), those of disparities outside of the other image are left out.
+    """
+    if 1 <= d < costs.size - 1:
+        below, lowest, above = float(costs[d - 1]), float(costs[d]), float(costs[d + 1])
+        curvature = below + above - 2.0 * lowest
+        if below >= lowest and above >= lowest and curvature > 0.0:
+            return np.float32(d + 0.5 * (below - above) / curvature)
+    return np.float32(d)
 
 
 @jit

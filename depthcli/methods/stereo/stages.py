@@ -14,14 +14,13 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
-from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import MeasureName, confidence_maps
 from depthcli.methods.stereo.aggregation import Aggregation
 from depthcli.methods.stereo.cost import Cost
 from depthcli.methods.stereo.optimization import Optimization, Optimizer
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import Refinement, RefinementStep
-from depthcli.methods.stereo.volume import CostVolume, RefinementContext, StereoResult
+from depthcli.methods.stereo.volume import CostMinima, CostVolume, RefinementContext, StereoResult
 
 _TILE_HALO = 64  # pixels, for methods of which nothing is known
 
@@ -115,13 +114,13 @@ def finish(
     """
     clock.start("optimization")
     volume = optimization(volume, pair)
-    left, right = winners(volume.costs)
+    best, right = CostMinima.of(volume)
     clock.start("refinement")
-    disparity = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
-    disparity = refined(disparity, refinement, RefinementContext(pair, volume, right))
+    disparity = DisparityMap(best.left.astype(np.float32), np.zeros(pair.shape, np.uint8))
+    disparity = refined(disparity, refinement, RefinementContext(pair, volume, right, best))
     clock.start("confidence")
     maps = confidence_maps(volume.costs, confidence)
-    return StereoResult(disparity, seconds=clock.seconds, confidence=maps), left, right
+    return StereoResult(disparity, seconds=clock.seconds, confidence=maps), best.left, right
 
 
 def refined(disparity: DisparityMap, steps: Iterable[Refinement], context: RefinementContext) -> DisparityMap:

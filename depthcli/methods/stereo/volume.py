@@ -17,6 +17,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Result
 from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.winners import winners
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class CostVolume:
 
 @dataclass(frozen=True)
 class CostMinima:
-    """What is kept of the costs of a pair matched in tiles, whose volume was never whole.
+    """The cheapest cells of a volume; of a pair matched in tiles, whose volume was never whole, nothing else is kept.
 
     ``minima`` are those of the parabolas through the cheapest cells and the ones beside them; the disparity itself
     where it is no local minimum.
@@ -54,6 +55,13 @@ class CostMinima:
     left: NDArray[np.uint16]  # (H, W), disparities of the cheapest cells
     minima: NDArray[np.float32]
     n_disparities: int
+
+    @classmethod
+    def of(cls, volume: CostVolume) -> tuple[CostMinima, NDArray[np.uint16]]:
+        """Return the cheapest cells of a volume, and the (H, W) disparities of those of the right view."""
+        minima = np.empty(volume.costs.shape[:2], np.float32)
+        left, right = winners(volume.costs, minima)
+        return cls(left, minima, volume.n_disparities), right
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,14 @@ class RefinementContext:
     pair: StereoPair
     volume: CostVolume | CostMinima
     right: NDArray[Any]  # (H, W) uint16 or float32, of the right view, read from the volume along its diagonals
+    known: CostMinima | None = None
+
+    @property
+    def minima(self) -> CostMinima:
+        """The cheapest cells of the volume; computed where ``known`` does not give them."""
+        if isinstance(self.volume, CostMinima):
+            return self.volume
+        return CostMinima.of(self.volume)[0] if self.known is None else self.known
 
 
 @dataclass

@@ -208,8 +208,11 @@ def test_adaptive_weight_of_far_colors_is_the_cost_itself():
 def test_winners(height, width, disparities, dtype):
     volume = random_volume(height, width, disparities, dtype)
     volume.costs[...] //= 16  # many ties
-    for found, expected in zip(winners(volume.costs), naive.winners(volume.costs), strict=True):
+    minima = np.empty((height, width), np.float32)
+    left, right = winners(volume.costs, minima)
+    for found, expected in zip((left, right), naive.winners(volume.costs), strict=True):
         np.testing.assert_array_equal(found, expected)
+    np.testing.assert_allclose(minima, naive.subpixel(volume.costs, left.astype(np.float32)), rtol=1e-6)
 
 
 def holes(height, width, disparities, seed=5):

@@ -68,12 +68,11 @@ class SlantedMedian(Refinement):
         gradient = framed(slopes(values, image, self.slope_radius), radius)
         distance, rate = self.weights()
         grid = np.argwhere(np.isfinite(distance))
-        known = np.nan_to_num(values)
+        known, limit = np.nan_to_num(values), np.float32(max_disparity)
         for _ in range(self.passes):
             out = framed(known, 0)
-            _filter(planes, framed(known, radius), gradient, trust, grid, distance, rate, out)
-            known = np.round(out[:, : values.shape[1]] * np.float32(_STEPS_PER_PIXEL)) / np.float32(_STEPS_PER_PIXEL)
-            known = np.clip(known, np.float32(0), np.float32(max_disparity))
+            _filter(planes, framed(known, radius), gradient, trust, grid, distance, rate, limit, out)
+            known = out[:, : values.shape[1]]
         return np.where(valid, known, np.float32(np.nan))
 
     def weights(self) -> tuple[NDArray[np.float32], np.float32]:
@@ -89,7 +88,7 @@ class SlantedMedian(Refinement):
 
 
 @parallel_jit
-def _filter(planes, values, gradient, trust, grid, distance, color_rate, out):
+def _filter(planes, values, gradient, trust, grid, distance, color_rate, max_disparity, out):
     # Inputs but ``grid`` and ``distance`` have a margin without trust. The medians of a block of pixels are found
     # together, by halving intervals.
     height, width = out.shape
@@ -145,6 +144,10 @@ def _filter(planes, values, gradient, trust, grid, distance, color_rate, out):
                 widest *= np.float32(0.5)
             store(medians, y * width + x, part * (low0 + high0))
             store(medians, y * width + x + LANES, part * (low1 + high1))
+        row = out[y]
+        for x in range(width):
+            row[x] = np.rint(row[x] * np.float32(_STEPS_PER_PIXEL)) / np.float32(_STEPS_PER_PIXEL)
+            row[x] = min(max(row[x], np.float32(0)), max_disparity)
 
 
 @jit

@@ -6,6 +6,7 @@ import numpy as np
 
 from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.winners import parabola_minimum
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import CostMinima, RefinementContext
 
@@ -23,27 +24,20 @@ class Subpixel(Refinement):
         return 0
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
-        volume = context.volume
-        if isinstance(volume, CostMinima):
-            values = np.where(disparity.values == volume.left, volume.minima, disparity.values)
-        else:
-            values = disparity.values.copy()
-            move_to_minimum(volume.costs, values)
+        values, best, volume = np.empty_like(disparity.values), context.minima, context.volume
+        costs = None if isinstance(volume, CostMinima) else volume.costs
+        _move_to_minima(disparity.values, best.left, best.minima, costs, values)
         return DisparityMap(values, disparity.status)
 
 
 @parallel_jit
-def move_to_minimum(costs, values):
-    """Move (H, W) float32 ``values`` to the minima of parabolas, in place."""
-    height, width, n_disparities = costs.shape
-    for y in prange(height):
-        for x in range(width):
-            if np.isnan(values[y, x]):
-                continue
-            d = int(values[y, x])
-            if values[y, x] != d or d < 1 or d + 1 >= min(n_disparities, x + 1):
-                continue
-            below, lowest, above = float(costs[y, x, d - 1]), float(costs[y, x, d]), float(costs[y, x, d + 1])
-            curvature = below + above - 2.0 * lowest
-            if below >= lowest and above >= lowest and curvature > 0.0:
-                values[y, x] = np.float32(d + 0.5 * (below - above) / curvature)
+def _move_to_minima(values, left, minima, costs, out):
+    for y in prange(values.shape[0]):
+        for x in range(values.shape[1]):
+            value = values[y, x]
+            if value == left[y, x]:
+                out[y, x] = minima[y, x]
+            elif costs is not None and value == np.floor(value):
+                out[y, x] = parabola_minimum(costs[y, x, : x + 1], int(value))
+            else:
+                out[y, x] = value

@@ -15,7 +15,6 @@ from depthcli.core import memory
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.winners import left_right_difference, winners
-from depthcli.methods.stereo.refinement.subpixel import move_to_minimum
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 
@@ -41,13 +40,11 @@ class Selection(ConfigModel):
     subpixel: bool = Field(False, description="move disparities to the minimum of a parabola through three costs")
 
     def __call__(self, volume: CostVolume) -> FirstEstimate:
-        left, right = winners(volume.costs)
+        minima = np.empty(volume.costs.shape[:2], np.float32) if self.subpixel else None
+        left, right = winners(volume.costs, minima)
         trusted = left_right_difference(left, right) <= self.tolerance
         _distrust_constant_costs(volume.costs, trusted)
-        values = left.astype(np.float32)
-        if self.subpixel:
-            move_to_minimum(volume.costs, values)
-        return FirstEstimate(values, trusted, right)
+        return FirstEstimate(left.astype(np.float32) if minima is None else minima, trusted, right)
 
 
 def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -> CostVolume:
