@@ -98,9 +98,9 @@ class MatchPairs(Batch[StereoScene]):
         return None if any(not isinstance(end, int) for end in self.given_range(scene)) else self._memory(scene)
 
     def memory_bound(self, scene: StereoScene) -> int | None:
-        """Estimate by the left image's size; None for programs, networks and devices, which serve one scene well."""
-        on_device = getattr(self.config, "device", "cpu") != "cpu"
-        if on_device or any(isinstance(part, Network | Program) for part in parts_of(self.config)):
+        """Estimate by the left image's size; None for programs, networks, devices and videos: these serve one scene."""
+        apart = getattr(self.config, "device", "cpu") != "cpu" or scene.frame_number is not None
+        if apart or any(isinstance(part, Network | Program) for part in parts_of(self.config)):
             return None
         return self._memory(scene)
 

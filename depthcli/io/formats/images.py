@@ -206,7 +206,8 @@ def png_bytes(array: NDArray[Any]) -> bytes:
         array = array.astype(np.uint8) * np.uint8(255)
     if array.dtype not in (np.uint8, np.uint16) or not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)):
         raise ValueError(f"expected (H, W) or (H, W, 3) uint8 or uint16, got {array.shape} {array.dtype}")
-    done, code = cv2.imencode(".png", np.ascontiguousarray(array if array.ndim == 2 else array[..., ::-1]))
+    pixels = np.ascontiguousarray(array)
+    done, code = cv2.imencode(".png", pixels if array.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
     if not done:
         raise ValueError(f"{array.shape} {array.dtype} cannot be encoded as PNG")
     return code.tobytes()

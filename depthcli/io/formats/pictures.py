@@ -133,10 +133,10 @@ def confidence_picture(confidence: NDArray[np.floating[Any]]) -> NDArray[np.uint
 def preview(values: NDArray[np.float32], top: float) -> NDArray[np.uint8]:
     """Return an (H, W, 3) RGB picture of a map: blue = 0 to red = ``top``, black = no value."""
     known = ~np.isnan(values)
-    grey = np.zeros(values.shape, np.uint8)
-    with np.errstate(over="ignore"):
-        grey[known] = np.clip(np.rint(values[known] * (255.0 / max(top, 1e-6))), 0, 255).astype(np.uint8)
-    picture: NDArray[Any] = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[..., ::-1].copy()
+    with np.errstate(over="ignore", invalid="ignore"):
+        grey = np.clip(np.rint(values * (255.0 / max(top, 1e-6))), 0, 255)
+    grey = np.where(known, grey, 0).astype(np.uint8)
+    picture: NDArray[Any] = cv2.cvtColor(cv2.applyColorMap(grey, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
     picture[~known] = NO_VALUE
     return picture
 
