@@ -31,7 +31,9 @@ class Surf(Detector):
         points = np.concatenate([self._octave(integral, k) for k in range(self.octaves)])
         points = points[np.lexsort((points[:, 2], points[:, 0], points[:, 1], -points[:, 3]))]
         descriptors = np.zeros((len(points), 64), np.float32)
-        _describe(integral, points, descriptors)
+        if len(points):
+            margin = 2 + int(13 * points[:, 2].max())  # boxes of a descriptor may be partly outside of the image
+            _describe(np.pad(integral, margin, "edge"), margin, points, descriptors)
         x, y, scale, response, sign = points.T.copy()
         return KeyPoints(x, y, scale, response, sign.astype(np.int8), descriptors)
 
@@ -46,17 +48,15 @@ class Surf(Detector):
         signs = np.zeros(responses.shape, np.int8)
         for layer, size in enumerate(sizes):
             _hessian(integral, step, size, responses[layer], signs[layer])
-        return np.asarray(_maxima(responses, signs, step, sizes[0], sizes[1] - sizes[0], self.threshold))
+        peaks = np.zeros(responses.shape, np.bool_)
+        _find_peaks(responses, self.threshold, peaks)
+        return np.asarray(_located(responses, signs, np.argwhere(peaks), step, sizes[0], sizes[1] - sizes[0]))
 
 
 @jit
 def _box(integral, y, x, height, width):
-    # Sum of the pixels [y, y + height) x [x, x + width) inside the image.
-    rows, columns = integral.shape
-    y0 = min(max(y, 0), rows - 1)
-    x0 = min(max(x, 0), columns - 1)
-    y1 = min(max(y + height, 0), rows - 1)
-    x1 = min(max(x + width, 0), columns - 1)
+    # Sum of the pixels [y, y + height) x [x, x + width), which are inside: unsigned indices are not wrapped around.
+    y0, x0, y1, x1 = np.uint64(y), np.uint64(x), np.uint64(y + height), np.uint64(x + width)
     return integral[y1, x1] - integral[y0, x1] - integral[y1, x0] + integral[y0, x0]
 
 
@@ -70,10 +70,8 @@ def _hessian(integral, step, size, responses, signs):
         y = j * step
         if y < half or y + half >= height:
             continue
-        for i in range(responses.shape[1]):
+        for i in range(-(-half // step), (width - half - 1) // step + 1):
             x = i * step
-            if x < half or x + half >= width:
-                continue
             dyy = _box(integral, y - half, x - lobe + 1, size, 2 * lobe - 1) - 3.0 * _box(
                 integral, y - lobe // 2, x - lobe + 1, lobe, 2 * lobe - 1
             )
@@ -92,27 +90,32 @@ def _hessian(integral, step, size, responses, signs):
             signs[j, i] = 1 if dxx + dyy >= 0.0 else -1
 
 
-@jit
-def _maxima(responses, signs, step, first_size, size_step, threshold):
-    # Maxima over 3 x 3 x 3 cells, moved to the peak of the parabola through them.
+@parallel_jit
+def _find_peaks(responses, threshold, peaks):
+    # Maxima over 3 x 3 x 3 cells.
     layers, rows, columns = responses.shape
-    points = np.empty((np.count_nonzero(responses >= threshold), 5), np.float32)
-    count = 0
-    for k in range(1, layers - 1):
-        for j in range(1, rows - 1):
+    for row in prange(1, rows - 1):
+        j = np.int64(row)
+        for k in range(1, layers - 1):
             for i in range(1, columns - 1):
-                value = responses[k, j, i]
-                if value < threshold or not _is_peak(responses, k, j, i):
-                    continue
-                dx, dy, dk = _offset(responses, k, j, i)
-                if abs(dx) > 1.0 or abs(dy) > 1.0 or abs(dk) > 1.0:
-                    continue  # no peak here: a ridge
-                points[count, 0] = (i + dx) * step
-                points[count, 1] = (j + dy) * step
-                points[count, 2] = 1.2 / 9.0 * (first_size + (k + dk) * size_step)
-                points[count, 3] = value
-                points[count, 4] = signs[k, j, i]
-                count += 1
+                peaks[k, j, i] = responses[k, j, i] >= threshold and _is_peak(responses, k, j, i)
+
+
+@jit
+def _located(responses, signs, peaks, step, first_size, size_step):
+    # The (N, 3) peaks, moved to those of the parabolas through the cells around.
+    points = np.empty((len(peaks), 5), np.float32)
+    count = 0
+    for k, j, i in peaks:
+        dx, dy, dk = _offset(responses, k, j, i)
+        if abs(dx) > 1.0 or abs(dy) > 1.0 or abs(dk) > 1.0:
+            continue  # no peak here: a ridge
+        points[count, 0] = (i + dx) * step
+        points[count, 1] = (j + dy) * step
+        points[count, 2] = 1.2 / 9.0 * (first_size + (k + dk) * size_step)
+        points[count, 3] = responses[k, j, i]
+        points[count, 4] = signs[k, j, i]
+        count += 1
     return points[:count].copy()
 
 
@@ -160,7 +163,7 @@ def _offset(r, k, j, i):
 
 
 @parallel_jit
-def _describe(integral, points, descriptors):
+def _describe(integral, margin, points, descriptors):
     # (N, 64) from 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9.
     inner = np.empty((9, 9), np.float32)
     for j in range(9):
@@ -172,9 +175,9 @@ def _describe(integral, points, descriptors):
         horizontal = np.empty((24, 24), np.float32)
         vertical = np.empty((24, 24), np.float32)
         for j in range(24):
-            y = int(np.floor(cy + (j - 11.5) * scale + 0.5))
+            y = margin + int(np.floor(cy + (j - 11.5) * scale + 0.5))
             for i in range(24):
-                x = int(np.floor(cx + (i - 11.5) * scale + 0.5))
+                x = margin + int(np.floor(cx + (i - 11.5) * scale + 0.5))
                 # Two halves of a square of side 2 s with its center on the pixel's corner.
                 horizontal[j, i] = _box(integral, y - half, x, 2 * half, half) - _box(
                     integral, y - half, x - half, 2 * half, half

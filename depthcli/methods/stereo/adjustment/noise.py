@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import Image, StereoPair
+from depthcli.kernels.jit import parallel_jit, prange
 
 _BLOCK, _REGION = 8, 32  # sides of the blocks that noise and of the regions that contrast is measured in, pixels
 _FLAT_PERCENTILE = 10  # blocks with less energy: nearly all of it is noise
@@ -42,6 +43,8 @@ def denoised(pair: StereoPair) -> StereoPair:
     a contrast over noise of 14 and 8 the effect grows from none to the whole.
     """
     images = pair.clamped
+    if _are_clean(images, pair.top):
+        return pair
     levels = [_level(image) for image in images]
     rest = 1 - _BRIGHT_PERCENTILE / 100
     is_dark = all(np.count_nonzero(level >= _DARK * pair.top) < rest * level.size for level in levels)
@@ -57,6 +60,66 @@ def denoised(pair: StereoPair) -> StereoPair:
     epsilon = (_NOISE_LIMIT * share * deviation) ** 2
     left, right = (_filtered(image, max(radii), epsilon, share, gain, pair.top) for image in images)
     return replace(pair, left=left, right=right, bits=None)
+
+
+def _are_clean(images: tuple[Image, Image], top: int) -> bool:
+    # Whether the contrast of both images is above ``_CLEAN``, and one of them is not dark, by bounds that are quick to
+    # compute and hold for most pairs: all energy counts as noise, and a dark image has a small mean.
+    if min(images[0].shape[:2]) < _REGION:
+        return False
+    means = []
+    for image in images:
+        height, width = (side // _REGION for side in image.shape[:2])
+        blocks = np.empty((3, *(side // _BLOCK for side in image.shape[:2])), np.float32)
+        block_means(image.reshape(*image.shape[:2], -1), blocks)
+        n = _REGION // _BLOCK
+        regions = blocks[1:, : height * n, : width * n].reshape(2, height, n, width, n).mean(axis=(2, 4))
+        spread = np.sort((1 - 1e-5) * regions[1] - regions[0] ** 2, axis=None)  # less by more than rounding errors
+        energy = np.sort(blocks[0], axis=None)
+        noise = max(1.01 * energy[math.ceil(_FLAT_PERCENTILE / 100 * (energy.size - 1))], _ROUNDING_NOISE**2)
+        if spread[(spread.size - 1) // 2] < _CLEAN**2 * noise:
+            return False
+        means.append(regions[0].mean())
+    bright = 1 - _BRIGHT_PERCENTILE / 100
+    return bool(max(means) > 1.01 * (bright + (1 - bright) * _DARK) * top)
+
+
+@parallel_jit
+def block_means(image, means):
+    """Write means over blocks of 8 x 8 pixels of an (H, W, C) ``image`` to ``means``, (3, H // 8, W // 8) float32.
+
+    They are of the squared second differences of levels, the levels, and their squares; see :func:`noise_level`. A
+    level is the mean of a pixel's channels.
+    """
+    height, width, channels = image.shape
+    for i in prange(means.shape[1]):
+        sums = np.zeros((3, width), np.float32)
+        rows = np.empty((3, width), np.float32)
+        down = np.empty(width + 2, np.float32)
+        for k in range(_BLOCK + 2):
+            above, middle, below = rows[k % 3 - 2], rows[k % 3 - 1], rows[k % 3]
+            y = min(max(i * _BLOCK + k - 1, 0), height - 1)  # the border pixels are repeated outwards
+            if channels == 3:
+                red, green, blue = image[y, :, 0], image[y, :, 1], image[y, :, 2]
+                for x in range(width):
+                    below[x] = np.float32(np.int32(red[x]) + np.int32(green[x]) + np.int32(blue[x])) / np.float32(3)
+            else:
+                below[:] = image[y, :, 0]
+            if k < 2:
+                continue
+            for x in range(width):
+                down[x + 1] = above[x] - np.float32(2) * middle[x] + below[x]
+            down[0], down[width + 1] = down[1], down[width]
+            before, same, after = down[:width], down[1 : width + 1], down[2:]
+            energy, levels, squares = sums[0], sums[1], sums[2]
+            for x in range(width):
+                difference = (before[x] - np.float32(2) * same[x] + after[x]) / np.float32(6)
+                energy[x] += difference * difference
+                levels[x] += middle[x]
+                squares[x] += middle[x] * middle[x]
+        for n in range(3):
+            for j in range(means.shape[2]):
+                means[n, i, j] = np.sum(sums[n, j * _BLOCK : (j + 1) * _BLOCK]) / np.float32(_BLOCK**2)
 
 
 def noise_level(level: NDArray[np.float32], differing: float = 0.0) -> tuple[float, float, int]:

@@ -186,7 +186,7 @@ def discrepancy(values, order, starts, coefficients, weight, truncation):
                 difference = abs(a * px[i] + b * py[i] + c - pd[i])
                 n += np.int32(difference <= half)
                 total += min(difference, max_difference)
-            unary[t, label] = weight * total * np.exp(-n / m)
+            unary[t, label] = weight * total * (np.exp(-n / m) if n else 1.0)  # most planes have none
     return unary
 
 
@@ -219,16 +219,20 @@ def visibility(right, order, starts, coefficients, weight):
     """
     unary = np.zeros((starts.size - 1, coefficients.shape[0]))
     width = right.shape[1]
+    a, b, c = coefficients[:, 0].copy(), coefficients[:, 1].copy(), coefficients[:, 2].copy()
     for task in prange(TASKS):
+        disparity, target = np.empty(a.size), np.empty(a.size, np.int32)
         for t in range(np.int64(task), unary.shape[0], TASKS):
+            cost = unary[t]
             for i in range(starts[t], starts[t + 1]):
-                x = order[i] % width
-                y = order[i] // width
-                for label in range(coefficients.shape[0]):
-                    d = coefficients[label, 0] * x + coefficients[label, 1] * y + coefficients[label, 2]
-                    target = int(np.floor(x - d + 0.5))
-                    if 0 <= target < width and d > right[y, target] + 1.0:
-                        unary[t, label] += weight
+                x, y = float(order[i] % width), float(order[i] // width)
+                for k in range(a.size):  # apart from the next loop, which is no vector code
+                    disparity[k] = a[k] * x + b[k] * y + c[k]
+                    target[k] = np.int32(min(max(np.floor(x - disparity[k] + 0.5), -1.0), float(width)))
+                row = right[order[i] // width]
+                for k in range(a.size):
+                    if 0 <= target[k] < width and disparity[k] > row[target[k]] + 1.0:
+                        cost[k] += weight
     return unary
 
 
@@ -237,25 +241,26 @@ def out_of_range(width, order, starts, coefficients, max_disparity):
     """Compute the prohibitive cost of planes that leave [0, ``max_disparity``] by more than a pixel, of all pixels."""
     unary = np.zeros((starts.size - 1, coefficients.shape[0]))
     lowest, highest = np.float32(-1), np.float32(max_disparity + 1)
+    near_lowest, near_highest = np.float32(-0.99), np.float32(max_disparity + 0.99)
+    planes = coefficients.astype(np.float32)
+    a, b, c = planes[:, 0].copy(), planes[:, 1].copy(), planes[:, 2].copy()
     for task in prange(TASKS):
+        leaves = np.empty(a.size, np.uint8)
         for t in range(np.int64(task), unary.shape[0], TASKS):
             x, y = _coordinates(order[starts[t] : starts[t + 1]], width)
             x0, x1 = np.float32(width), np.float32(0)
             for i in range(x.size):
                 x0, x1 = min(x0, x[i]), max(x1, x[i])
             y0, y1 = (y[0], y[x.size - 1]) if x.size else (np.float32(0), np.float32(0))
-            for label in range(coefficients.shape[0]):
-                a = np.float32(coefficients[label, 0])
-                b = np.float32(coefficients[label, 1])
-                c = np.float32(coefficients[label, 2])
-                # Most planes stay inside at all corners of the segment's box, and then everywhere in it.
-                low = c + min(a * x0, a * x1) + min(b * y0, b * y1)
-                high = c + max(a * x0, a * x1) + max(b * y0, b * y1)
-                if low >= -0.99 and high <= max_disparity + 0.99:
-                    continue
+            # Most planes stay inside at all corners of the segment's box, and then everywhere in it.
+            for k in range(a.size):
+                low = c[k] + min(a[k] * x0, a[k] * x1) + min(b[k] * y0, b[k] * y1)
+                high = c[k] + max(a[k] * x0, a[k] * x1) + max(b[k] * y0, b[k] * y1)
+                leaves[k] = (low < near_lowest) | (high > near_highest)
+            for label in np.flatnonzero(leaves):
                 outside = np.int32(0)
                 for i in range(x.size):
-                    d = a * x[i] + b * y[i] + c
+                    d = a[label] * x[i] + b[label] * y[i] + c[label]
                     outside += np.int32((d < lowest) | (d > highest))
                 unary[t, label] = 1000.0 * outside
     return unary
