@@ -446,7 +446,7 @@ def _serve(pipe: connection.Connection, work: Work) -> None:
     threading.Thread(target=end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     use_threads(work.how.threads_each())
     limit = work.how.memory_each()
-    with contextlib.suppress(EOFError), CompileWatch(lambda _: pipe.send("compiling")) as watch:
+    with contextlib.suppress(EOFError, ConnectionError), CompileWatch(lambda _: pipe.send("compiling")) as watch:
         while True:
             task = pipe.recv()
             pipe.send("begun")
