@@ -104,8 +104,9 @@ class SegmentPlaneFit(ConfigModel):
 def _fit(
     values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center
 ):
-    for task in prange(TASKS):
-        for k in range(np.int64(task), chosen.size, TASKS):
+    n_tasks = min(TASKS, chosen.size)
+    for task in prange(n_tasks):
+        for k in range(np.int64(task), chosen.size, n_tasks):
             pixels = order[starts[chosen[k]] : starts[chosen[k] + 1]]
             px, py, pd = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size)
             for i in range(pixels.size):
