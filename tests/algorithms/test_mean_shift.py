@@ -4,16 +4,32 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.regions import connected_components, merge_small_regions
+from depthcli.algorithms.regions import connected_components, merge_small_regions, region_graph
 from depthcli.algorithms.segmentation.mean_shift import mode_colors
 from tests.naive import segments as naive
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (7, 11), (20, 20)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (7, 11), (20, 20), (70, 5)])
 @pytest.mark.parametrize("distance", [0.0, 1.0, 1.5, 2.0])
 def test_components_agree_with_flood_fill(shape, distance):
     color = np.random.default_rng(1).integers(0, 3, (*shape, 3)).astype(np.uint8)
     assert np.array_equal(connected_components(color, distance), naive.components(color, distance))
+
+
+def test_the_graph_of_regions_counts_pixels_and_common_boundaries():
+    rng = np.random.default_rng(4)
+    labels, image = rng.integers(0, 9, (12, 17)).astype(np.int32), rng.integers(0, 256, (12, 17, 3)).astype(np.uint8)
+    graph = region_graph(labels, image)
+    pairs = np.concatenate([np.stack([labels[:, 1:], labels[:, :-1]], -1).reshape(-1, 2),
+                            np.stack([labels[1:], labels[:-1]], -1).reshape(-1, 2)])  # fmt: skip
+    pairs = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
+    edges, boundary = np.unique(pairs, axis=0, return_counts=True)
+    np.testing.assert_array_equal(graph.edges, edges)
+    np.testing.assert_array_equal(graph.boundary, boundary)
+    np.testing.assert_array_equal(graph.sizes, np.bincount(labels.ravel()))
+    means = np.stack([image[labels == k].mean(axis=0) for k in range(9)])
+    np.testing.assert_allclose(graph.means, means)
+    np.testing.assert_allclose(graph.distances, [np.sum((means[a] - means[b]) ** 2) for a, b in edges])
 
 
 def test_small_regions_join_the_nearest_color():
