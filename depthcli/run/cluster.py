@@ -11,7 +11,7 @@ import time
 from collections.abc import Generator, Iterable
 from concurrent.futures import CancelledError
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from depthcli.run import resources
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row
 from depthcli.run.records import digest, file_digest
-from depthcli.run.workers import BUG, GOES_ON, Task, Work, counted, report_compilation, use_threads
+from depthcli.run.workers import BUG, GOES_ON, Task, Work, compute_scene, counted, report_compilation, use_threads
 
 _CONNECT_TIMEOUT = "20s"
 _RUNNING_FILE = "goes-on"  # in the hidden folder of a run; workers stop when it is gone
@@ -138,7 +138,8 @@ def _compute_there(data: bytes) -> tuple[Row, int, float]:
         use_threads(work.how.threads or worker.state.nthreads)
         # A worker that was believed to be dead may still compute the scene in its own folder.
         own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
-        return counted(own, work, work.how.max_memory or resources.available_memory(), watch)
+        limit = work.how.max_memory or resources.available_memory()
+        return counted(partial(compute_scene, own, work, limit), watch)
 
 
 def _identity_here(work: Work) -> str:

@@ -1,7 +1,8 @@
 """Scenes computed in this process, or in worker processes of this machine (on a cluster: ``cluster``).
 
 :func:`compute_scene` computes a scene in a hidden folder and moves the files into its own folder, the record last.
-Whatever fails becomes a row with its reason; a worker process that is killed costs one scene at most.
+Whatever fails becomes a row with its reason; a worker process that is killed costs one scene at most. A worker waits
+for the disk in a thread of its own, while it computes the next scene.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib import metadata
 from multiprocessing import connection, resource_tracker
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 from pydantic import BaseModel
@@ -47,6 +49,8 @@ from depthcli.run.console import Reporter, silence_warnings
 from depthcli.run.folder import TITLE
 from depthcli.run.json_csv import Row
 from depthcli.run.records import Record, digest, digests_below, file_digest, install, record_failure
+
+_T = TypeVar("_T")
 
 BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
@@ -148,8 +152,16 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
     Where a disk was full, the row has the key ``disk_full`` with the place, the reason and the bytes that are free, and
     nothing is recorded.
     """
+    return computed_scene(task, work, limit)()
+
+
+def computed_scene(task: Task, work: Work, limit: int) -> Callable[[], Row]:
+    """Compute a scene into its hidden folder; return the function that finishes as :func:`compute_scene` does.
+
+    That waits for the disk, which it may do in another thread while the next scene is computed.
+    """
     resources.reset_peak()
-    opened = None
+    opened, done = None, False
     with collected_warnings() as lines:
         try:
             task.scene.check()
@@ -157,35 +169,55 @@ def compute_scene(task: Task, work: Work, limit: int) -> Row:
             opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
             with computing(task.scene.name, limit) as programs:
                 outcome = work.batch.compute(task.scene, task.hidden, limit)
-            if changed := [file for file, known in task.watched.items() if _has_changed(file, *known)]:
-                raise InputError(f"{shown(changed[0])}: changed since the run began; the same command reads it again")
-            row = task.done(outcome, programs.used, lines)
-            try:
-                _keep_only(work.how.keep, task.hidden)
-                files = digests_below(task.hidden)
-                if not _is_open(task.hidden, opened):
-                    raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
-                install(task.hidden, task.target, task.record(row, files), work.how.overwrite)
-            except OSError as error:
-                raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
-            task.trace.unlink(missing_ok=True)
+            row, done = task.done(outcome, programs.used, lines), True
         except (KeyboardInterrupt, Terminated):
+            _leave(task, opened)
             raise
         except BaseException as error:  # a plug-in may exit, or panic as those in Rust: that ends its scene alone
             row = _failed_row(task, error) | {"warnings": lines}
-            # Another process may have taken the scene over where this run was ended while it was computed.
-            if "disk_full" not in row and (opened is None or _is_open(task.hidden, opened)):
-                record_failure(task.target, task.record(row, {}), work.how.overwrite)
-        finally:
-            memory.release(limit // _KEPT_SHARE)
-            if opened is not None:
-                os.close(opened)
-            shutil.rmtree(task.hidden, ignore_errors=True)
+    return partial(_finished, task, work, limit, row, done, opened)
+
+
+def _finished(task: Task, work: Work, limit: int, row: Row, done: bool, opened: int | None) -> Row:
+    try:
+        try:
+            if done and opened is not None:
+                _install(task, work, row, opened)
+        except (KeyboardInterrupt, Terminated):
+            raise
+        except BaseException as error:
+            row, done = _failed_row(task, error) | {"warnings": row["warnings"]}, False
+        # Another process may have taken the scene over where this run was ended while it was computed.
+        if not done and "disk_full" not in row and (opened is None or _is_open(task.hidden, opened)):
+            record_failure(task.target, task.record(row, {}), work.how.overwrite)
+    finally:
+        memory.release(limit // _KEPT_SHARE)
+        _leave(task, opened)
     if place := row.get("disk_full"):
         row["disk_full"] = row["error"]
         with contextlib.suppress(OSError):  # the files of this scene have been deleted by now
             row["disk_full"] += f" ({show_bytes(shutil.disk_usage(place).free)} free on that disk)"
     return row
+
+
+def _install(task: Task, work: Work, row: Row, opened: int) -> None:
+    if changed := [file for file, known in task.watched.items() if _has_changed(file, *known)]:
+        raise InputError(f"{shown(changed[0])}: changed since the run began; the same command reads it again")
+    try:
+        _keep_only(work.how.keep, task.hidden)
+        files = digests_below(task.hidden)
+        if not _is_open(task.hidden, opened):
+            raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
+        install(task.hidden, task.target, task.record(row, files), work.how.overwrite)
+    except OSError as error:
+        raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
+    task.trace.unlink(missing_ok=True)
+
+
+def _leave(task: Task, opened: int | None) -> None:
+    if opened is not None:
+        os.close(opened)
+    shutil.rmtree(task.hidden, ignore_errors=True)
 
 
 def _has_changed(file: Path, content: str, state: object) -> bool:
@@ -237,11 +269,11 @@ def use_threads(count: int) -> None:
     cv2.setNumThreads(count)
 
 
-def counted(task: Task, work: Work, limit: int, watch: CompileWatch) -> tuple[Row, int, float]:
+def counted(compute: Callable[[], _T], watch: CompileWatch) -> tuple[_T, int, float]:
     """Compute a scene; return its row, the number of kernels that were compiled for it, and their seconds."""
     Clock.untimed = staticmethod(compile_seconds)  # no measured time contains a compilation
     kernels, seconds = watch.calls, watch.seconds
-    row = compute_scene(task, work, limit)
+    row = compute()
     return row, watch.calls - kernels, watch.seconds - seconds
 
 
@@ -274,7 +306,7 @@ def compute_on_this_machine(
     with CompileWatch(lambda _: _announce_compilation(reporter)) as watch:
         for number, task in enumerate(tasks, 1):
             begun, begun_busy = time.perf_counter(), time.process_time()
-            row, kernels, seconds = counted(task, work, how.memory_each(), watch)
+            row, kernels, seconds = counted(partial(compute_scene, task, work, how.memory_each()), watch)
             took = time.perf_counter() - begun, time.process_time() - begun_busy
             report_compilation(reporter, kernels, seconds)
             yield row
@@ -325,12 +357,12 @@ def _largest_need(batch: Batch[Any], scenes: Sequence[Scene]) -> int | None:
 
 @dataclass(eq=False)
 class _Worker:
-    """A worker process as its parent sees it: the task that it computes, and how often that was tried."""
+    """A worker process as its parent sees it: the tasks that it computes and finishes, each with how often it tried."""
 
     process: multiprocessing.process.BaseProcess
     pipe: connection.Connection
-    task: Task | None = None
-    tries: int = 0
+    computing: tuple[Task, int] | None = None
+    finishing: tuple[Task, int] | None = None  # the one before, which waits for the disk
 
 
 def compute_in_processes(
@@ -353,44 +385,46 @@ def compute_in_processes(
                 workers.append(_start(context, work))
         while True:
             alone = time.monotonic() < alone_until
-            while sum(worker.task is not None for worker in workers) < (1 if alone else jobs):
+            while sum(worker.computing is not None for worker in workers) < (1 if alone else jobs):
                 task, tries = retried.pop() if retried else (next(waiting, None), 0)
                 if task is None:
                     break
-                worker = next((worker for worker in workers if worker.task is None), None)
+                worker = next((worker for worker in workers if worker.computing is None), None)
                 if worker is None:  # one has died
                     with _ctrl_c_later():
                         workers.append(worker := _start(context, work))
-                worker.task, worker.tries = task, tries + 1
+                worker.computing = task, tries + 1
                 with contextlib.suppress(OSError):  # it has died meanwhile, which is seen below
                     worker.pipe.send(task)
-            busy = {worker.pipe: worker for worker in workers if worker.task is not None}
+            busy = {worker.pipe: worker for worker in workers if worker.computing or worker.finishing}
             if not busy:
                 return
             for pipe in connection.wait(list(busy), 0.05 if alone else None):
                 worker = busy[pipe]  # type: ignore[index]
-                task = worker.task
-                assert task is not None
                 try:
                     message = worker.pipe.recv()
                 except (EOFError, OSError):  # the process is no more
                     worker.process.join()
                     workers.remove(worker)
-                    if worker.tries < _MAX_TRIES:
-                        retried.append((task, worker.tries))
-                        continue
                     killed = worker.process.exitcode == -signal.SIGKILL
                     code = f"exit code {worker.process.exitcode}"
                     why = "killed, probably out of memory; see --max-memory" if killed else code
-                    message = task.died(f"the worker process died {_MAX_TRIES} times ({why})", work), 0, 0.0
+                    for task, tries in filter(None, (worker.finishing, worker.computing)):
+                        if tries < _MAX_TRIES:
+                            retried.append((task, tries))
+                        else:
+                            yield task.died(f"the worker process died {_MAX_TRIES} times ({why})", work)
+                    continue
                 if message == "begun":
                     alone_until = min(alone_until, time.monotonic() + _HEAD_START)
                 elif message == "compiling":
                     _announce_compilation(reporter)
                     alone_until = float("inf") if alone else alone_until
+                elif message == "computed":
+                    worker.computing, worker.finishing, alone_until = None, worker.computing, 0.0
                 else:
                     row, kernels, seconds = message
-                    worker.task, alone_until = None, 0.0
+                    worker.finishing = None
                     report_compilation(reporter, kernels, seconds)
                     yield row
     finally:
@@ -445,10 +479,27 @@ def _serve(pipe: connection.Connection, work: Work) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     use_threads(work.how.threads_each())
-    limit = work.how.memory_each()
-    with contextlib.suppress(EOFError, ConnectionError), CompileWatch(lambda _: pipe.send("compiling")) as watch:
+    limit, turn = work.how.memory_each(), threading.Lock()
+
+    def say(message: object) -> None:
+        with turn:
+            pipe.send(message)
+
+    def finish(scene: Callable[[], Row], kernels: int, seconds: float) -> None:
+        say((scene(), kernels, seconds))
+
+    with (
+        contextlib.suppress(EOFError, ConnectionError),
+        ThreadPoolExecutor(1, "finish") as disk,
+        CompileWatch(lambda _: say("compiling")) as watch,
+    ):
+        finished: Future[None] | None = None
         while True:
             task = pipe.recv()
-            pipe.send("begun")
+            say("begun")
             shutil.rmtree(task.hidden, ignore_errors=True)  # left by a worker that died
-            pipe.send(counted(task, work, limit, watch))
+            computed = counted(partial(computed_scene, task, work, limit), watch)
+            if finished is not None:
+                finished.result()
+            say("computed")
+            finished = disk.submit(finish, *computed)
