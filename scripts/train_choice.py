@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
 """Train the network by which `fuse` chooses among maps.
 
-    python scripts/train_choice.py DATA OUT.json [--config accurate] [--samples FOLDER] [--held-out]
+    python scripts/train_choice.py DATA OUT.json [--config accurate] [--samples FOLDER] [--left-out]
 
-DATA is the folder of data sets. Only the tuning scenes of `stereo_groups.yaml` are used, each of them also from the
-other side (both images mirrored and swapped) where the right view's truth is known, and with the right image lit in
-another way; with them generated scenes, streets above all, and two tuning scenes of twice the size.
+DATA is the folder of data sets. Used are the Middlebury scenes of both groups of `stereo_groups.yaml`, each of them
+also from the other side (both images mirrored and swapped) where the right view's truth is known, with the right image
+lit in another way, in the dark, and cut where something near touches the left border; with them generated scenes,
+streets and bare rooms above all, and two scenes of twice the size.
 CONFIG is a preset or config of fuse whose `maps` are to be chosen among; its present choice plays no part. FOLDER
-keeps the training samples of every scene for another run. ``--held-out`` trains on each half of the tuning scenes and
-prints the error of the likeliest maps of the other half, shares not averaged; nothing is written.
+keeps the training samples of every scene for another run. ``--left-out`` trains once without each data set, prints the
+errors of the likeliest maps on that set, and writes the networks beside OUT.json.
 
 The shipped network `accurate` is what the defaults give.
 
@@ -28,9 +29,10 @@ from typing import Any
 import _env  # first: continues in the checkout's environment
 import cv2
 import numpy as np
-from _experiments import config_of, generated_scenes, kept, real_scenes, scenes_in
+from _experiments import config_of, generated_scenes, kept, real_scenes, scenes_in, show
 from numpy.typing import NDArray
 
+from depthcli.algorithms.filters import discontinuity_mask, local_moments
 from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation import protocols
@@ -42,7 +44,7 @@ from depthcli.methods.fusion.choice.network import NetworkInputs, input_names
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.simulate.stereo_scenes import KINDS, Radiometry, make_scene
 
-VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5, "dark": 0.3}
+VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5, "dark": 0.3, "cut": 0.5}
 """Versions of a real scene, and what each counts."""
 GENERATED = 0.3
 """What a generated scene counts."""
@@ -60,7 +62,8 @@ class TrainingScene:
     """A pair with truth, and how it is used."""
 
     name: str
-    half: int  # 0 or 1, of the tuning scenes; related scenes are together
+    data_set: str  # 2001 counts as v2; generated scenes are one
+    unchanged: bool  # judged when its set is left out
     weight: float  # what it counts beside the others
     pixel_step: int  # one pixel of so many is taken, chosen at random
     load: Callable[[], Loaded]
@@ -68,38 +71,52 @@ class TrainingScene:
 
 def scenes(data: Path) -> Iterator[TrainingScene]:
     """Yield all scenes to train on."""
-    half = 0
-    for folder, scene in real_scenes(data, "tuning"):
-        half = 1 - half
-        for variant, weight in VARIANTS.items():
-            if variant != "mirrored" or true_disparity(scene).right is not None:
-                name, step = f"{folder}_{scene.name}_{variant}", 20 if variant else 10
-                yield TrainingScene(name, half, weight, step, partial(real, scene, variant))
+    for group in ("tuning", "validation"):
+        for folder, scene in real_scenes(data, group):
+            data_set = folder.removeprefix("middlebury_").replace("2001", "v2")
+            unused = data_set == "kitti" or (data_set, scene.name) == ("v3", "Teddy")  # which is in v2, too
+            for variant, weight in () if unused else VARIANTS.items():
+                if variant != "mirrored" or true_disparity(scene).right is not None:
+                    name, step = f"{folder}_{scene.name}_{variant}", 20 if variant else 10
+                    yield TrainingScene(name, data_set, not variant, weight, step, partial(real, scene, variant))
+    for data_set, half in (("2006", "Cloth3"), ("2005", "Reindeer")):
+        for scene in scenes_in(data / "middlebury_half", half):
+            yield TrainingScene(f"half_{half}", data_set, False, 0.7, 20, partial(real, scene, ""))
+    for name, load in generated_loaders():
+        yield TrainingScene(name, "generated", True, GENERATED, 20, load)
+
+
+def generated_loaders() -> Iterator[tuple[str, Callable[[], Loaded]]]:
+    """Yield names of generated scenes, and what makes them."""
     for name, kind, seed, look in generated_scenes("tuning"):
-        load = partial(generated, kind, seed, **look)
-        yield TrainingScene(f"{name}_{kind}_{seed}", seed // 2 % 2, GENERATED, 20, load)
-    for scene in scenes_in(data / "middlebury_half", "Cloth3", "Reindeer"):
-        yield TrainingScene(f"half_{scene.name}", 1, 0.7, 20, partial(real, scene, ""))
+        yield f"{name}_{kind}_{seed}", partial(generated, kind, seed, **look)
     for k, kind in enumerate(KINDS):
         for look, (contrast, noise, light) in enumerate(LOOKS):
             for more in (0, 100, 200, 300) if kind == "street" else (0,):
                 seed = 200 + len(LOOKS) * k + look + more
                 load = partial(generated, kind, seed, wall_contrast=contrast, noise=noise, light=light)
-                yield TrainingScene(f"{kind}_{seed}", seed % 2, GENERATED, 20, load)
+                yield f"{kind}_{seed}", load
         for seed in range(400 + 2 * k, 402 + 2 * k):
             load = partial(generated, kind, seed, wall_contrast=(0.6, 0.2)[seed % 2], dark=True)
-            yield TrainingScene(f"{kind}_{seed}_dark", seed % 2, GENERATED, 20, load)
+            yield f"{kind}_{seed}_dark", load
+    for seed in range(600, 612):
+        look = {"wall_contrast": (0.03, 0.05, 0.1)[seed % 3], "noise": float(seed % 4 > 1)}
+        yield f"room_{seed}", partial(bare_room, ("planes", "foreground")[seed % 2], seed, look)
 
 
 def real(scene: Any, variant: str) -> Loaded:
     pair, truth = load_pair(scene), protocols.load("middlebury_v2")().truth(scene)
     disparity, masks = truth.values, dict(truth.masks)
+    if "disc" not in masks:
+        masks["disc"] = discontinuity_mask(np.nan_to_num(disparity, posinf=0), masks["nonocc"])
     if variant == "mirrored":
         stored = true_disparity(scene)
         disparity, other = (np.ascontiguousarray(one[:, ::-1]) for one in (stored.right, stored.disparity))
         masks = derive_masks(disparity, other)
         left, right = (np.ascontiguousarray(one[:, ::-1]) for one in pair.color8)
         pair = StereoPair(right, left)
+    elif variant == "cut":
+        return cut((pair, scene.max_disparity, disparity, masks), zlib.crc32(scene.name.encode()))
     elif variant:
         change = lit if variant == "lit" else darkened
         pair = change(pair, zlib.crc32(f"{scene.name} {variant}".encode()))
@@ -149,6 +166,23 @@ def generated(kind: Any, seed: int, light: float = 0, dark: bool = False, **look
     return darkened(pair, seed) if dark else pair, made.max_disparity, made.disparity_left, masks
 
 
+def bare_room(kind: Any, seed: int, look: dict[str, float]) -> Loaded:
+    return cut(generated(kind, seed, **look), seed)
+
+
+def cut(loaded: Loaded, seed: int) -> Loaded:
+    """Return the scene without what is left of a column, one of those where much is near."""
+    pair, max_disparity, truth, masks = loaded
+    known = np.where(np.isfinite(truth) & (truth > 0), truth, np.nan)
+    columns = np.arange(int(0.08 * pair.shape[1]), int(0.45 * pair.shape[1]))
+    nearest = columns[np.argsort(-np.nanmean(known[:, columns], axis=0))][: len(columns) // 4]
+    first = int(np.random.default_rng(seed).choice(nearest))
+    left, right, values = (np.ascontiguousarray(one[:, first:]) for one in (*pair.color8, truth))
+    seen = np.arange(values.shape[1]) - np.nan_to_num(values, posinf=0) >= -0.5
+    rest = {name: np.ascontiguousarray(mask[:, first:]) & (seen | (name == "all")) for name, mask in masks.items()}
+    return StereoPair(left, right), max_disparity, values, rest
+
+
 def propose(fusion: Fusion, pair: StereoPair, max_disparity: int) -> Proposals:
     """Return the proposals of a fusion, by running it with a choice that records them."""
     recorded: list[Proposals] = []
@@ -173,7 +207,9 @@ def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]
 
 
 Samples = dict[str, NDArray[Any]]
-"""Pixels of a scene: ``inputs`` (P, N, F), ``errors`` (P, N) pixels, ``weights`` (P,)."""
+"""Pixels of a scene: ``inputs`` (P, N, F), ``errors`` (P, N) pixels, ``weights`` and ``regions`` (P,)."""
+REGIONS = ("bare", "textured", "occluded")
+"""Visible pixels whose 13 x 13 window deviates by less than 3 grey levels; other visible ones; all others."""
 
 
 def samples_of(scene: TrainingScene, fusion: Fusion) -> Samples:
@@ -184,7 +220,10 @@ def samples_of(scene: TrainingScene, fusion: Fusion) -> Samples:
     pixels = np.sort(np.random.default_rng(5).choice(known, known.size // scene.pixel_step, replace=False))
     errors = np.abs(proposals.values.reshape(len(proposals.values), -1)[:, pixels] - truth.ravel()[pixels]).T
     rows = NetworkInputs.of(proposals).rows(pixels).astype(np.float16)
-    return {"inputs": rows, "errors": errors.astype(np.float32), "weights": weights[pixels]}
+    regions = np.where(local_moments(pair.grey8[0].astype(np.float32), 13)[1] < 9, 0, 1)
+    regions[~masks["nonocc"]] = 2
+    arrays = {"weights": weights, "regions": regions.ravel()}
+    return {"inputs": rows, "errors": errors.astype(np.float32)} | {name: a[pixels] for name, a in arrays.items()}
 
 
 Batch = tuple[Map, Map, Map, NDArray[Any]]
@@ -262,24 +301,43 @@ def log_odds(network: TrainedNetwork, inputs: NDArray[Any], row: int | slice = s
     return np.asarray((np.maximum(hidden @ w2 + b2, 0) @ w3 + b3)[..., 0])
 
 
+def left_out(both: list[tuple[TrainingScene, Samples]], data_set: str, trained: TrainedNetwork) -> list[str]:
+    """Return a row of how a network does on a set: mean and median scene, and regions; likeliest map, own map, best."""
+    shares: list[list[list[float]]] = []  # of every scene, of the set and of regions, of those three and the median
+    for scene, one in both:
+        if scene.data_set == data_set and scene.unchanged:
+            errors, likeliest = one["errors"], log_odds(trained, one["inputs"]).argmax(1)[:, None]
+            taken = np.take_along_axis(errors, likeliest, axis=1)[:, 0]
+            wrong = np.stack([taken, errors[:, 1], errors.min(1), errors[:, 0]], 1) > 1
+            parts = [np.ones(len(wrong), bool), *(one["regions"] == k for k in range(len(REGIONS)))]
+            shares.append(
+                [100 * np.average(wrong[p], 0, one["weights"][p] + 1e-12) if p.any() else [np.nan] * 4 for p in parts]
+            )
+    table = np.array(shares)
+    mean, middle = np.nanmean(table, axis=0), np.nanmedian(table[:, 0], axis=0)
+    closed = 100 * (mean[0, 3] - mean[0, 0]) / (mean[0, 3] - mean[0, 2])
+    cells = [" / ".join(f"{value:.2f}" for value in row[:3]) for row in (mean[0], middle, *mean[1:])]
+    return [data_set, *cells, f"{closed:.0f} %"]
+
+
 def main() -> None:
-    options = _env.options(__doc__, "data", "out", config="accurate", samples=None, held_out=False)
+    options = _env.options(__doc__, "data", "out", config="accurate", samples=None, left_out=False)
     fusion = config_of("fuse", options.config, "maps.choice=energy", "confidence=[]")
     both = []
     for scene in scenes(options.data):
         both.append((scene, kept(options.samples, scene.name, partial(samples_of, scene, fusion))))
         print(scene.name, file=sys.stderr)
-    kinds, names = fusion.maps.kinds, [scene.name for scene, _ in both]
-    for half in (0, 1) if options.held_out else ():
-        trained = train([(s.weight, one) for s, one in both if s.half != half], kinds, names)
-        for scene, one in both:
-            if scene.half == half and scene.weight == 1:
-                likeliest = log_odds(trained, one["inputs"]).argmax(1)[:, None]
-                wrong = np.take_along_axis(one["errors"], likeliest, axis=1)[:, 0] > 1
-                share = float((one["weights"] * wrong).sum() / one["weights"].sum())
-                print(f"{scene.name}: {100 * share:.2f} % wrong")
-    if not options.held_out:
-        write_network(options.out, train([(s.weight, one) for s, one in both], kinds, names))
+    kinds = fusion.maps.kinds
+    rows = []
+    for without in dict.fromkeys(scene.data_set for scene, _ in both) if options.left_out else ("",):
+        others = [(scene, one) for scene, one in both if scene.data_set != without]
+        trained = train([(s.weight, one) for s, one in others], kinds, [s.name for s, _ in others])
+        out = Path(options.out)
+        write_network(out.with_stem(f"{out.stem}_without_{without}") if without else out, trained)
+        rows += [left_out(both, without, trained)] if without else []
+    if rows:
+        header = ("left out", "mean", "median scene", *REGIONS, "closed")
+        show("Wrong (> 1 px), %: likeliest map / own map / best of the maps", header, rows)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,9 @@ from depthcli.commands import config_model
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.yaml_source import parse_config
 from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.layouts.stereo import PAIRS
+from depthcli.io.stereo_pairs import load_pair
+from depthcli.io.walk import discover_scenes
 from depthcli.kernels.jit import set_threads
 from depthcli.run.presets import find_config, find_preset, list_presets, preset_folder
 from tests.command_line import contents
@@ -134,20 +137,20 @@ def test_same_bytes_at_more_threads_than_cores(made_scenes: Path, tmp_path: Path
         assert all(found == alone for found in others), words
 
 
-def test_the_methods_that_fuse_writes_out_are_those_of_stereo():
-    """A network knows the maps of these methods and of no others: a change of one copy must not be forgotten."""
+def test_the_map_that_fuse_accurate_begins_with_is_that_of_stereo_accurate(made_scenes: Path):
+    """Its network knows the maps of these methods and of no others: a change of one copy must not be forgotten."""
 
-    def loaded(command: str, name: str) -> Any:
+    def loaded(command: str) -> Any:
         model = config_model(command)
         assert model is not None
-        return load_config(model, find_config(command, name), (), partial(find_preset, command))
+        return load_config(model, find_config(command, "accurate"), (), partial(find_preset, command))
 
-    def own(name: str) -> Any:
-        """Without what fusion does for all of them."""
-        return loaded("stereo", name).pipeline.model_copy(update={"adjust": ()})
-
-    segments, fast = (one.matcher for one in loaded("fuse", "accurate").maps.matchers)
-    # The network was trained with a smoothness of 45; segments has the thesis's 25 since.
-    kept = segments.energy.model_copy(update={"smoothness": 25.0})
-    assert segments.model_copy(update={"energy": kept}) == own("segments")
-    assert fast == own("fast")
+    fusion, alone = loaded("fuse"), loaded("stereo").pipeline
+    assert fusion.refinement == alone.refinement
+    assert fusion.optimization.p2 * len(fusion.measures) == alone.optimization.p2
+    pair = load_pair(discover_scenes(made_scenes, PAIRS, patterns=("planes_0",))[0])
+    own, other = (
+        method(pair, 31).disparity.values
+        for method in (fusion.model_copy(update={"maps": None, "confidence": ()}), alone)
+    )
+    assert np.mean(np.abs(own - other) <= 0.25) > 0.97

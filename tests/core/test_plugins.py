@@ -361,7 +361,7 @@ def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
         ("transparent", "pipeline: my_nearest\n"),
         ("register-confidence", "features: [my_feature]\n"),
         ("register-confidence", "pipeline: my_search\n"),
-        ("fuse", "measures: [census]\nmaps: {segmentations: [{segmentation: slic}], choice: my_choice}\n"),
+        ("fuse", "measures: [census]\nmaps: {optimizations: [{optimization: scanline}], choice: my_choice}\n"),
     ],
 )
 def test_methods_of_every_command_are_configured(file: Path, command: str, text: str):

@@ -34,6 +34,18 @@ def contradictions(maps, right, hidden):
     return out
 
 
+def hidden_jumps(maps, image):
+    """Steps of more than a pixel, up to two, to the four neighbors, less where the color changes."""
+    out = np.zeros(maps.shape)
+    height, width = maps.shape[1:]
+    for k, y, x in np.ndindex(maps.shape):
+        for v, u in ((y, x - 1), (y, x + 1), (y - 1, x), (y + 1, x)):
+            if 0 <= v < height and 0 <= u < width:
+                color = np.abs(image[y, x].astype(int) - image[v, u]).max()
+                out[k, y, x] += np.clip(abs(maps[k, y, x] - maps[k, v, u]) - 1, 0, 1) * np.exp(-color / 10)
+    return out
+
+
 def energy(values, slopes, cost, weights, truncation):
     """Costs, and misfits of neighbors beyond their slopes."""
     height, width = values.shape

@@ -59,14 +59,17 @@ def normalize_confidences(confidence: NDArray[np.float32], name: str) -> NDArray
     return ((first + last) / (2.0 * ordered.size)).astype(np.float32)
 
 
-def measure_weights(mode: str, ballot: Ballot, exponent: float) -> NDArray[np.float32]:
-    """Compute the weights of M measures at every pixel, (M, H, W) float32, sum 1 over the measures.
+def measure_weights(
+    mode: str, ballot: Ballot | None, exponent: float, shape: tuple[int, int, int]
+) -> NDArray[np.float32]:
+    """Compute the weights of M measures at every pixel, ``shape`` (M, H, W) float32, sum 1 over the measures.
 
-    The ballot has one voter per measure. ``exponent`` is a power of the shares (mode ``consensus``) or of the vote
-    weights (mode ``confidence``).
+    The ballot, with one voter per measure, may be missing where all weights are equal. ``exponent`` is a power of the
+    shares (mode ``consensus``) or of the vote weights (mode ``confidence``).
     """
     if mode in ("equal", "vote"):
-        return np.full(ballot.vote_weights.shape, 1.0 / ballot.vote_weights.shape[0], np.float32)
+        return np.full(shape, 1.0 / shape[0], np.float32)
+    assert ballot is not None
     if mode == "select":
         best = ballot.vote_weights.argmax(axis=0)
         chosen: NDArray[np.bool_] = np.arange(ballot.vote_weights.shape[0])[:, None, None] == best

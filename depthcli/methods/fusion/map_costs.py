@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
 
 _ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
@@ -27,20 +25,24 @@ def misfit(here: Map, there: Map, slope_here: Map, slope_there: Map, truncation:
     return np.asarray(np.minimum(np.float32(truncation), mean))
 
 
-def matching_costs(maps: Map, volume: CostVolume, truncation: float, support: ColorSupport) -> Map:
-    """Compute the mean over the support of the cost along every map (N, H, W), in units of the measure.
+def matching_costs(maps: Map, volume: CostVolume, truncation: float) -> Map:
+    """Compute the cost along every map (N, H, W), in units of the measure.
 
     A pixel costs ``truncation`` at most, and if its match lies outside the right image.
     """
-    return _smoothed(maps, support, _along, volume.costs, np.float32(1.0 / volume.scale), np.float32(truncation))
+    out = np.empty(maps.shape, np.float32)
+    _along(maps, volume.costs, np.float32(1.0 / volume.scale), np.float32(truncation), out)
+    return out
 
 
-def disagreements(maps: Map, weights: NDArray[np.float32], support: ColorSupport) -> Map:
-    """Compute the mean over the support of the weighted share of the other maps (N, H, W) that disagree.
+def disagreements(maps: Map, weights: NDArray[np.float32]) -> Map:
+    """Compute the weighted share of the other maps (N, H, W) that disagree.
 
     Maps within half a pixel agree; from there to one and a half their agreement fades.
     """
-    return _smoothed(maps, support, _disagree, weights, weights.sum() - weights)
+    out = np.empty(maps.shape, np.float32)
+    _disagree(maps, weights, weights.sum() - weights, out)
+    return out
 
 
 def agreement(values: Map, maps: Map, weights: NDArray[np.float32]) -> Map:
@@ -51,25 +53,24 @@ def agreement(values: Map, maps: Map, weights: NDArray[np.float32]) -> Map:
     return total / np.float32(weights.sum())
 
 
-def contradictions(maps: Map, right: NDArray[Any], hidden: float, support: ColorSupport) -> Map:
-    """Compute the mean over the support of how far the right view contradicts every map; (N, H, W) in [0, 1].
+def contradictions(maps: Map, right: NDArray[Any], hidden: float) -> Map:
+    """Compute how far the right view contradicts every map; (N, H, W) in [0, 1].
 
     A disparity larger than that of its match in the right view is a contradiction, since the right view could not have
     missed the nearer point: 1, fading between one and two pixels. A smaller one, or a match outside, is ``hidden``.
     """
-    return _smoothed(maps, support, _contradict, right, np.float32(hidden))
-
-
-def _smoothed(maps: Map, support: ColorSupport, fill: Any, *inputs: Any) -> Map:
-    count, height, width = maps.shape
     out = np.empty(maps.shape, np.float32)
-    block = memory.empty((height, width, BLOCK_DEPTH), np.float32)
-    for first in range(0, count, BLOCK_DEPTH):
-        block[:] = NO_VOTE
-        fill(maps, first, *inputs, block)
-        support.sum(block)
-        for k in range(first, min(count, first + BLOCK_DEPTH)):
-            out[k] = block[:, :, k - first] * support.inverse_sum
+    _contradict(maps, right, np.float32(hidden), out)
+    return out
+
+
+def hidden_jumps(maps: Map, image: NDArray[np.uint8]) -> Map:
+    """Compute how far every map (N, H, W) jumps where the color does not change, in [0, 4].
+
+    The sum over the four neighbors of the step beyond one pixel, at most 1, times exp(-color difference / 10 levels).
+    """
+    out = np.empty(maps.shape, np.float32)
+    _hidden_jumps(maps, image, np.exp(np.arange(256) * -0.1).astype(np.float32), out)
     return out
 
 
@@ -112,52 +113,68 @@ def warped_right(x, value, image, other, grey):
 
 
 @parallel_jit
-def _along(maps, first, costs, unit, truncation, block):
-    height, width, n_disparities = costs.shape
+def _along(maps, costs, unit, truncation, out):
+    count, height, width = maps.shape
     for y in prange(height):
-        for k in range(min(block.shape[2], maps.shape[0] - first)):
-            row = maps[first + k, y]
+        for k in range(count):
+            row = maps[k, y]
             for x in range(width):
-                d = min(int(row[x]), n_disparities - 1)
-                if d > x:
-                    block[y, x, k] = truncation
-                    continue
-                block[y, x, k] = min(cost_between(costs[y, x], row[x]) * unit, truncation)
+                d = min(int(row[x]), costs.shape[2] - 1)
+                out[k, y, x] = truncation if d > x else min(cost_between(costs[y, x], row[x]) * unit, truncation)
 
 
 @parallel_jit
-def _disagree(maps, first, weights, others, block):
+def _disagree(maps, weights, others, out):
     count, height, width = maps.shape
     zero, one, no_agreement = np.float32(0), np.float32(1), np.float32(1.5)
     for y in prange(height):
         agreement = np.empty(width, np.float32)
-        for k in range(min(block.shape[2], count - first)):
+        for k in range(count):
             agreement[:] = 0
-            own = maps[first + k, y]
+            own = maps[k, y]
             for m in range(count):
-                if m == first + k:
+                if m == k:
                     continue
                 weight, other = weights[m], maps[m, y]
                 for x in range(own.size):
                     agreement[x] += weight * min(max(no_agreement - abs(own[x] - other[x]), zero), one)
             for x in range(width):
-                block[y, x, k] = one - agreement[x] / others[first + k] if others[first + k] > 0 else zero
+                out[k, y, x] = one - agreement[x] / others[k] if others[k] > 0 else zero
 
 
 @parallel_jit
-def _contradict(maps, first, right, hidden, block):
+def _contradict(maps, right, hidden, out):
     count, height, width = maps.shape
-    one = np.float32(1)
+    zero, one = np.float32(0), np.float32(1)
     for y in prange(height):
-        for k in range(min(block.shape[2], count - first)):
-            row = maps[first + k, y]
+        for k in range(count):
+            row = maps[k, y]
             for x in range(width):
                 u = int(np.floor(np.float32(x) - row[x] + np.float32(0.5)))
                 if u < 0:
-                    block[y, x, k] = hidden
+                    out[k, y, x] = hidden
                     continue
                 nearer = row[x] - np.float32(right[y, u])
-                if nearer > one:
-                    block[y, x, k] = min(nearer - one, one)
-                elif nearer < -one:
-                    block[y, x, k] = hidden
+                out[k, y, x] = hidden if nearer < -one else min(max(nearer - one, zero), one)
+
+
+@parallel_jit
+def _hidden_jumps(maps, image, sameness, out):
+    count, height, width = maps.shape
+    zero, one = np.float32(0), np.float32(1)
+    for row in prange(height):
+        y = np.int64(row)
+        for x in range(width):
+            for k in range(count):
+                out[k, y, x] = zero
+            for side in range(4):  # left, right, upper, lower
+                away = 2 * (side % 2) - 1
+                v, u = (y, x + away) if side < 2 else (y + away, x)
+                if v < 0 or u < 0 or v == height or u == width:
+                    continue
+                largest = np.int32(0)
+                for c in range(image.shape[2]):
+                    largest = max(largest, abs(np.int32(image[y, x, c]) - np.int32(image[v, u, c])))
+                for k in range(count):
+                    step = abs(maps[k, y, x] - maps[k, v, u]) - one
+                    out[k, y, x] += sameness[largest] * min(max(step, zero), one)

@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
-from depthcli.algorithms.regions import RegionPixels
-from depthcli.algorithms.segmentation import Segmentation
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.fusion.choice import Choice, Proposals
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
 from depthcli.methods.fusion.map_costs import agreement
@@ -24,8 +22,6 @@ from depthcli.methods.stereo.refinement import RefinementStep
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
-
-_MIN_PIXELS, _MIN_SHARE = 20, 0.05  # pixels, and share of a segment, that a plane is fitted to; chosen by hand
 
 
 class MapSource(ConfigModel):
@@ -48,17 +44,11 @@ class OptimizedMap(MapSource):
     optimization: Optimization = Field(description="optimization of the fused costs")
 
 
-class PlaneMap(MapSource):
-    """A map of planes, fitted in every segment to the median of the other maps where most of them agree."""
-
-    segmentation: Segmentation = Field(description="how the left image is cut into segments")
-
-
 class MapFusion(ConfigModel):
     """The map of the fused costs and maps of other methods, and which of them is taken at a pixel.
 
-    Proposed are the median of the maps, the map of the fused costs (the own one), those of ``matchers``, of
-    ``optimizations`` and of ``segmentations``, in this order.
+    Proposed are the median of the maps, the map of the fused costs (the own one), those of ``matchers`` and of
+    ``optimizations``, in this order.
     """
 
     matchers: tuple[PipelineMap, ...] = Field(
@@ -66,13 +56,6 @@ class MapFusion(ConfigModel):
     )
     optimizations: tuple[OptimizedMap, ...] = Field(
         (), max_length=16, description="optimizations that make further maps of the fused costs"
-    )
-    segmentations: tuple[PlaneMap, ...] = Field(
-        (), max_length=16, description="segmentations of the left image, each of which makes a map of planes"
-    )
-    planes: SegmentPlaneFit = Field(
-        default_factory=lambda: SegmentPlaneFit(tolerance=1.0, trials=100, flatness=0.9),
-        description="how planes are fitted to segments",
     )
     choice: Choice = Field(default_factory=LeastEnergyChoice, description="which map is taken where")
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the mixed map, in order")
@@ -85,7 +68,6 @@ class MapFusion(ConfigModel):
             "own",
             *(source.matcher.method_name() for source in self.matchers),
             *(source.optimization.method_name() for source in self.optimizations),
-            *(source.segmentation.method_name() for source in self.segmentations),
         )
 
     def __call__(
@@ -93,7 +75,7 @@ class MapFusion(ConfigModel):
     ) -> tuple[DisparityMap, dict[str, NDArray[np.float32]]]:
         """Mix ``maps``, the own one, those of ``matchers`` and those of ``optimizations``, and refine the mix.
 
-        Their gaps are filled; their median and planes are proposed, too. ``right`` (H, W) are disparities of the right
+        Their gaps are filled; their median is proposed, too. ``right`` (H, W) are disparities of the right
         view. The confidences are ``agreement``, the weighted share of the proposals that agree with the map, and, where
         the choice knows it, ``probability`` of the chosen one to be right; both in [0, 1].
         """
@@ -118,34 +100,31 @@ class MapFusion(ConfigModel):
     def _proposals(
         self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap]
     ) -> Proposals:
-        image, max_disparity = pair.color8[0], volume.n_disparities - 1
-        stack = np.stack([np.nan_to_num(fill_background(one).values).clip(0, max_disparity) for one in maps])
-        # Of an even number the lower one in the middle: a mean would be a value that nobody proposed.
-        middle = (len(stack) - 1) // 2
-        median = np.partition(stack, middle, axis=0)[middle]
-        agreeing = np.count_nonzero(np.abs(stack - median) <= 1, axis=0)
-        planes = []
-        for source in self.segmentations:
-            labels = source.segmentation(image)
-            count = int(labels.max()) + 1
-            members = RegionPixels.of(labels, _largest_agreement(agreeing, labels, count).ravel(), count)
-            fitted = self.planes(median, members, np.arange(count))
-            planes.append(fitted.at(labels, max_disparity))
-        sources = (*self.matchers, *self.optimizations, *self.segmentations)
+        stack = np.stack([np.nan_to_num(fill_background(one).values).clip(0, volume.n_disparities - 1) for one in maps])
+        median = np.empty(pair.shape, np.float32)
+        _lower_median(stack, median)
+        sources = (*self.matchers, *self.optimizations)
         weights = np.array([0.0, 1.0, *(source.weight for source in sources)], np.float32)
         filled = np.zeros((len(weights), *pair.shape), np.uint8)
         for k, one in enumerate(maps):
             filled[k + 1] = np.count_nonzero([one.status & Status.FILLED, one.status & Status.OCCLUDED], axis=0)
-        return Proposals(self.kinds, np.stack([median, *stack, *planes]), filled, weights, pair, volume, right)
+        return Proposals(self.kinds, np.stack([median, *stack]), filled, weights, pair, volume, right)
 
 
-def _largest_agreement(agreeing: NDArray[np.int64], labels: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
-    # In every segment the pixels on which the largest number of maps agree that still leaves pixels enough.
-    min_pixels = np.maximum(_MIN_PIXELS, _MIN_SHARE * np.bincount(labels.ravel(), minlength=count))
-    threshold = np.zeros(count, np.int64)
-    for number in range(1, int(agreeing.max()) + 1):
-        threshold[np.bincount(labels[agreeing >= number], minlength=count) >= min_pixels] = number
-    return agreeing >= threshold[labels]
+@parallel_jit
+def _lower_median(maps, out):
+    # Of an even number the lower one in the middle: a mean would be a value that nobody proposed.
+    count, height, width = maps.shape
+    for y in prange(height):
+        ordered = np.empty(count, np.float32)
+        for x in range(width):
+            for k in range(count):
+                at = k
+                while at > 0 and ordered[at - 1] > maps[k, y, x]:
+                    ordered[at] = ordered[at - 1]
+                    at -= 1
+                ordered[at] = maps[k, y, x]
+            out[y, x] = ordered[(count - 1) // 2]
 
 
 def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint8]:

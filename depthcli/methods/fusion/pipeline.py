@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, LiteralString, Self
 
@@ -152,9 +152,7 @@ class Fusion(AdjustingMatcher):
         made = () if self.maps is None else ("agreement", *self.maps.choice.confidences)
         wrong += [("confidence", text) for name, text in _NEEDS_MAPS.items() if name in {*self.confidence} - {*made}]
         if self.segments is not None:
-            # Further rounds of the vote are those of the optimized map.
-            ignored = ("refinement", "maps", "confidence", *(("optimization",) if self.consensus.rounds == 0 else ()))
-            for name in ignored:
+            for name in ("optimization", "refinement", "maps", "confidence"):
                 if getattr(self, name) != type(self).model_fields[name].get_default(call_default_factory=True):
                     wrong.append((name, "has no effect beside 'segments', which has its own; leave it out"))
         if wrong:
@@ -203,14 +201,14 @@ class Fusion(AdjustingMatcher):
         if self.maps is not None:  # before the fused costs: then their matchers need no memory beside them
             clock.start("other_maps")
             other_maps = [source.matcher(pair, max_disparity).disparity for source in self.maps.matchers]
-        fused = self.fuse(pair, max_disparity, clock)
+        fused = self.fuse(pair, max_disparity, clock, vote="consensus" in self.confidence)
         volume = fused.volume
         if self.segments is not None:
             result = self.segments.from_volume(pair, volume, max_disparity, clock)
         else:
             measured = [name for name in self.confidence if name not in _OWN_CONFIDENCES]
             result, left, right = finish(pair, volume, self.optimization, self.refinement, measured, clock)
-            if "consensus" in self.confidence:
+            if fused.ballot is not None and "consensus" in self.confidence:
                 clock.start("confidence")
                 result.confidence["consensus"] = fused.ballot.shares(left.astype(np.int32)[None])[0]
             if self.maps is not None:
@@ -226,7 +224,9 @@ class Fusion(AdjustingMatcher):
         result.figures |= {f"weight_{k}": float(mean) for k, mean in enumerate(fused.weights.mean(axis=(1, 2)))}
         return result
 
-    def fuse(self, pair: StereoPair, max_disparity: int, clock: Clock | None = None) -> FusedCosts:
+    def fuse(
+        self, pair: StereoPair, max_disparity: int, clock: Clock | None = None, *, vote: bool = True
+    ) -> FusedCosts:
         """Compute the fused cost volume.
 
         The steps, by the names of their times:
@@ -239,32 +239,21 @@ class Fusion(AdjustingMatcher):
         4. ``aggregation``: weighted mean of the costs, aggregated before or after it (``blend``).
         5. ``votes``: a cost is added to disparities with a small share of the votes; with ``weights: vote`` it is the
            only one.
-        6. Rounds, timed with ``votes``: the map that ``optimization`` finds in these costs votes instead of the
-           measures, and the cost of step 5 is replaced by that of its votes.
+
+        With equal weights and no cost of votes, ``vote`` says whether votes are counted, which only confidences need.
         """
         clock = clock or Clock()
         clock.start("cost")
         volumes = {} if self._read_volumes is None else self._read_volumes()
-        vote, n_disparities = self.consensus, max_disparity + 1
-        window, tolerance = vote.window, vote.tolerance
+        consensus, n_disparities = self.consensus, max_disparity + 1
         parts = [
             normalize_costs(measure.costs(pair, n_disparities, volumes), measure.scale, self.outside)
             for measure in self.measures
         ]
-        clock.start("voters")
-        aggregate = self.vote_aggregation or (lambda part, pair: part)
-        disparities, vote_weights = self._voters(self.vote_optimization(aggregate(part, pair), pair) for part in parts)
-        clock.start("weights")
+        counted = self.weights != "equal" or consensus.vote_cost > 0
         light = light_weights([measure.cost for measure in self.measures], pair)
-        if light is not None:
-            vote_weights *= light
-        support: Support = (
-            WindowSupport(pair.shape, window)
-            if vote.support == "window"
-            else ColorSupport(pair.color8[0], max(1, window // 2), vote.softness)
-        )
-        ballot = Ballot(disparities, vote_weights, n_disparities, tolerance, support)
-        weights = measure_weights(self.weights, ballot, self.exponent)
+        ballot = self._ballot(parts, pair, light, clock) if counted or vote else None
+        weights = measure_weights(self.weights, ballot, self.exponent, (len(parts), *pair.shape))
         if light is not None:
             weights = weights * light
             weights /= weights.sum(axis=0, keepdims=True)
@@ -276,7 +265,7 @@ class Fusion(AdjustingMatcher):
             parts.clear()  # what follows needs room for volumes of its own
             if self.aggregation is not None:
                 blended = self.aggregation(blended, pair)
-            else:
+            elif counted:
                 blended = CostVolume(blended.costs.astype(np.uint16) * np.uint16(16), blended.scale * 16)
         else:
             total = np.zeros(parts[0].costs.shape, np.float32)
@@ -284,15 +273,11 @@ class Fusion(AdjustingMatcher):
                 add_weighted(total, part if self.aggregation is None else self.aggregation(part, pair), weight)
             blended = CostVolume((total * np.float32(16 * UNIT) + np.float32(0.5)).astype(np.uint16), 16.0 * UNIT)
         clock.start("votes")
-        if blended is None:
-            volume = ballot.costs(None, 1.0, _MAX_VOTED_COST)
-        else:
-            volume = ballot.costs(blended, vote.vote_cost, _MAX_VOTED_COST) if vote.vote_cost else blended
-        for _ in range(vote.rounds):
-            disparities, vote_weights = self._voters([self.optimization(volume, pair)])
-            ballot = Ballot(disparities, vote_weights, n_disparities, tolerance, support)
-            volume = ballot.costs(blended, vote.map_vote_cost, _MAX_VOTED_COST)
-        return FusedCosts(volume, weights, ballot)
+        if blended is not None and not consensus.vote_cost:
+            return FusedCosts(blended, weights, ballot)
+        assert ballot is not None
+        strength = 1.0 if blended is None else consensus.vote_cost
+        return FusedCosts(ballot.costs(blended, strength, _MAX_VOTED_COST), weights, ballot)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the peak working memory for images of ``shape``, in bytes."""
@@ -304,29 +289,42 @@ class Fusion(AdjustingMatcher):
         need = pixels * (max_disparity + 1) * per_cell + pixels * per_pixel + (32 << 20)
         return need if self.maps is None else self.maps.peak_bytes(shape, max_disparity, need)
 
-    def _voters(self, volumes: Iterable[CostVolume]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        # (M, H, W) disparities of every volume, int32, and the weights of these votes, float32
+    def _ballot(
+        self, parts: list[CostVolume], pair: StereoPair, light: NDArray[np.float32] | None, clock: Clock
+    ) -> Ballot:
+        clock.start("voters")
         chosen, trust = [], []
-        for volume in volumes:
-            left, right = winners(volume.costs)
+        for part in parts:
+            aggregated = part if self.vote_aggregation is None else self.vote_aggregation(part, pair)
+            costs = self.vote_optimization(aggregated, pair).costs
+            left, right = winners(costs)
             chosen.append(left.astype(np.int32))
             if self.vote_confidence is None:
                 trust.append(np.ones(left.shape, np.float32))
             elif self.vote_confidence == "lrc":
                 trust.append(-left_right_difference(left, right))
             else:
-                trust.append(confidence_maps(volume.costs, [self.vote_confidence])[self.vote_confidence])
-            del volume  # before the next one is made
-        weights = np.stack(trust)
+                trust.append(confidence_maps(costs, [self.vote_confidence])[self.vote_confidence])
+            del aggregated, costs  # before the next ones are made
+        vote_weights = np.stack(trust)
         if self.vote_confidence is not None:
-            weights = normalize_confidences(weights, self.vote_confidence)
-        return np.stack(chosen), weights
+            vote_weights = normalize_confidences(vote_weights, self.vote_confidence)
+        clock.start("weights")
+        if light is not None:
+            vote_weights *= light
+        consensus = self.consensus
+        support: Support = (
+            WindowSupport(pair.shape, consensus.window)
+            if consensus.support == "window"
+            else ColorSupport(pair.color8[0], max(1, consensus.window // 2), consensus.softness)
+        )
+        return Ballot(np.stack(chosen), vote_weights, parts[0].n_disparities, consensus.tolerance, support)
 
 
 @dataclass(frozen=True)
 class FusedCosts:
     """The fused costs, and how they were made."""
 
-    volume: CostVolume  # uint16 (H, W, D), at most 4080
+    volume: CostVolume  # (H, W, D) uint16, at most 4080; uint8 where single pixels are weighted alike without votes
     weights: NDArray[np.float32]  # of the measures, (M, H, W) float32, sum 1 over M
-    ballot: Ballot  # the last vote
+    ballot: Ballot | None  # the votes; None where they are not counted

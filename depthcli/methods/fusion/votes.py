@@ -41,6 +41,16 @@ class Support(ABC):
     def sum(self, block: NDArray[np.float32]) -> None:
         """Replace (H, W, 16) float32 ``block`` by its sums over every pixel's support."""
 
+    def mean(self, planes: NDArray[np.float32], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """Return the weighted means over every pixel's support of (N, H, W) float32 planes, none below 0."""
+        out = np.empty(planes.shape, np.float32) if out is None else out
+        block = memory.empty((*self.shape, BLOCK_DEPTH), np.float32)
+        for first in range(0, len(planes), BLOCK_DEPTH):
+            _interleave(planes[first : first + BLOCK_DEPTH], block)
+            self.sum(block)
+            _separate(block, self.inverse_sum, out[first : first + BLOCK_DEPTH])
+        return out
+
     @cached_property
     def inverse_sum(self) -> NDArray[np.float32]:
         """(H, W) float32, 1 / (sum of the weights of a pixel's support)."""
@@ -84,6 +94,11 @@ class PairSupports:
         """The narrow support that is used where outlines matter."""
         return ColorSupport(self.pair.color8[0], 2.0, _SOFTNESS)
 
+    @cached_property
+    def region(self) -> ColorSupport:
+        """The support of a whole surface of one color."""
+        return ColorSupport(self.pair.color8[0], 40.0, 8.0)
+
 
 class WindowSupport(Support):
     """Equal weights of all pixels of a square window, clipped at the image border."""
@@ -112,12 +127,6 @@ class Consensus(ConfigModel):
     )
     vote_cost: float = Field(
         0.4, ge=0, le=1e3, description="cost of a disparity without votes, units of one measure; 0: votes only weigh"
-    )
-    rounds: int = Field(
-        0, ge=0, le=8, description="number of further rounds, in which the optimized map votes instead of the measures"
-    )
-    map_vote_cost: float = Field(
-        0.2, gt=0, le=1e3, description="cost of a disparity without votes in further rounds, units of one measure"
     )
 
 
@@ -207,6 +216,24 @@ def _add(block, inverse_sum, base, gain, strength, first, out):
             for k in range(cells.size):
                 absent = one - min(max(votes[k] * s, np.float32(0.0)), one)
                 cells[k] = np.uint16(np.int32(np.float32(known[k]) * gain + strength * absent + half))
+
+
+@parallel_jit
+def _interleave(planes, block):
+    count, height, width = planes.shape
+    for y in prange(height):
+        for x in range(width):
+            for k in range(16):
+                block[y, x, k] = max(planes[k, y, x], NO_VOTE) if k < count else NO_VOTE
+
+
+@parallel_jit
+def _separate(block, factor, planes):
+    count, height, width = planes.shape
+    for y in prange(height):
+        for x in range(width):
+            for k in range(count):
+                planes[k, y, x] = block[y, x, k] * factor[y, x]
 
 
 def _decay(image: NDArray[np.uint8], other: NDArray[np.uint8], reach: float, softness: float) -> NDArray[np.float32]:

@@ -235,7 +235,7 @@ def other_planes(
     index = {name: k for k, name in enumerate(OTHERS)}
     weight = np.ones(count, np.float32)
     for name, support in (("narrow", evidence.narrow), ("wide", evidence.wide)):
-        out[:, index[f"disagreement_{name}"]] = disagreements(maps, weight, support)
+        out[:, index[f"disagreement_{name}"]] = support.mean(disagreements(maps, weight))
     _relate(maps, *(out[:, index[name]] for name in ("nearest_map", "middle_map", "farthest_map", "above_middle")))
     for name in OTHERS:
         if name.endswith("_relative"):

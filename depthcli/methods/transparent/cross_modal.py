@@ -126,7 +126,9 @@ class CrossModal(ConfigModel):
         volume = faded_costs(_mean([part.volume for part in fused]), mixes[0], infrared, self.structure)
         color_pair = StereoPair(color, np.repeat(infrared[:, :, None], 3, axis=2))
         dense = self.planes.from_volume(color_pair, volume, top, Clock()).disparity.values
-        votes = [part.ballot.shares(np.rint(dense).astype(np.int32)[None])[0] for part in fused]
+        votes = [
+            part.ballot.shares(np.rint(dense).astype(np.int32)[None])[0] for part in fused if part.ballot is not None
+        ]
         confidence = np.asarray(np.mean(votes, axis=0), np.float32)
         sparse, margin_share = self.selection(dense, confidence, sensor, volume, pairs[0])
         return CrossModalMatches(dense, sparse, np.maximum(confidence, margin_share), weights)

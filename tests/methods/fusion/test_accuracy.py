@@ -48,12 +48,12 @@ def test_disparity_agreement_and_peak_sorts_out_errors_best(name, max_area):
 @pytest.mark.parametrize(
     ("folder", "protocol", "name", "region", "max_rate"),
     [
-        ("middlebury_v3", "middlebury_v3", "PianoL", "nonocc", 30.5),
+        ("middlebury_v3", "middlebury_v3", "PianoL", "nonocc", 32.0),
         ("kitti", "kitti_2015", "2015_first_scene_intGT", "occ", 6.8),
     ],
 )
 def test_mixed_maps_are_right_with_a_lamp_in_one_view_and_in_a_sunny_street(folder, protocol, name, region, max_rate):
-    """The network was trained on neither."""
+    """The network was not trained on the street."""
     pair, truth, top = real_scenes(folder, protocol)[name]
     result = with_network(preset("fuse", "accurate"))(pair, top)
     assert rates(result.disparity.values, truth, protocol)[region] <= max_rate

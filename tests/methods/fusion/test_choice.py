@@ -13,7 +13,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.networks import read_network, write_network
 from depthcli.methods.fusion.choice import network
 from depthcli.methods.fusion.config import FuseConfig
-from depthcli.methods.fusion.map_costs import matching_costs
+from depthcli.methods.fusion.map_costs import hidden_jumps, matching_costs
 from depthcli.methods.fusion.votes import ColorSupport
 from depthcli.testing.inputs import assert_pure, texture
 from tests.contracts.checks import CHECKS
@@ -53,8 +53,11 @@ def test_inputs_agree_with_the_reference():
         np.testing.assert_allclose(own[name], plane, atol=2e-3, err_msg=name)
     for k, values in enumerate(given.values):
         np.testing.assert_allclose(own["roughness"][k], naive.roughness(values, slopes(values, left)), atol=1e-4)
-    far = matching_costs(given.values, given.volume, 0.7, ColorSupport(left, 8.0, 15.0))
-    np.testing.assert_array_equal(own["cost_wide"], far)
+    costs, jumps = matching_costs(given.values, given.volume, 0.7), hidden_jumps(given.values, left)
+    for name, reach, softness in (("wide", 8.0, 15.0), ("region", 40.0, 8.0)):
+        support = ColorSupport(left, reach, softness)
+        np.testing.assert_array_equal(own[f"cost_{name}"], support.mean(costs))
+        np.testing.assert_array_equal(own[f"jump_{name}"], support.mean(jumps))
     np.testing.assert_array_equal(own["filled"], given.filled)
     shared = dict(zip(network.PIXEL_PLANES, inputs.shared.reshape(-1, height, width), strict=True))
     np.testing.assert_allclose(shared["min_cost"], given.volume.costs.min(axis=2) / given.volume.scale, rtol=1e-5)
@@ -107,7 +110,7 @@ def test_the_likeliest_proposal_is_taken_with_its_probability():
     at = picked.argmax(axis=0)[None]
     expected = 1 / (1 + np.exp(-np.take_along_axis(odds, at, axis=0)[0]))
     single = picked.sum(axis=0) == 1
-    assert single.mean() > 0.9
+    assert single.mean() > 0.8
     np.testing.assert_allclose(chosen.probability[single], expected[single], atol=1e-5)
     share = np.exp(odds - odds.max(axis=0))
     alone = share.argmax(axis=0)
@@ -140,5 +143,5 @@ def test_a_network_takes_only_the_inputs_and_maps_it_was_trained_for():
         with pytest.raises(InputError, match="another version"):
             network.NetworkChoice().with_network(other, KINDS)
     maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
-    with pytest.raises(ConfigError, match="trained for the maps median, own, segments, local"):
+    with pytest.raises(ConfigError, match="trained for the maps median, own, segments"):
         with_network(FuseConfig.model_validate({"measures": ["census"], "maps": maps}))

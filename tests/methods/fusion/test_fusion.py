@@ -96,7 +96,7 @@ def test_weights_sum_to_one(mode):
     disparities = rng.integers(0, 20, (3, 10, 12)).astype(np.int32)
     weights = rng.random((3, 10, 12)).astype(np.float32)
     ballot = Ballot(disparities, weights, 20, 1, WindowSupport((10, 12), 5))
-    got = measure_weights(mode, ballot, 2.0)
+    got = measure_weights(mode, ballot, 2.0, weights.shape)
     np.testing.assert_allclose(got.sum(axis=0), 1, atol=1e-6)
     if mode == "consensus":
         np.testing.assert_allclose(got, naive.consensus_weights(ballot.shares(disparities), 2.0), rtol=1e-4)
@@ -109,7 +109,7 @@ def test_weights_sum_to_one(mode):
 @pytest.mark.parametrize("blend_when", ["before", "after"])
 def test_the_true_shift_is_found_in_every_mode(weights, support, blend_when):
     pair = soft_pair()
-    consensus = {"support": support, "window": 9, "rounds": 1}
+    consensus = {"support": support, "window": 9}
     result = fusion(weights=weights, consensus=consensus, blend=blend_when, confidence=["pkr", "consensus"])(pair, 15)
     assert np.mean(result.disparity.values[:, 14:] == 7) > 0.99
     share = result.confidence["consensus"]
@@ -120,11 +120,16 @@ def test_the_true_shift_is_found_in_every_mode(weights, support, blend_when):
     assert sum(result.figures[f"weight_{k}"] for k in range(4)) == pytest.approx(1, abs=1e-5)
 
 
-def test_equal_weights_without_votes_are_the_plain_mean():
+def test_equal_weights_without_votes_are_the_plain_mean_and_votes_are_counted_for_a_confidence_only():
     pair = soft_pair()
-    fused = fusion(weights="equal", consensus={"vote_cost": 0}, aggregation=None).fuse(pair, 11)
+    plain = fusion(weights="equal", consensus={"vote_cost": 0}, aggregation=None)
+    fused = plain.fuse(pair, 11, vote=False)
     parts = [normalize_costs(m.cost(pair, 12), None).costs.astype(int) for m in fusion().measures]
-    np.testing.assert_array_equal(fused.volume.costs, 16 * ((64 * sum(parts) + 128) >> 8))
+    np.testing.assert_array_equal(fused.volume.costs, (64 * sum(parts) + 128) >> 8)
+    assert fused.volume.costs.dtype == np.uint8 and fused.ballot is None
+    asked = plain.model_copy(update={"confidence": ("consensus",)})(pair, 11)
+    np.testing.assert_array_equal(asked.disparity.values, plain(pair, 11).disparity.values)
+    assert asked.confidence["consensus"].max() > 0.5
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (40, 6)])
@@ -138,7 +143,7 @@ def test_tiny_images_and_ranges_wider_than_the_image(shape):
 
 def test_same_bytes_at_any_thread_count_and_inputs_untouched():
     pair = soft_pair(45, 61)
-    make = fusion(consensus={"rounds": 1}, confidence=["consensus"])
+    make = fusion(confidence=["consensus"])
 
     def run():
         result = make(pair, 20)

@@ -49,10 +49,10 @@ class LeastEnergyChoice(ChoiceMethod):
     def __call__(self, proposals: Proposals) -> ChosenMap:
         image = proposals.pair.color8[0]
         maps, weights = proposals.values, proposals.weights
-        wide, narrow = proposals.wide, proposals.narrow
-        costs = np.float32(self.cost_weight) * matching_costs(maps, proposals.volume, self.cost_truncation, wide)
-        costs += np.float32(self.agreement_weight) * disagreements(maps, weights, narrow)
-        costs += np.float32(self.visibility_weight) * contradictions(maps, proposals.right, self.hidden, narrow)
+        along = matching_costs(maps, proposals.volume, self.cost_truncation)
+        against = np.float32(self.agreement_weight) * disagreements(maps, weights)
+        against += np.float32(self.visibility_weight) * contradictions(maps, proposals.right, self.hidden)
+        costs = np.float32(self.cost_weight) * proposals.wide.mean(along) + proposals.narrow.mean(against)
         neighbors = neighbor_weights(image, self.smoothness, self.color_scale, self.floor)
         start = int(weights.argmax())
         current = ScoredMap(maps[start], slopes(maps[start], image), costs[start])

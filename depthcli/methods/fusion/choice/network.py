@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Self
 
 import cv2
@@ -25,14 +26,19 @@ from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, ColorSupport
 MAX_MAPS = BLOCK_DEPTH
 """Most maps that are chosen among: all shares of a pixel are averaged in one block."""
 
+_SMOOTHED = (
+    *("cost_wide", "jump_wide", "disagreement_wide", "contradiction_wide"),
+    *("cost_region", "jump_region", "disagreement_region", "contradiction_region"),
+    *("disagreement_narrow", "contradiction_narrow", "cost_narrow", "hidden_narrow"),
+)
 PROPOSAL_PLANES = (
-    *("cost_wide", "cost_narrow", "disagreement_narrow", "disagreement_wide", "decorrelation", "color_difference"),
-    *("color_difference_5", "contradiction_narrow", "contradiction_wide", "hidden_narrow", "excess_cost"),
-    *("right_view_difference", "match_column", "self_occlusion", "roughness", "roughness_9", "slope_x", "slope_y"),
+    *_SMOOTHED,
+    *("decorrelation", "color_difference", "color_difference_5", "excess_cost", "right_view_difference"),
+    *("match_column", "self_occlusion", "roughness", "roughness_9", "slope_x", "slope_y"),
     *("above_mean_11", "above_mean_25", "filled"),
 )
-"""Planes of every proposal, one value per pixel, in their order. ``wide`` and ``narrow`` are means over that support;
-numbers are the sides of windows in pixels.
+"""Planes of every proposal, one value per pixel, in their order. ``narrow``, ``wide`` and ``region`` are means over
+that support; numbers are the sides of windows in pixels.
 
 | plane | what it measures |
 |---|---|
@@ -49,8 +55,12 @@ numbers are the sides of windows in pixels.
 | ``slope_x``, ``slope_y`` | change to the next pixel of the row, of the column, pixels |
 | ``above_mean`` | disparity above the mean of a window, pixels |
 | ``filled`` | 0 measured, 1 filled, 2 filled and occluded |
+| ``jump`` | steps to the neighbors beyond a pixel where the color stays the same |
 """
-RELATIVE = ("cost_wide", "cost_narrow", "decorrelation", "color_difference_5")
+RELATIVE = (
+    *("cost_wide", "cost_narrow", "decorrelation", "color_difference_5"),
+    *("cost_region", "disagreement_region", "contradiction_region", "jump_wide", "jump_region"),
+)
 """These planes are also given relative to the smallest value among the proposals (``<name>_relative``)."""
 PIXEL_PLANES = ("min_cost", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
 """Planes of the pixel, the same for all proposals: its smallest cost, standard deviations of windows and gradient of
@@ -85,32 +95,36 @@ class NetworkInputs:
         maps, pair, volume = proposals.values, proposals.pair, proposals.volume
         count, height, width = maps.shape
         image = pair.color8[0]
-        wide, narrow = proposals.wide, proposals.narrow
         own = memory.empty((len(PROPOSAL_PLANES), count, height, width), np.float32)
         plane = {name: own[k] for k, name in enumerate(PROPOSAL_PLANES)}
-        alike = np.ones(count, np.float32)
-        plane["cost_wide"][:] = costs_of.matching_costs(maps, volume, 0.7, wide)
-        plane["cost_narrow"][:] = costs_of.matching_costs(maps, volume, 1.5, narrow)
-        plane["disagreement_narrow"][:] = costs_of.disagreements(maps, alike, narrow)
-        plane["disagreement_wide"][:] = costs_of.disagreements(maps, alike, wide)
-        plane["contradiction_narrow"][:] = near = costs_of.contradictions(maps, proposals.right, 0.0, narrow)
-        plane["contradiction_wide"][:] = costs_of.contradictions(maps, proposals.right, 0.0, wide)
-        plane["hidden_narrow"][:] = costs_of.contradictions(maps, proposals.right, 1.0, narrow) - near
+        # Four planes of each support, which are averaged in one go: six of them side by side.
+        cost, jump, disagreement, contradiction, uncut, hidden = raw = np.empty((6, *maps.shape), np.float32)
+        uncut[:] = costs_of.matching_costs(maps, volume, 1.5)
+        np.minimum(uncut, np.float32(0.7), out=cost)
+        jump[:] = costs_of.hidden_jumps(maps, image)
+        disagreement[:] = costs_of.disagreements(maps, np.ones(count, np.float32))
+        contradiction[:] = costs_of.contradictions(maps, proposals.right, -1.0)
+        np.less(contradiction, 0, out=hidden, casting="unsafe")
+        np.maximum(contradiction, 0, out=contradiction)
+        supports = (proposals.wide, raw[:4]), (proposals.region, raw[:4]), (proposals.narrow, raw[2:])
+        for k, (support, planes) in enumerate(supports):
+            flat = -1, height, width
+            support.mean(planes.reshape(flat), out=own[4 * k : 4 * k + 4].reshape(flat))
         grey = [channel.astype(np.float32) for channel in pair.grey8]
         shared = np.zeros((len(PIXEL_PLANES), height, width), np.float32)
-        common = {name: shared[k] for k, name in enumerate(PIXEL_PLANES)}
+        pixel = {name: shared[k] for k, name in enumerate(PIXEL_PLANES)}
         unit = np.float32(1 / volume.scale)
-        common["min_cost"][:] = volume.costs.min(axis=2) * unit
+        _smallest(volume.costs, unit, pixel["min_cost"])
         for side in (5, 13):
-            common[f"deviation_{side}"][:] = np.minimum(np.sqrt(local_moments(grey[0], side)[1]), _MAX_COLOR)
-        common["gradient"][:] = np.minimum(np.abs(cv2.Sobel(grey[0], cv2.CV_32F, 1, 0)) / 8, 30)
+            pixel[f"deviation_{side}"][:] = np.minimum(np.sqrt(local_moments(grey[0], side)[1]), _MAX_COLOR)
+        pixel["gradient"][:] = np.minimum(np.abs(cv2.Sobel(grey[0], cv2.CV_32F, 1, 0)) / 8, 30)
         plane["filled"][:] = proposals.filled
-        common["filled_share"][:] = (proposals.filled > 0).mean(axis=0)
-        common["light_trust"][:] = 1 if pair.light_trust is None else pair.light_trust / np.float32(255)
+        pixel["filled_share"][:] = (proposals.filled > 0).mean(axis=0)
+        pixel["light_trust"][:] = 1 if pair.light_trust is None else pair.light_trust / np.float32(255)
         warped = np.empty((height, width), np.float32)
         moments = local_moments(grey[0], CORRELATED)
         compared = ("excess_cost", "right_view_difference", "match_column", "self_occlusion", "color_difference")
-        views = (proposals.right, image, pair.color8[1], grey[1], common["min_cost"], warped)
+        views = (proposals.right, image, pair.color8[1], grey[1], pixel["min_cost"], warped)
         for k, values in enumerate(maps):
             _compare_views(values, volume.costs, unit, *views, *(plane[name][k] for name in compared))
             plane["color_difference_5"][k] = cv2.blur(plane["color_difference"][k], (5, 5))
@@ -128,16 +142,26 @@ class NetworkInputs:
                 plane[f"above_mean_{side}"][k] = np.clip(values - cv2.blur(values, (side, side)), -6, 6)
         return cls(maps.reshape(count, -1), own.reshape(*own.shape[:2], -1), shared.reshape(len(shared), -1))
 
+    @cached_property
+    def _lowest(self) -> NDArray[np.float32]:
+        return np.stack([self.own[k].min(axis=0) for k in _RELATIVE_INDICES])
+
     def of_proposal(self, n: int) -> NDArray[np.float32]:
         """Return the inputs of proposal ``n`` in the order of :func:`input_names`, (inputs, P) float32."""
-        compared = self.own[_RELATIVE_INDICES]
-        relative = compared[:, n] - compared.min(axis=1)
+        relative = self.own[_RELATIVE_INDICES, n] - self._lowest
         distances = np.minimum(np.abs(self.values[n] - self.values), _MAX_DISTANCE)
         return np.concatenate([self.own[:, n], relative, distances, self.shared])
 
     def rows(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the inputs of some pixels, (len(pixels), N, inputs) float32."""
         return np.stack([self.of_proposal(n)[:, pixels].T for n in range(len(self.values))], axis=1)
+
+
+@parallel_jit
+def _smallest(costs, unit, out):
+    for y in prange(costs.shape[0]):
+        for x in range(costs.shape[1]):
+            out[y, x] = np.float32(costs[y, x].min()) * unit
 
 
 @parallel_jit
@@ -202,7 +226,7 @@ class NetworkChoice(ChoiceMethod):
         return ChosenMap(*likeliest(proposals.values, odds, proposals.narrow))
 
     def bytes_per_pixel(self, count: int) -> int:
-        return 4 * (count * (len(PROPOSAL_PLANES) + 6) + 90 + len(PIXEL_PLANES) + 2 * MAX_MAPS) + 100
+        return 4 * (count * (len(PROPOSAL_PLANES) + 12) + 90 + len(PIXEL_PLANES) + 2 * MAX_MAPS) + 100
 
 
 def likeliest(
