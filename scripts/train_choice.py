@@ -77,11 +77,11 @@ def scenes(data: Path) -> Iterator[TrainingScene]:
             unused = data_set == "kitti" or (data_set, scene.name) == ("v3", "Teddy")  # which is in v2, too
             for variant, weight in () if unused else VARIANTS.items():
                 if variant != "mirrored" or true_disparity(scene).right is not None:
-                    name, step = f"{folder}_{scene.name}_{variant}", 20 if variant else 10
+                    name, step = f"{folder}_{scene.name}_{variant}", 40 if variant else 20
                     yield TrainingScene(name, data_set, not variant, weight, step, partial(real, scene, variant))
     for data_set, half in (("2006", "Cloth3"), ("2005", "Reindeer")):
         for scene in scenes_in(data / "middlebury_half", half):
-            yield TrainingScene(f"half_{half}", data_set, False, 0.7, 20, partial(real, scene, ""))
+            yield TrainingScene(f"half_{half}", data_set, False, 0.7, 40, partial(real, scene, ""))
     for name, load in generated_loaders():
         yield TrainingScene(name, "generated", True, GENERATED, 20, load)
 

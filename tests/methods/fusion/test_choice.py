@@ -143,5 +143,5 @@ def test_a_network_takes_only_the_inputs_and_maps_it_was_trained_for():
         with pytest.raises(InputError, match="another version"):
             network.NetworkChoice().with_network(other, KINDS)
     maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
-    with pytest.raises(ConfigError, match="trained for the maps median, own, segments"):
+    with pytest.raises(ConfigError, match="trained for the maps median, own, segments, scanline"):
         with_network(FuseConfig.model_validate({"measures": ["census"], "maps": maps}))

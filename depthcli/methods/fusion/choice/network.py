@@ -146,11 +146,22 @@ class NetworkInputs:
     def _lowest(self) -> NDArray[np.float32]:
         return np.stack([self.own[k].min(axis=0) for k in _RELATIVE_INDICES])
 
-    def of_proposal(self, n: int) -> NDArray[np.float32]:
-        """Return the inputs of proposal ``n`` in the order of :func:`input_names`, (inputs, P) float32."""
-        relative = self.own[_RELATIVE_INDICES, n] - self._lowest
-        distances = np.minimum(np.abs(self.values[n] - self.values), _MAX_DISTANCE)
-        return np.concatenate([self.own[:, n], relative, distances, self.shared])
+    def of_proposal(self, n: int, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """Return the inputs of proposal ``n`` in the order of :func:`input_names`, (inputs, P) float32.
+
+        ``out``: what another proposal of the same pixels was given, to be overwritten.
+        """
+        own, relative, near = np.cumsum([len(self.own), len(RELATIVE), len(self.values)])
+        if out is None:
+            out = memory.empty((near + len(self.shared), self.values.shape[1]), np.float32)
+            out[near:] = self.shared
+        out[:own] = self.own[:, n]
+        for k, at in enumerate(_RELATIVE_INDICES):
+            np.subtract(self.own[at, n], self._lowest[k], out=out[own + k])
+        distances = out[relative:near]
+        np.abs(np.subtract(self.values, self.values[n], out=distances), out=distances)
+        np.minimum(distances, _MAX_DISTANCE, out=distances)
+        return out
 
     def rows(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the inputs of some pixels, (len(pixels), N, inputs) float32."""
@@ -248,8 +259,11 @@ def likeliest(
 def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.float32]:
     """Return the log odds of every proposal to be right, (N, P) float32."""
     nothing = np.empty((0, inputs.values.shape[1]), np.float32)
-    offsets = trained.layers[0][1]
-    return np.stack([log_odds(trained, row, inputs.of_proposal(n), nothing) for n, row in enumerate(offsets)])
+    odds, planes = np.empty(inputs.values.shape, np.float32), None
+    for n, offsets in enumerate(trained.layers[0][1]):
+        planes = inputs.of_proposal(n, planes)
+        odds[n] = log_odds(trained, offsets, planes, nothing)
+    return odds
 
 
 @parallel_jit
