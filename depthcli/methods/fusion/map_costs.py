@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.kernels.color_steps import color_steps
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.volume import CostVolume
 
 _ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
 NEIGHBORS = (((_ALL, _BUT_LAST), (_ALL, _BUT_FIRST)), ((_BUT_LAST, _ALL), (_BUT_FIRST, _ALL)))
 """Pixels and the next ones in their rows; pixels and the next ones in their columns."""
+_BEFORE = np.array([[0, 1], [1, 0]])  # the pixels to the left and above, as color_steps counts
 
 
 Map = NDArray[np.float32]
@@ -54,7 +56,7 @@ def agreement(values: Map, maps: Map, weights: NDArray[np.float32]) -> Map:
 
 
 def contradictions(maps: Map, right: NDArray[Any], hidden: float) -> Map:
-    """Compute how far the right view contradicts every map; (N, H, W) in [0, 1].
+    """Compute how far the right view contradicts every map; (N, H, W) in [0, 1], or ``hidden``.
 
     A disparity larger than that of its match in the right view is a contradiction, since the right view could not have
     missed the nearer point: 1, fading between one and two pixels. A smaller one, or a match outside, is ``hidden``.
@@ -70,7 +72,8 @@ def hidden_jumps(maps: Map, image: NDArray[np.uint8]) -> Map:
     The sum over the four neighbors of the step beyond one pixel, at most 1, times exp(-color difference / 10 levels).
     """
     out = np.empty(maps.shape, np.float32)
-    _hidden_jumps(maps, image, np.exp(np.arange(256) * -0.1).astype(np.float32), out)
+    sameness = np.exp(np.arange(256) * -0.1).astype(np.float32)
+    _hidden_jumps(maps, sameness[color_steps(image, _BEFORE, largest=True)], out)
     return out
 
 
@@ -159,22 +162,25 @@ def _contradict(maps, right, hidden, out):
 
 
 @parallel_jit
-def _hidden_jumps(maps, image, sameness, out):
+def _hidden_jumps(maps, same, out):
+    # ``same`` (2, H, W): how alike the colors of a pixel and the one to its left, above it are.
     count, height, width = maps.shape
-    zero, one = np.float32(0), np.float32(1)
-    for row in prange(height):
-        y = np.int64(row)
-        for x in range(width):
-            for k in range(count):
-                out[k, y, x] = zero
-            for side in range(4):  # left, right, upper, lower
-                away = 2 * (side % 2) - 1
-                v, u = (y, x + away) if side < 2 else (y + away, x)
-                if v < 0 or u < 0 or v == height or u == width:
-                    continue
-                largest = np.int32(0)
-                for c in range(image.shape[2]):
-                    largest = max(largest, abs(np.int32(image[y, x, c]) - np.int32(image[v, u, c])))
-                for k in range(count):
-                    step = abs(maps[k, y, x] - maps[k, v, u]) - one
-                    out[k, y, x] += sameness[largest] * min(max(step, zero), one)
+    for y in prange(height):
+        for k in range(count):
+            row = maps[k, y]
+            for x in range(width):
+                jumps = np.float32(0)
+                if x > 0:
+                    jumps += same[0, y, x] * _jump(row[x], row[x - 1])
+                if x + 1 < width:
+                    jumps += same[0, y, x + 1] * _jump(row[x], row[x + 1])
+                if y > 0:
+                    jumps += same[1, y, x] * _jump(row[x], maps[k, y - 1, x])
+                if y + 1 < height:
+                    jumps += same[1, y + 1, x] * _jump(row[x], maps[k, y + 1, x])
+                out[k, y, x] = jumps
+
+
+@jit
+def _jump(value, other):
+    return min(max(abs(value - other) - np.float32(1), np.float32(0)), np.float32(1))

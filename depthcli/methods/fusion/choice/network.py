@@ -26,13 +26,10 @@ from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, ColorSupport
 MAX_MAPS = BLOCK_DEPTH
 """Most maps that are chosen among: all shares of a pixel are averaged in one block."""
 
-_SMOOTHED = (
+PROPOSAL_PLANES = (
     *("cost_wide", "jump_wide", "disagreement_wide", "contradiction_wide"),
     *("cost_region", "jump_region", "disagreement_region", "contradiction_region"),
     *("disagreement_narrow", "contradiction_narrow", "cost_narrow", "hidden_narrow"),
-)
-PROPOSAL_PLANES = (
-    *_SMOOTHED,
     *("decorrelation", "color_difference", "color_difference_5", "excess_cost", "right_view_difference"),
     *("match_column", "self_occlusion", "roughness", "roughness_9", "slope_x", "slope_y"),
     *("above_mean_11", "above_mean_25", "filled"),
@@ -97,7 +94,7 @@ class NetworkInputs:
         image = pair.color8[0]
         own = memory.empty((len(PROPOSAL_PLANES), count, height, width), np.float32)
         plane = {name: own[k] for k, name in enumerate(PROPOSAL_PLANES)}
-        # Four planes of each support, which are averaged in one go: six of them side by side.
+        # The first three rows of names: four means over each support, of neighbors among these six.
         cost, jump, disagreement, contradiction, uncut, hidden = raw = np.empty((6, *maps.shape), np.float32)
         uncut[:] = costs_of.matching_costs(maps, volume, 1.5)
         np.minimum(uncut, np.float32(0.7), out=cost)
