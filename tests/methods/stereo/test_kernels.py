@@ -310,6 +310,19 @@ def test_scanline_in_bytes_has_the_same_sums(monkeypatch, height, largest, paths
     np.testing.assert_allclose(found[0], naive.scanline(costs, image, 17, 70, paths, 20, 3), atol=1e-3)
 
 
+@pytest.mark.parametrize("tile", [(1, 1), (2, 3), (3, 2), (4, 40), (16, 96)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (12, 21), (21, 12)])
+@pytest.mark.parametrize("paths", [4, 8])
+def test_scanline_in_tiles_for_more_than_two_threads_has_the_same_sums(monkeypatch, shape, tile, paths):
+    pair, volume = blocky_pair(*shape), random_volume(*shape, 33, np.uint8)
+    method = Scanline(p1=17, p2=70, paths=paths, edge_threshold=20, edge_divisor=3)
+    found = [method(volume, pair).costs]
+    monkeypatch.setattr(scanline, "_TILE", tile)
+    monkeypatch.setattr(scanline, "n_threads", lambda: 4)
+    found.append(method(volume, pair).costs)
+    np.testing.assert_array_equal(*found)
+
+
 @pytest.mark.parametrize("disparities", [9, 16, 40])
 def test_scanline_of_the_largest_costs_and_penalties_fits_into_its_numbers(disparities):
     pair = blocky_pair(6, 11)

@@ -11,13 +11,14 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.color_steps import color_steps
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, n_threads, parallel_jit, prange
 from depthcli.methods.stereo.optimization import Optimizer
-from depthcli.methods.stereo.optimization._path_step import BYTE_LANES, LANES, path_step
+from depthcli.methods.stereo.optimization._path_step import BYTE_LANES, LANES, path_step, prefetch
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 _GUARD, _BYTE_GUARD = 0x7FFF, 0xFF  # above all path costs, in 16 or 8 bits
 _BACK: NDArray[np.int64] = np.array([(0, 1), (1, 1), (1, 0), (1, -1)])  # to the pixels before, on paths downwards
+_TILE = 16, 96  # rows and columns that a thread computes at once where two threads are not all
 _PADDING_COST = 20000  # of disparities added to fill a vector: above every cost, so that no path selects them
 
 
@@ -52,11 +53,13 @@ class Scanline(Optimizer):
         edges = (color_steps(pair.color8[0], _BACK, largest=True) > self.edge_threshold).view(np.uint8)
         total = memory.empty(costs.shape, np.uint16)
         # Path costs of two sweeps, 0 between guard cells, and their minima; see _sweep.
-        n_states = 2 + 6 * (pair.shape[1] + 2)
+        height, width = pair.shape
+        n_states = 2 * height + 6 * (width + 2)
         state = np.full((2, n_states, costs.shape[2] + 2), _BYTE_GUARD if table.itemsize == 1 else _GUARD, table.dtype)
         state[:, :, 1:-1] = 0
         minima = np.zeros((2, n_states), table.dtype)
-        _sweep_both(costs, total, edges, table, self.paths == 8, state.reshape(2, -1), minima)
+        tile = _TILE if n_threads() > 3 else (height, height + width)
+        _sweep_both(costs, total, edges, table, self.paths == 8, state.reshape(2, -1), minima, *tile)
         if n_disparities < LANES:
             total = np.ascontiguousarray(total[:, :, :n_disparities])
         return CostVolume(total, volume.scale * self.paths)
@@ -88,40 +91,59 @@ def _row_maxima(costs, maxima):
 
 
 @parallel_jit
-def _sweep_both(costs, total, edges, table, diagonal, state, minima):
+def _sweep_both(costs, total, edges, table, diagonal, state, minima, rows, columns):
     # One sweep downwards, one upwards. They write their sums until they meet in the middle, and then add them to what
-    # the other one has written.
-    height = costs.shape[0]
+    # the other one has written. Each goes through bands of ``rows`` rows, cut into tiles of ``columns`` pixels that
+    # move a pixel back with every row: a tile needs the one before and those of the band before up to the same place,
+    # so that bands run beside each other, each a tile behind the one before.
+    height, width = costs.shape[:2]
     middle = (height + 1) // 2
+    n_bands = (middle + rows - 1) // rows
     for half in range(2):
-        for k in prange(2):
-            turn = middle if k == 0 else height - middle
-            first, end = (0, turn) if half == 0 else (turn, height)
-            _sweep(costs, total, edges, table, diagonal, k == 1, half == 1, state[k], minima[k], first, end)
+        begun = ended = 0  # bands
+        for turn in range(n_bands + (middle + width - 2) // columns):
+            while ended < n_bands and (turn - ended) * columns >= (ended + 1) * rows + width - 1:
+                ended += 1
+            while begun < n_bands and (turn - begun + 1) * columns > begun * rows:
+                begun += 1
+            for task in prange(2 * (begun - ended)):
+                k, band = np.int64(task) % 2, ended + np.int64(task) // 2
+                start = (height - middle if k else middle) if half else 0
+                end = height if half else (height - middle if k else middle)
+                first = start + band * rows
+                tile = start + (turn - band) * columns
+                _sweep(
+                    costs, total, edges, table, diagonal, k == 1, half == 1, state[k], minima[k],
+                    first, min(first + rows, end), tile, tile + columns,
+                )  # fmt: skip
 
 
 @jit
-def _sweep(costs, sums, edges, table, diagonal, upwards, adds, state, minima, first, last):
-    # Rows ``first`` to ``last`` of a sweep, written to ``sums`` or, with ``adds``, added to it. Paths from the left,
-    # above, upper left and upper right; upwards: from the opposite directions. ``state`` holds the path costs, D + 2
-    # cells per pixel: two pixels of the row path, then for each of the three directions from above two rows of W + 2
-    # pixels that alternate. New paths begin at margin pixels.
+def _sweep(costs, sums, edges, table, diagonal, upwards, adds, state, minima, first, last, tile, tile_end):
+    # Rows ``first`` to ``last`` of a sweep, in each the columns from ``tile`` to ``tile_end``, both minus the row.
+    # Sums are written, or, with ``adds``, added. Paths from the left, above, upper left and upper right; upwards: from
+    # the opposite directions. ``state`` holds the path costs, D + 2 cells per pixel: two pixels of the path of each
+    # row, then for each of the three directions from above two rows of W + 2 pixels that alternate. New paths begin at
+    # margin pixels.
     height, width, n_disparities = costs.shape
     cells = n_disparities + 2
     flat_costs = costs.reshape(height * width * n_disparities)
     flat_sums = sums.reshape(height * width * n_disparities)
     step = -1 if upwards else 1
+    to_next_row = step * width * n_disparities
     for row in range(first, last):
         y = height - 1 - row if upwards else row
         edge_row = y + 1 if upwards else y  # the row of ``edges`` towards the row before
-        old, new = 2 + (row & 1) * 3 * (width + 2), 2 + (1 - (row & 1)) * 3 * (width + 2)
-        minima[:2] = 0
-        for i in range(n_disparities):
-            state[1 + i] = 0
-        for column in range(width):
+        odd = row & 1
+        old, new = 2 * height + odd * 3 * (width + 2), 2 * height + (1 - odd) * 3 * (width + 2)
+        for column in range(max(tile - row, 0), min(tile_end - row, width)):
             x = width - 1 - column if upwards else column
             at = (y * width + x) * n_disparities
-            back, front = column & 1, 1 - (column & 1)
+            for i in range(0, n_disparities, 64):  # the pixel's cache lines in the next row
+                prefetch(flat_costs, at + to_next_row + i)
+            for i in range(0, n_disparities, 32):
+                prefetch(flat_sums, at + to_next_row + i)
+            back, front = 2 * row + (column & 1), 2 * row + 1 - (column & 1)
             above_old, above_new = old + width + 2 + x + 1, new + width + 2 + x + 1
             e = f = 0
             if column > 0:
