@@ -86,34 +86,48 @@ def resample(image, row_shift, gains, cell, top, out):
     grid_height, grid_width = gains.shape[:2]
     half = np.float32(0.5)
     kind = image.dtype.type
+    # All rows as one: they are interpolated in runs of pixels whose samples lie in the same rows of the image.
+    source, result = image.reshape(height, width * channels), out.reshape(height, width * channels)
+    along = np.empty((grid_height, width * channels), np.float32)  # gains interpolated along the rows of the grid
+    for i in prange(grid_height):
+        for x in range(width):
+            gx = min(max((np.float32(x) + half) / np.float32(cell) - half, np.float32(0)), np.float32(grid_width - 1))
+            j0 = int(gx)
+            j1 = min(j0 + 1, grid_width - 1)
+            tx = gx - np.float32(j0)
+            for c in range(channels):
+                along[i, x * channels + c] = gains[i, j0, c] + tx * (gains[i, j1, c] - gains[i, j0, c])
     for y in prange(height):
         gy = min(max((np.float32(y) + half) / np.float32(cell) - half, np.float32(0)), np.float32(grid_height - 1))
         i0 = int(gy)
         i1 = min(i0 + 1, grid_height - 1)
         ty = gy - np.float32(i0)
         down = (2.0 * y - height) / height
+        row = np.empty(width, np.float32)
         for x in range(width):
-            gx = min(max((np.float32(x) + half) / np.float32(cell) - half, np.float32(0)), np.float32(grid_width - 1))
-            j0 = int(gx)
-            j1 = min(j0 + 1, grid_width - 1)
-            tx = gx - np.float32(j0)
-            row = np.float32(float(y) + polynomial(row_shift, (2.0 * x - width) / width, down))
-            v = int(np.floor(row))
-            t = row - np.float32(v)
-            v0, v1 = min(max(v - 1, 0), height - 1), min(max(v, 0), height - 1)
-            v2, v3 = min(max(v + 1, 0), height - 1), min(max(v + 2, 0), height - 1)
-            for c in range(channels):
-                upper = gains[i0, j0, c] + tx * (gains[i0, j1, c] - gains[i0, j0, c])
-                lower = gains[i1, j0, c] + tx * (gains[i1, j1, c] - gains[i1, j0, c])
-                p0, p1 = np.float32(image[v0, x, c]), np.float32(image[v1, x, c])
-                p2, p3 = np.float32(image[v2, x, c]), np.float32(image[v3, x, c])
-                value = cubic(p0, p1, p2, p3, t)
-                gain = upper + ty * (lower - upper)
+            row[x] = np.float32(float(y) + polynomial(row_shift, (2.0 * x - width) / width, down))
+        rest = np.empty(width * channels, np.float32)
+        end = 0
+        while end < width:
+            start, v = end, int(np.floor(row[end]))
+            while end < width and int(np.floor(row[end])) == v:
+                for c in range(channels):
+                    rest[end * channels + c] = row[end] - np.float32(v)
+                end += 1
+            part = slice(start * channels, end * channels)
+            p0 = source[min(max(v - 1, 0), height - 1), part]
+            p1 = source[min(max(v, 0), height - 1), part]
+            p2 = source[min(max(v + 1, 0), height - 1), part]
+            p3 = source[min(max(v + 2, 0), height - 1), part]
+            t, upper, lower, target = rest[part], along[i0, part], along[i1, part], result[y, part]
+            for k in range(target.size):
+                value = cubic(np.float32(p0[k]), np.float32(p1[k]), np.float32(p2[k]), np.float32(p3[k]), t[k])
+                gain = upper[k] + ty * (lower[k] - upper[k])
                 if gain < 1:
                     gain += (np.float32(1) - gain) * min(
                         max((value / top - _SATURATION_START) / _SATURATION_RANGE, np.float32(0)), np.float32(1)
                     )
-                out[y, x, c] = kind(min(max(value * gain + half, np.float32(0)), top))
+                target[k] = kind(min(max(value * gain + half, np.float32(0)), top))
 
 
 def estimate_row_shift(

@@ -67,13 +67,12 @@ def difference_volume(
     """
     ranges = None
     if sampling == "tolerant":
-        left, right = left.astype(np.int16, copy=False), right.astype(np.int16, copy=False)
         ranges = *_half_pixel_range(left), *_half_pixel_range(right)
     kind = left.dtype.type
     _difference_volume(left, right, ranges, costs, kind((1 << shift) >> 1), kind(shift), kind(limit))
 
 
-def _half_pixel_range(image: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+def _half_pixel_range(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     # Smallest and largest value within half a pixel along the row, linear between pixels.
     rows = np.ascontiguousarray(image).reshape(-1, image.shape[-1])
     low, high = np.empty_like(rows), np.empty_like(rows)
@@ -97,13 +96,14 @@ def _extremes(rows, low, high):
 
 @parallel_jit
 def _difference_volume(left, right, ranges, costs, half, shift, limit):
-    # Compiled for int16 with and without ``ranges``, and for uint8 without: a vector of bytes is half as long, and as
-    # its sums stop at 255, ``limit`` is right.
+    # Compiled for int16 and uint8: a vector of bytes is half as long, and as its sums stop at 255 and its differences
+    # at 0, ``limit`` is right.
     channels, height, width = left.shape
     n_disparities = costs.shape[2]
     padded = max(n_disparities, SHORT_LANES)
     row_size = width + padded
-    largest, zero = splat(limit), splat(np.int16(0))
+    largest = splat(limit)
+    zero = largest - largest
     for y in prange(height):
         mirror = np.zeros((3, channels, row_size), left.dtype)
         mirror[0, :, :width] = right[:, y, ::-1]
