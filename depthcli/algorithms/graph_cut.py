@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import maxflow
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.algorithms.regions import adjacency
 from depthcli.kernels.jit import jit
 
 
@@ -87,105 +86,200 @@ def alpha_expansion(
     costs = np.ascontiguousarray(unary, dtype=np.float64)
     ends = np.ascontiguousarray(edges, dtype=np.int32).reshape(-1, 2)
     strength = np.ascontiguousarray(weights, dtype=np.float64)
-    nodes, label_count = costs.shape
     labels = np.argmin(costs, axis=1) if initial is None else np.array(initial)
     labels = labels.astype(np.int32)
     energy = potts_energy(labels, costs, ends, strength)
-    starts, other, weight = adjacency(nodes, ends, strength)
-    total = np.bincount(ends.T.ravel(), np.tile(strength, 2), nodes)
     by_label = np.ascontiguousarray(costs.T)  # a column of a large matrix misses the cache at every node
-    keep = costs[np.arange(nodes), labels]
-    since_change = 0  # labels tried since the last move that lowered the energy; after all of them, none can
-    for _ in range(max_sweeps):
-        for alpha in range(label_count):
-            if since_change >= label_count:
-                break
-            since_change += 1
-            rise = by_label[alpha] - keep  # what switching to alpha adds to the unary cost of every node
-            chosen = _candidates(labels, alpha, rise, starts, other, weight, total)
-            if len(chosen) == 0:
-                continue
-            moved = chosen[binary_cut(*_binary_problem(labels, alpha, rise, starts, other, weight, chosen))]
-            change = _energy_change(labels, moved, alpha, rise, starts, other, weight)
-            # Rounding alone must not keep the loop alive.
-            if change < -1e-9 * max(1.0, abs(energy)):
-                labels[moved], keep[moved] = alpha, by_label[alpha, moved]
-                energy, since_change = energy + change, 0
+    _expand(labels, by_label, _arcs(len(costs), ends, strength), energy, max_sweeps)
     return labels, potts_energy(labels, costs, ends, strength)
 
 
-@jit
-def _energy_change(labels, moved, alpha, rise, starts, other, weight):
-    # Of the energy, where the labels of the nodes ``moved`` become ``alpha``.
-    after = labels.copy()
-    after[moved] = alpha
-    change = 0.0
-    for n in moved:
-        change += rise[n]
-        for e in range(starts[n], starts[n + 1]):
-            m = other[e]
-            if after[m] == labels[m] or n < m:  # an edge of two moved nodes once
-                change += weight[e] * ((after[m] != alpha) - (labels[m] != labels[n]))
-    return change
+class _Arcs(NamedTuple):
+    # The edges of a graph, both ways: those from node n are starts[n] .. starts[n + 1] - 1.
+    starts: NDArray[np.int64]
+    end: NDArray[np.int32]
+    reverse: NDArray[np.int32]  # the index of the arc in the opposite direction
+    weight: NDArray[np.float64]
 
 
 @jit
-def _candidates(labels, alpha, rise, starts, other, weight, total):
-    # The (K,) int64 nodes, in order, that can be in a set whose switch lowers the energy. In the best case all
-    # neighbors of a node that may switch do, which saves all its edges to them and to ``alpha``. Where that does not
-    # outweigh ``rise``, the node stays, which raises the cost of switching for its neighbors, and so on.
-    slack = rise - total
-    slack[labels == alpha] = np.inf
-    stay = np.empty(labels.size + 1, np.int64)
+def _arcs(count, edges, weights):
+    starts = np.zeros(count + 1, np.int64)
+    for e in range(len(edges)):
+        for n in edges[e]:
+            starts[n + 1] += 1
+    for n in range(count):
+        starts[n + 1] += starts[n]
+    free = starts[:count].copy()
+    end, reverse = np.empty(starts[count], np.int32), np.empty(starts[count], np.int32)
+    weight = np.empty(starts[count], np.float64)
+    for e in range(len(edges)):
+        p, q = edges[e]
+        there, back = free[p], free[q]
+        end[there], reverse[there], weight[there] = q, back, weights[e]
+        end[back], reverse[back], weight[back] = p, there, weights[e]
+        free[p] += 1
+        free[q] += 1
+    return _Arcs(starts, end, reverse, weight)
+
+
+# A move switches a set of nodes to the label alpha. Of an edge between two that may switch, the cost becomes
+# w |x_p - x_q| where they have one label; where they have two, it falls by w x_p x_q, which is
+# w / 2 (x_p + x_q) - w / 2 |x_p - x_q|. So each node has a gain from switching, and edges have capacities w or w / 2.
+# Gains flow along the edges to nodes that lose by switching; those that cannot be absorbed, and all nodes that they
+# reach, switch. This is the minimum cut with the fewest nodes on the side of alpha. Nodes around absorb most gains, so
+# that few nodes of the graph are visited.
+
+
+@jit
+def _expand(labels, by_label, arcs, energy, max_sweeps):
+    n_labels, nodes = by_label.shape
+    capacity, rest = np.empty_like(arcs.weight), np.empty_like(arcs.weight)
+    base = np.empty(nodes, np.float64)  # cost of the own label, and half the weights of the edges to other labels
+    tiny = 0.0  # smaller gains and capacities are errors of rounding
+    for n in range(nodes):
+        _renew(n, labels, by_label, arcs, capacity, rest, base)
+        tiny = max(tiny, 1e-12 * np.sum(arcs.weight[arcs.starts[n] : arcs.starts[n + 1]]))
+    gain = np.empty(nodes, np.float64)
+    height, number = np.zeros(nodes, np.int32), np.zeros(nodes + 2, np.int32)
+    raised, queue = np.empty(nodes + 1, np.int32), np.empty(nodes, np.int32)
+    moves = np.zeros(nodes, np.bool_)
+    since_change = 0  # labels tried since the last move that lowered the energy; after all of them, none can
+    for turn in range(max_sweeps * n_labels):
+        if since_change >= n_labels:
+            break
+        since_change += 1
+        alpha = turn % n_labels
+        costs = by_label[alpha]
+        for n in range(nodes):
+            gain[n] = base[n] - costs[n]
+        for n in range(nodes):
+            if labels[n] == alpha:
+                height[n] = _CLOSED
+                for e in range(arcs.starts[n], arcs.starts[n + 1]):
+                    gain[arcs.end[e]] += capacity[e]
+        n_raised = _absorb(arcs, rest, gain, tiny, height, number, raised, queue)
+        n_moved = _reached(raised[:n_raised], labels, alpha, arcs, rest, gain, tiny, moves, queue)
+        moved = queue[:n_moved]
+        change = 0.0
+        for n in moved:
+            change += costs[n] - by_label[labels[n], n]
+            for e in range(arcs.starts[n], arcs.starts[n + 1]):
+                m = arcs.end[e]
+                if not moves[m] or n < m:  # an edge of two moved nodes once
+                    after = labels[m] != alpha and not moves[m]
+                    change += arcs.weight[e] * (np.float64(after) - np.float64(labels[m] != labels[n]))
+        for n in raised[:n_raised]:
+            for e in range(arcs.starts[n], arcs.starts[n + 1]):
+                rest[e], rest[arcs.reverse[e]] = capacity[e], capacity[arcs.reverse[e]]
+        height[:] = 0
+        # Rounding alone must not keep the loop alive.
+        if change < -1e-9 * max(1.0, abs(energy)):
+            energy, since_change = energy + change, 0
+            labels[moved] = alpha
+            for n in moved:
+                _renew(n, labels, by_label, arcs, capacity, rest, base)
+                for m in arcs.end[arcs.starts[n] : arcs.starts[n + 1]]:
+                    if not moves[m]:
+                        _renew(m, labels, by_label, arcs, capacity, rest, base)
+        moves[moved] = False
+
+
+@jit
+def _renew(n, labels, by_label, arcs, capacity, rest, base):
+    # What depends on the labels of node n and of its neighbors.
+    base[n] = by_label[labels[n], n]
+    for e in range(arcs.starts[n], arcs.starts[n + 1]):
+        half = 0.5 * arcs.weight[e]
+        cut = labels[arcs.end[e]] != labels[n]
+        capacity[e] = rest[e] = half if cut else 2.0 * half
+        base[n] += half if cut else 0.0
+
+
+_CLOSED = 1 << 30  # height of nodes that have no way to a node that absorbs
+
+
+@jit
+def _absorb(arcs, rest, gain, tiny, height, number, raised, queue):
+    # Let gains flow to nodes with negative ones as far as the ``rest`` of the capacities allows, by pushing and
+    # relabeling (Goldberg and Tarjan, JACM 1988): a gain goes to the next lower node. A node without a way down rises
+    # above the lowest one that it can reach; if no node has some height, no gain above it can be absorbed. ``number``
+    # counts nodes by height. All heights and numbers are 0 before, except those of nodes that do not take part.
+    # Returned is the count of nodes in ``raised``, whose height has changed.
+    nodes = gain.size
     count = 0
-    for n in range(labels.size):
-        stay[count] = n  # counted if it stays; a branch would be predicted wrong half of the times
-        count += (slack[n] >= 0.0) & (labels[n] != alpha)
-    k = 0
-    while k < count:
-        n = stay[k]
-        k += 1
-        for e in range(starts[n], starts[n + 1]):
-            m = other[e]
-            before = slack[m]
-            slack[m] = before + weight[e] * (2.0 - np.float64(labels[m] != labels[n]))
-            stay[count] = m
-            count += (before < 0.0) & (slack[m] >= 0.0)
-    return np.flatnonzero(slack < 0.0)
-
-
-@jit
-def _binary_problem(labels, alpha, rise, starts, other, weight, chosen):
-    # Cost of x = 1 (switch) minus cost of x = 0 of the ``chosen`` nodes, and the edges between them.
-    # Pair costs are E(0,0) = cut (0 where both have one label now), E(0,1) = E(1,0) = w, E(1,1) = 0, that is
-    # E00 + (w - E00) x_p - w x_q + (2 w - E00) (1 - x_p) x_q. A neighbor at alpha adds w to x = 0;
-    # one that stays elsewhere adds its cut cost to x = 0 and w to x = 1.
-    index = np.full(labels.size, -1, np.int64)
-    links = 0
-    for k in range(chosen.size):
-        index[chosen[k]] = k
-        links += starts[chosen[k] + 1] - starts[chosen[k]]
-    cost_of_true = np.empty(chosen.size, np.float64)
-    p = np.empty(links, np.int64)
-    q = np.empty(links, np.int64)
-    capacity = np.empty(links, np.float64)
-    count = 0
-    for k in range(chosen.size):
-        n = chosen[k]
-        cost = rise[n]
-        for e in range(starts[n], starts[n + 1]):
-            m = other[e]
-            w = weight[e]
-            cut = w if labels[m] != labels[n] else 0.0
-            if index[m] < 0:
-                cost += -w if labels[m] == alpha else w - cut
-            elif n < m:
-                cost += w - cut
-                p[count] = k
-                q[count] = index[m]
-                capacity[count] = 2.0 * w - cut
+    for n in range(nodes):
+        raised[count] = n  # counted if it rises; a branch would be predicted wrong often
+        count += (gain[n] > tiny) & (height[n] == 0)
+    first, waiting = 0, count
+    queue[:count] = raised[:count]
+    height[raised[:count]] = 1
+    number[1] = count
+    while waiting:
+        n = queue[first]
+        first = first + 1 if first + 1 < nodes else 0
+        waiting -= 1
+        while height[n] < _CLOSED:
+            below, lowest = height[n] - 1, _CLOSED
+            for e in range(arcs.starts[n], arcs.starts[n + 1]):
+                if rest[e] <= tiny:
+                    continue
+                m = arcs.end[e]
+                if height[m] != below:
+                    lowest = min(lowest, height[m])
+                    continue
+                flow = min(gain[n], rest[e])
+                rest[e] -= flow
+                rest[arcs.reverse[e]] += flow
+                gain[n] -= flow
+                waits = gain[m] > tiny
+                gain[m] += flow
+                if gain[m] > tiny and not waits:
+                    last = first + waiting
+                    queue[last if last < nodes else last - nodes] = m
+                    waiting += 1
+                if gain[n] <= tiny:
+                    break
+            if gain[n] <= tiny:
+                break
+            old = height[n]
+            height[n] = lowest + 1 if lowest < _CLOSED else _CLOSED
+            if old == 0:
+                raised[count] = n
                 count += 1
             else:
-                cost -= w
-        cost_of_true[k] = cost
-    return cost_of_true, p[:count].copy(), q[:count].copy(), capacity[:count].copy()
+                number[old] -= 1
+            if old > 0 and number[old] == 0:
+                for k in range(count):
+                    m = raised[k]
+                    if old < height[m] < _CLOSED:
+                        number[height[m]] -= m != n
+                        height[m] = _CLOSED
+            elif lowest < _CLOSED:
+                number[height[n]] += 1
+    for k in range(count):
+        if height[raised[k]] < _CLOSED:
+            number[height[raised[k]]] = 0
+    return count
+
+
+@jit
+def _reached(raised, labels, alpha, arcs, rest, gain, tiny, moves, queue):
+    # Mark the nodes that gains left over reach, list them in the queue, and return their number.
+    count = 0
+    for n in raised:
+        if gain[n] > tiny:
+            moves[n] = True
+            queue[count] = n
+            count += 1
+    k = 0
+    while k < count:
+        n = queue[k]
+        k += 1
+        for e in range(arcs.starts[n], arcs.starts[n + 1]):
+            m = arcs.end[e]
+            if rest[e] > tiny and not moves[m] and labels[m] != alpha:
+                moves[m] = True
+                queue[count] = m
+                count += 1
+    return count

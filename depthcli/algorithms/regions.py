@@ -123,20 +123,6 @@ def _counting_sort(labels, chosen, count):
     return order, starts
 
 
-@jit
-def _best_neighbors(edges, rank, selected):
-    # The (N,) int32 neighbors of smallest rank of the selected regions, the first of equal ones; -1 where none.
-    best = np.full(selected.size, -1, np.int32)
-    min_rank = np.empty(selected.size, np.float64)
-    for e in range(edges.shape[0]):
-        for side in range(2):
-            n, m = edges[e, side], edges[e, 1 - side]
-            if selected[n] and (best[n] < 0 or rank[e] < min_rank[n] or (rank[e] == min_rank[n] and m < best[n])):
-                best[n] = m
-                min_rank[n] = rank[e]
-    return best
-
-
 def connected_components(color: NDArray[Any], max_distance: float) -> NDArray[np.int32]:
     """Return the labels of regions of an (H, W, C) image of integers in which neighbors have similar colors.
 
@@ -178,8 +164,7 @@ def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
     """Return the graph of the regions of ``labels`` (H, W), 0 .. n - 1, over ``image`` (H, W) or (H, W, C)."""
     count = int(labels.max()) + 1 if labels.size else 0
     sizes, sums = _sums(labels.ravel(), image.reshape(labels.size, -1), count)
-    ends = _neighbors(labels)
-    edges, boundary = _distinct_edges(ends, np.ones(len(ends), np.int64), count)
+    edges, boundary = _edges(*region_adjacency(labels, count))
     return RegionGraph(sizes, edges, boundary, sums)
 
 
@@ -194,56 +179,22 @@ def _sums(labels, colors, count):
 
 
 @jit
-def _neighbors(labels):
-    # The (M, 2) labels of all 4-neighboring pixels of two regions.
-    height, width = labels.shape
-    ends = np.empty((2 * labels.size, 2), np.int32)
-    count = 0
-    for y in range(height):
-        for x in range(width):
-            for y2, x2 in ((y, x + 1), (y + 1, x)):
-                if y2 < height and x2 < width and labels[y2, x2] != labels[y, x]:
-                    ends[count, 0], ends[count, 1] = labels[y, x], labels[y2, x2]
-                    count += 1
-    return ends[:count].copy()
-
-
-@jit
-def _distinct_edges(ends, weights, count):
-    # The sorted (E, 2) edges i < j between regions 0 .. count - 1, each once, and the sums of their weights.
-    order = np.flatnonzero(ends[:, 0] != ends[:, 1])
-    for turn in range(2):  # sorted by the larger end, then by the smaller one
-        key = np.empty(order.size, np.int32)
-        starts = np.zeros(count + 1, np.int64)
-        for k in range(order.size):
-            a, b = ends[order[k], 0], ends[order[k], 1]
-            key[k] = max(a, b) if turn == 0 else min(a, b)
-            starts[key[k] + 1] += 1
-        for s in range(count):
-            starts[s + 1] += starts[s]
-        before, order = order, np.empty_like(order)
-        for k in range(order.size):
-            order[starts[key[k]]] = before[k]
-            starts[key[k]] += 1
-    edges, sums = np.empty((order.size, 2), np.int32), np.zeros(order.size, np.int64)
-    n = -1
-    for e in order:
-        a, b = min(ends[e, 0], ends[e, 1]), max(ends[e, 0], ends[e, 1])
-        if n < 0 or edges[n, 0] != a or edges[n, 1] != b:
-            n += 1
-            edges[n, 0], edges[n, 1] = a, b
-        sums[n] += weights[e]
-    return edges[: n + 1].copy(), sums[: n + 1].copy()
-
-
-def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> tuple[RegionGraph, NDArray[np.int32]]:
-    # The graph after the regions ``source`` have joined ``target``, and the new number of every region.
-    group = joined_regions(len(graph.sizes), np.stack([source, target], axis=1).astype(np.int32))
-    count = int(group.max()) + 1
-    sizes = np.bincount(group, graph.sizes, count).astype(np.int64)
-    sums = np.stack([np.bincount(group, column, count) for column in graph.sums.T], axis=1).astype(np.float64)
-    edges, boundary = _distinct_edges(group[graph.edges], graph.boundary, count)
-    return RegionGraph(sizes, edges, boundary, sums), group
+def _edges(starts, neighbors, boundary):
+    # The sorted (E, 2) edges i < j, each once, and their boundaries, from the result of region_adjacency.
+    count = starts.size - 1
+    free = np.zeros(count + 1, np.int64)
+    for i in range(count):
+        free[i + 1] = free[i]
+        for k in range(starts[i], starts[i + 1]):
+            free[i + 1] += neighbors[k] > i
+    edges, lengths = np.empty((free[count], 2), np.int32), np.empty(free[count], np.int64)
+    for j in range(count):
+        for k in range(starts[j], starts[j + 1]):
+            i = neighbors[k]
+            if i < j:
+                edges[free[i], 0], edges[free[i], 1], lengths[free[i]] = i, j, boundary[k]
+                free[i] += 1
+    return edges, lengths
 
 
 def merge_small_regions(
@@ -254,19 +205,83 @@ def merge_small_regions(
     Regions join in rounds until all are large enough (or only one is left). ``by_boundary``: they join the neighbor of
     the same color with the longest common boundary instead, if there is one. Labels are (H, W) int32 from 0 on.
     """
-    graph = region_graph(labels, image)
-    number = np.arange(len(graph.sizes), dtype=np.int32)
+    count = int(labels.max()) + 1
+    sizes, sums = _sums(labels.ravel(), image.reshape(labels.size, -1), count)
+    means = sums / np.maximum(sizes, 1)[:, None]
+    starts, neighbors, boundary = region_adjacency(labels, count)
+    # The first member of a merged region stands for it; the others follow in a list that begins there.
+    parent, following = np.arange(count, dtype=np.int32), np.full(count, -1, np.int32)
+    last = parent.copy()
+    small = np.flatnonzero(sizes < min_size)
     while True:
-        distance = graph.distances
-        edges, rank = graph.edges, distance
-        if by_boundary:
-            edges, rank = edges[distance == 0], -graph.boundary[distance == 0].astype(np.float64)
-        target = _best_neighbors(edges, rank, graph.sizes < min_size)
-        source = np.flatnonzero(target >= 0)
-        if len(source) == 0:
+        target = np.empty(len(small), np.int32)
+        _find_targets(small, means, parent, following, starts, neighbors, boundary, by_boundary, target)
+        if not (target >= 0).any():
+            number: NDArray[np.int32] = consecutive(parent)
             return number[labels]
-        graph, group = _merged(graph, source, target[source])
-        number = group[number]
+        _join_targets(small, target, sizes, sums, means, parent, following, last)
+        small = small[(parent[small] == small) & (sizes[small] < min_size)]
+
+
+@parallel_jit
+def _find_targets(small, means, parent, following, starts, neighbors, boundary, by_boundary, target):
+    # The neighbors that the regions ``small`` are to join, -1 where there is none.
+    n_tasks = 1 if by_boundary else BAND
+    for task in prange(n_tasks):
+        lengths = np.zeros(parent.size if by_boundary else 0, np.int64)
+        for k in range(small.size * task // n_tasks, small.size * (task + 1) // n_tasks):
+            graph = parent, following, starts, neighbors, boundary
+            target[k] = _best_neighbor(small[k], means, *graph, lengths, by_boundary)
+
+
+@jit
+def _best_neighbor(region, means, parent, following, starts, neighbors, boundary, lengths, by_boundary):
+    # The neighbor with the most similar mean color or, of those with the same one, the longest common boundary; the
+    # first of equal ones, -1 where there is none. ``lengths`` are zeros before and after.
+    best, min_rank = np.int32(-1), np.inf
+    for turn in range(2):
+        member = region if turn or by_boundary else -1
+        while member >= 0:
+            for k in range(starts[member], starts[member + 1]):
+                m = parent[neighbors[k]]
+                if turn == 0:
+                    lengths[m] += boundary[k]
+                    continue
+                rank, limit = 0.0, 0.0 if by_boundary else min_rank
+                for c in range(means.shape[1]):
+                    square = (means[region, c] - means[m, c]) ** 2
+                    rank += square
+                    if square > limit:
+                        break
+                if by_boundary:  # known once all parts of the boundary are added, and then 0 for the other parts
+                    rank = -np.float64(lengths[m]) if rank == 0.0 else np.inf
+                    lengths[m] = 0
+                if m != region and (rank < min_rank or (rank == min_rank and m < best)):
+                    best, min_rank = m, rank
+            member = following[member]
+    return best
+
+
+@jit
+def _join_targets(small, target, sizes, sums, means, parent, following, last):
+    for k in range(small.size):
+        if target[k] < 0:
+            continue
+        first, other = root(parent, small[k]), root(parent, target[k])
+        if first != other:
+            first, other = min(first, other), max(first, other)
+            parent[other] = first
+            following[last[first]], last[first] = other, last[other]
+            sizes[first] += sizes[other]
+            for c in range(sums.shape[1]):
+                sums[first, c] += sums[other, c]
+    for r in range(parent.size):
+        parent[r] = parent[parent[r]]
+    for k in range(small.size):
+        first = parent[small[k]]
+        if target[k] >= 0:
+            for c in range(sums.shape[1]):
+                means[first, c] = sums[first, c] / sizes[first]
 
 
 @jit
@@ -278,52 +293,37 @@ def joined_regions(count, edges):
     return consecutive(parent)
 
 
-def adjacency(
-    count: int, edges: NDArray[np.int32], weights: NDArray[Any]
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[Any]]:
-    """Return the neighbors of the nodes 0 .. count - 1 of an undirected graph, ordered by node.
-
-    Given are edges (E, 2), each once, and a weight for each. Returned are (count + 1,) ``starts``, (2 E,) neighbors and
-    the weights of the edges to them, whose elements ``starts[n] .. starts[n + 1] - 1`` belong to node n.
-    """
-    source = edges.T.ravel()
-    order = np.argsort(source, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(np.bincount(source, minlength=count))]).astype(np.int64)
-    return starts, edges[:, ::-1].T.ravel()[order], np.tile(weights, 2)[order]
-
-
 @jit
 def region_adjacency(labels, count):
-    """Return the neighbors of the regions 0 .. count - 1 of a label map (H, W), in the form of :func:`adjacency`.
+    """Return the neighbors of the regions 0 .. count - 1 of a label map (H, W), ordered by region.
 
-    The weights (int64) are lengths of common boundaries: numbers of 4-neighboring pairs of pixels. The neighbors of a
-    region are in the raster order in which its boundary first touches them.
+    Returned are (count + 1,) ``starts``, the neighbors, in the raster order in which the region's boundary first
+    touches them, and the lengths of the common boundaries (int64): numbers of 4-neighboring pairs of pixels. The
+    elements ``starts[s] .. starts[s + 1] - 1`` belong to region s.
     """
     height, width = labels.shape
     starts = np.zeros(count + 1, np.int64)
+    pairs = np.empty((2 * labels.size, 2), np.int32)
+    n_pairs = 0
     for y in range(height):
         for x in range(width):
             s = labels[y, x]
-            for step in range(2):
-                y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
-                if y2 < height and x2 < width and labels[y2, x2] != s:
+            for t in (labels[y, x + 1] if x + 1 < width else s, labels[y + 1, x] if y + 1 < height else s):
+                if t != s:
+                    pairs[n_pairs, 0], pairs[n_pairs, 1] = s, t
+                    n_pairs += 1
                     starts[s + 1] += 1
-                    starts[labels[y2, x2] + 1] += 1
+                    starts[t + 1] += 1
     for s in range(count):
         starts[s + 1] += starts[s]
     raw = np.empty(starts[count], np.int32)
     free = starts[:count].copy()
-    for y in range(height):
-        for x in range(width):
-            s = labels[y, x]
-            for step in range(2):
-                y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
-                if y2 < height and x2 < width and labels[y2, x2] != s:
-                    t = labels[y2, x2]
-                    raw[free[s]] = t
-                    free[s] += 1
-                    raw[free[t]] = s
-                    free[t] += 1
+    for k in range(n_pairs):
+        s, t = pairs[k]
+        raw[free[s]] = t
+        free[s] += 1
+        raw[free[t]] = s
+        free[t] += 1
     # Each bucket, written over itself without repetitions.
     place = np.full(count, -1, np.int64)
     boundary = np.zeros(raw.size, np.int64)

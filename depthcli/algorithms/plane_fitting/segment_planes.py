@@ -20,6 +20,7 @@ TASKS = 64
 _SAMPLED_PIXELS = 2000  # RANSAC planes of larger segments are judged by about so many pixels
 _MIN_CROSS = 0.5  # three pixels that span less than this many square pixels determine no plane
 _REFITS = 5  # largest number of least squares after RANSAC
+_LANES = 32  # RANSAC planes that are judged at once; the result does not depend on it
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,7 @@ def _fit(
 ):
     n_tasks = min(TASKS, chosen.size)
     for task in prange(n_tasks):
+        lanes = np.zeros((4, _LANES))
         for k in range(np.int64(task), chosen.size, n_tasks):
             pixels = order[starts[chosen[k]] : starts[chosen[k] + 1]]
             px, py, pd = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size)
@@ -117,11 +119,11 @@ def _fit(
                 py[i] -= my
             state = np.uint64(seed + 1) * np.uint64(0x9E3779B97F4A7C15)
             state += np.uint64(chosen[k] + 1) * np.uint64(0xBF58476D1CE4E5B9)
-            a, b, c = _ransac(px, py, pd, flat, tolerance, trials, max_slope, state)
+            a, b, c = _ransac(px, py, pd, flat, tolerance, trials, max_slope, state, lanes)
             a, b, c = _refit(px, py, pd, a, b, c, tolerance, max_slope)
             # Where a slope hardly lowers the misfit, it follows noise.
-            misfit = _misfit(px, py, pd, 1, a, b, c, tolerance, np.inf)
-            if flatness * _misfit(px, py, pd, 1, 0.0, 0.0, flat, tolerance, np.inf) <= misfit:
+            misfit = _misfit(px, py, pd, 1, a, b, c, tolerance)
+            if flatness * _misfit(px, py, pd, 1, 0.0, 0.0, flat, tolerance) <= misfit:
                 a, b, c = 0.0, 0.0, flat
             n, sx, sy, _ = _inlier_sums(px, py, pd, a, b, c, tolerance)
             coefficients[k, 0], coefficients[k, 1], coefficients[k, 2] = a, b, c - a * mx - b * my
@@ -139,30 +141,51 @@ def _pick(state, count):
 
 
 @jit
-def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state):
+def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state, lanes):
     # The plane through three pixels with the smallest misfit, or the flat one.
     count = px.size
     stride = max(1, count // _SAMPLED_PIXELS)
     a, b, c = 0.0, 0.0, flat
-    best = _misfit(px, py, pd, stride, a, b, c, tolerance, np.inf)
-    for _ in range(trials if count >= 3 else 0):
+    best = _misfit(px, py, pd, stride, a, b, c, tolerance)
+    n = 0
+    last = trials - 1 if count >= 3 else -1
+    for trial in range(last + 1):
         state, i0 = _pick(state, count)
         state, i1 = _pick(state, count)
         state, i2 = _pick(state, count)
         ux, uy, ud = px[i1] - px[i0], py[i1] - py[i0], pd[i1] - pd[i0]
         vx, vy, vd = px[i2] - px[i0], py[i2] - py[i0], pd[i2] - pd[i0]
         cross = ux * vy - uy * vx
-        if abs(cross) < _MIN_CROSS:
-            continue
-        ta = (ud * vy - uy * vd) / cross
-        tb = (ux * vd - ud * vx) / cross
-        if abs(ta) > max_slope or abs(tb) > max_slope:
-            continue
-        tc = pd[i0] - ta * px[i0] - tb * py[i0]
-        misfit = _misfit(px, py, pd, stride, ta, tb, tc, tolerance, best)
-        if misfit < best:
-            best, a, b, c = misfit, ta, tb, tc
+        if abs(cross) >= _MIN_CROSS:
+            ta = (ud * vy - uy * vd) / cross
+            tb = (ux * vd - ud * vx) / cross
+            if abs(ta) <= max_slope and abs(tb) <= max_slope:
+                lanes[0, n], lanes[1, n], lanes[2, n] = ta, tb, pd[i0] - ta * px[i0] - tb * py[i0]
+                n += 1
+        if n == _LANES or trial == last:
+            _misfits(px, py, pd, stride, lanes, tolerance, best)
+            for k in range(n):
+                if lanes[3, k] < best:
+                    a, b, c, best = lanes[:, k]
+            n = 0
     return a, b, c
+
+
+@jit
+def _misfits(px, py, pd, stride, lanes, tolerance, enough):
+    # Write _misfit of the planes ``lanes[:3]`` to ``lanes[3]``; stop once all of them exceed ``enough``.
+    a, b, c, totals = lanes[0], lanes[1], lanes[2], lanes[3]
+    limit = tolerance * tolerance
+    totals[:] = 0.0
+    step = 16 * stride
+    for start in range(0, px.size, step):
+        for i in range(start, min(start + step, px.size), stride):
+            x, y, d = px[i], py[i], pd[i]
+            for k in range(_LANES):
+                distance = a[k] * x + b[k] * y + c[k] - d
+                totals[k] += min(distance * distance, limit)
+        if totals.min() > enough:
+            break
 
 
 @jit
@@ -189,8 +212,8 @@ def _refit(px, py, pd, a, b, c, tolerance, max_slope):
         if abs(ta) > max_slope or abs(tb) > max_slope:
             break
         tc = sd - ta * sx - tb * sy
-        misfit = _misfit(px, py, pd, 1, ta, tb, tc, tolerance, np.inf)
-        if misfit >= _misfit(px, py, pd, 1, a, b, c, tolerance, np.inf):
+        misfit = _misfit(px, py, pd, 1, ta, tb, tc, tolerance)
+        if misfit >= _misfit(px, py, pd, 1, a, b, c, tolerance):
             break
         a, b, c = ta, tb, tc
     return a, b, c
@@ -210,15 +233,13 @@ def _inlier_sums(px, py, pd, a, b, c, tolerance):
 
 
 @jit
-def _misfit(px, py, pd, stride, a, b, c, tolerance, enough):
-    # Sum of squared distances, each at most tolerance squared (MSAC); stops once it exceeds ``enough``.
+def _misfit(px, py, pd, stride, a, b, c, tolerance):
+    # Sum of squared distances, each at most tolerance squared (MSAC).
     limit = tolerance * tolerance
     total = 0.0
     for i in range(0, px.size, stride):
         distance = a * px[i] + b * py[i] + c - pd[i]
         total += min(distance * distance, limit)
-        if total > enough:
-            break
     return total
 
 

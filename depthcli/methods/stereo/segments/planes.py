@@ -165,28 +165,29 @@ def discrepancy(values, order, starts, coefficients, weight, truncation):
     the nearest pixel). In a segment without pixels every plane costs 0. Differences above ``truncation`` count as it.
     """
     unary = np.zeros((starts.size - 1, coefficients.shape[0]))
-    for t in prange(unary.shape[0]):
-        pixels = order[starts[t] : starts[t + 1]]
-        m = pixels.size
-        if m == 0:
-            continue
-        px, py = _coordinates(pixels, values.shape[1])
-        pd = np.empty(m, np.float32)
-        for i in range(m):
-            pd[i] = values[pixels[i] // values.shape[1], pixels[i] % values.shape[1]]
-        max_difference = np.float32(truncation)
-        half = np.float32(0.5)
-        for label in range(coefficients.shape[0]):
-            a = np.float32(coefficients[label, 0])
-            b = np.float32(coefficients[label, 1])
-            c = np.float32(coefficients[label, 2])
-            total = np.float32(0.0)
-            n = np.int32(0)
+    for task in prange(TASKS):
+        for t in range(np.int64(task), unary.shape[0], TASKS):
+            pixels = order[starts[t] : starts[t + 1]]
+            m = pixels.size
+            if m == 0:
+                continue
+            px, py = _coordinates(pixels, values.shape[1])
+            pd = np.empty(m, np.float32)
             for i in range(m):
-                difference = abs(a * px[i] + b * py[i] + c - pd[i])
-                n += np.int32(difference <= half)
-                total += min(difference, max_difference)
-            unary[t, label] = weight * total * (np.exp(-n / m) if n else 1.0)  # most planes have none
+                pd[i] = values[pixels[i] // values.shape[1], pixels[i] % values.shape[1]]
+            max_difference = np.float32(truncation)
+            half = np.float32(0.5)
+            for label in range(coefficients.shape[0]):
+                a = np.float32(coefficients[label, 0])
+                b = np.float32(coefficients[label, 1])
+                c = np.float32(coefficients[label, 2])
+                total = np.float32(0.0)
+                n = np.int32(0)
+                for i in range(m):
+                    difference = abs(a * px[i] + b * py[i] + c - pd[i])
+                    n += np.int32(difference <= half)
+                    total += min(difference, max_difference)
+                unary[t, label] = weight * total * (np.exp(-n / m) if n else 1.0)  # most planes have none
     return unary
 
 
