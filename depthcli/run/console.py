@@ -98,6 +98,7 @@ class Reporter:
                 from tqdm import tqdm
 
                 bar: dict[str, Any] = {"total": total, "initial": done, "unit": "scene", "file": sys.stderr}
+                tqdm.monitor_interval = 0  # without its thread processes can be forked
                 self._bar = tqdm(desc=what, **bar, leave=False, dynamic_ncols=True, mininterval=0.2)
 
     def step(self, failed: bool = False) -> None:

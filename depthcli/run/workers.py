@@ -10,12 +10,14 @@ from __future__ import annotations
 import contextlib
 import errno
 import fnmatch
+import gc
 import math
 import multiprocessing
 import os
 import platform
 import shutil
 import signal
+import sys
 import threading
 import time
 import traceback
@@ -59,9 +61,9 @@ GOES_ON = "the same command goes on where it stopped"
 # Packages whose versions change results; part of the run's identity.
 _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
 _MAX_TRACE_NAME = 200  # bytes of a scene's name in the name of its traceback; a file's name has 255
-_HEAD_START = 1.0  # seconds in which the first worker can show that kernels have to be compiled
 _KEPT_SHARE = 16  # of the memory that a process may use, for arrays of its next scene: fresh pages take long
-_START_SECONDS, _START_EACH = 1.5, 0.05  # until processes work, and more for each: two take 1.2 s on two cores
+_START_SECONDS = 1.5  # until processes work that load all modules: two take 1.2 s on two cores
+_MIN_SCENES = 16  # that a process for each core computes sooner than threads do, if they start as copies of this one
 _PROCESS_BYTES = 2 * BASE_BYTES  # of a process beside its scene: its own, and arrays that it keeps for the next one
 _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up the memory
 
@@ -263,8 +265,24 @@ def _is_open(folder: Path, opened: int) -> bool:
         return False
 
 
+def _n_threads() -> int:
+    with contextlib.suppress(OSError):
+        return len(os.listdir("/proc/self/task"))
+    return 1
+
+
+_N_AT_IMPORT = _n_threads()  # those of OpenBLAS, which it ends before a fork
+_has_threads = threading.Event()  # of kernels, even if it is a single one
+
+
+def _may_fork() -> bool:
+    """Return whether processes can be copies of this one: on Linux, before it has threads, which no copy would have."""
+    return sys.platform == "linux" and not _has_threads.is_set() and _n_threads() <= _N_AT_IMPORT
+
+
 def use_threads(count: int) -> None:
     """Set the number of threads of the kernels and of OpenCV in this process."""
+    _has_threads.set()
     set_threads(count)
     cv2.setNumThreads(count)
 
@@ -293,14 +311,24 @@ def compute_on_this_machine(
 ) -> Generator[Row, None, None]:
     """Yield the rows of the tasks of ``scenes``, computed in this process or in as many as ``--jobs`` says.
 
-    Without a number, scenes are computed here until their time tells that processes finish the others sooner. Each of
-    these may take as much memory as this one, so that their number changes no map.
+    Without a number, many scenes are computed in as many processes as the cores and the memory take, if these can be
+    copies of this one. Otherwise they are computed here until their time tells that processes finish the others sooner.
+    Each process may take as much memory as this one, so that their number changes no map.
     """
     tasks, how = iter(tasks), work.how
-    if how.jobs is not None and (jobs := min(how.jobs, len(scenes))) > 1:
-        yield from compute_in_processes(tasks, work, reporter, jobs)
-        return
     need = cache(lambda: _largest_need(work.batch, scenes))  # which takes a look into every file
+
+    def in_processes(jobs: int, left: int) -> Generator[Row, None, None]:
+        reporter.detail(f"{jobs} processes compute {left} scenes")
+        divided = replace(how, jobs=jobs, max_memory=how.max_memory if how.jobs else jobs * how.memory_each())
+        return compute_in_processes(tasks, replace(work, how=divided), reporter, jobs)
+
+    jobs, n_scenes = min(how.jobs or 1, len(scenes)), len(scenes)
+    if how.jobs is None and n_scenes >= _MIN_SCENES and _may_fork():
+        jobs = n_processes(how, n_scenes, 1.0, 1.0, need, start=0.0)
+    if jobs > 1:
+        yield from in_processes(jobs, n_scenes)
+        return
     use_threads(how.threads_each())
     last = math.inf, math.inf
     with CompileWatch(lambda _: _announce_compilation(reporter)) as watch:
@@ -313,30 +341,30 @@ def compute_on_this_machine(
             # The first scene loads or compiles kernels; any may have waited for the disk. Where kernels cannot be kept,
             # each process would compile its own.
             if how.jobs is None and number > 1 and cache_folder() is not None:
-                jobs = n_processes(how, len(scenes) - number, *min(took, last), need)
+                jobs = n_processes(how, n_scenes - number, *min(took, last), need)
                 if jobs > 1:
                     break
             last = took
         else:
             return
     memory.release()
-    reporter.detail(f"{jobs} processes compute the other {len(scenes) - number} scenes")
-    work = replace(work, how=replace(how, jobs=jobs, max_memory=jobs * how.memory_each()))
-    yield from compute_in_processes(tasks, work, reporter, jobs, compiled=True)
+    yield from in_processes(jobs, n_scenes - number)
 
 
-def n_processes(how: Execution, left: int, took: float, busy: float, need: Callable[[], int | None]) -> int:
+def n_processes(
+    how: Execution, left: int, took: float, busy: float, need: Callable[[], int | None], start: float = _START_SECONDS
+) -> int:
     """Return how many processes compute the ``left`` scenes soonest; 1: this one, as starting others takes longer.
 
     Parameters
     ----------
     took, busy : seconds of a scene here, and of all cores together, of which several processes save nothing
     need : returns the largest bytes of a scene, None where they are not known
+    start : seconds until processes work
     """
 
     def seconds(jobs: int) -> float:
-        start = 0.0 if jobs == 1 else _START_SECONDS + _START_EACH * jobs
-        return start + math.ceil(left / jobs) * max(took, busy * jobs / resources.cores())
+        return start * (jobs > 1) + math.ceil(left / jobs) * max(took, busy * jobs / resources.cores())
 
     def soonest(most: int) -> int:
         return min(range(1, most + 1), key=seconds, default=1)
@@ -366,25 +394,21 @@ class _Worker:
 
 
 def compute_in_processes(
-    tasks: Iterable[Task], work: Work, reporter: Reporter, jobs: int, compiled: bool = False
+    tasks: Iterable[Task], work: Work, reporter: Reporter, jobs: int
 ) -> Generator[Row, None, None]:
     """Yield the rows of the tasks, computed by ``jobs`` processes, in the order in which they are finished.
 
-    The first scene is computed alone for a moment, unless all is ``compiled``. If kernels have to be compiled for it,
-    the other processes wait for them instead of compiling the same ones.
+    If kernels have to be compiled for the first scenes, the process that begins with it computes alone until its scene
+    is done: the others are ended, instead of compiling the same ones.
     """
-    context = multiprocessing.get_context("spawn")  # threads of OpenMP do not survive a fork
     waiting, retried = iter(tasks), list[tuple[Task, int]]()
     workers: list[_Worker] = []
-    alone_until = 0.0 if compiled else time.monotonic() + 60.0  # until the first worker has begun
-    earlier = {name: value for name, value in os.environ.items() if name == "NUMBA_NUM_THREADS"}
-    os.environ["NUMBA_NUM_THREADS"] = str(work.how.threads_each())  # which the processes inherit
+    alone, compiled = False, False
     try:
         with _ctrl_c_later():  # so that those that have started are ended
             for _ in range(jobs):  # side by side
-                workers.append(_start(context, work))
+                workers.append(_start(work))
         while True:
-            alone = time.monotonic() < alone_until
             while sum(worker.computing is not None for worker in workers) < (1 if alone else jobs):
                 task, tries = retried.pop() if retried else (next(waiting, None), 0)
                 if task is None:
@@ -392,14 +416,14 @@ def compute_in_processes(
                 worker = next((worker for worker in workers if worker.computing is None), None)
                 if worker is None:  # one has died
                     with _ctrl_c_later():
-                        workers.append(worker := _start(context, work))
+                        workers.append(worker := _start(work))
                 worker.computing = task, tries + 1
                 with contextlib.suppress(OSError):  # it has died meanwhile, which is seen below
                     worker.pipe.send(task)
             busy = {worker.pipe: worker for worker in workers if worker.computing or worker.finishing}
             if not busy:
                 return
-            for pipe in connection.wait(list(busy), 0.05 if alone else None):
+            for pipe in connection.wait(list(busy)):
                 worker = busy[pipe]  # type: ignore[index]
                 try:
                     message = worker.pipe.recv()
@@ -415,21 +439,21 @@ def compute_in_processes(
                         else:
                             yield task.died(f"the worker process died {_MAX_TRIES} times ({why})", work)
                     continue
-                if message == "begun":
-                    alone_until = min(alone_until, time.monotonic() + _HEAD_START)
-                elif message == "compiling":
+                if message == "compiling":
                     _announce_compilation(reporter)
-                    alone_until = float("inf") if alone else alone_until
+                    if not (alone or compiled):
+                        alone = True
+                        for other in workers:
+                            if other is not worker:
+                                other.process.kill()
                 elif message == "computed":
-                    worker.computing, worker.finishing, alone_until = None, worker.computing, 0.0
+                    worker.computing, worker.finishing, alone, compiled = None, worker.computing, False, True
                 else:
                     row, kernels, seconds = message
                     worker.finishing = None
                     report_compilation(reporter, kernels, seconds)
                     yield row
     finally:
-        del os.environ["NUMBA_NUM_THREADS"]
-        os.environ.update(earlier)
         for worker in workers:
             worker.process.kill()
         for worker in workers:
@@ -437,10 +461,12 @@ def compute_in_processes(
             worker.pipe.close()
 
 
-def _start(context: Any, work: Work) -> _Worker:
+def _start(work: Work) -> _Worker:
+    context: Any = multiprocessing.get_context("fork" if _may_fork() else "spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(theirs, work), daemon=True)
-    resource_tracker.ensure_running()  # started with the first process, it would lift the block for that one
+    if context.get_start_method() == "spawn":
+        resource_tracker.ensure_running()  # started with the first process, it would lift the block for that one
     process.start()
     theirs.close()
     return _Worker(process, ours)
@@ -474,6 +500,7 @@ def _serve(pipe: connection.Connection, work: Work) -> None:
         parent.join()
         os._exit(1)
 
+    gc.freeze()  # what is loaded stays, in memory that a copy of a process shares with it
     silence_warnings()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C does
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -496,7 +523,6 @@ def _serve(pipe: connection.Connection, work: Work) -> None:
         finished: Future[None] | None = None
         while True:
             task = pipe.recv()
-            say("begun")
             shutil.rmtree(task.hidden, ignore_errors=True)  # left by a worker that died
             computed = counted(partial(computed_scene, task, work, limit), watch)
             if finished is not None:

@@ -220,7 +220,7 @@ def test_help_imports_nothing_heavy():
 
 @pytest.mark.system
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGINT")
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("jobs", ["1", "2", "auto"])
 def test_ctrl_c_leaves_a_run_to_go_on_with(made_scenes: Path, tmp_path: Path, jobs: str):
     for number in range(4):  # enough scenes that the interruption falls into the run
         for scene in filter(Path.is_dir, made_scenes.iterdir()):

@@ -7,11 +7,14 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 from pydantic import BaseModel
 
@@ -76,6 +79,8 @@ class Repeat(Batch[Text]):
             raise OSError(errno.EDQUOT, os.strerror(errno.EDQUOT), "/tmp/scratch/file")
         if text == "huge":
             raise MemoryError
+        if text == "compiles":
+            numba.njit(lambda number: number + 1)(1)
         if text == "stop":
             raise KeyboardInterrupt
         if text == "killed":
@@ -603,6 +608,35 @@ def test_how_many_processes_finish_first_on_eight_cores(left, took, busy, option
     monkeypatch.setattr(workers.resources, "cores", lambda: 8)
     how = Execution(**{"jobs": None, "max_memory": 64 << 30} | options)
     assert workers.n_processes(how, left, took, busy, lambda: need) in found
+
+
+@pytest.mark.slow
+def test_a_process_that_compiles_does_so_alone(folder: Folder, capsys: pytest.CaptureFixture[str]):
+    folder.texts, folder.reporter = dict.fromkeys("abcd", "compiles"), Reporter(0)
+    assert [row["status"] for row in folder.run(jobs=2).values()] == ["done"] * 4
+    assert "compiling kernels" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="needs copies of processes")
+def test_many_scenes_are_computed_in_copies_of_the_process(tmp_path: Path):
+    code = f"""if True:
+        from pathlib import Path
+        from depthcli.run import workers
+        from tests.run.test_runner import Folder, Repeat
+        Repeat.memory = lambda self, scene: 0
+        workers._MIN_SCENES, workers.resources.cores = 2, lambda: 2
+        folder = Folder(Path({str(tmp_path)!r}))
+        folder.texts |= {{"a": "compiles", "b": "damaged", "c": "killed", "d": f"killed once {tmp_path / "mark"}"}}
+        assert workers._may_fork()
+        print([row["status"] for row in folder.run(jobs=None).values()])
+        assert not workers._has_threads.is_set()
+        workers.use_threads(1)
+        assert not workers._may_fork()
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "['done', 'failed', 'failed', 'done']\n", done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.slow
