@@ -206,19 +206,17 @@ def _absorb(arcs, rest, gain, tiny, height, number, raised, queue):
     # above the lowest one that it can reach; if no node has some height, no gain above it can be absorbed. ``number``
     # counts nodes by height. All heights and numbers are 0 before, except those of nodes that do not take part.
     # Returned is the count of nodes in ``raised``, whose height has changed.
-    nodes = gain.size
     count = 0
-    for n in range(nodes):
+    for n in range(gain.size):
         raised[count] = n  # counted if it rises; a branch would be predicted wrong often
         count += (gain[n] > tiny) & (height[n] == 0)
-    first, waiting = 0, count
+    waiting = count
     queue[:count] = raised[:count]
     height[raised[:count]] = 1
     number[1] = count
     while waiting:
-        n = queue[first]
-        first = first + 1 if first + 1 < nodes else 0
         waiting -= 1
+        n = queue[waiting]
         while height[n] < _CLOSED:
             below, lowest = height[n] - 1, _CLOSED
             for e in range(arcs.starts[n], arcs.starts[n + 1]):
@@ -235,8 +233,7 @@ def _absorb(arcs, rest, gain, tiny, height, number, raised, queue):
                 waits = gain[m] > tiny
                 gain[m] += flow
                 if gain[m] > tiny and not waits:
-                    last = first + waiting
-                    queue[last if last < nodes else last - nodes] = m
+                    queue[waiting] = m
                     waiting += 1
                 if gain[n] <= tiny:
                     break

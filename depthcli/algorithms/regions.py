@@ -99,10 +99,28 @@ class RegionPixels(NamedTuple):
         chosen = np.ones(labels.shape, np.bool_) if chosen is None else chosen
         return cls(*_counting_sort(np.ascontiguousarray(labels).ravel(), np.ascontiguousarray(chosen).ravel(), count))
 
+    def divided(self, chosen: NDArray[np.bool_]) -> tuple[RegionPixels, RegionPixels]:
+        """Return the pixels that are ``chosen``, (H, W) bool, and the others."""
+        order, starts, other_order, other_starts = _divided(self.order, self.starts, chosen.ravel())
+        return RegionPixels(order, starts), RegionPixels(other_order, other_starts)
+
     @property
     def sizes(self) -> NDArray[np.int64]:
         """Number of pixels of every region, (n,)."""
         return np.diff(self.starts)
+
+
+@jit
+def _divided(order, starts, chosen):
+    first, second = np.empty(order.size + 1, np.int64), np.empty(order.size + 1, np.int64)
+    first_starts = np.zeros_like(starts)
+    count = 0
+    for s in range(starts.size - 1):
+        for k in range(starts[s], starts[s + 1]):
+            first[count], second[k - count] = order[k], order[k]  # a branch would be predicted wrong often
+            count += chosen[order[k]]
+        first_starts[s + 1] = count
+    return first[:count].copy(), first_starts, second[: order.size - count].copy(), starts - first_starts
 
 
 @jit
@@ -219,8 +237,7 @@ def merge_small_regions(
         if not (target >= 0).any():
             number: NDArray[np.int32] = consecutive(parent)
             return number[labels]
-        _join_targets(small, target, sizes, sums, means, parent, following, last)
-        small = small[(parent[small] == small) & (sizes[small] < min_size)]
+        small = _join_targets(small, target, sizes, sums, means, parent, following, last, min_size)
 
 
 @parallel_jit
@@ -263,7 +280,8 @@ def _best_neighbor(region, means, parent, following, starts, neighbors, boundary
 
 
 @jit
-def _join_targets(small, target, sizes, sums, means, parent, following, last):
+def _join_targets(small, target, sizes, sums, means, parent, following, last, min_size):
+    # Join the regions ``small`` to their targets; return those that are still small.
     for k in range(small.size):
         if target[k] < 0:
             continue
@@ -277,11 +295,16 @@ def _join_targets(small, target, sizes, sums, means, parent, following, last):
                 sums[first, c] += sums[other, c]
     for r in range(parent.size):
         parent[r] = parent[parent[r]]
+    left = np.empty_like(small)
+    count = 0
     for k in range(small.size):
         first = parent[small[k]]
         if target[k] >= 0:
             for c in range(sums.shape[1]):
                 means[first, c] = sums[first, c] / sizes[first]
+        left[count] = first
+        count += (first == small[k]) & (sizes[first] < min_size)
+    return left[:count].copy()
 
 
 @jit

@@ -46,8 +46,11 @@ def mode_colors(image: NDArray[np.uint8], spatial_radius: float, color_radius: f
 
 @parallel_jit
 def _shift(planes, radius, limit, modes):
-    # Sums of a window stay separate by lane until all its rows are added: six sums of vectors, no branch.
+    # Sums of a window stay separate by lane until all its rows are added: six sums of vectors, no branch. Unsigned
+    # indices, which cannot count from the end, and numbers of 32 bits make vector code of the inner loop.
     height, width, _ = modes.shape
+    stride = planes.shape[2]
+    all_red, all_green, all_blue = planes[0].ravel(), planes[1].ravel(), planes[2].ravel()
     for y in prange(height):
         sums = np.empty((6, _LANES), np.int32)
         number, columns, rows, reds, greens, blues = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
@@ -61,18 +64,20 @@ def _shift(planes, radius, limit, modes):
                 for start in range(left, right + 1, _LANES):
                     last = np.int32(right - start)
                     for row in range(top, bottom + 1):
-                        a = planes[0, row, start : start + _LANES]
-                        b = planes[1, row, start : start + _LANES]
-                        c = planes[2, row, start : start + _LANES]
+                        first = np.uint64(row * stride + start)
                         for i in range(_LANES):
-                            dr, dg, db = np.int32(a[i]) - red, np.int32(b[i]) - green, np.int32(c[i]) - blue
-                            near = np.int32((dr * dr + dg * dg + db * db <= limit) & (np.int32(i) <= last))
+                            a = np.int32(all_red[first + np.uint64(i)])
+                            b = np.int32(all_green[first + np.uint64(i)])
+                            c = np.int32(all_blue[first + np.uint64(i)])
+                            dr, dg, db = a - red, b - green, c - blue
+                            squared = np.int32(np.int32(dr * dr) + np.int32(dg * dg)) + np.int32(db * db)
+                            near = np.int32((np.int32(squared) <= limit) & (np.int32(i) <= last))
                             number[i] += near
-                            columns[i] += near * np.int32(start + i)
-                            rows[i] += near * np.int32(row)
-                            reds[i] += near * np.int32(a[i])
-                            greens[i] += near * np.int32(b[i])
-                            blues[i] += near * np.int32(c[i])
+                            columns[i] += np.int32(near * np.int32(start + i))
+                            rows[i] += np.int32(near * np.int32(row))
+                            reds[i] += np.int32(near * a)
+                            greens[i] += np.int32(near * b)
+                            blues[i] += np.int32(near * c)
                 count = np.sum(number)
                 if count == 0:
                     break

@@ -149,7 +149,8 @@ def test_discrepancy_is_equation_2_9(truncation):
     trusted[_labels() == 3] = False
     rows = [(0.1, 0.0, 2.0), (0.0, 0.2, 1.0), (0.0, 0.0, 3.0)]
     members = RegionPixels.of(_labels(), trusted, 4)
-    unary = energy.discrepancy(values, *members, np.array(rows), 10.0, min(truncation, 1e6))
+    unary = np.zeros((4, 3))
+    energy.discrepancy(unary, values, *members, np.array(rows), 10.0, min(truncation, 1e6))
     assert np.allclose(unary, naive.discrepancy(values, trusted, _labels(), rows, 10.0, truncation), rtol=1e-4)
     assert np.all(unary[3] == 0)  # nothing trusted: any plane
 
@@ -161,14 +162,17 @@ def test_matching_cost_sums_the_volume():
     rows = [(0.1, 0.0, 2.0), (0.0, 0.0, 5.0), (0.0, 0.0, 9.0)]
     members = RegionPixels.of(_labels(), trusted, 4)
     expected = naive.matching_cost(costs, trusted, _labels(), rows)
-    assert np.allclose(energy.matching_cost(costs, *members, np.array(rows), 1.5), expected * 1.5)
+    unary = np.ones((4, 3))
+    energy.matching_cost(unary, costs, *members, np.array(rows), 1.5)
+    assert np.allclose(unary, 1 + expected * 1.5)
 
 
 def test_visibility_charges_planes_in_front_of_what_the_right_view_sees():
     labels = np.zeros((1, 10), np.int32)
     right = np.full((1, 10), 3, np.uint16)
     members = RegionPixels.of(labels, np.arange(10)[None] >= 6)
-    unary = energy.visibility(right, *members, np.array([(0, 0, 3), (0, 0, 4), (0, 0, 5), (0, 0, 9.0)]), 2.0)
+    unary = np.zeros((1, 4))
+    energy.visibility(unary, right, *members, np.array([(0, 0, 3), (0, 0, 4), (0, 0, 5), (0, 0, 9.0)]), 2.0)
     assert unary.tolist() == [[0, 0, 8, 2]]  # at 9 only x = 9 points into the right image
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
-from depthcli.algorithms.regions import RegionGraph, RegionPixels, connected_components, merge_small_regions
+from depthcli.algorithms.regions import RegionGraph, RegionPixels, connected_components_of_labels, merge_small_regions
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, parallel_jit, prange
@@ -106,11 +106,29 @@ def _distrust_constant_costs(costs, trusted):
             trusted[y, x] = row.max() > row.min() or n_disparities == 1
 
 
-def grid_cells(shape: tuple[int, ...], cell: int) -> tuple[NDArray[np.int64], int]:
-    """Return the (H, W) numbers of the cells of a grid, ``cell`` pixels wide, and a bound above them."""
-    height, width = shape
-    grid = (np.arange(height)[:, None] // cell) * (width // cell + 1) + np.arange(width)[None] // cell
-    return grid, int(grid.max()) + 1
+@jit
+def grid_parts(labels, cell, cut):
+    """Return (H, W) int32 numbers of the parts into which a grid, ``cell`` pixels wide, cuts segments, and their count.
+
+    ``cut`` (n,) bool tells which of the segments ``labels`` (H, W) are cut. The others keep their numbers, if there are
+    any, and parts are counted from n on.
+    """
+    height, width = labels.shape
+    parts = np.empty(labels.shape, np.int32)
+    number, seen_in = np.arange(cut.size).astype(np.int32), np.full(cut.size, -1, np.int32)
+    count = 0 if cut.all() else cut.size
+    n_cells = 0
+    for top in range(0, height, cell):
+        for left in range(0, width, cell):
+            for y in range(top, min(top + cell, height)):
+                for x in range(left, min(left + cell, width)):
+                    s = labels[y, x]
+                    if cut[s] and seen_in[s] != n_cells:
+                        number[s], seen_in[s] = count, n_cells
+                        count += 1
+                    parts[y, x] = number[s]
+            n_cells += 1
+    return parts, count
 
 
 class Split(ConfigModel):
@@ -141,11 +159,8 @@ class Split(ConfigModel):
             planes = plane_fit(first.values, members, active)
             not_planar = np.zeros(count, bool)
             not_planar[active] = planes.support < (1 - self.misfits) * members.sizes[active]
-            grid, _ = grid_cells(labels.shape, cell)
-            # Every (segment, cell) pair becomes a value of its own; pieces of less than a quarter cell
-            # join the piece of the same segment with the longest common boundary.
-            keys = np.stack([labels, np.where(not_planar[labels], grid, 0)], axis=-1).astype(np.int32)
-            pieces = connected_components(keys, 0.0)
+            # Pieces of less than a quarter cell join the piece of the same segment with the longest common boundary.
+            pieces = connected_components_of_labels(grid_parts(labels, cell, not_planar)[0])
             labels = merge_small_regions(pieces, labels, cell * cell // 4, by_boundary=True)
         return labels
 
@@ -167,7 +182,5 @@ class SegmentedImage:
         cls, labels: NDArray[np.int32], first: FirstEstimate, graph: RegionGraph, max_disparity: int
     ) -> SegmentedImage:
         """Return the segments of ``labels`` with their pixels sorted."""
-        trusted, untrusted, everything = (
-            RegionPixels.of(labels, mask, len(graph.sizes)) for mask in (first.trusted, ~first.trusted, None)
-        )
-        return cls(labels, first, graph, trusted, untrusted, everything, max_disparity)
+        everything = RegionPixels.of(labels, None, len(graph.sizes))
+        return cls(labels, first, graph, *everything.divided(first.trusted), everything, max_disparity)

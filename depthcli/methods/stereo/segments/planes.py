@@ -134,19 +134,19 @@ class Energy(ConfigModel):
         """Return the cost of every plane in every segment, (n, L) float64."""
         first, coefficients = segments.first, planes.coefficients
         width = segments.labels.shape[1]
-        unary = out_of_range(width, *segments.everything, coefficients, segments.max_disparity)
+        unary: NDArray[np.float64] = out_of_range(width, *segments.everything, coefficients, segments.max_disparity)
         if self.data_term == "dedc":
             truncation = min(1e6 if self.truncation is None else self.truncation, 1e6)
-            unary += discrepancy(first.values, *segments.trusted, coefficients, self.data_weight, truncation)
+            discrepancy(unary, first.values, *segments.trusted, coefficients, self.data_weight, truncation)
         else:
-            unary += matching_cost(volume.costs, *segments.trusted, coefficients, self.cost_weight / volume.scale)
+            matching_cost(unary, volume.costs, *segments.trusted, coefficients, self.cost_weight / volume.scale)
         if self.visibility:
-            unary += visibility(first.right, *segments.untrusted, coefficients, self.visibility)
-        return np.asarray(unary, np.float64)
+            visibility(unary, first.right, *segments.untrusted, coefficients, self.visibility)
+        return unary
 
 
-# The terms: costs of L planes, ``coefficients`` (L, 3), in n segments, (n, L) float64. The pixels of segment t are
-# ``order[starts[t] : starts[t + 1]]``, as in RegionPixels.
+# The terms: costs of L planes, ``coefficients`` (L, 3), in n segments, (n, L) float64, which are added to ``unary`` or
+# returned. The pixels of segment t are ``order[starts[t] : starts[t + 1]]``, as in RegionPixels.
 
 
 @jit
@@ -158,13 +158,12 @@ def _coordinates(pixels, width):
 
 
 @parallel_jit
-def discrepancy(values, order, starts, coefficients, weight, truncation):
-    """Compute the disparity estimate discrepancy cost (thesis, eq. 2.9), of trusted pixels.
+def discrepancy(unary, values, order, starts, coefficients, weight, truncation):
+    """Add the disparity estimate discrepancy cost (thesis, eq. 2.9), of trusted pixels.
 
     ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m pixels, n of which have the plane's disparity (to
     the nearest pixel). In a segment without pixels every plane costs 0. Differences above ``truncation`` count as it.
     """
-    unary = np.zeros((starts.size - 1, coefficients.shape[0]))
     for task in prange(TASKS):
         for t in range(np.int64(task), unary.shape[0], TASKS):
             pixels = order[starts[t] : starts[t + 1]]
@@ -187,54 +186,55 @@ def discrepancy(values, order, starts, coefficients, weight, truncation):
                     difference = abs(a * px[i] + b * py[i] + c - pd[i])
                     n += np.int32(difference <= half)
                     total += min(difference, max_difference)
-                unary[t, label] = weight * total * (np.exp(-n / m) if n else 1.0)  # most planes have none
-    return unary
+                unary[t, label] += weight * total * (np.exp(-n / m) if n else 1.0)  # most planes have none
 
 
 @parallel_jit
-def matching_cost(costs, order, starts, coefficients, weight):
-    """Sum the (H, W, D) matching costs of trusted pixels at every plane's disparity, rounded and limited, weighted."""
-    unary = np.zeros((starts.size - 1, coefficients.shape[0]))
+def matching_cost(unary, costs, order, starts, coefficients, weight):
+    """Add the (H, W, D) matching costs of trusted pixels at every plane's disparity, rounded and limited, weighted."""
     _, width, n_disparities = costs.shape
-    for t in prange(unary.shape[0]):
-        for i in range(starts[t], starts[t + 1]):
-            x = order[i] % width
-            y = order[i] // width
-            row = costs[y, x]
-            for label in range(coefficients.shape[0]):
-                a, b, c = coefficients[label, 0], coefficients[label, 1], coefficients[label, 2]
-                d = min(max(int(np.floor(a * x + b * y + c + 0.5)), 0), n_disparities - 1)
-                unary[t, label] += row[d]
-        for label in range(coefficients.shape[0]):
-            unary[t, label] *= weight
-    return unary
+    for task in prange(TASKS):
+        for t in range(np.int64(task), unary.shape[0], TASKS):
+            total = np.zeros(coefficients.shape[0])
+            for i in range(starts[t], starts[t + 1]):
+                x = order[i] % width
+                y = order[i] // width
+                row = costs[y, x]
+                for label in range(total.size):
+                    a, b, c = coefficients[label, 0], coefficients[label, 1], coefficients[label, 2]
+                    d = min(max(int(np.floor(a * x + b * y + c + 0.5)), 0), n_disparities - 1)
+                    total[label] += row[d]
+            for label in range(total.size):
+                unary[t, label] += weight * total[label]
 
 
 @parallel_jit
-def visibility(right, order, starts, coefficients, weight):
-    """Compute the cost of planes that put untrusted pixels in front of the ``right`` view's surface, (H, W).
+def visibility(unary, right, order, starts, coefficients, weight):
+    """Add the cost of planes that put untrusted pixels in front of the ``right`` view's surface, (H, W).
 
     A pixel that failed the left-right check is occluded or mismatched. With a disparity more than a pixel above that
     of the right view at its match it would be visible there, and the right view would have matched it: every such pixel
     costs ``weight``. A match outside the right image costs nothing.
     """
-    unary = np.zeros((starts.size - 1, coefficients.shape[0]))
-    width = right.shape[1]
+    height, width = right.shape
     a, b, c = coefficients[:, 0].copy(), coefficients[:, 1].copy(), coefficients[:, 2].copy()
+    limits = np.full((height, width + 2), np.inf, np.float32)  # with a column beyond each side
+    for y in prange(height):
+        for x in range(width):
+            limits[y, x + 1] = np.float32(right[y, x]) + np.float32(1)
     for task in prange(TASKS):
-        disparity, target = np.empty(a.size), np.empty(a.size, np.int32)
+        count = np.empty(a.size, np.int32)
         for t in range(np.int64(task), unary.shape[0], TASKS):
-            cost = unary[t]
+            count[:] = 0
             for i in range(starts[t], starts[t + 1]):
-                x, y = float(order[i] % width), float(order[i] // width)
-                for k in range(a.size):  # apart from the next loop, which is no vector code
-                    disparity[k] = a[k] * x + b[k] * y + c[k]
-                    target[k] = np.int32(min(max(np.floor(x - disparity[k] + 0.5), -1.0), float(width)))
-                row = right[order[i] // width]
+                px, py = float(order[i] % width), float(order[i] // width)
+                row = limits[order[i] // width]
                 for k in range(a.size):
-                    if 0 <= target[k] < width and disparity[k] > row[target[k]] + 1.0:
-                        cost[k] += weight
-    return unary
+                    d = a[k] * px + b[k] * py + c[k]
+                    target = np.uint32(min(max(np.floor(px - d + 0.5), -1.0), float(width)) + 1.0)  # vector code
+                    count[k] += np.int32(d > row[target])
+            for k in range(a.size):
+                unary[t, k] += weight * count[k]
 
 
 @parallel_jit

@@ -11,9 +11,9 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.keypoint_matching import Matches, nearest_points
-from depthcli.methods.stereo.segments.first_estimate import grid_cells
+from depthcli.methods.stereo.segments.first_estimate import grid_parts
 from depthcli.methods.stereo.volume import CostVolume
 
 
@@ -55,13 +55,10 @@ class Ranges(ConfigModel):
         points keep the whole range. The minus before theta 2 (thesis, eq. 2.4) would exclude the key points themselves;
         a plus is used.
         """
-        zones = labels
+        zones, count = labels, int(labels.max()) + 1
         if self.cell:
             # In a segment of large extent, such as the bars of a fence, distant key points say nothing about a place.
-            grid, n_cells = grid_cells(labels.shape, self.cell)
-            _, zones = np.unique(labels.astype(np.int64) * n_cells + grid, return_inverse=True)
-            zones = np.asarray(zones.reshape(labels.shape), np.int32)
-        count = int(zones.max()) + 1
+            zones, count = grid_parts(labels, self.cell, np.ones(count, np.bool_))
         low = np.full(count, np.inf)
         high = np.full(count, -np.inf)
         if matches is not None:
@@ -70,11 +67,8 @@ class Ranges(ConfigModel):
             np.minimum.at(low, zones[rows, columns], matches.disparity)
             np.maximum.at(high, zones[rows, columns], matches.disparity)
         if matches is not None and 0 < self.neighbors <= len(matches):
-            flat = zones.ravel()
-            sizes = np.maximum(np.bincount(flat), 1)
-            y, x = np.divmod(np.arange(flat.size), zones.shape[1])
-            centers = np.bincount(flat, x) / sizes, np.bincount(flat, y) / sizes
-            index, squared = nearest_points(*centers, matches.x, matches.y, self.neighbors)
+            sizes, columns, rows = _place_sums(zones, count)
+            index, squared = nearest_points(columns / sizes, rows / sizes, matches.x, matches.y, self.neighbors)
             near = matches.disparity[index]
             within = np.sqrt(squared[:, -1]) <= self.reach
             low = np.where(within, np.minimum(low, near.min(axis=1)), low)
@@ -99,6 +93,19 @@ class Ranges(ConfigModel):
         penalized: NDArray[Any] = memory.empty(costs.shape, costs.dtype)
         _penalize(costs, ranges.zones, ranges.limits, penalty, kind(min(limit, 65535)), penalized)
         return CostVolume(penalized, volume.scale)
+
+
+@jit
+def _place_sums(zones, count):
+    # Pixels of every zone, at least 1, and the sums of their columns and of their rows, (n,) each.
+    height, width = zones.shape
+    sizes, columns, rows = np.zeros(count), np.zeros(count), np.zeros(count)
+    for y in range(height):
+        for x in range(width):
+            sizes[zones[y, x]] += 1
+            columns[zones[y, x]] += x
+            rows[zones[y, x]] += y
+    return np.maximum(sizes, 1), columns, rows
 
 
 @parallel_jit
