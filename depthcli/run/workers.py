@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import fnmatch
-import gc
 import math
 import multiprocessing
 import os
@@ -500,7 +499,6 @@ def _serve(pipe: connection.Connection, work: Work) -> None:
         parent.join()
         os._exit(1)
 
-    gc.freeze()  # what is loaded stays, in memory that a copy of a process shares with it
     silence_warnings()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C does
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
