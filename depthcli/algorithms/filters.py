@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
 
+_BAND = 32  # rows
 _DISC_GAP = 2.0  # difference of the disparities of neighbors at a discontinuity, pixels
 
 
@@ -33,17 +34,85 @@ def local_range(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
     return np.asarray(cv2.dilate(values, window) - cv2.erode(values, window), np.float32)
 
 
-def correlation(
-    image: NDArray[np.float32], moments: tuple[NDArray[np.float32], NDArray[np.float32]], other: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Return the correlation (H, W) of windows of ``CORRELATED`` pixels; ``moments`` are the local ones of ``image``.
+def window_means(planes: NDArray[np.float32], side: int, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    """Return the means of square windows of (N, H, W) float32 planes, as cv2.blur does, on all threads."""
+    out = np.empty(planes.shape, np.float32) if out is None else out
+    _average(planes, side, out)
+    return out
 
-    Variances are raised by 4 squared grey levels, so that noise does not correlate.
+
+def correlation(
+    image: NDArray[np.float32], moments: tuple[NDArray[np.float32], NDArray[np.float32]], others: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the correlation of windows of ``CORRELATED`` pixels of an (H, W) image and of ``others``, (N, H, W).
+
+    ``moments`` are the local ones of ``image``. Variances are raised by 4 squared grey levels, so that noise does not
+    correlate.
     """
-    mean, variance = local_moments(other, CORRELATED)
-    product = cv2.blur(image * other, (CORRELATED, CORRELATED)) - mean * moments[0]
-    noise = np.float32(4.0)
-    return np.asarray(product / np.sqrt((variance + noise) * (moments[1] + noise)), np.float32)
+    mean, square, product = (window_means(each, CORRELATED) for each in (others, others * others, image * others))
+    _correlate(mean, square, product, *moments)
+    return product
+
+
+@jit
+def _mirrored(at, size):
+    # As OpenCV's BORDER_REFLECT_101.
+    while size > 1 and not 0 <= at < size:
+        at = -at if at < 0 else 2 * (size - 1) - at
+    return at if size > 1 else 0
+
+
+@jit
+def _add(row, sums):
+    for x in range(row.size):
+        sums[x] += row[x]
+
+
+@parallel_jit
+def _average(planes, side, out):
+    # Sums of columns go on from row to row of a band, those of rows are made anew. Doubles, as in OpenCV.
+    count, height, width = planes.shape
+    bands, reach, share = -(-height // _BAND), side // 2, 1.0 / (side * side)
+    for task in prange(count * bands):
+        n, top = np.int64(task) // bands, np.int64(task) % bands * _BAND
+        sums, total = np.zeros(width + 2 * reach), np.empty(width)
+        columns = sums[reach : reach + width]
+        for v in range(top - reach, top + reach):
+            _add(planes[n, _mirrored(v, height)], columns)
+        for y in range(top, min(top + _BAND, height)):
+            _add(planes[n, _mirrored(y + reach, height)], columns)
+            for k in range(reach):
+                sums[k] = columns[_mirrored(k - reach, width)]
+                sums[reach + width + k] = columns[_mirrored(width + k, width)]
+            total[:] = sums[:width]
+            for k in range(1, side):
+                _add(sums[k : k + width], total)
+            row, old = out[n, y], planes[n, _mirrored(y - reach, height)]
+            for x in range(width):
+                row[x] = total[x] * share
+                columns[x] -= old[x]
+
+
+@parallel_jit
+def _correlate(mean, square, product, other_mean, other_variance):
+    # ``product`` becomes the correlation. One operation a loop: fused ones are rounded otherwise.
+    count, height, width = mean.shape
+    zero, noise = np.float32(0), np.float32(4)
+    for y in prange(height):
+        scratch = np.empty(width, np.float32)
+        for n in range(count):
+            m, s, p = mean[n, y], square[n, y], product[n, y]
+            for x in range(width):
+                scratch[x] = m[x] * other_mean[y, x]
+            for x in range(width):
+                p[x] -= scratch[x]
+                scratch[x] = m[x] * m[x]
+            for x in range(width):
+                s[x] = max(s[x] - scratch[x], zero)
+            for x in range(width):
+                scratch[x] = np.sqrt((s[x] + noise) * (other_variance[y, x] + noise))
+            for x in range(width):
+                p[x] /= scratch[x]
 
 
 def discontinuity_mask(

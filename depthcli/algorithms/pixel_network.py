@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.kernels.lanes import LANES, load, maximum, minimum, splat, store
+from depthcli.kernels.lanes import WIDE, load_like, maximum, minimum, splat_like, store, wide_zero
 
 INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
 TILE = 4  # units of a layer that are summed at a time: their sums stay in registers
-_CHUNK = 32  # pairs of vectors of pixels a task
+CHUNK = 2048
+"""Pixels that a task evaluates."""
+_Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +65,23 @@ def log_odds(
     offsets : (U,) of the units of the first layer
     planes, others : the network's inputs in their order, (F1, ...) and (F2, ...) float32, F1 + F2 = F
     """
-    out = np.empty(planes.shape[1:], np.float32)
+    alone, together = (at_least_wide(each.reshape(len(each), planes[0].size)) for each in (planes, others))
+    out = np.empty(max(planes[0].size, WIDE), np.float32)
+    network = trained.mean, trained.scale, offsets.astype(np.float32), *kernel_layers(trained)
+    _evaluate(alone, together, *network, out)
+    return out[: planes[0].size].reshape(planes.shape[1:])
+
+
+def at_least_wide(planes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (..., P) planes, padded with zeros to WIDE pixels where they have fewer."""
+    missing = max(0, WIDE - planes.shape[-1])
+    return np.pad(planes, [(0, 0)] * (planes.ndim - 1) + [(0, missing)]) if missing else planes
+
+
+def kernel_layers(trained: TrainedNetwork) -> tuple[_Array, _Array, _Array, _Array, _Array]:
+    """Return the arrays of the layers, without the offsets of the first one, as :func:`run_layers` takes them."""
     (w1, _), (w2, b2), (w3, b3) = trained.layers
-    inputs = (planes.reshape(-1), others.reshape(-1), trained.mean, trained.scale)
-    layers = (_tiled(w1), offsets.astype(np.float32), _tiled(w2), b2, w3.ravel(), b3)
-    _evaluate(*inputs, *layers, out.reshape(-1))
-    return out
+    return _tiled(w1), _tiled(w2), b2, w3.ravel(), b3
 
 
 def of_first(trained: TrainedNetwork, count: int) -> TrainedNetwork:
@@ -92,74 +105,61 @@ def _tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @jit
-def _positive(a):
-    return maximum(a, splat(np.float32(0)))
+def set_input(values, center, factor, inputs, k):
+    """Write input ``k`` of WIDE pixels, which are a vector: flat ``inputs`` hold those of an input side by side."""
+    low, high = splat_like(values, -INPUT_BOUND), splat_like(values, INPUT_BOUND)
+    z = (values - splat_like(values, center)) * splat_like(values, factor)
+    store(inputs, k * WIDE, minimum(maximum(z, low), high))
 
 
 @jit
-def _layer(source, inputs, weights, offsets, target):
-    # Rectified units of two vectors of pixels: flat ``source`` and ``target`` hold both, an input, a unit. Eight sums
-    # are enough for none of them to wait for the one before.
+def run_layers(inputs, offsets, w1, w2, b2, w3, b3, hidden, out, at):
+    """Write the log odds of WIDE pixels to ``out`` from ``at`` on; flat ``hidden`` has room for all units."""
+    first, second = w1.shape[0] * TILE, w2.shape[0] * TILE
+    units = hidden[: first * WIDE], hidden[first * WIDE : (first + second) * WIDE]
+    _layer(inputs, w1, offsets, units[0])
+    _layer(units[0], w2, b2, units[1])
+    zero = wide_zero()
+    odds = splat_like(zero, b3[0])
+    for k in range(w3.size):
+        odds += splat_like(zero, w3[k]) * load_like(zero, units[1], k * WIDE)
+    store(out, at, odds)
+
+
+@jit
+def _layer(source, weights, offsets, target):
+    # Rectified units of a wide vector of pixels, four at a time: enough sums for none to wait for the one before.
+    zero = wide_zero()
     for tile in range(weights.shape[0]):
         w, unit = weights[tile], tile * TILE
-        a, b, c, d = splat(offsets[unit]), splat(offsets[unit + 1]), splat(offsets[unit + 2]), splat(offsets[unit + 3])
-        e, f, g, h = a, b, c, d
-        for i in range(inputs):
-            x, y = load(source, 2 * i * LANES), load(source, (2 * i + 1) * LANES)
-            p, q, r, s = splat(w[i, 0]), splat(w[i, 1]), splat(w[i, 2]), splat(w[i, 3])
-            a += p * x
-            e += p * y
-            b += q * x
-            f += q * y
-            c += r * x
-            g += r * y
-            d += s * x
-            h += s * y
-        at = 2 * unit * LANES
-        store(target, at, _positive(a))
-        store(target, at + LANES, _positive(e))
-        store(target, at + 2 * LANES, _positive(b))
-        store(target, at + 3 * LANES, _positive(f))
-        store(target, at + 4 * LANES, _positive(c))
-        store(target, at + 5 * LANES, _positive(g))
-        store(target, at + 6 * LANES, _positive(d))
-        store(target, at + 7 * LANES, _positive(h))
-
-
-@jit
-def _scaled(planes, at, center, factor, inputs, k):
-    # Two vectors of a plane become those of input ``k``.
-    low, high = splat(-INPUT_BOUND), splat(INPUT_BOUND)
-    for half in range(2):
-        z = (load(planes, at + half * LANES) - splat(center)) * splat(factor)
-        store(inputs, (2 * k + half) * LANES, minimum(maximum(z, low), high))
+        a, b = splat_like(zero, offsets[unit]), splat_like(zero, offsets[unit + 1])
+        c, d = splat_like(zero, offsets[unit + 2]), splat_like(zero, offsets[unit + 3])
+        for i in range(w.shape[0]):
+            x = load_like(zero, source, i * WIDE)
+            a += splat_like(zero, w[i, 0]) * x
+            b += splat_like(zero, w[i, 1]) * x
+            c += splat_like(zero, w[i, 2]) * x
+            d += splat_like(zero, w[i, 3]) * x
+        store(target, unit * WIDE, maximum(a, zero))
+        store(target, (unit + 1) * WIDE, maximum(b, zero))
+        store(target, (unit + 2) * WIDE, maximum(c, zero))
+        store(target, (unit + 3) * WIDE, maximum(d, zero))
 
 
 @parallel_jit
-def _evaluate(alone, others, mean, scale, w1, b1, w2, b2, w3, b3, out):
-    pixels = out.size
-    n_alone, size, width = alone.size // pixels, mean.size, 2 * LANES
-    groups = (pixels + width - 1) // width
-    for task in prange((groups + _CHUNK - 1) // _CHUNK):
-        inputs = np.empty(size * width, np.float32)
-        hidden = np.empty(w1.shape[0] * TILE * width, np.float32)
-        second = np.empty(w2.shape[0] * TILE * width, np.float32)
-        last = np.zeros(width, np.float32)
-        for group in range(task * _CHUNK, min(groups, (task + 1) * _CHUNK)):
-            first = group * width
-            count = min(width, pixels - first)
-            for k in range(size):
-                source, at = (alone, k * pixels + first) if k < n_alone else (others, (k - n_alone) * pixels + first)
-                if count < width:  # the last pixels
-                    last[:count] = source[at : at + count]
-                    source, at = last, 0
-                _scaled(source, at, mean[k], scale[k], inputs, k)
-            _layer(inputs, size, w1, b1, hidden)
-            _layer(hidden, w1.shape[0] * TILE, w2, b2, second)
-            x, y = splat(b3[0]), splat(b3[0])
-            for k in range(w3.size):
-                x += splat(w3[k]) * load(second, 2 * k * LANES)
-                y += splat(w3[k]) * load(second, (2 * k + 1) * LANES)
-            store(last, 0, x)
-            store(last, LANES, y)
-            out[first : first + count] = last[:count]
+def _evaluate(alone, others, mean, scale, offsets, w1, w2, b2, w3, b3, out):
+    pixels, n_alone = out.size, len(alone)
+    first_planes, last_planes = alone.reshape(alone.size), others.reshape(others.size)
+    for task in prange(-(-pixels // CHUNK)):
+        inputs = np.empty(mean.size * WIDE, np.float32)
+        hidden = np.empty((w1.shape[0] + w2.shape[0]) * TILE * WIDE, np.float32)
+        zero, start = wide_zero(), np.int64(task) * CHUNK
+        for at in range(start, min(pixels, start + CHUNK), WIDE):
+            first = min(at, pixels - WIDE)  # the last ones overlap others, to the same effect
+            for k in range(mean.size):
+                if k < n_alone:
+                    values = load_like(zero, first_planes, k * pixels + first)
+                else:
+                    values = load_like(zero, last_planes, (k - n_alone) * pixels + first)
+                set_input(values, mean[k], scale[k], inputs, k)
+            run_layers(inputs, offsets, w1, w2, b2, w3, b3, hidden, out, first)

@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from depthcli.kernels.jit import parallel_jit, prange
 
+BEFORE: NDArray[np.int64] = np.array([(0, 1), (1, 0)])
+"""The pixels to the left and above."""
+
 
 def color_steps(image: NDArray[np.uint8], back: NDArray[np.int64], largest: bool) -> NDArray[np.uint16]:
     """Return sums over the channels of the differences from other pixels, or the ``largest`` of them; (K, H, W) uint16.

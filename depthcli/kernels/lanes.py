@@ -126,6 +126,12 @@ def wide_zero(builder):
 
 
 @intrinsic
+def splat_like(typingctx, like, value):
+    """Return a float32 ``value`` in as many lanes as the vector ``like`` of float32 has."""
+    return like(like, types.float32), lambda context, builder, signature, args: spread(builder, args[1], like.vector)
+
+
+@intrinsic
 def scaled(typingctx, value, array, index):
     """Return float32 lanes times ``array[index]`` of a flat float32 array."""
 

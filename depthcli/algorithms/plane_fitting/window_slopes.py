@@ -33,17 +33,31 @@ _SHRINKAGE = np.float32(4.0)  # variances of a slope that count as much as its s
 _STEPS = 4  # samples from the center of the window to its side
 
 
-def framed(array: NDArray[Any], margin: int, value: float = 0) -> NDArray[Any]:
-    """Return (..., H, W) padded with ``value``: by ``margin`` on all sides, and on the right up to whole vectors."""
+def framed(array: NDArray[Any], margin: int) -> NDArray[Any]:
+    """Return (..., H, W) padded with 0, by ``margin`` on all sides, and on the right up to whole vectors; NaN is 0."""
     *others, height, width = array.shape
-    result = np.full((*others, height + 2 * margin, width + 2 * margin + -width % SHORT_LANES), value, array.dtype)
-    result[..., margin : margin + height, margin : margin + width] = array
+    result = np.empty((*others, height + 2 * margin, width + 2 * margin + -width % SHORT_LANES), array.dtype)
+    _frame(array.reshape(-1, height, width), margin, result.reshape(-1, *result.shape[-2:]))
     return result
+
+
+@parallel_jit
+def _frame(planes, margin, out):
+    count, height, width = planes.shape
+    for task in prange(out.shape[1]):
+        y = np.int64(task) - margin
+        for n in range(count):
+            row = out[n, task]
+            row[:] = 0
+            if 0 <= y < height:
+                for x in range(width):
+                    value = planes[n, y, x]
+                    row[margin + x] = value if value == value else 0
 
 
 def color_planes(image: NDArray[np.uint8], margin: int) -> NDArray[np.uint8]:
     """Return the channels of an (H, W, 3) uint8 image, one after another, padded as by :func:`framed`; uint8."""
-    return framed(np.ascontiguousarray(image.transpose(2, 0, 1)), margin)
+    return framed(image.transpose(2, 0, 1), margin)
 
 
 def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 16) -> NDArray[np.float32]:
@@ -60,12 +74,11 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
     agree, or ``values`` are NaN.
     """
     height, width = values.shape
-    result = np.zeros((2, height, width + -width % SHORT_LANES), np.float32)
+    result = np.empty((2, height, width + -width % SHORT_LANES), np.float32)
     step, limits, spread = window_sampling(radius)
     reach = _STEPS * step
-    known = framed(np.nan_to_num(values), reach)
     valid = framed((~np.isnan(values)).astype(np.float32), reach)
-    _fit(known, valid, color_planes(image, reach), step, limits, spread, result)
+    _fit(framed(values, reach), valid, color_planes(image, reach), step, limits, spread, result)
     return np.ascontiguousarray(result[:, :, :width])
 
 

@@ -34,12 +34,13 @@ def normalize_costs(volume: CostVolume, scale: float | None, outside: float | No
         mean = 1.0 - float(np.mean(np.exp(-sample.astype(np.float64) * rate)))
     else:
         counts = np.zeros(256 if costs.dtype == np.uint8 else 65536, np.int64)
-        _histogram(costs, counts)
+        if scale is None or outside is None:
+            _histogram(costs, counts)
         total = np.cumsum(counts)
         middle = float(np.searchsorted(total, (total[-1] + 1) // 2)) if scale is None else scale * volume.scale
         squashed = 1.0 - np.exp(-np.arange(counts.size) / (middle if middle > 0 else 1.0))
         _look_up(costs, np.round(squashed * UNIT).astype(np.uint8), out)
-        mean = float(squashed @ counts) / float(total[-1])
+        mean = float(squashed @ counts) / max(float(total[-1]), 1.0)
     fill_outside(out, np.uint8(round(UNIT * (mean if outside is None else outside))))
     return CostVolume(out, float(UNIT))
 

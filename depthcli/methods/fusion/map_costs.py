@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.color_steps import color_steps
+from depthcli.kernels.color_steps import BEFORE, color_steps
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.volume import CostVolume
 
 _ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
 NEIGHBORS = (((_ALL, _BUT_LAST), (_ALL, _BUT_FIRST)), ((_BUT_LAST, _ALL), (_BUT_FIRST, _ALL)))
 """Pixels and the next ones in their rows; pixels and the next ones in their columns."""
-_BEFORE = np.array([[0, 1], [1, 0]])  # the pixels to the left and above, as color_steps counts
 
 
 Map = NDArray[np.float32]
@@ -37,12 +36,12 @@ def matching_costs(maps: Map, volume: CostVolume, truncation: float) -> Map:
     return out
 
 
-def disagreements(maps: Map, weights: NDArray[np.float32]) -> Map:
+def disagreements(maps: Map, weights: NDArray[np.float32], out: Map | None = None) -> Map:
     """Compute the weighted share of the other maps (N, H, W) that disagree.
 
     Maps within half a pixel agree; from there to one and a half their agreement fades.
     """
-    out = np.empty(maps.shape, np.float32)
+    out = np.empty(maps.shape, np.float32) if out is None else out
     _disagree(maps, weights, weights.sum() - weights, out)
     return out
 
@@ -66,14 +65,14 @@ def contradictions(maps: Map, right: NDArray[Any], hidden: float) -> Map:
     return out
 
 
-def hidden_jumps(maps: Map, image: NDArray[np.uint8]) -> Map:
+def hidden_jumps(maps: Map, image: NDArray[np.uint8], out: Map | None = None) -> Map:
     """Compute how far every map (N, H, W) jumps where the color does not change, in [0, 4].
 
     The sum over the four neighbors of the step beyond one pixel, at most 1, times exp(-color difference / 10 levels).
     """
-    out = np.empty(maps.shape, np.float32)
+    out = np.empty(maps.shape, np.float32) if out is None else out
     sameness = np.exp(np.arange(256) * -0.1).astype(np.float32)
-    _hidden_jumps(maps, sameness[color_steps(image, _BEFORE, largest=True)], out)
+    _hidden_jumps(maps, sameness[color_steps(image, BEFORE, largest=True)], out)
     return out
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -19,9 +21,12 @@ from depthcli.methods.fusion.map_costs import agreement
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.pipeline import Pipeline
 from depthcli.methods.stereo.refinement import RefinementStep
-from depthcli.methods.stereo.refinement.background_fill import fill_background
+from depthcli.methods.stereo.refinement.background_fill import filled_from_background
 from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
+
+_TIMES_FILLED = np.array([bool(s & Status.FILLED) + bool(s & Status.OCCLUDED) for s in range(256)], np.uint8)
+"""Of a status: 0 not filled, 1 filled, 2 filled where the right view does not see."""
 
 
 class MapSource(ConfigModel):
@@ -71,13 +76,20 @@ class MapFusion(ConfigModel):
         )
 
     def __call__(
-        self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap], clock: Clock
+        self,
+        pair: StereoPair,
+        volume: CostVolume,
+        right: NDArray[np.uint16],
+        maps: list[DisparityMap],
+        confidence: Collection[str],
+        clock: Clock,
     ) -> tuple[DisparityMap, dict[str, NDArray[np.float32]]]:
         """Mix ``maps``, the own one, those of ``matchers`` and those of ``optimizations``, and refine the mix.
 
         Their gaps are filled; their median is proposed, too. ``right`` (H, W) are disparities of the right
-        view. The confidences are ``agreement``, the weighted share of the proposals that agree with the map, and, where
-        the choice knows it, ``probability`` of the chosen one to be right; both in [0, 1].
+        view. With the map, confidences of the names ``confidence`` are returned: ``agreement``, the weighted share of
+        the proposals that agree with the map, and, where the choice knows it, ``probability`` of the chosen one to be
+        right; both in [0, 1].
         """
         clock.start("proposals")
         proposals = self._proposals(pair, volume, right, maps)
@@ -86,8 +98,10 @@ class MapFusion(ConfigModel):
         clock.start("refinement")
         disparity = DisparityMap(chosen.values, _status(chosen.values, right))
         disparity = refined(disparity, self.refinement, RefinementContext(pair, volume, right))
-        confidences = {"agreement": agreement(disparity.values, proposals.values, proposals.weights)}
-        if chosen.probability is not None:
+        confidences = {}
+        if "agreement" in confidence:
+            confidences["agreement"] = agreement(disparity.values, proposals.values, proposals.weights)
+        if "probability" in confidence and chosen.probability is not None:
             confidences["probability"] = chosen.probability
         return disparity, confidences
 
@@ -100,38 +114,53 @@ class MapFusion(ConfigModel):
     def _proposals(
         self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap]
     ) -> Proposals:
-        stack = np.stack([np.nan_to_num(fill_background(one).values).clip(0, volume.n_disparities - 1) for one in maps])
-        median = np.empty(pair.shape, np.float32)
-        _lower_median(stack, median)
         sources = (*self.matchers, *self.optimizations)
         weights = np.array([0.0, 1.0, *(source.weight for source in sources)], np.float32)
-        filled = np.zeros((len(weights), *pair.shape), np.uint8)
-        for k, one in enumerate(maps):
-            filled[k + 1] = np.count_nonzero([one.status & Status.FILLED, one.status & Status.OCCLUDED], axis=0)
-        return Proposals(self.kinds, np.stack([median, *stack]), filled, weights, pair, volume, right)
+        values = np.empty((len(weights), *pair.shape), np.float32)
+        filled = np.zeros(values.shape, np.uint8)
+        for k, one in enumerate(maps, start=1):
+            values[k] = filled_from_background(one.values)
+            filled[k] = cv2.LUT(one.status, _TIMES_FILLED)
+        _complete(values, np.float32(volume.n_disparities - 1))
+        return Proposals(self.kinds, values, filled, weights, pair, volume, right)
 
 
 @parallel_jit
-def _lower_median(maps, out):
-    # Of an even number the lower one in the middle: a mean would be a value that nobody proposed.
+def _complete(maps, largest):
+    # The first map becomes the median of the others, whose values are brought to 0 .. ``largest``; of an even number
+    # the lower one in the middle: a mean would be a value that nobody proposed.
     count, height, width = maps.shape
     for y in prange(height):
         ordered = np.empty(count, np.float32)
         for x in range(width):
-            for k in range(count):
+            for k in range(1, count):
+                value = min(maps[k, y, x], largest) if maps[k, y, x] >= 0 else np.float32(0)
+                maps[k, y, x] = value
                 at = k
-                while at > 0 and ordered[at - 1] > maps[k, y, x]:
+                while at > 1 and ordered[at - 1] > value:
                     ordered[at] = ordered[at - 1]
                     at -= 1
-                ordered[at] = maps[k, y, x]
-            out[y, x] = ordered[(count - 1) // 2]
+                ordered[at] = value
+            maps[0, y, x] = ordered[count // 2]
 
 
 def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint8]:
     # Measured if the right view agrees within one pixel; filled otherwise, and hidden from it or mismatched.
-    columns = np.arange(values.shape[1])[None] - np.rint(values).astype(np.int64)
-    at_match = np.take_along_axis(right, np.clip(columns, 0, None), axis=1).astype(np.float32)
-    hidden = (columns < 0) | (at_match > values + 1)
-    reason = np.where(hidden, Status.OCCLUDED, Status.MISMATCH) | Status.FILLED
-    agrees = (columns >= 0) & (np.abs(at_match - values) <= 1)
-    return np.where(agrees, Status.MEASURED, reason).astype(np.uint8)
+    status = np.empty(values.shape, np.uint8)
+    hidden, wrong = Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED
+    _judge(values, right, np.uint8(hidden), np.uint8(wrong), status)
+    return status
+
+
+@parallel_jit
+def _judge(values, right, hidden, wrong, status):
+    height, width = values.shape
+    for y in prange(height):
+        for x in range(width):
+            value = values[y, x]
+            u = x - int(np.rint(value))
+            match = np.float32(right[y, max(u, 0)])
+            if u >= 0 and abs(match - value) <= np.float32(1):
+                status[y, x] = 0
+            else:
+                status[y, x] = hidden if u < 0 or match > value + np.float32(1) else wrong

@@ -217,9 +217,9 @@ class Fusion(AdjustingMatcher):
                     for source in self.maps.optimizations
                 ]
                 result.disparity, confidences = self.maps(
-                    pair, volume, right, [result.disparity, *other_maps, *reoptimized], clock
+                    pair, volume, right, [result.disparity, *other_maps, *reoptimized], self.confidence, clock
                 )
-                result.confidence |= {name: values for name, values in confidences.items() if name in self.confidence}
+                result.confidence |= confidences
         result.seconds = clock.seconds
         result.figures |= {f"weight_{k}": float(mean) for k, mean in enumerate(fused.weights.mean(axis=(1, 2)))}
         return result

@@ -20,6 +20,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import ConfigModel, Odd
+from depthcli.kernels.color_steps import BEFORE, color_steps
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.lanes import LANES, load, splat, store
 from depthcli.methods.stereo.volume import CostVolume
@@ -45,10 +46,14 @@ class Support(ABC):
         """Return the weighted means over every pixel's support of (N, H, W) float32 planes, none below 0."""
         out = np.empty(planes.shape, np.float32) if out is None else out
         block = memory.empty((*self.shape, BLOCK_DEPTH), np.float32)
-        for first in range(0, len(planes), BLOCK_DEPTH):
+        inverse_sum = np.empty(self.shape, np.float32)
+        last = len(planes) // BLOCK_DEPTH * BLOCK_DEPTH  # in this block is room for a plane of ones
+        for first in range(last, -1, -BLOCK_DEPTH):
             _interleave(planes[first : first + BLOCK_DEPTH], block)
             self.sum(block)
-            _separate(block, self.inverse_sum, out[first : first + BLOCK_DEPTH])
+            if first == last:
+                np.divide(np.float32(1.0), block[:, :, -1], out=inverse_sum)
+            _separate(block, inverse_sum, out[first : first + BLOCK_DEPTH])
         return out
 
     @cached_property
@@ -69,14 +74,12 @@ class ColorSupport(Support):
     def __init__(self, image: NDArray[np.uint8], reach: float, softness: float) -> None:
         smooth = np.asarray(cv2.medianBlur(image, 3), np.uint8)
         self.shape = image.shape[0], image.shape[1]
-        self._across = np.zeros(self.shape, np.float32)
-        self._down = np.zeros(self.shape, np.float32)
-        self._across[:, 1:] = _decay(smooth[:, 1:], smooth[:, :-1], reach, softness)
-        self._down[1:] = _decay(smooth[1:], smooth[:-1], reach, softness)
+        self._across, self._down = color_steps(smooth, BEFORE, largest=True)
+        self._decay = np.exp(-(1.0 / reach + np.arange(256) / softness)).astype(np.float32)
 
     def sum(self, block: NDArray[np.float32]) -> None:
-        _recurse_rows(block, self._across)
-        _recurse_columns(block, self._down)
+        _recurse_rows(block, self._across, self._decay)
+        _recurse_columns(block, self._down, self._decay)
 
 
 class PairSupports:
@@ -220,33 +223,27 @@ def _add(block, inverse_sum, base, gain, strength, first, out):
 
 @parallel_jit
 def _interleave(planes, block):
+    # Ones where there are no planes.
     count, height, width = planes.shape
     for y in prange(height):
         for x in range(width):
-            for k in range(16):
-                block[y, x, k] = max(planes[k, y, x], NO_VOTE) if k < count else NO_VOTE
+            for k in range(BLOCK_DEPTH):
+                block[y, x, k] = max(planes[k, y, x], NO_VOTE) if k < count else np.float32(1)
 
 
 @parallel_jit
 def _separate(block, factor, planes):
     count, height, width = planes.shape
     for y in prange(height):
-        for x in range(width):
-            for k in range(count):
-                planes[k, y, x] = block[y, x, k] * factor[y, x]
-
-
-def _decay(image: NDArray[np.uint8], other: NDArray[np.uint8], reach: float, softness: float) -> NDArray[np.float32]:
-    step = np.maximum(image, other) - np.minimum(image, other)
-    largest = step[:, :, 0]
-    for channel in range(1, step.shape[2]):  # several times as fast as a maximum over the last axis
-        largest = np.maximum(largest, step[:, :, channel])
-    decays = np.exp(-(1.0 / reach + np.arange(256) / softness)).astype(np.float32)
-    return np.asarray(decays[largest], np.float32)
+        cells, factors = block[y], factor[y]
+        for k in range(count):
+            row = planes[k, y]
+            for x in range(width):
+                row[x] = cells[x, k] * factors[x]
 
 
 @parallel_jit
-def _recurse_rows(block, decay):
+def _recurse_rows(block, steps, decay):
     # Forwards, then backwards; 16 values a pixel, which are one vector.
     height, width, _ = block.shape
     cells = block.reshape(height * width * LANES)
@@ -254,15 +251,15 @@ def _recurse_rows(block, decay):
         first, last = y * width, (y + 1) * width - 1
         total = load(cells, first * LANES)
         for i in range(first + 1, last + 1):
-            total = load(cells, i * LANES) + splat(decay[y, i - first]) * total
+            total = load(cells, i * LANES) + splat(decay[steps[y, i - first]]) * total
             store(cells, i * LANES, total)
         for i in range(last - 1, first - 1, -1):
-            total = load(cells, i * LANES) + splat(decay[y, i - first + 1]) * total
+            total = load(cells, i * LANES) + splat(decay[steps[y, i - first + 1]]) * total
             store(cells, i * LANES, total)
 
 
 @parallel_jit
-def _recurse_columns(block, decay):
+def _recurse_columns(block, steps, decay):
     # Strips of columns, whose cells stay in the second-level cache between both directions.
     height, width, _ = block.shape
     source = block.reshape(height * width * LANES)
@@ -277,7 +274,7 @@ def _recurse_columns(block, decay):
                 at = (y * _STRIP + x) * LANES
                 above = load(cells, at - _STRIP * LANES)
                 here = load(source, (y * width + left + x) * LANES)
-                store(cells, at, here + splat(decay[y, left + x]) * above)
+                store(cells, at, here + splat(decay[steps[y, left + x]]) * above)
         for x in range(columns):
             at = ((height - 1) * _STRIP + x) * LANES
             store(source, ((height - 1) * width + left + x) * LANES, load(cells, at))
@@ -285,5 +282,5 @@ def _recurse_columns(block, decay):
             for x in range(columns):
                 at = (y * _STRIP + x) * LANES
                 below = (y + 1) * width + left + x
-                total = load(cells, at) + splat(decay[y + 1, left + x]) * load(source, below * LANES)
+                total = load(cells, at) + splat(decay[steps[y + 1, left + x]]) * load(source, below * LANES)
                 store(source, (below - width) * LANES, total)

@@ -219,7 +219,7 @@ def alone_planes(
         support.sum(array)
         _spread(array, out[k * len(AVERAGED) : (k + 1) * len(AVERAGED)])
     grey = evidence.grey[0]
-    np.subtract(1, correlation(grey, local_moments(grey, CORRELATED), warped), out=plane["decorrelation"])
+    np.subtract(1, correlation(grey, local_moments(grey, CORRELATED), warped[None])[0], out=plane["decorrelation"])
     shape_planes(values, evidence.volume.n_disparities - 1, plane)
     return out
 

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from depthcli.algorithms.graph_cut import binary_cut
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
+from depthcli.kernels.color_steps import BEFORE, color_steps
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.map_costs import NEIGHBORS, contradictions, disagreements, matching_costs, misfit
 
@@ -76,10 +77,9 @@ class ScoredMap(NamedTuple):
 
 def neighbor_weights(image: NDArray[np.uint8], strength: float, color_scale: float, floor: float) -> Weights:
     """Return weights ``strength max(exp(-color / color_scale), floor)``; color: the largest channel difference."""
-    levels = image.astype(np.int16)
-    colors = (np.abs(levels[there] - levels[here]).max(axis=2) for here, there in NEIGHBORS)
-    across, down = ((strength * np.maximum(np.exp(-c / color_scale), floor)).astype(np.float32) for c in colors)
-    return across, down
+    by_color = (strength * np.maximum(np.exp(-np.arange(256) / color_scale), floor)).astype(np.float32)
+    across, down = by_color[color_steps(image, BEFORE, largest=True)]
+    return across[:, 1:], down[1:]
 
 
 def energy(candidate: ScoredMap, weights: Weights, truncation: float) -> float:

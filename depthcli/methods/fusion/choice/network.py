@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar, Self
 
 import cv2
@@ -11,13 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr
 
-from depthcli.algorithms.filters import CORRELATED, correlation, local_moments
-from depthcli.algorithms.pixel_network import TILE, TrainedNetwork, log_odds
+from depthcli.algorithms.filters import CORRELATED, correlation, local_moments, window_means
+from depthcli.algorithms.pixel_network import (
+    CHUNK,
+    TILE,
+    TrainedNetwork,
+    at_least_wide,
+    kernel_layers,
+    run_layers,
+    set_input,
+)
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
 from depthcli.core.errors import InputError
 from depthcli.kernels.exponential import exp_minus
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.lanes import WIDE, absolute_difference, load_like, minimum, splat_like, store, wide_zero
 from depthcli.methods.fusion import map_costs as costs_of
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.map_costs import cost_between, nearest_matches, warped_right
@@ -65,8 +73,9 @@ the left image (grey levels), share of the proposals that are filled, and how fa
 
 # Networks are trained with these; another value needs another training.
 _MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
+_MAX_COST = np.float32(1.5)  # along a map
 _MAX_COLOR = np.float32(40.0)  # of color differences and deviations, grey levels
-_MAX_MISFIT = 2.0  # between neighbors, pixels
+_MAX_MISFIT = np.float32(2.0)  # between neighbors, pixels
 _REACH = 9  # half side of the window that slopes are fitted in, pixels
 _RELATIVE_INDICES = np.array([PROPOSAL_PLANES.index(name) for name in RELATIVE])
 
@@ -91,108 +100,119 @@ class NetworkInputs:
         """Compute the inputs of all pixels, which are numbered row by row."""
         maps, pair, volume = proposals.values, proposals.pair, proposals.volume
         count, height, width = maps.shape
-        image = pair.color8[0]
-        own = memory.empty((len(PROPOSAL_PLANES), count, height, width), np.float32)
-        plane = {name: own[k] for k, name in enumerate(PROPOSAL_PLANES)}
+        image, other_image = pair.color8
+        grey = [channel.astype(np.float32) for channel in pair.grey8]
+        own = memory.empty((len(PROPOSAL_PLANES), *maps.shape), np.float32)
+        plane = dict(zip(PROPOSAL_PLANES, own, strict=True))
+        shared = memory.empty((len(PIXEL_PLANES), height, width), np.float32)
+        pixel = dict(zip(PIXEL_PLANES, shared, strict=True))
         # The first three rows of names: four means over each support, of neighbors among these six.
-        cost, jump, disagreement, contradiction, uncut, hidden = raw = np.empty((6, *maps.shape), np.float32)
-        uncut[:] = costs_of.matching_costs(maps, volume, 1.5)
-        np.minimum(uncut, np.float32(0.7), out=cost)
-        jump[:] = costs_of.hidden_jumps(maps, image)
-        disagreement[:] = costs_of.disagreements(maps, np.ones(count, np.float32))
-        contradiction[:] = costs_of.contradictions(maps, proposals.right, -1.0)
-        np.less(contradiction, 0, out=hidden, casting="unsafe")
-        np.maximum(contradiction, 0, out=contradiction)
+        cost, jump, disagreement, contradiction, uncut, hidden = raw = memory.empty((6, *maps.shape), np.float32)
+        warped = memory.empty(maps.shape, np.float32)
+        views = volume.costs, np.float32(1 / volume.scale), proposals.right, image, other_image, grey[1]
+        compared = ("excess_cost", "right_view_difference", "match_column", "self_occlusion", "color_difference")
+        single = (plane[name] for name in compared)
+        _compare_views(maps, *views, pixel["min_cost"], warped, cost, uncut, contradiction, hidden, *single)
+        costs_of.hidden_jumps(maps, image, jump)
+        costs_of.disagreements(maps, np.ones(count, np.float32), disagreement)
         supports = (proposals.wide, raw[:4]), (proposals.region, raw[:4]), (proposals.narrow, raw[2:])
         for k, (support, planes) in enumerate(supports):
             flat = -1, height, width
             support.mean(planes.reshape(flat), out=own[4 * k : 4 * k + 4].reshape(flat))
-        grey = [channel.astype(np.float32) for channel in pair.grey8]
-        shared = np.zeros((len(PIXEL_PLANES), height, width), np.float32)
-        pixel = {name: shared[k] for k, name in enumerate(PIXEL_PLANES)}
-        unit = np.float32(1 / volume.scale)
-        _smallest(volume.costs, unit, pixel["min_cost"])
         for side in (5, 13):
             pixel[f"deviation_{side}"][:] = np.minimum(np.sqrt(local_moments(grey[0], side)[1]), _MAX_COLOR)
         pixel["gradient"][:] = np.minimum(np.abs(cv2.Sobel(grey[0], cv2.CV_32F, 1, 0)) / 8, 30)
         plane["filled"][:] = proposals.filled
         pixel["filled_share"][:] = (proposals.filled > 0).mean(axis=0)
         pixel["light_trust"][:] = 1 if pair.light_trust is None else pair.light_trust / np.float32(255)
-        warped = np.empty((height, width), np.float32)
-        moments = local_moments(grey[0], CORRELATED)
-        compared = ("excess_cost", "right_view_difference", "match_column", "self_occlusion", "color_difference")
-        views = (proposals.right, image, pair.color8[1], grey[1], pixel["min_cost"], warped)
+        window_means(plane["color_difference"], 5, plane["color_difference_5"])
+        alike = correlation(grey[0], local_moments(grey[0], CORRELATED), warped)
+        np.subtract(1, alike, out=plane["decorrelation"])
         for k, values in enumerate(maps):
-            _compare_views(values, volume.costs, unit, *views, *(plane[name][k] for name in compared))
-            plane["color_difference_5"][k] = cv2.blur(plane["color_difference"][k], (5, 5))
-            plane["decorrelation"][k] = 1 - correlation(grey[0], moments, warped)
-            slope = slopes(values, image, _REACH)
-            plane["slope_x"][k], plane["slope_y"][k] = slope
-            rough = np.zeros_like(values)  # sum of the misfits of the four neighbors: left, right, upper, lower
-            for axis, (here, there) in enumerate(costs_of.NEIGHBORS):
-                ends = values[here], values[there], slope[axis][here], slope[axis][there]
-                cost = costs_of.misfit(*ends, _MAX_MISFIT)
-                rough[there] += cost
-                rough[here] += cost
-            plane["roughness"][k], plane["roughness_9"][k] = rough, cv2.blur(rough, (9, 9))
-            for side in (11, 25):
-                plane[f"above_mean_{side}"][k] = np.clip(values - cv2.blur(values, (side, side)), -6, 6)
+            plane["slope_x"][k], plane["slope_y"][k] = slopes(values, image, _REACH)
+        _misfits(maps, plane["slope_x"], plane["slope_y"], plane["roughness"])
+        for rough, mean in zip(plane["roughness"], plane["roughness_9"], strict=True):
+            cv2.blur(rough, (9, 9), dst=mean)  # many are 0, where sums made otherwise leave other rests
+        for side in (11, 25):
+            above = window_means(maps, side, plane[f"above_mean_{side}"])
+            np.clip(np.subtract(maps, above, out=above), -6, 6, out=above)
         return cls(maps.reshape(count, -1), own.reshape(*own.shape[:2], -1), shared.reshape(len(shared), -1))
 
-    @cached_property
-    def _lowest(self) -> NDArray[np.float32]:
-        return np.stack([self.own[k].min(axis=0) for k in _RELATIVE_INDICES])
-
-    def of_proposal(self, n: int, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """Return the inputs of proposal ``n`` in the order of :func:`input_names`, (inputs, P) float32.
-
-        ``out``: what another proposal of the same pixels was given, to be overwritten.
-        """
-        own, relative, near = np.cumsum([len(self.own), len(RELATIVE), len(self.values)])
-        if out is None:
-            out = memory.empty((near + len(self.shared), self.values.shape[1]), np.float32)
-            out[near:] = self.shared
-        out[:own] = self.own[:, n]
-        for k, at in enumerate(_RELATIVE_INDICES):
-            np.subtract(self.own[at, n], self._lowest[k], out=out[own + k])
-        distances = out[relative:near]
-        np.abs(np.subtract(self.values, self.values[n], out=distances), out=distances)
-        np.minimum(distances, _MAX_DISTANCE, out=distances)
-        return out
-
     def rows(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the inputs of some pixels, (len(pixels), N, inputs) float32."""
-        return np.stack([self.of_proposal(n)[:, pixels].T for n in range(len(self.values))], axis=1)
-
-
-@parallel_jit
-def _smallest(costs, unit, out):
-    for y in prange(costs.shape[0]):
-        for x in range(costs.shape[1]):
-            out[y, x] = np.float32(costs[y, x].min()) * unit
+        """Return the inputs of some pixels in the order of :func:`input_names`, (len(pixels), N, inputs) float32."""
+        own, values = self.own[:, :, pixels], self.values[:, pixels]
+        compared = own[_RELATIVE_INDICES]
+        relative = compared - compared.min(axis=1, keepdims=True)
+        distances = np.minimum(np.abs(values[:, None] - values), _MAX_DISTANCE)
+        shared = np.repeat(self.shared[:, None, pixels], len(values), axis=1)
+        return np.concatenate([own, relative, distances, shared]).transpose(2, 1, 0)
 
 
 @parallel_jit
 def _compare_views(
-    values, costs, unit, right, image, other, grey, lowest, warped, excess, difference, column, hidden, color
-):
-    height, width = values.shape
-    half = np.float32(0.5)
+    maps, costs, unit, right, image, other, grey, lowest, warped, cost, uncut, contradiction, hidden,
+    excess, difference, column, occlusion, color,
+):  # fmt: skip
+    count, height, width = maps.shape
+    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     for y in prange(height):
-        nearest = nearest_matches(values[y])
+        along = np.empty(width, np.float32)
         for x in range(width):
-            value = values[y, x]
-            excess[y, x] = cost_between(costs[y, x], value) * unit - lowest[y, x]
-            column[y, x] = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
-            u = int(np.floor(np.float32(x) - value + half))
-            if u < 0:
-                difference[y, x] = np.float32(-6)
-                hidden[y, x] = np.float32(0)
-            else:
-                difference[y, x] = min(max(value - np.float32(right[y, u]), np.float32(-5)), np.float32(5))
-                hidden[y, x] = min(nearest[u] - value, np.float32(6))
-            warped[y, x], largest = warped_right(x, value, image[y], other[y], grey[y])
-            color[y, x] = min(largest, _MAX_COLOR)
+            lowest[y, x] = np.float32(costs[y, x].min()) * unit
+        for n in range(count):
+            row = maps[n, y]
+            nearest = nearest_matches(row)
+            for x in range(width):
+                value = row[x]
+                along[x] = cost_between(costs[y, x], value)
+                outside = min(int(value), costs.shape[2] - 1) > x
+                uncut[n, y, x] = _MAX_COST if outside else min(along[x] * unit, _MAX_COST)
+                column[n, y, x] = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
+                u = int(np.floor(np.float32(x) - value + half))
+                nearer = value - np.float32(right[y, max(u, 0)])
+                hidden[n, y, x] = one if u < 0 or nearer < -one else zero
+                contradiction[n, y, x] = zero if u < 0 else min(max(nearer - one, zero), one)
+                difference[n, y, x] = np.float32(-6) if u < 0 else min(max(nearer, np.float32(-5)), np.float32(5))
+                occlusion[n, y, x] = zero if u < 0 else min(nearest[u] - value, np.float32(6))
+                warped[n, y, x], largest = warped_right(x, value, image[y], other[y], grey[y])
+                color[n, y, x] = min(largest, _MAX_COLOR)
+            for x in range(width):
+                cost[n, y, x] = min(uncut[n, y, x], np.float32(0.7))
+                excess[n, y, x] = along[x] * unit - lowest[y, x]
+
+
+@parallel_jit
+def _misfits(maps, slope_x, slope_y, out):
+    # The sums over the four neighbors: left, right, upper, lower.
+    count, height, width = maps.shape
+    for task in prange(height):
+        y = np.int64(task)
+        misfit = np.empty(width, np.float32)
+        for n in range(count):
+            row, total = maps[n, y], out[n, y]
+            total[:] = 0
+            _misfit_of_neighbors(row[:-1], row[1:], slope_x[n, y, :-1], slope_x[n, y, 1:], misfit)
+            _add(misfit[: width - 1], total[1:])
+            _add(misfit[: width - 1], total[:-1])
+            for first in (y - 1, y):
+                if 0 <= first < height - 1:
+                    second, upper, lower = first + 1, slope_y[n, first], slope_y[n, first + 1]
+                    _misfit_of_neighbors(maps[n, first], maps[n, second], upper, lower, misfit)
+                    _add(misfit, total)
+
+
+@jit
+def _misfit_of_neighbors(here, there, slope_here, slope_there, out):
+    half = np.float32(0.5)
+    for x in range(here.size):
+        step = there[x] - here[x]
+        out[x] = min(half * (abs(step - slope_here[x]) + abs(step - slope_there[x])), _MAX_MISFIT)
+
+
+@jit
+def _add(values, total):
+    for x in range(values.size):
+        total[x] += values[x]
 
 
 class NetworkChoice(ChoiceMethod):
@@ -255,12 +275,52 @@ def likeliest(
 
 def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.float32]:
     """Return the log odds of every proposal to be right, (N, P) float32."""
-    nothing = np.empty((0, inputs.values.shape[1]), np.float32)
-    odds, planes = np.empty(inputs.values.shape, np.float32), None
-    for n, offsets in enumerate(trained.layers[0][1]):
-        planes = inputs.of_proposal(n, planes)
-        odds[n] = log_odds(trained, offsets, planes, nothing)
-    return odds
+    own, shared, values = (at_least_wide(planes) for planes in (inputs.own, inputs.shared, inputs.values))
+    odds = np.empty(values.shape, np.float32)
+    network = trained.mean, trained.scale, trained.layers[0][1], *kernel_layers(trained)
+    _evaluate(own, shared, values, _RELATIVE_INDICES, *network, odds)
+    return odds[:, : inputs.values.shape[1]]
+
+
+@parallel_jit
+def _evaluate(own, shared, values, relative, mean, scale, offsets, w1, w2, b2, w3, b3, out):
+    # The inputs of a few pixels at a time, in the order of NetworkInputs.rows, are never stored for more.
+    count, pixels = values.shape
+    n_own, n_relative = own.shape[0], relative.size
+    last = mean.size - shared.shape[0]
+    own_planes, pixel_planes = own.reshape(own.size), shared.reshape(shared.size)
+    maps, odds = values.reshape(values.size), out.reshape(values.size)
+    for task in prange(-(-pixels // CHUNK)):
+        inputs = np.empty(mean.size * WIDE, np.float32)
+        lowest = np.empty(n_relative * WIDE, np.float32)
+        hidden = np.empty((w1.shape[0] + w2.shape[0]) * TILE * WIDE, np.float32)
+        zero, start = wide_zero(), np.int64(task) * CHUNK
+        largest = splat_like(zero, _MAX_DISTANCE)
+        for at in range(start, min(pixels, start + CHUNK), WIDE):
+            first = min(at, pixels - WIDE)  # the last ones overlap others, to the same effect
+            for k in range(shared.shape[0]):
+                plane = load_like(zero, pixel_planes, k * pixels + first)
+                set_input(plane, mean[last + k], scale[last + k], inputs, last + k)
+            for k in range(n_relative):
+                smallest = load_like(zero, own_planes, relative[k] * count * pixels + first)
+                for n in range(1, count):
+                    plane = load_like(zero, own_planes, (relative[k] * count + n) * pixels + first)
+                    smallest = minimum(smallest, plane)
+                store(lowest, k * WIDE, smallest)
+            for n in range(count):
+                for k in range(n_own):
+                    plane = load_like(zero, own_planes, (k * count + n) * pixels + first)
+                    set_input(plane, mean[k], scale[k], inputs, k)
+                for k in range(n_own, n_own + n_relative):
+                    plane = load_like(zero, own_planes, (relative[k - n_own] * count + n) * pixels + first)
+                    above = plane - load_like(zero, lowest, (k - n_own) * WIDE)
+                    set_input(above, mean[k], scale[k], inputs, k)
+                value = load_like(zero, maps, n * pixels + first)
+                for k in range(n_own + n_relative, last):
+                    other = load_like(zero, maps, (k - n_own - n_relative) * pixels + first)
+                    distance = minimum(absolute_difference(other, value), largest)
+                    set_input(distance, mean[k], scale[k], inputs, k)
+                run_layers(inputs, offsets[n], w1, w2, b2, w3, b3, hidden, odds, n * pixels + first)
 
 
 @parallel_jit

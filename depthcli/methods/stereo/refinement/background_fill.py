@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import parallel_jit, prange
@@ -26,13 +27,18 @@ class BackgroundFill(Refinement):
 
 def fill_background(disparity: DisparityMap) -> DisparityMap:
     """Return the map filled as by :class:`BackgroundFill`."""
-    values = disparity.values.copy()
+    return with_filled(disparity, filled_from_background(disparity.values))
+
+
+def filled_from_background(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (H, W) values without NaN, filled as by :class:`BackgroundFill`; all are NaN if all were."""
+    values = values.copy()
     _fill_rows(values)
     known = np.flatnonzero(~np.isnan(values[:, 0]))  # a row has all values now or none
     if 0 < known.size < len(values):
         above = np.searchsorted(known, np.arange(len(values)), side="right") - 1
         values = values[known[np.maximum(above, 0)]]
-    return with_filled(disparity, values)
+    return values
 
 
 @parallel_jit

@@ -68,9 +68,9 @@ class SlantedMedian(Refinement):
         gradient = framed(slopes(values, image, self.slope_radius), radius)
         distance, rate = self.weights()
         grid = np.argwhere(np.isfinite(distance))
-        known, limit = np.nan_to_num(values), np.float32(max_disparity)
+        known, limit = values, np.float32(max_disparity)
         for _ in range(self.passes):
-            out = framed(known, 0)
+            out = np.empty((len(values), planes.shape[2] - 2 * radius), np.float32)
             _filter(planes, framed(known, radius), gradient, trust, grid, distance, rate, limit, out)
             known = out[:, : values.shape[1]]
         return np.where(valid, known, np.float32(np.nan))

@@ -9,11 +9,23 @@ from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.lanes import (
+    LANES,
+    absolute_difference,
+    lane_max,
+    load,
+    load_shorts,
+    maximum,
+    minimum,
+    splat,
+    store,
+    where_at_most,
+)
 from depthcli.methods.stereo.refinement import Refinement, with_smoothed
 from depthcli.methods.stereo.volume import RefinementContext
 
 _BINS_PER_PIXEL = 8
-_BLOCK = 16  # pixels whose weights are computed together
+_DOUBT = np.float32(1e-4)  # of all weights: many times what the order of additions changes in their sums
 
 
 class WeightedMedian(Refinement):
@@ -40,8 +52,9 @@ class WeightedMedian(Refinement):
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         radius = self.radius
-        frame = ((radius, radius), (radius, radius + -disparity.values.shape[1] % _BLOCK))
-        planes = np.pad(context.pair.color8[0].transpose(2, 0, 1), ((0, 0), *frame))
+        frame = ((radius, radius), (radius, radius + LANES + -disparity.values.shape[1] % LANES))
+        channels = np.ascontiguousarray(context.pair.color8[0].transpose(2, 0, 1))
+        planes = np.pad(channels, ((0, 0), *frame))
         by_color, by_distance = self.tables()
         valid = disparity.valid
         filled = (disparity.status & np.uint8(Status.FILLED)) != 0
@@ -76,63 +89,97 @@ def _equal(low, high):
 
 
 @jit
-def _weigh(planes, trust, by_color, by_distance, y, x0, weights):
-    # The weights of the windows of a block of pixels that begins at (y, x0), in a form that compiles to vector code.
-    size = by_distance.shape[0]
-    middle = x0 + size // 2
-    reds = planes[0, y + size // 2, middle : middle + _BLOCK]
-    greens = planes[1, y + size // 2, middle : middle + _BLOCK]
-    blues = planes[2, y + size // 2, middle : middle + _BLOCK]
+def _weigh(colors, trust, shape, by_color, by_distance, first, differences, weights):
+    # The weights of the windows of a block of pixels, the first of which begins at ``first``. A row of the window is
+    # looked up at a time: vectors are not read right after their numbers were written one by one.
+    size, (plane_size, row_size) = by_distance.shape[0], shape
+    center = first + (size // 2) * (row_size + 1)
+    red, green = load_shorts(colors, center), load_shorts(colors, center + plane_size)
+    blue = load_shorts(colors, center + 2 * plane_size)
+    for dy in range(size):
+        row = weights[dy * size * LANES : (dy + 1) * size * LANES]
+        for dx in range(size):
+            at = first + dy * row_size + dx
+            color = absolute_difference(load_shorts(colors, at), red)
+            color = color + absolute_difference(load_shorts(colors, at + plane_size), green)
+            store(differences, dx * LANES, color + absolute_difference(load_shorts(colors, at + 2 * plane_size), blue))
+        for i in range(row.size):
+            row[i] = by_color[np.uint16(differences[i])]
+        for dx in range(size):
+            near, trusted = splat(by_distance[dy, dx]), load(trust, first + dy * row_size + dx)
+            store(row, dx * LANES, load(row, dx * LANES) * near * trusted)
+
+
+@jit
+def _halve(bins, row_size, first, size, weights, found, margin):
+    # The medians of a block of pixels, by halving intervals, and by how much they are surely the right ones: the sums
+    # of the weights below them and up to them are not close to one half.
+    zero, half, far = splat(np.float32(0)), splat(np.float32(0.5)), splat(np.float32(1e9))
+    total, low, high = zero, far, zero - far
     for dy in range(size):
         for dx in range(size):
-            start = x0 + dx
-            red = planes[0, y + dy, start : start + _BLOCK]
-            green = planes[1, y + dy, start : start + _BLOCK]
-            blue = planes[2, y + dy, start : start + _BLOCK]
-            trusted = trust[y + dy, start : start + _BLOCK]
-            near = by_distance[dy, dx]
-            out = weights[dy * size + dx]
-            for i in range(_BLOCK):
-                color = (
-                    abs(np.int32(red[i]) - np.int32(reds[i]))
-                    + abs(np.int32(green[i]) - np.int32(greens[i]))
-                    + abs(np.int32(blue[i]) - np.int32(blues[i]))
-                )
-                out[i] = by_color[np.uint32(color)] * near * trusted[i]
+            weight = load(weights, (dy * size + dx) * LANES)
+            value = load(bins, first + dy * row_size + dx)
+            total = total + weight
+            low = minimum(low, where_at_most(weight, zero, far, value))
+            high = maximum(high, where_at_most(weight, zero, zero - far, value))
+    low, high, goal = low - half, high + half, half * total
+    below_low, below_high = zero, total
+    widest = lane_max(high - low)
+    while widest >= 1:
+        middle, below = half * (low + high), zero
+        for dy in range(size):
+            for dx in range(size):
+                value = load(bins, first + dy * row_size + dx)
+                below = below + where_at_most(value, middle, load(weights, (dy * size + dx) * LANES), zero)
+        low, below_low = where_at_most(goal, below, low, middle), where_at_most(goal, below, below_low, below)
+        high, below_high = where_at_most(goal, below, middle, high), where_at_most(goal, below, below, below_high)
+        widest *= np.float32(0.5)
+    store(found, 0, high)
+    store(margin, 0, minimum(below_high - goal, goal - below_low) - splat(_DOUBT) * total)
+
+
+@jit
+def _count(bins, weights, i, low, high, histogram):
+    # The median of pixel ``i`` of a block, whose window has ``bins`` (size, size) from ``low`` to ``high``.
+    size, total = bins.shape[0], np.float32(0)
+    for dy in range(size):
+        for dx in range(size):
+            weight = weights[(dy * size + dx) * LANES + i]
+            histogram[bins[dy, dx]] += weight
+            total += weight
+    below, k = histogram[low], low
+    while k < high and np.float32(2) * below < total:
+        k += 1
+        below += histogram[k]
+    histogram[low : high + 1] = 0
+    histogram[0] = 0  # where pixels without trust were counted, with weight 0
+    return k
 
 
 @parallel_jit
 def _filter(planes, bins, trust, by_color, by_distance, lowest, highest, filtered):
-    # All inputs but the last three have a margin without trust. Weights are computed for a block of pixels at
-    # a time, then each pixel fills and reads its histogram.
+    # All inputs but the last three have a margin without trust. Weights and medians are computed for a block of pixels
+    # at a time. Where a median is not sure, the weights are added in the order of the window.
     height, width = filtered.shape
-    size = by_distance.shape[0]
-    for y in prange(height):
+    size, row_size = by_distance.shape[0], bins.shape[1]
+    flat, colors, known = bins.reshape(bins.size), planes.reshape(planes.size), trust.reshape(trust.size)
+    for task in prange(height):
+        y = np.int64(task)
         histogram = np.zeros(np.max(highest[y]) + 1, np.float32)
-        weights = np.empty((size * size, _BLOCK), np.float32)
-        for x0 in range(0, width, _BLOCK):
-            x1 = min(width, x0 + _BLOCK)
+        weights, differences = np.empty(size * size * LANES, np.float32), np.empty((size + 1) * LANES, np.int16)
+        found, margin = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+        for x0 in range(0, width, LANES):
+            x1, first = min(width, x0 + LANES), y * row_size + x0
             if _equal(lowest[y, x0:x1], highest[y, x0:x1]):
                 continue
-            _weigh(planes, trust, by_color, by_distance, y, x0, weights)
+            _weigh(colors, known, (bins.size, row_size), by_color, by_distance, first, differences, weights)
+            _halve(flat, row_size, first, size, weights, found, margin)
             for x in range(x0, x1):
-                low, high = lowest[y, x], highest[y, x]
+                low, high = np.int64(lowest[y, x]), np.int64(highest[y, x])
                 if low >= high or np.isnan(filtered[y, x]):
                     continue
-                total = np.float32(0)
-                for dy in range(size):
-                    row = bins[y + dy, x : x + size]
-                    first = dy * size
-                    for dx in range(row.size):
-                        weight = weights[first + dx, x - x0]
-                        histogram[row[dx]] += weight
-                        total += weight
-                below = np.float32(0)
-                for k in range(low, high + 1):
-                    below += histogram[k]
-                    if np.float32(2) * below >= total:
-                        filtered[y, x] = np.float32(k) / np.float32(_BINS_PER_PIXEL)
-                        break
-                for k in range(low, high + 1):
-                    histogram[k] = 0
-                histogram[0] = 0  # where pixels without trust were counted, with weight 0
+                k = np.int64(found[x - x0])
+                if not margin[x - x0] > 0:
+                    k = _count(bins[y : y + size, x : x + size], weights, x - x0, low, high, histogram)
+                filtered[y, x] = np.float32(k) / np.float32(_BINS_PER_PIXEL)
