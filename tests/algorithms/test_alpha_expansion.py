@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from depthcli.algorithms.graph_cut import alpha_expansion, potts_energy
+from depthcli.algorithms.graph_cut import alpha_expansion, binary_cut, potts_energy
 from tests.naive import segments as naive
 
 
@@ -25,6 +25,29 @@ def test_no_expansion_can_lower_the_result(seed, nodes, labels):
     assert energy <= potts_energy(unary.argmin(axis=1), unary, edges, weights)
     for alpha in range(labels):
         assert naive.best_expansion(chosen, alpha, unary, edges, weights) >= energy - 1e-9
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 80), st.sampled_from([0.05, 0.5, 5.0]))
+def test_a_move_is_a_minimum_cut(seed, nodes, strength):
+    rng = np.random.default_rng(seed)
+    edges = np.unique(np.sort(rng.integers(0, nodes, (3 * nodes, 2)), axis=1), axis=0).astype(np.int32)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    unary, weights = rng.random((nodes, 2)), strength * rng.random(len(edges))
+    labels, energy = alpha_expansion(unary, edges, weights, np.zeros(nodes, int), max_sweeps=1)
+    p, q = np.concatenate([edges, edges[:, ::-1]]).T
+    cut = binary_cut(unary[:, 1] - unary[:, 0], p, q, np.tile(weights, 2))
+    assert energy == pytest.approx(potts_energy(cut.astype(int), unary, edges, weights))
+    assert np.array_equal(labels, cut)
+
+
+def test_nodes_keep_a_label_as_good_as_any_other():
+    unary = np.array([[5.0, 5.0, 0.0]] + [[0.1, 0.1, 0.1]] * 4)
+    edges, weights = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [1, 3]]), np.array([0.3, 0.1, 0.7, 0.2, 0.9])
+    labels, energy = alpha_expansion(unary, edges, weights, np.array([2, 0, 1, 1, 2]))
+    assert energy == pytest.approx(0.4) and labels.tolist() == [2] * 5
+    keep = np.array([0, 1, 1, 1, 0])
+    assert np.array_equal(alpha_expansion(np.zeros((5, 3)), np.zeros((0, 2)), np.zeros(0), keep)[0], keep)
 
 
 def test_starts_from_the_given_labels_and_leaves_inputs_alone():

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.regions import connected_components, merge_small_regions, region_graph
+from depthcli.algorithms.regions import RegionPixels, connected_components, merge_small_regions, region_graph
 from depthcli.algorithms.segmentation.mean_shift import mode_colors
 from tests.naive import segments as naive
 
@@ -41,6 +41,28 @@ def test_small_regions_join_the_nearest_color():
     merged = merge_small_regions(labels, image, 5)
     assert merged.max() == 1
     assert merged[3, 4] == merged[3, 5]
+
+
+@pytest.mark.parametrize("by_boundary", [False, True])
+@pytest.mark.parametrize(("shape", "n_regions"), [((1, 1), 1), ((1, 12), 12), ((9, 13), 117), ((14, 16), 60)])
+@pytest.mark.parametrize("min_size", [2, 9, 1000])
+def test_merging_agrees_with_rounds_of_single_joins(shape, n_regions, min_size, by_boundary):
+    rng = np.random.default_rng(n_regions)
+    labels = np.sort(rng.integers(0, n_regions, shape), axis=1)
+    labels = np.unique(labels, return_inverse=True)[1].reshape(shape).astype(np.int32)
+    colors = rng.integers(0, 2, (labels.max() + 1, 3))[labels] if by_boundary else rng.integers(0, 256, (*shape, 3))
+    image = colors.astype(np.uint8)
+    expected = naive.merge_small(labels, image, min_size, by_boundary)
+    np.testing.assert_array_equal(merge_small_regions(labels, image, min_size, by_boundary), expected)
+
+
+def test_pixels_of_regions_are_divided_in_order():
+    rng = np.random.default_rng(1)
+    labels, chosen = rng.integers(0, 5, (9, 11)).astype(np.int32), rng.random((9, 11)) < 0.4
+    for part, mask in zip(RegionPixels.of(labels, None, 6).divided(chosen), (chosen, ~chosen), strict=True):
+        expected = RegionPixels.of(labels, mask, 6)
+        np.testing.assert_array_equal(part.order, expected.order)
+        np.testing.assert_array_equal(part.starts, expected.starts)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (30, 1), (17, 33), (40, 61)])

@@ -42,6 +42,32 @@ def components(color, max_distance):
     return labels
 
 
+def merge_small(labels, image, min_size, by_boundary):
+    """Join small regions in rounds, as ``merge_small_regions`` does."""
+    while True:
+        means = {s: image[labels == s].mean(axis=0) for s in np.unique(labels).tolist()}
+        length = {s: {} for s in means}
+        for one, other in ((labels[:, 1:], labels[:, :-1]), (labels[1:], labels[:-1])):
+            for s, t in zip(one.ravel().tolist(), other.ravel().tolist(), strict=True):
+                if s != t:
+                    length[s][t] = length[t][s] = length[s].get(t, 0) + 1
+        target = {}
+        for s in means:
+            apart = {t: ((means[s] - means[t]) ** 2).sum() for t in length[s]}
+            ranks = (
+                [(-length[s][t], t) for t in apart if apart[t] == 0] if by_boundary else [(apart[t], t) for t in apart]
+            )
+            if (labels == s).sum() < min_size and ranks:
+                target[s] = min(ranks)[1]
+        if not target:
+            return np.unique(labels, return_inverse=True)[1].reshape(labels.shape)
+        name = {s: s for s in means}  # that of the first member
+        for s, t in target.items():
+            old, new = sorted((name[s], name[t]), reverse=True)
+            name = {k: new if v == old else v for k, v in name.items()}
+        labels = np.vectorize(name.get)(labels)
+
+
 def segment_window(costs, labels, radius):
     height, width, _ = costs.shape
     out = np.empty(costs.shape, np.float64)

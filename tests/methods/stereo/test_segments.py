@@ -11,7 +11,7 @@ from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.cost.intensity_gradient import IntensityGradient
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
 from depthcli.methods.stereo.segments import planes as energy
-from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Split, segment_window
+from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Split, grid_parts, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
 from depthcli.methods.stereo.segments.steps import map_with_status
 from depthcli.methods.stereo.volume import CostVolume
@@ -182,6 +182,17 @@ def test_smoothness_is_equation_2_12():
     image = np.where(labels[..., None] == 1, 10, 40).astype(np.uint8).repeat(3, axis=2)
     weights = energy.smoothness(region_graph(labels, image), 25.0, 150.0)
     assert weights.tolist() == pytest.approx([25 * 4 * np.exp(-3 * 30**2 / 150**2)])
+
+
+@pytest.mark.parametrize("cut", [[True] * 4, [False] * 4, [False, True, True, False]])
+def test_a_grid_cuts_segments_into_parts(cut):
+    labels = _labels()
+    parts, count = grid_parts(labels, 5, np.array(cut))
+    y, x = np.indices(labels.shape)
+    cells = np.where(np.array(cut)[labels], 3 * (y // 5) + x // 5, 0)
+    pairs = {*zip(labels.ravel().tolist(), cells.ravel().tolist(), parts.ravel().tolist(), strict=True)}
+    assert len(pairs) == len(np.unique(parts)) == len({pair[:2] for pair in pairs})
+    assert parts.max() < count and np.array_equal(parts[~np.array(cut)[labels]], labels[~np.array(cut)[labels]])
 
 
 def test_only_segments_that_are_not_a_plane_are_cut():
