@@ -8,7 +8,7 @@ import maxflow
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.kernels.jit import jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 
 
 def binary_cut(
@@ -89,9 +89,20 @@ def alpha_expansion(
     labels = np.argmin(costs, axis=1) if initial is None else np.array(initial)
     labels = labels.astype(np.int32)
     energy = potts_energy(labels, costs, ends, strength)
-    by_label = np.ascontiguousarray(costs.T)  # a column of a large matrix misses the cache at every node
-    _expand(labels, by_label, _arcs(len(costs), ends, strength), energy, max_sweeps)
+    # Transposed: a column of a large matrix misses the cache at every node.
+    _expand(labels, _transposed(costs), _arcs(len(costs), ends, strength), energy, max_sweeps)
     return labels, potts_energy(labels, costs, ends, strength)
+
+
+@parallel_jit
+def _transposed(matrix):
+    rows, columns = matrix.shape
+    out = np.empty((columns, rows), matrix.dtype)
+    for block in prange(-(-columns // 8)):  # a line of the cache
+        for i in range(rows):
+            for j in range(8 * np.int64(block), min(8 * np.int64(block) + 8, columns)):
+                out[j, i] = matrix[i, j]
+    return out
 
 
 class _Arcs(NamedTuple):

@@ -243,10 +243,9 @@ def merge_small_regions(
 @parallel_jit
 def _find_targets(small, means, parent, following, starts, neighbors, boundary, by_boundary, target):
     # The neighbors that the regions ``small`` are to join, -1 where there is none.
-    n_tasks = 1 if by_boundary else BAND
-    for task in prange(n_tasks):
+    for task in prange(BAND):
         lengths = np.zeros(parent.size if by_boundary else 0, np.int64)
-        for k in range(small.size * task // n_tasks, small.size * (task + 1) // n_tasks):
+        for k in range(small.size * np.int64(task) // BAND, small.size * np.int64(task + 1) // BAND):
             graph = parent, following, starts, neighbors, boundary
             target[k] = _best_neighbor(small[k], means, *graph, lengths, by_boundary)
 
@@ -324,43 +323,41 @@ def region_adjacency(labels, count):
     touches them, and the lengths of the common boundaries (int64): numbers of 4-neighboring pairs of pixels. The
     elements ``starts[s] .. starts[s + 1] - 1`` belong to region s.
     """
+    # Branches would be predicted wrong often: everything is written, and counted if it is to stay.
     height, width = labels.shape
-    starts = np.zeros(count + 1, np.int64)
-    pairs = np.empty((2 * labels.size, 2), np.int32)
+    pairs = np.empty((2 * labels.size + 1, 2), np.int32)
     n_pairs = 0
     for y in range(height):
+        row, below = labels[y], labels[min(y + 1, height - 1)]
         for x in range(width):
-            s = labels[y, x]
-            for t in (labels[y, x + 1] if x + 1 < width else s, labels[y + 1, x] if y + 1 < height else s):
-                if t != s:
-                    pairs[n_pairs, 0], pairs[n_pairs, 1] = s, t
-                    n_pairs += 1
-                    starts[s + 1] += 1
-                    starts[t + 1] += 1
+            for other in (row[min(x + 1, width - 1)], below[x]):
+                pairs[n_pairs, 0], pairs[n_pairs, 1] = row[x], other
+                n_pairs += row[x] != other
+    starts = np.zeros(count + 1, np.int64)
+    for k in range(n_pairs):
+        starts[pairs[k, 0] + 1] += 1
+        starts[pairs[k, 1] + 1] += 1
     for s in range(count):
         starts[s + 1] += starts[s]
-    raw = np.empty(starts[count], np.int32)
+    neighbors = np.empty(starts[count], np.int32)
     free = starts[:count].copy()
     for k in range(n_pairs):
         s, t = pairs[k]
-        raw[free[s]] = t
+        neighbors[free[s]], neighbors[free[t]] = t, s
         free[s] += 1
-        raw[free[t]] = s
         free[t] += 1
     # Each bucket, written over itself without repetitions.
-    place = np.full(count, -1, np.int64)
-    boundary = np.zeros(raw.size, np.int64)
+    place, boundary = np.full(count, -1, np.int64), np.zeros(neighbors.size, np.int64)
     end = 0
     for s in range(count):
         first, last = starts[s], starts[s + 1]
         starts[s] = end
         for k in range(first, last):
-            t = raw[k]
-            if place[t] < starts[s]:
-                place[t] = end
-                raw[end] = t
-                boundary[end] = 0
-                end += 1
+            t = neighbors[k]
+            is_new = place[t] < starts[s]
+            place[t] = end if is_new else place[t]
+            neighbors[end] = t
             boundary[place[t]] += 1
+            end += is_new
     starts[count] = end
-    return starts, raw[:end], boundary[:end]
+    return starts, neighbors[:end], boundary[:end]

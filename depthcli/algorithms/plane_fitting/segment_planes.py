@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, n_threads, parallel_jit, prange
 
 TASKS = 64
 """Parts of the work on all segments, of every 64th one: some rows have larger segments than others."""
@@ -20,6 +20,7 @@ TASKS = 64
 _SAMPLED_PIXELS = 2000  # RANSAC planes of larger segments are judged by about so many pixels
 _MIN_CROSS = 0.5  # three pixels that span less than this many square pixels determine no plane
 _REFITS = 5  # largest number of least squares after RANSAC
+_MIN_WORK = 100  # of a segment, in pixels: picking samples takes time, too
 _LANES = 32  # RANSAC planes that are judged at once; the result does not depend on it
 
 
@@ -90,9 +91,11 @@ class SegmentPlaneFit(ConfigModel):
         the ``values`` (H, W).
         """
         planes = SegmentPlanes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
-        segments = (members.order, members.starts, np.asarray(chosen, np.int64))
+        sizes = members.sizes[chosen]
+        share = _shares(np.argsort(-sizes), sizes, n_threads())
+        segments = (members.order, members.starts, np.asarray(chosen, np.int64), share, n_threads())
         limits = (self.tolerance, self.trials, self.max_slope, self.flatness, self.seed)
-        _fit(values.ravel(), values.shape[1], *segments, *limits, planes.coefficients, planes.support, planes.center)
+        _fit(values, *segments, limits, planes.coefficients, planes.support, planes.center)
         return planes
 
     def constant(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
@@ -101,18 +104,30 @@ class SegmentPlaneFit(ConfigModel):
         return self.model_copy(update=flat)(values, members, chosen)
 
 
+@jit
+def _shares(largest_first, sizes, count):
+    # The (K,) numbers 0 .. count - 1 of the tasks that fit the segments: each goes to that with the least work so far.
+    share, work = np.empty(sizes.size, np.int64), np.zeros(count, np.int64)
+    for k in largest_first:
+        share[k] = np.argmin(work)
+        work[share[k]] += sizes[k] + _MIN_WORK
+    return share
+
+
 @parallel_jit
-def _fit(
-    values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center
-):
-    n_tasks = min(TASKS, chosen.size)
-    for task in prange(n_tasks):
+def _fit(values, order, starts, chosen, share, tasks, limits, coefficients, support, center):
+    width = values.shape[1]
+    tolerance, trials, max_slope, flatness, seed = limits
+    for task in prange(tasks):
         lanes = np.zeros((4, _LANES))
-        for k in range(np.int64(task), chosen.size, n_tasks):
+        for k in range(chosen.size):
+            if share[k] != np.int64(task):
+                continue
             pixels = order[starts[chosen[k]] : starts[chosen[k] + 1]]
             px, py, pd = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size)
             for i in range(pixels.size):
-                px[i], py[i], pd[i] = pixels[i] % width, pixels[i] // width, values[pixels[i]]
+                px[i], py[i] = pixels[i] % width, pixels[i] // width
+                pd[i] = values[pixels[i] // width, pixels[i] % width]
             mx, my, flat = px.mean(), py.mean(), np.median(pd)
             for i in range(pixels.size):
                 px[i] -= mx
