@@ -70,14 +70,52 @@ def test_texture_in_the_dark_is_no_noise_since_both_views_have_it(brightness):
     grains = np.random.default_rng(1).normal(size=(2, 180, 240))
     grains = [cv2.GaussianBlur(grain, (0, 0), 1) / 0.28 for grain in grains]
     noisy = (np.rint(image / 2 + 1.5 * g[..., None]).clip(0, 255) for image, g in zip(pair.color8, grains, strict=True))
-    with pytest.MonkeyPatch.context() as patch:
-        seen = []
-        level = noise.noise_level
-        patch.setattr(noise, "noise_level", lambda *given: seen.append(given[1]) or level(*given))
-        noise.denoised(pair)
-        assert seen in ([], [0, 0])
-        noise.denoised(StereoPair(*(one.astype(np.uint8) for one in noisy)))
-        assert min(seen[2:]) > 0.3
+    assert noise._differing(*map(noise._level, (pair.left, pair.right))) == 0
+    assert noise._differing(*(noise._level(one.astype(np.uint8)) for one in noisy)) > 0.3
+
+
+def grainy(scene, size, sigma=0.8, seed=1):
+    """A scene's pair at 4 % of its brightness, in noise that neighbors share."""
+    rng = np.random.default_rng(seed)
+    views = []
+    for image in (scene.left, scene.right):
+        grain = cv2.GaussianBlur(rng.normal(size=image.shape), (0, 0), size)
+        views.append(np.rint(0.04 * image + sigma * grain / grain.std()).clip(0, 255).astype(np.uint8))
+    return StereoPair(*views)
+
+
+def test_whitening_leaves_noise_that_neighbors_do_not_share():
+    texture = np.random.default_rng(0).normal(0, 0.5, (256, 320))
+    texture[:96] = 0  # flat
+    grain = cv2.GaussianBlur(np.random.default_rng(1).normal(size=texture.shape), (0, 0), 2.5)
+    grain *= 1.5 / grain.std()
+    levels = [np.rint(8 + texture + grain).astype(np.float32)]
+    kernel, deviation = noise.whitening(levels)
+    found = cv2.filter2D(levels[0] - 8, -1, kernel, borderType=cv2.BORDER_REFLECT)
+    assert found.std() == pytest.approx(0.12, rel=0.1)
+    assert found[20:76].std() == pytest.approx(deviation, rel=0.35)
+    clean = cv2.filter2D(texture.astype(np.float32), -1, kernel, borderType=cv2.BORDER_REFLECT)
+    before, after = (np.corrcoef(a.ravel(), texture.ravel())[0, 1] for a in (levels[0], found))
+    assert before < 0.4 and after > 0.7 and clean.std() > 0.09
+    shared = [np.corrcoef(a[20:76, 4:].ravel(), a[20:76, :-4].ravel())[0, 1] for a in (levels[0], found)]
+    assert shared[0] > 0.4 and abs(shared[1]) < 0.2
+    assert noise.whitening([one[:20] for one in levels]) is None
+    assert noise.whitening([np.full((64, 64), 7, np.float32)]) is None
+    assert noise.whitening([np.rint(40 + 10 * texture + grain).astype(np.float32)]) is None
+
+
+@pytest.mark.parametrize(("name", "ratio"), [("fast", 0.8), ("accurate", 0.75)])
+def test_dark_scenes_in_coarse_noise_have_fewer_errors_than_averaged_and_than_sgbm(name, ratio, monkeypatch):
+    pipeline, peer = (preset("stereo", one).pipeline for one in (name, "opencv-sgbm"))
+    errors = np.zeros(3)
+    for seed, kind, size in ((10, "planes", 2.0), (11, "foreground", 2.5), (12, "curved", 3.5)):
+        scene = make_scene(kind, seed, 300, 220, 40)
+        for limit in (noise._DIFFERING, 2):
+            with monkeypatch.context() as patch:
+                patch.setattr(noise, "_DIFFERING", limit)
+                errors[int(limit == 2)] += wrong(pipeline(grainy(scene, size), scene.max_disparity), scene)
+        errors[2] += wrong(peer(grainy(scene, size), scene.max_disparity), scene)
+    assert errors[0] < ratio * errors[1:].min()
 
 
 @pytest.mark.parametrize("kind", ["planes", "foreground"])
@@ -103,9 +141,10 @@ def test_a_dark_pair_is_averaged_and_brightened():
     assert unlikeness(found.left) < unlikeness(pair.left) / 2
 
 
-def test_strips_and_threads_do_not_show(monkeypatch):
-    scene = dark(2)
-    pair = StereoPair(scene.left, scene.right)
+@pytest.mark.parametrize(
+    "pair", [(lambda s: StereoPair(s.left, s.right))(dark(2)), grainy(make_scene("planes", 2), 2.5)]
+)
+def test_strips_and_threads_do_not_show(pair, monkeypatch):
     whole = noise.denoised(pair)
     for count in (1, 2):
         with threads(count):

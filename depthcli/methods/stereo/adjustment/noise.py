@@ -7,8 +7,9 @@ noise. Means over pixels of similar color do, and both images can be averaged be
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -27,6 +28,10 @@ _RADII = 3, 10  # of the filter's window, pixels: for white noise, at most
 _DARK = 0.15  # that percentile, parts of the range, below which noise may be of several pixels' size
 _SHARED_NOISE = 1.5  # 4 times the deviation of means over 4 x 4 pixels, over that of pixels; noise of 1 to 2 pixels
 _MATCHED, _ALIKE = 40, (0.7, 0.85)  # percentile of energy of blocks that are matched; correlation of noise, of texture
+_DIFFERING, _BURIED = 0.5, 2.5  # share of noise, and contrast over noise: from and up to which a dark pair is whitened
+_SPECTRUM, _SPREAD = 32, 0.12  # side of the blocks of a spectrum; deviation after whitening, parts of the range
+_ROUNDING_POWER, _MAX_BLOCKS = 1 / 36, 2048  # of the mean of three rounded channels; blocks that a spectrum is made of
+_WHITENED_RADIUS = 5  # on generated scenes and those of 2005, as the other constants of dark pairs
 _NOISE_LIMIT = 3.0  # standard deviations: variance of a window that is half averaged away
 _BRIGHT_PERCENTILE, _BRIGHT = 90, 0.55  # where that percentile of the levels is raised to, parts of the range
 _MAX_GAIN = 24.0
@@ -40,7 +45,8 @@ def denoised(pair: StereoPair) -> StereoPair:
     with an epsilon of (3 deviations of the noise) squared. Its window has 7 x 7 pixels, more if neighbors share the
     noise. A dark pair is brightened by a curve ``g v / (1 + (g - 1) v)``, v in [0, 1], that raises the 90th percentile
     to 0.55, as measures compare levels with constants. The result has 16 bits: rounding would bring noise back. Between
-    a contrast over noise of 14 and 8 the effect grows from none to the whole.
+    a contrast over noise of 14 and 8 the effect grows from none to the whole. A dark pair in noise as coarse as texture
+    is whitened, see :func:`whitening`: averaging would take away the texture.
     """
     images = pair.clamped
     if _are_clean(images, pair.top):
@@ -49,6 +55,11 @@ def denoised(pair: StereoPair) -> StereoPair:
     rest = 1 - _BRIGHT_PERCENTILE / 100
     is_dark = all(np.count_nonzero(level >= _DARK * pair.top) < rest * level.size for level in levels)
     differing = _differing(*levels) if is_dark else 0.0
+    if differing > _DIFFERING and (found := whitening(levels)) is not None:
+        kernel, deviation = found
+        mean = np.float32(np.mean(levels))
+        left, right = (_whitened(image, mean, kernel, (_NOISE_LIMIT * deviation) ** 2) for image in images)
+        return replace(pair, left=left, right=right, bits=None)
     deviations, contrasts, radii = zip(*(noise_level(level, differing) for level in levels), strict=True)
     deviation, contrast = max(deviations), min(contrasts)
     share = float(np.clip((_CLEAN - contrast) / (_CLEAN - _NOISY), 0, 1))
@@ -144,6 +155,58 @@ def noise_level(level: NDArray[np.float32], differing: float = 0.0) -> tuple[flo
     return deviation, float(np.sqrt(max(np.median(spread), 0))) / deviation, radius
 
 
+def whitening(levels: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], float] | None:
+    """Return a filter for images in strong noise of any spectrum, (31, 31), and the deviation that it leaves of noise.
+
+    Its gain at a frequency is ``sqrt(S) / N``, S the power of texture and N of noise: Eckart's filter (Knapp, Carter,
+    The generalized correlation method for estimation of time delay, TASSP 1976), by which weak signals stand out most.
+    Noise is what the flattest blocks have at a distance from frequency 0, texture the rest of the mean. It returns None
+    for images smaller than a block, without texture, or of a contrast that averaging leaves enough of.
+    """
+    n = _SPECTRUM
+    if min(levels[0].shape) < n:
+        return None
+    column, row = np.meshgrid(*2 * [np.minimum(np.arange(n), n - np.arange(n))])
+    ring = np.minimum(np.rint(np.hypot(row, column)).astype(int), n // 2).ravel()
+    size = np.bincount(ring)
+    window = np.outer(*2 * [np.sin(np.pi * np.arange(n) / n) ** 2]) * (8 / 3)  # it keeps the power
+    spectra = []
+    for level in levels:
+        height, width = (side // n for side in level.shape)
+        blocks = level[: height * n, : width * n].reshape(height, n, width, n).swapaxes(1, 2).reshape(-1, n, n)
+        blocks = blocks[:: -(-len(blocks) // _MAX_BLOCKS)]
+        blocks = (blocks - blocks.mean(axis=(1, 2), keepdims=True)) * window
+        power = (np.abs(np.fft.fft2(blocks)) ** 2 / n**2).reshape(-1, n * n)
+        rings = np.stack([np.bincount(ring, one) for one in power]) / size
+        spectra.append((np.percentile(rings, _FLAT_PERCENTILE, axis=0), rings.mean(axis=0), np.median(rings, axis=0)))
+    noise, total, typical = np.mean(spectra, axis=0)
+    noise = np.maximum(noise, _ROUNDING_POWER)
+    share = size / n**2
+    share[0] = 0  # the mean
+    if typical @ share > _BURIED**2 * (noise @ share):
+        return None
+    gain = np.sqrt(np.maximum(total - noise, 1e-3 * total)) / noise
+    gain[0] = gain[1]
+    spread = float(np.sqrt((total * gain**2) @ share))
+    if spread == 0:
+        return None
+    gain *= _SPREAD / spread
+    kernel = np.fft.fftshift(np.fft.ifft2(gain[ring].reshape(n, n)).real)[1:, 1:]
+    return kernel.astype(np.float32), float(np.sqrt((noise * gain**2) @ share))
+
+
+def _whitened(image: Image, mean: np.float32, kernel: NDArray[np.float32], epsilon: float) -> NDArray[np.uint16]:
+    result = np.empty(image.shape, np.uint16)
+    margin = len(kernel) // 2 + 2 * _WHITENED_RADIUS
+    for y in range(0, image.shape[0], _STRIP):
+        first = max(0, y - margin)
+        part = image[first : y + _STRIP + margin].astype(np.float32) - mean
+        values = cv2.filter2D(part, cv2.CV_32F, kernel, borderType=cv2.BORDER_REFLECT)
+        values = cv2.ximgproc.guidedFilter(_level(values), values, _WHITENED_RADIUS, epsilon)[y - first :][:_STRIP]
+        result[y : y + _STRIP] = np.rint(65535 * np.clip(values + np.float32(0.5), 0, 1))
+    return result
+
+
 def _differing(left: NDArray[np.float32], right: NDArray[np.float32]) -> float:
     # How far the views differ in means over 4 x 4 pixels, 0 .. 1: flat blocks of texture have a match in the row.
     left, right = (_block_means(level, 4) for level in (left, right))
@@ -158,7 +221,7 @@ def _differing(left: NDArray[np.float32], right: NDArray[np.float32]) -> float:
     return min(max((texture - float(np.median(found))) / (texture - noise), 0.0), 1.0)
 
 
-def _level(image: Image) -> NDArray[np.float32]:
+def _level(image: NDArray[Any]) -> NDArray[np.float32]:
     # The mean of the channels.
     if image.ndim == 2:
         return image.astype(np.float32)
