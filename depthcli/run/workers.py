@@ -62,7 +62,7 @@ _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image"
 _MAX_TRACE_NAME = 200  # bytes of a scene's name in the name of its traceback; a file's name has 255
 _KEPT_SHARE = 16  # of the memory that a process may use, for arrays of its next scene: fresh pages take long
 _START_SECONDS = 1.5  # until processes work that load all modules: two take 1.2 s on two cores
-_MIN_SCENES = 16  # that a process for each core computes sooner than threads do, if they start as copies of this one
+_MIN_SCENES = 8  # that a process for each core computes sooner than threads do, if they start as copies of this one
 _PROCESS_BYTES = 2 * BASE_BYTES  # of a process beside its scene: its own, and arrays that it keeps for the next one
 _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up the memory
 
