@@ -9,13 +9,14 @@ lit in another way, in the dark, and cut where something near touches the left b
 streets and bare rooms above all, and two scenes of twice the size.
 CONFIG is a preset or config of fuse whose `maps` are to be chosen among; its present choice plays no part. FOLDER
 keeps the training samples of every scene for another run. ``--left-out`` trains once without each data set, prints the
-errors of the likeliest maps on that set, and writes the networks beside OUT.json.
+errors of the choice on that set, and writes the networks beside OUT.json.
 
 The shipped network `accurate` is what the defaults give.
 
 Two hidden layers of rectified units, Adam, loss per pixel: the mean over the maps of the cross entropy of
-being right, and the negative logarithm of the share (softmax) of the maps that are right. A map within 1 px is right,
-within .5 px it counts twice as much. Pixels are weighted so that nonocc, all and disc count alike.
+being right, and 2.5 times the negative logarithm of the share (softmax) of the maps that are right. A map within 1 px
+is right, within .5 px it counts twice as much. Pixels are weighted so that nonocc, all and disc count alike, scenes so
+that all data sets do.
 """
 
 import sys
@@ -40,8 +41,9 @@ from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
 from depthcli.io.formats.networks import write_network
 from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
-from depthcli.methods.fusion.choice.network import NetworkInputs, input_names
+from depthcli.methods.fusion.choice.network import AGREEING, NetworkInputs, input_names, likeliest
 from depthcli.methods.fusion.pipeline import Fusion
+from depthcli.methods.fusion.votes import WindowSupport
 from depthcli.simulate.stereo_scenes import KINDS, Radiometry, make_scene
 
 VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5, "dark": 0.3, "cut": 0.5}
@@ -50,7 +52,7 @@ GENERATED = 0.3
 """What a generated scene counts."""
 LOOKS = ((1, 0, 0), (0.3, 2, 0), (0.1, 1, 0), (1, 2, 1), (0.3, 0, 0.5), (0.05, 2, 0.5))
 """Contrast of the walls, noise and strength of another light of the generated scenes."""
-UNITS, EPOCHS = (32, 16), 12
+UNITS, EPOCHS = (32, 16), 6
 """Units of the two hidden layers, and passes over all samples."""
 Map = NDArray[np.float32]
 Loaded = tuple[StereoPair, int, Map, dict[str, NDArray[np.bool_]]]
@@ -207,7 +209,7 @@ def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]
 
 
 Samples = dict[str, NDArray[Any]]
-"""Pixels of a scene: ``inputs`` (P, N, F), ``errors`` (P, N) pixels, ``weights`` and ``regions`` (P,)."""
+"""Pixels of a scene: ``inputs`` (P, N, F), ``errors`` (P, N) with sign, pixels, ``weights`` and ``regions`` (P,)."""
 REGIONS = ("bare", "textured", "occluded")
 """Visible pixels whose 13 x 13 window deviates by less than 3 grey levels; other visible ones; all others."""
 
@@ -218,7 +220,7 @@ def samples_of(scene: TrainingScene, fusion: Fusion) -> Samples:
     proposals, weights = propose(fusion, pair, max_disparity), pixel_weights(truth, masks).ravel()
     known = np.flatnonzero(weights > 0)
     pixels = np.sort(np.random.default_rng(5).choice(known, known.size // scene.pixel_step, replace=False))
-    errors = np.abs(proposals.values.reshape(len(proposals.values), -1)[:, pixels] - truth.ravel()[pixels]).T
+    errors = (proposals.values.reshape(len(proposals.values), -1)[:, pixels] - truth.ravel()[pixels]).T
     rows = NetworkInputs.of(proposals).rows(pixels).astype(np.float16)
     regions = np.where(local_moments(pair.grey8[0].astype(np.float32), 13)[1] < 9, 0, 1)
     regions[~masks["nonocc"]] = 2
@@ -269,6 +271,7 @@ def fit(layers: list[Map], batches: Iterable[Batch], steps: int, ranking: float,
 def train(samples: list[tuple[float, Samples]], maps: tuple[str, ...], trained_on: list[str]) -> TrainedNetwork:
     """Fit a network to samples of scenes, each with its weight."""
     inputs, errors = (np.concatenate([one[key] for _, one in samples]) for key in ("inputs", "errors"))
+    errors = np.abs(errors)
     counts = np.concatenate([scale * one["weights"] / one["weights"].sum() for scale, one in samples])
     counts = np.minimum(counts / counts.mean(), 8).astype(np.float32)[:, None]
     right = ((errors <= 1) + (errors <= 0.5).astype(np.float32)) / 2
@@ -287,7 +290,7 @@ def train(samples: list[tuple[float, Samples]], maps: tuple[str, ...], trained_o
                 scaled = np.clip((inputs[chosen].astype(np.float32) - mean) * scale, -4, 4).reshape(-1, size)
                 yield np.concatenate([scaled, which], axis=1), one, right[chosen], counts[chosen]
 
-    fit(layers, batches(), EPOCHS * (number // batch), ranking=1)
+    fit(layers, batches(), EPOCHS * (number // batch), ranking=2.5, decay=2.5e-3)
     w1, b1, w2, b2, w3, b3 = layers
     fitted = ((w1[:size], w1[size:] + b1), (w2, b2), (w3, b3))
     return TrainedNetwork(maps, input_names(maps), mean, scale, fitted, tuple(trained_on))
@@ -302,13 +305,18 @@ def log_odds(network: TrainedNetwork, inputs: NDArray[Any], row: int | slice = s
 
 
 def left_out(both: list[tuple[TrainingScene, Samples]], data_set: str, trained: TrainedNetwork) -> list[str]:
-    """Return a row of how a network does on a set: mean and median scene, and regions; likeliest map, own map, best."""
+    """Return a row of how a network does on a set: mean and median scene, and regions; choice, own map, best map.
+
+    The choice is made as :class:`NetworkChoice` does it, without the averaging over neighbors.
+    """
     shares: list[list[list[float]]] = []  # of every scene, of the set and of regions, of those three and the median
     for scene, one in both:
         if scene.data_set == data_set and scene.unchanged:
-            errors, likeliest = one["errors"], log_odds(trained, one["inputs"]).argmax(1)[:, None]
-            taken = np.take_along_axis(errors, likeliest, axis=1)[:, 0]
-            wrong = np.stack([taken, errors[:, 1], errors.min(1), errors[:, 0]], 1) > 1
+            errors, odds = one["errors"], log_odds(trained, one["inputs"])
+            columns = (np.ascontiguousarray(one.T)[:, :, None] for one in (errors, odds))  # images one pixel wide
+            taken, _ = likeliest(*columns, WindowSupport((len(errors), 1), 1), AGREEING)
+            errors = np.abs(errors)
+            wrong = np.stack([np.abs(taken[:, 0]), errors[:, 1], errors.min(1), errors[:, 0]], 1) > 1
             parts = [np.ones(len(wrong), bool), *(one["regions"] == k for k in range(len(REGIONS)))]
             shares.append(
                 [100 * np.average(wrong[p], 0, one["weights"][p] + 1e-12) if p.any() else [np.nan] * 4 for p in parts]
@@ -331,13 +339,15 @@ def main() -> None:
     rows = []
     for without in dict.fromkeys(scene.data_set for scene, _ in both) if options.left_out else ("",):
         others = [(scene, one) for scene, one in both if scene.data_set != without]
-        trained = train([(s.weight, one) for s, one in others], kinds, [s.name for s, _ in others])
+        totals = {one: sum(s.weight for s, _ in others if s.data_set == one) for one in {s.data_set for s, _ in others}}
+        samples = [(s.weight / totals[s.data_set], one) for s, one in others]
+        trained = train(samples, kinds, [s.name for s, _ in others])
         out = Path(options.out)
         write_network(out.with_stem(f"{out.stem}_without_{without}") if without else out, trained)
         rows += [left_out(both, without, trained)] if without else []
     if rows:
         header = ("left out", "mean", "median scene", *REGIONS, "closed")
-        show("Wrong (> 1 px), %: likeliest map / own map / best of the maps", header, rows)
+        show("Wrong (> 1 px), %: choice / own map / best of the maps", header, rows)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from depthcli.io.formats.networks import read_network, write_network
 from depthcli.methods.fusion.choice import network
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.map_costs import hidden_jumps, matching_costs
-from depthcli.methods.fusion.votes import ColorSupport
+from depthcli.methods.fusion.votes import ColorSupport, WindowSupport
 from depthcli.testing.inputs import assert_pure, texture
 from tests.contracts.checks import CHECKS
 from tests.contracts.inputs import KINDS, random_proposals
@@ -101,21 +101,31 @@ def test_log_odds_agree_with_the_reference(height, width, count):
 def test_the_likeliest_proposal_is_taken_with_its_probability():
     given = random_proposals()
     trained = random_network(given.kinds)
-    method = network.NetworkChoice().with_network(trained, given.kinds)
-    chosen = method(given)
-    assert chosen.probability is not None
-    picked = chosen.values[None] == given.values
-    assert picked.any(axis=0).all()
     odds = network.log_odds_of(trained, network.NetworkInputs.of(given)).reshape(given.values.shape)
+    values, probability = network.likeliest(given.values, odds, given.narrow)
+    picked = values[None] == given.values
+    assert picked.any(axis=0).all()
     at = picked.argmax(axis=0)[None]
     expected = 1 / (1 + np.exp(-np.take_along_axis(odds, at, axis=0)[0]))
     single = picked.sum(axis=0) == 1
     assert single.mean() > 0.8
-    np.testing.assert_allclose(chosen.probability[single], expected[single], atol=1e-5)
+    np.testing.assert_allclose(probability[single], expected[single], atol=1e-5)
     share = np.exp(odds - odds.max(axis=0))
     alone = share.argmax(axis=0)
     assert (alone == at[0]).mean() > 0.5  # the others were outvoted by pixels around them
+    method = network.NetworkChoice().with_network(trained, given.kinds)
     assert_pure(lambda: np.stack([method(given).values, method(given).probability]), given.values)
+
+
+def test_proposals_that_agree_count_and_are_averaged():
+    maps = np.array([5, 5.6, 9], np.float32).reshape(3, 1, 1)
+    odds = np.log(np.array([0.35, 0.25, 0.4], np.float32)).reshape(3, 1, 1)
+    alone = WindowSupport((1, 1), 1)
+    values, probability = network.likeliest(maps, odds, alone)
+    np.testing.assert_allclose([values[0, 0], probability[0, 0]], [9, 0.4 / 1.4], rtol=1e-5)
+    # 0.6 pixels of 1.5: the second counts 0.6 of its share, half of it for the choice (0.425), all of it in the mean
+    values, probability = network.likeliest(maps, odds, alone, agreeing=1.5)
+    np.testing.assert_allclose([values[0, 0], probability[0, 0]], [5 + 0.15 * 0.6 / 0.5, 0.35 / 1.35], rtol=1e-5)
 
 
 def test_files_of_networks_keep_four_digits(tmp_path):

@@ -29,7 +29,7 @@ from depthcli.kernels.lanes import WIDE, absolute_difference, load_like, minimum
 from depthcli.methods.fusion import map_costs as costs_of
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.map_costs import cost_between, nearest_matches, warped_right
-from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, ColorSupport
+from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, Support
 
 MAX_MAPS = BLOCK_DEPTH
 """Most maps that are chosen among: all shares of a pixel are averaged in one block."""
@@ -70,6 +70,8 @@ RELATIVE = (
 PIXEL_PLANES = ("min_cost", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
 """Planes of the pixel, the same for all proposals: its smallest cost, standard deviations of windows and gradient of
 the left image (grey levels), share of the proposals that are filled, and how far its light is trusted (0 .. 1)."""
+AGREEING = 1.5
+"""Two proposals do not agree that are so far apart, pixels. Chosen on data sets that the network had not seen."""
 
 # Networks are trained with these; another value needs another training.
 _MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
@@ -216,11 +218,12 @@ def _add(values, total):
 
 
 class NetworkChoice(ChoiceMethod):
-    """The proposal that a small network finds most likely to be right within a pixel.
+    """The proposal that a small network finds most likely to be right within a pixel, with those that agree with it.
 
     For every proposal of a pixel the network, the same one for all pixels, gets some forty inputs: the costs along it,
     which others agree, what the right view says, its shape. Its outputs become shares by a softmax over the
-    proposals, are averaged over neighbors of similar color, and the largest share wins. Selecting by a trained
+    proposals and are averaged over neighbors of similar color. The proposal wins whose share, with half of what agrees
+    with it, is largest; the value is the mean of those that agree, weighted by their shares. Selecting by a trained
     classifier among what several scanline optimizations propose goes back to Schoenberger, Sinha and Pollefeys (ECCV
     2018); the probability of the winner is a confidence. `scripts/train_choice.py` trains networks for other proposals.
     """
@@ -251,25 +254,27 @@ class NetworkChoice(ChoiceMethod):
             raise ValueError(f"network {self.weights!r}: hand its arrays in with with_network first")
         count, height, width = proposals.values.shape
         odds = log_odds_of(self._trained, NetworkInputs.of(proposals)).reshape(count, height, width)
-        return ChosenMap(*likeliest(proposals.values, odds, proposals.narrow))
+        return ChosenMap(*likeliest(proposals.values, odds, proposals.narrow, AGREEING))
 
     def bytes_per_pixel(self, count: int) -> int:
         return 4 * (count * (len(PROPOSAL_PLANES) + 12) + 90 + len(PIXEL_PLANES) + 2 * MAX_MAPS) + 100
 
 
 def likeliest(
-    maps: NDArray[np.float32], odds: NDArray[np.float32], support: ColorSupport
+    maps: NDArray[np.float32], odds: NDArray[np.float32], support: Support, agreeing: float = 0.0
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the values whose share of the softmax of ``odds`` (N, H, W), averaged over the support, is largest.
 
-    Returned with them is the probability that they are right, by their own odds; both (H, W).
+    Maps agree less and less up to ``agreeing`` pixels: half of the shares that agree count, too, and the value is the
+    mean weighted by shares and agreement. 0: none agrees. Returned with the values is the probability that the chosen
+    map is right, by its own odds; both (H, W).
     """
     _, height, width = maps.shape
     shares = memory.empty((height, width, MAX_MAPS), np.float32)
     _softmax(odds, shares)
     support.sum(shares)
     values, probability = (np.empty((height, width), np.float32) for _ in range(2))
-    _take_largest(maps, odds, shares, values, probability)
+    _take_largest(maps, odds, shares, np.float32(agreeing), values, probability)
     return values, probability
 
 
@@ -341,17 +346,33 @@ def _softmax(log_odds, shares):
                 cells[n] = cells[n] / total + NO_VOTE
 
 
+@jit
+def _agreement(first, second, reach):
+    apart = abs(first - second)
+    return np.float32(1) - apart / reach if apart < reach else np.float32(0)
+
+
 @parallel_jit
-def _take_largest(maps, log_odds, shares, values, probability):
+def _take_largest(maps, log_odds, shares, reach, values, probability):
     count, height, width = maps.shape
-    one = np.float32(1)
+    one, half = np.float32(1), np.float32(0.5)
     for y in prange(height):
         for x in range(width):
-            best = 0
-            for n in range(1, count):
-                if shares[y, x, n] > shares[y, x, best]:
-                    best = n
-            values[y, x] = maps[best, y, x]
+            best, largest = 0, np.float32(-1)
+            for n in range(count):
+                score = shares[y, x, n]
+                for m in range(count):
+                    if m != n:
+                        score += half * shares[y, x, m] * _agreement(maps[m, y, x], maps[n, y, x], reach)
+                if score > largest:
+                    best, largest = n, score
+            chosen, weights, change = maps[best, y, x], shares[y, x, best], np.float32(0)
+            for m in range(count):
+                if m != best:
+                    weight = shares[y, x, m] * _agreement(maps[m, y, x], chosen, reach)
+                    weights += weight
+                    change += weight * (maps[m, y, x] - chosen)
+            values[y, x] = chosen + change / weights
             odds = log_odds[best, y, x]
             e = exp_minus(abs(odds))
             probability[y, x] = one / (one + e) if odds > 0 else e / (one + e)
