@@ -69,10 +69,10 @@ class Ranges(ConfigModel):
         if matches is not None and 0 < self.neighbors <= len(matches):
             sizes, columns, rows = _place_sums(zones, count)
             index, squared = nearest_points(columns / sizes, rows / sizes, matches.x, matches.y, self.neighbors)
-            near = matches.disparity[index]
+            near = np.ascontiguousarray(matches.disparity[index].T)  # minima along a short last axis take long
             within = np.sqrt(squared[:, -1]) <= self.reach
-            low = np.where(within, np.minimum(low, near.min(axis=1)), low)
-            high = np.where(within, np.maximum(high, near.max(axis=1)), high)
+            low = np.where(within, np.minimum(low, near.min(axis=0)), low)
+            high = np.where(within, np.maximum(high, near.max(axis=0)), high)
         widening = self.margin * max_disparity
         limits = np.empty((count, 2), np.int32)
         limits[:, 0] = np.clip(np.floor(np.where(np.isinf(low), 0, low - widening)), 0, max_disparity)
