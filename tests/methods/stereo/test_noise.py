@@ -101,7 +101,7 @@ def test_whitening_leaves_noise_that_neighbors_do_not_share():
     assert shared[0] > 0.4 and abs(shared[1]) < 0.2
     assert noise.whitening([one[:20] for one in levels]) is None
     assert noise.whitening([np.full((64, 64), 7, np.float32)]) is None
-    assert noise.whitening([np.rint(40 + 10 * texture + grain).astype(np.float32)]) is None
+    assert noise.whitening([np.rint(80 + 20 * texture + grain).astype(np.float32)]) is None
 
 
 @pytest.mark.parametrize(("name", "ratio"), [("fast", 0.8), ("accurate", 0.75)])
