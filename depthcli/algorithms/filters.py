@@ -63,9 +63,10 @@ def _mirrored(at, size):
 
 
 @jit
-def _add(row, sums):
-    for x in range(row.size):
-        sums[x] += row[x]
+def add(row, sums):
+    """Add to every one of the flat ``sums`` the element of ``row`` at its place; ``row`` may be longer."""
+    for i in range(sums.size):
+        sums[i] += row[i]
 
 
 @parallel_jit
@@ -78,15 +79,15 @@ def _average(planes, side, out):
         sums, total = np.zeros(width + 2 * reach), np.empty(width)
         columns = sums[reach : reach + width]
         for v in range(top - reach, top + reach):
-            _add(planes[n, _mirrored(v, height)], columns)
+            add(planes[n, _mirrored(v, height)], columns)
         for y in range(top, min(top + _BAND, height)):
-            _add(planes[n, _mirrored(y + reach, height)], columns)
+            add(planes[n, _mirrored(y + reach, height)], columns)
             for k in range(reach):
                 sums[k] = columns[_mirrored(k - reach, width)]
                 sums[reach + width + k] = columns[_mirrored(width + k, width)]
             total[:] = sums[:width]
             for k in range(1, side):
-                _add(sums[k : k + width], total)
+                add(sums[k : k + width], total)
             row, old = out[n, y], planes[n, _mirrored(y - reach, height)]
             for x in range(width):
                 row[x] = total[x] * share

@@ -323,7 +323,8 @@ def compute_on_this_machine(
         return compute_in_processes(tasks, replace(work, how=divided), reporter, jobs)
 
     jobs, n_scenes = min(how.jobs or 1, len(scenes)), len(scenes)
-    if how.jobs is None and n_scenes >= _MIN_SCENES and _may_fork():
+    is_free = how.jobs is None and cache_folder() is not None  # where kernels are not kept, each would compile its own
+    if is_free and n_scenes >= _MIN_SCENES and _may_fork():
         jobs = n_processes(how, n_scenes, 1.0, 1.0, need, start=0.0)
     if jobs > 1:
         yield from in_processes(jobs, n_scenes)
@@ -337,9 +338,8 @@ def compute_on_this_machine(
             took = time.perf_counter() - begun, time.process_time() - begun_busy
             report_compilation(reporter, kernels, seconds)
             yield row
-            # The first scene loads or compiles kernels; any may have waited for the disk. Where kernels cannot be kept,
-            # each process would compile its own.
-            if how.jobs is None and number > 1 and cache_folder() is not None:
+            # The first scene loads or compiles kernels; any may have waited for the disk.
+            if is_free and number > 1:
                 jobs = n_processes(how, n_scenes - number, *min(took, last), need)
                 if jobs > 1:
                     break

@@ -14,8 +14,6 @@ from depthcli.algorithms.regions import RegionPixels
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, n_threads, parallel_jit, prange
 
-TASKS = 64
-"""Parts of the work on all segments, of every 64th one: some rows have larger segments than others."""
 # Choices of this program; nothing in the repository varies them.
 _SAMPLED_PIXELS = 2000  # RANSAC planes of larger segments are judged by about so many pixels
 _MIN_CROSS = 0.5  # three pixels that span less than this many square pixels determine no plane

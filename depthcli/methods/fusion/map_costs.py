@@ -98,6 +98,16 @@ def nearest_matches(row):
 
 
 @jit
+def match_in_right(x, value, right):
+    """Return the column of pixel ``x``'s match, below 0 outside, and by how much it is nearer than ``right`` there.
+
+    ``right`` are the disparities of a row of the right view.
+    """
+    u = int(np.floor(np.float32(x) - value + np.float32(0.5)))
+    return u, value - np.float32(right[max(u, 0)])
+
+
+@jit
 def warped_right(x, value, image, other, grey):
     """Return the right view's grey level at the match of pixel ``x``, and the largest channel difference to it.
 
@@ -152,12 +162,8 @@ def _contradict(maps, right, hidden, out):
         for k in range(count):
             row = maps[k, y]
             for x in range(width):
-                u = int(np.floor(np.float32(x) - row[x] + np.float32(0.5)))
-                if u < 0:
-                    out[k, y, x] = hidden
-                    continue
-                nearer = row[x] - np.float32(right[y, u])
-                out[k, y, x] = hidden if nearer < -one else min(max(nearer - one, zero), one)
+                u, nearer = match_in_right(x, row[x], right[y])
+                out[k, y, x] = hidden if u < 0 or nearer < -one else min(max(nearer - one, zero), one)
 
 
 @parallel_jit

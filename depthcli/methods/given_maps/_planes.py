@@ -17,7 +17,7 @@ from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import winners
-from depthcli.methods.fusion.map_costs import cost_between, disagreements, nearest_matches, warped_right
+from depthcli.methods.fusion.map_costs import cost_between, disagreements, match_in_right, nearest_matches, warped_right
 from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, PairSupports
 from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.cost.census import Census
@@ -300,10 +300,9 @@ def _compare(
             )
             to_winner = min(abs(value - winner), far)
             column = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
-            u = int(np.floor(np.float32(x) - value + half))
+            u, there = match_in_right(x, value, right[y])
             contradiction, hidden, difference, covered, right_far = zero, zero, np.float32(-6), zero, far
             if u >= 0:
-                there = value - np.float32(right[y, u])
                 difference = min(max(there, np.float32(-5)), np.float32(5))
                 right_far = min(abs(there), far)
                 covered = min(nearest[u] - value, np.float32(6))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from depthcli.algorithms.filters import add
 from depthcli.kernels.exponential import attainable_likelihood, likelihood, peak_ratio
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
@@ -42,16 +43,10 @@ def _differences(fixed, warped, small_values, row):
 
 
 @jit
-def _add(row, out):
-    for i in range(out.size):
-        out[i] += row[i]
-
-
-@jit
 def _window_rows(differences, last, total):
     # Add the last + 1 values from each place on, to as many sums.
     n = total.size
-    _add(differences, total)
+    add(differences, total)
     j = 1
     while j + 1 <= last:
         one, other = differences[j : j + n], differences[j + 1 : j + 1 + n]
@@ -59,7 +54,7 @@ def _window_rows(differences, last, total):
             total[i] += one[i] + other[i]
         j += 2
     if j <= last:
-        _add(differences[j:], total)
+        add(differences[j:], total)
 
 
 @jit
@@ -96,11 +91,11 @@ def _tile_costs(
                 _window_rows(row, last, total)
             running[:] = 0
             for y in range(2 * hy + 1 - sy):
-                _add(total[y * pitch : y * pitch + width], running)
+                add(total[y * pitch : y * pitch + width], running)
             for y in range(ty):
                 for step in range(min(sy, 2 * hy + 1)):
                     first = (sy * y + 2 * hy - step) * pitch
-                    _add(total[first : first + width], running)
+                    add(total[first : first + width], running)
                 kept, volume = layers[z % nz, y], volumes[y]
                 if z >= nz:
                     for i in range(width):
@@ -205,14 +200,14 @@ def _likelihoods(costs, offsets, lengths, power, costly, rows, out):
         if costly:
             for i in range(n):
                 e[i] = attainable_likelihood(t[i])
-            _add(e, hard)
+            add(e, hard)
         for i in range(n):
             t[i] = likelihood(t[i])
         for i in range(n):
             soft[i] += t[i]
             t[i] = max(t[i], tiny)
         _raise(t, power, e)
-        _add(e, weight)
+        add(e, weight)
         _add_scaled(e, lengths[k], out[0])
         _add_scaled(e, lengths[k] * lengths[k], out[1])
         for axis in range(3):

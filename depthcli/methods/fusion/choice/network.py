@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr
 
-from depthcli.algorithms.filters import CORRELATED, correlation, local_moments, window_means
+from depthcli.algorithms.filters import CORRELATED, add, correlation, local_moments, window_means
 from depthcli.algorithms.pixel_network import (
     CHUNK,
     TILE,
@@ -28,7 +28,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import WIDE, absolute_difference, load_like, minimum, splat_like, store, wide_zero
 from depthcli.methods.fusion import map_costs as costs_of
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
-from depthcli.methods.fusion.map_costs import cost_between, nearest_matches, warped_right
+from depthcli.methods.fusion.map_costs import cost_between, match_in_right, nearest_matches, warped_right
 from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, Support
 
 MAX_MAPS = BLOCK_DEPTH
@@ -156,7 +156,7 @@ def _compare_views(
     excess, difference, column, occlusion, color,
 ):  # fmt: skip
     count, height, width = maps.shape
-    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    zero, one = np.float32(0), np.float32(1)
     for y in prange(height):
         along = np.empty(width, np.float32)
         for x in range(width):
@@ -170,8 +170,7 @@ def _compare_views(
                 outside = min(int(value), costs.shape[2] - 1) > x
                 uncut[n, y, x] = _MAX_COST if outside else min(along[x] * unit, _MAX_COST)
                 column[n, y, x] = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
-                u = int(np.floor(np.float32(x) - value + half))
-                nearer = value - np.float32(right[y, max(u, 0)])
+                u, nearer = match_in_right(x, value, right[y])
                 hidden[n, y, x] = one if u < 0 or nearer < -one else zero
                 contradiction[n, y, x] = zero if u < 0 else min(max(nearer - one, zero), one)
                 difference[n, y, x] = np.float32(-6) if u < 0 else min(max(nearer, np.float32(-5)), np.float32(5))
@@ -194,13 +193,13 @@ def _misfits(maps, slope_x, slope_y, out):
             row, total = maps[n, y], out[n, y]
             total[:] = 0
             _misfit_of_neighbors(row[:-1], row[1:], slope_x[n, y, :-1], slope_x[n, y, 1:], misfit)
-            _add(misfit[: width - 1], total[1:])
-            _add(misfit[: width - 1], total[:-1])
+            add(misfit, total[1:])
+            add(misfit, total[:-1])
             for first in (y - 1, y):
                 if 0 <= first < height - 1:
                     second, upper, lower = first + 1, slope_y[n, first], slope_y[n, first + 1]
                     _misfit_of_neighbors(maps[n, first], maps[n, second], upper, lower, misfit)
-                    _add(misfit, total)
+                    add(misfit, total)
 
 
 @jit
@@ -209,12 +208,6 @@ def _misfit_of_neighbors(here, there, slope_here, slope_there, out):
     for x in range(here.size):
         step = there[x] - here[x]
         out[x] = min(half * (abs(step - slope_here[x]) + abs(step - slope_there[x])), _MAX_MISFIT)
-
-
-@jit
-def _add(values, total):
-    for x in range(values.size):
-        total[x] += values[x]
 
 
 class NetworkChoice(ChoiceMethod):

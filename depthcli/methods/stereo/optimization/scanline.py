@@ -108,8 +108,8 @@ def _sweep_both(costs, total, edges, table, diagonal, state, minima, rows, colum
                 begun += 1
             for task in prange(2 * (begun - ended)):
                 k, band = np.int64(task) % 2, ended + np.int64(task) // 2
-                start = (height - middle if k else middle) if half else 0
-                end = height if half else (height - middle if k else middle)
+                meeting = height - middle if k else middle
+                start, end = (meeting, height) if half else (0, meeting)
                 first = start + band * rows
                 tile = start + (turn - band) * columns
                 _sweep(

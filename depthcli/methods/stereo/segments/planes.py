@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from depthcli.algorithms.graph_cut import alpha_expansion, potts_energy
-from depthcli.algorithms.plane_fitting.segment_planes import TASKS, SegmentPlaneFit, SegmentPlanes
+from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
 from depthcli.algorithms.regions import RegionGraph, RegionPixels, joined_regions
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
@@ -18,6 +18,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.segments.first_estimate import SegmentedImage
 from depthcli.methods.stereo.volume import CostVolume
 
+_TASKS = 64  # parts of the work on all segments, of every 64th one: some rows have larger segments than others
 _MIN_GROUP_SIZE = 30  # trusted pixels of connected segments that a plane is fitted to again; choice of this program
 
 
@@ -164,8 +165,8 @@ def discrepancy(unary, values, order, starts, coefficients, weight, truncation):
     ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m pixels, n of which have the plane's disparity (to
     the nearest pixel). In a segment without pixels every plane costs 0. Differences above ``truncation`` count as it.
     """
-    for task in prange(TASKS):
-        for t in range(np.int64(task), unary.shape[0], TASKS):
+    for task in prange(_TASKS):
+        for t in range(np.int64(task), unary.shape[0], _TASKS):
             pixels = order[starts[t] : starts[t + 1]]
             m = pixels.size
             if m == 0:
@@ -193,8 +194,8 @@ def discrepancy(unary, values, order, starts, coefficients, weight, truncation):
 def matching_cost(unary, costs, order, starts, coefficients, weight):
     """Add the (H, W, D) matching costs of trusted pixels at every plane's disparity, rounded and limited, weighted."""
     _, width, n_disparities = costs.shape
-    for task in prange(TASKS):
-        for t in range(np.int64(task), unary.shape[0], TASKS):
+    for task in prange(_TASKS):
+        for t in range(np.int64(task), unary.shape[0], _TASKS):
             total = np.zeros(coefficients.shape[0])
             for i in range(starts[t], starts[t + 1]):
                 x = order[i] % width
@@ -222,9 +223,9 @@ def visibility(unary, right, order, starts, coefficients, weight):
     for y in prange(height):
         for x in range(width):
             limits[y, x + 1] = np.float32(right[y, x]) + np.float32(1)
-    for task in prange(TASKS):
+    for task in prange(_TASKS):
         count = np.empty(a.size, np.int32)
-        for t in range(np.int64(task), unary.shape[0], TASKS):
+        for t in range(np.int64(task), unary.shape[0], _TASKS):
             count[:] = 0
             for i in range(starts[t], starts[t + 1]):
                 px, py = float(order[i] % width), float(order[i] // width)
@@ -245,9 +246,9 @@ def out_of_range(width, order, starts, coefficients, max_disparity):
     near_lowest, near_highest = np.float32(-0.99), np.float32(max_disparity + 0.99)
     planes = coefficients.astype(np.float32)
     a, b, c = planes[:, 0].copy(), planes[:, 1].copy(), planes[:, 2].copy()
-    for task in prange(TASKS):
+    for task in prange(_TASKS):
         leaves = np.empty(a.size, np.uint8)
-        for t in range(np.int64(task), unary.shape[0], TASKS):
+        for t in range(np.int64(task), unary.shape[0], _TASKS):
             x, y = _coordinates(order[starts[t] : starts[t + 1]], width)
             x0, x1 = np.float32(width), np.float32(0)
             for i in range(x.size):
