@@ -9,6 +9,7 @@ import numpy as np
 
 from depthcli.api.results import Disparity
 from depthcli.core.bound import Bound
+from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
@@ -24,10 +25,10 @@ def networks() -> Networks:
     return Networks(right, hidden, one_view, read_errors("map_errors"), read_errors("map_errors_one_view"))
 
 
-def with_bound(found: Disparity, pair: StereoPair, promise: Bound, memory: int) -> Disparity:
+def with_bound(found: Disparity, pair: StereoPair, promise: Bound, context: Context) -> Disparity:
     """Return the map of a pair with its ``bound`` and ``probability``, which cost somewhat more than ``stereo fast``.
 
-    InputError where ``memory`` bytes do not suffice.
+    InputError where the memory does not suffice.
     """
     search, clock = found.search, Clock()
     clock.start("bound")
@@ -38,8 +39,8 @@ def with_bound(found: Disparity, pair: StereoPair, promise: Bound, memory: int) 
     values[:, : width - first] = found.values[:, first:] - np.float32(search.min_disparity)
     filled[:, : width - first] = (found.status[:, first:] & np.uint8(Status.FILLED)) > 0
     size = f"a bound of {shifted.shape[1]} x {shifted.shape[0]} pixels, {top + 1} disparities"
-    check_memory(peak_bytes(shifted.shape, top, 1), memory, size)
-    probable, bounded = bounds(networks(), shifted, values, filled, top, promise.within, promise.level)
+    check_memory(peak_bytes(shifted.shape, top, 1), context.memory, size)
+    probable, bounded = bounds(networks(), shifted, values, filled, top, promise.within, promise.level, context)
     known = np.isfinite(found.values)
     # A value without a match may be any of the range.
     bound = np.where(known, np.float32(max(top, 1)), np.float32(np.nan))

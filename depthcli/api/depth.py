@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.depth_bounds import depth_bounds
-from depthcli.api.inputs import Overrides, as_depth, as_image, as_map, computing, load_config
+from depthcli.api.inputs import Overrides, as_depth, as_image, as_map, load_config
 from depthcli.api.results import PointCloud, Shown
 from depthcli.api.saving import Pixels, chosen_pixels, made, write_depth, write_details
 from depthcli.core.bound import DepthBound
@@ -30,6 +30,7 @@ from depthcli.io.formats.depth import MILLIMETERS, beyond_png, sensor_warning
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings, naming
 from depthcli.io.formats.plain_text import numbers
+from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import frame_by_frame
 from depthcli.methods.transparent.config import TransparentConfig
@@ -184,7 +185,7 @@ def refine_depth(
             frame = RgbdFrame(image, found.depth, fb or sensor_fb(camera), camera, found.interpolated)
         if np.asarray(one_depth).dtype.kind != "f" and (text := sensor_warning(f"{where}depth", frame.depth, scale)):
             lines.append(text)
-        with computing():
+        with one_at_a_time():
             result = refined_frame(config, frame, refine, Clock(), scale)
         refined.append(replace(result, warnings=(*lines, *result.warnings)))
     return refined[0] if single else refined
@@ -271,7 +272,7 @@ def complete_transparent(
         if rig is None and grey.shape != measured.shape:
             raise InputError("infrared: a rectified pair has one size")
         frame = RgbIrFrame(image, grey, measured, rig, fb or 1.0)
-    with computing():
+    with one_at_a_time():
         completed = completed_frame(config, frame, Clock(), scale, available_memory())[1]
     return replace(completed, warnings=(*lines, *completed.warnings))
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -15,12 +14,10 @@ from pydantic import BaseModel
 from depthcli.core import config_file
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
-from depthcli.core.result import Clock
 from depthcli.core.root_config import RootConfig
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.depth import meters
 from depthcli.io.formats.images import pair_of
-from depthcli.kernels.jit import compile_seconds, one_at_a_time
 from depthcli.run.presets import find_config, find_preset
 
 ModelT = TypeVar("ModelT", bound=RootConfig)
@@ -71,14 +68,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     return value.tolist() if hasattr(value, "tolist") else value  # numbers and arrays of numpy
-
-
-@contextlib.contextmanager
-def computing() -> Iterator[None]:
-    """Keep the compilation of kernels out of measured times, and threads apart where kernels need that."""
-    Clock.untimed = staticmethod(compile_seconds)
-    with one_at_a_time():
-        yield
 
 
 def as_image(array: ArrayLike, name: str) -> Image:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.bounds import networks
-from depthcli.api.inputs import as_image, as_map, as_pair, computing
+from depthcli.api.inputs import as_image, as_map, as_pair
 from depthcli.api.results import Disparity
 from depthcli.api.saving import made, write_details, write_disparity
 from depthcli.core.bound import Bound
@@ -23,6 +23,7 @@ from depthcli.core.result import Result
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.pictures import preview
+from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.given_maps import MEASURES, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
@@ -132,7 +133,7 @@ def map_confidence(
     shape = (images.shape[0], images.shape[1])
     maps = {name: as_map(one, name, shape) for name, one in given.items()}
     other = None if right_disparity is None else as_map(right_disparity, "right_disparity", shape)
-    with computing():
+    with one_at_a_time():
         promise = _promise(level, within)
         return judged(images, maps, max_disparity, promise, measures_named(measures), other, available_memory())
 
@@ -174,7 +175,7 @@ def fuse_maps(
     """
     pair = as_pair(left, right)
     arrays = {f"maps[{k}]": as_map(one, f"maps[{k}]", pair.shape) for k, one in enumerate(maps)}
-    with computing():
+    with one_at_a_time():
         promise = _promise(level, within)
         return fused(pair, arrays, max_disparity, promise, surfaces, available_memory(), bound=bound)
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from depthcli import device
 from depthcli.api.results import Disparity
+from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
 from depthcli.methods.stereo.config import PairConfig, StereoConfig
@@ -34,7 +34,7 @@ def match_pair(
     pair: StereoPair,
     ends: tuple[int | str, int | str | None],
     limits: Limits,
-    clock: Clock,
+    context: Context,
     known: MatchedRange | None = None,
 ) -> Disparity:
     """Return the map of a pair; InputError where the range is empty, too few pixels match, or memory is short.
@@ -42,16 +42,17 @@ def match_pair(
     Parameters
     ----------
     ends : of the search range, pixels or "auto"; the upper one None: as the pair itself suggests
-    clock : books ``range``, where the range is found, the stages of the method, and ``other``
+    context : its clock books ``range``, where the range is found, the stages of the method, and ``other``
     known : the range of the pair's sequence; None: that of the pair itself, where it is wanted
     """
+    clock = context.clock
     if known is None and (ends[1] is None or "auto" in ends):
         clock.start("range")
     search, key_points = complete_range(*ends, pair, known)
     clock.start("other")
     widest, given = max(pair.shape[1] - 1, search.min_disparity + 1), search.max_disparity
     search = SearchRange(search.min_disparity, min(given, widest))
-    matched = match(matcher, search.shift(pair), search.shifted_max_disparity, limits)
+    matched = match(matcher, search.shift(pair), search.shifted_max_disparity, limits, context)
     result = search.restore(matched, pair.shape[1])
     clock.include(result.seconds)
     found, seconds = result.disparity, dict(clock.seconds)

@@ -16,7 +16,7 @@ from scipy import ndimage
 from depthcli.algorithms.body import body_of_volume
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.resampling import block_means, trilinear
-from depthcli.api.inputs import Overrides, as_volume, computing, load_config
+from depthcli.api.inputs import Overrides, as_volume, load_config
 from depthcli.api.registration_preview import registration_preview
 from depthcli.api.saving import made
 from depthcli.core.bound import VolumeBound
@@ -28,6 +28,7 @@ from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.networks import read_errors
 from depthcli.io.formats.volumes import simple_itk, write_volume
 from depthcli.io.volume_pairs import LoadedPair, blocks_of, joined, usable
+from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
 from depthcli.run.json_csv import to_csv
@@ -217,7 +218,7 @@ def registration_confidence(
     blocks = blocks_of(grid, config.pipeline.voxel_limit)
     first, second = (block_means(usable(v, inside, n), blocks) for v, n in ((first, "fixed"), (second, "warped")))
     loaded = joined(first, second, inside, grid, blocks)
-    with computing():
+    with one_at_a_time():
         return measured_pair(config, loaded, clock, available_memory())
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.rig import RectifiedRig, Rig
+from depthcli.core.context import Latest
 from depthcli.io.formats import calibrations
 from depthcli.io.formats.files import file_states
 from depthcli.methods.stereo.config import Calibration
@@ -20,17 +20,11 @@ def read_rig(calibration: Calibration) -> Rig:
     return calibrations.read_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
 
 
-def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[Any]) -> RectifiedRig:
+def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[Any], latest: Latest) -> RectifiedRig:
     """Return how images of these sizes are rectified; InputError where the calibration is not theirs.
 
-    The latest one is kept, with its maps, for the following images of the same sizes, until the files change.
+    ``latest`` keeps it, with its maps, for the following images of the same sizes, until the files change.
     """
     sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
-    return _rectified_rig(calibration, file_states(*map(Path, calibration.files)), *sizes)
-
-
-@lru_cache(maxsize=1)  # of 12 megapixels the maps take 190 MB
-def _rectified_rig(
-    calibration: Calibration, files: object, size: tuple[int, int], right_size: tuple[int, int]
-) -> RectifiedRig:
-    return read_rig(calibration).rectified(size, right_size, calibration.alpha)
+    key = calibration, file_states(*map(Path, calibration.files)), sizes
+    return latest.get("rig", key, lambda: read_rig(calibration).rectified(*sizes, calibration.alpha))

@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from depthcli.api.bounds import with_bound
-from depthcli.api.inputs import Overrides, as_image, computing, load_config, paired
+from depthcli.api.inputs import Overrides, as_image, load_config, paired
 from depthcli.api.matching import device_of, limits_of, match_pair, with_address, with_opened_networks
 from depthcli.api.results import Disparity
 from depthcli.api.rigs import rectified_rig
+from depthcli.core.context import Context, Latest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.result import Clock
 from depthcli.io.formats.networks import network_path, read_network
+from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.command import Program
@@ -106,7 +107,7 @@ class Matcher:
     """Matches many pairs by one config: what :func:`matcher` returns. It may be called from several threads."""
 
     def __init__(self, config: StereoConfig | FuseConfig, volumes: Mapping[str, ArrayLike] | None = None) -> None:
-        self.config = config
+        self.config, self._latest = config, Latest()
         self._method: PairMatcher = config.pipeline if isinstance(config, StereoConfig) else config
         if isinstance(config, FuseConfig) and config.volumes:
             given = {name: np.asarray(volume) for name, volume in (volumes or {}).items()}
@@ -121,7 +122,7 @@ class Matcher:
         """Return the map of a pair, which is given as for :func:`stereo`, with the same result and errors."""
         views, geometry = (as_image(left, "left"), as_image(right, "right")), None
         if self.config.calibration is not None:
-            rig = rectified_rig(self.config.calibration, *views)
+            rig = rectified_rig(self.config.calibration, *views, self._latest)
             views, geometry = rig.images(*views)[:2], rig.geometry
         pair, top = paired(*views, left), self.config.max_disparity
         ends = self.config.min_disparity or 0, "auto" if top is None else top
@@ -132,11 +133,12 @@ class Matcher:
         return replace(found, warnings=(*found.warnings, text))
 
     def _match(self, pair: StereoPair, ends: tuple[int | str, int | str]) -> Disparity:
-        with self._turn, computing():
+        with self._turn, one_at_a_time():
             limits = limits_of(self.config, available_memory(), self._device)
-            found = match_pair(self._method, pair, ends, limits, Clock())
+            context = Context(limits.memory)
+            found = match_pair(self._method, pair, ends, limits, context)
             bound = self.config.bound
-            return found if bound is None else with_bound(found, pair, bound, limits.memory)
+            return found if bound is None else with_bound(found, pair, bound, context)
 
     def load_kernels(self) -> None:
         """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""

@@ -12,9 +12,9 @@ from depthcli.commands._options import NOWHERE, RunOptions, SceneOptions
 from depthcli.commands._shared_options import TableOptions
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import InputError
+from depthcli.core.memory import BASE_BYTES
 from depthcli.core.method import used_files
 from depthcli.core.root_config import RootConfig
-from depthcli.core.scene import BASE_BYTES
 from depthcli.core.text import one_line, show_bytes
 from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.pictures import write_legend

@@ -13,9 +13,9 @@ from depthcli.api.maps import judged, measures_named
 from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, PairOptions, ScoredRunOptions
 from depthcli.core.bound import Bound
+from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.maps import Status
-from depthcli.core.result import Clock
 from depthcli.io.formats.images import read_image
 from depthcli.io.scenes import MapsScene
 from depthcli.io.stereo_pairs import load_pair
@@ -62,9 +62,9 @@ class Confidence(GivenMaps):
     command = "confidence"
     columns = (SIZE, *map(percent, ("density", "expected_right", "hidden")), number("median_bound", "{:.3g} px"))
 
-    def compute(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: MapsScene, folder: Path, context: Context) -> Outcome:
         """Load a pair and its maps, judge the first, save it with its confidence."""
-        config, clock = self.config, Clock()
+        config, clock = self.config, context.clock
         clock.start("load")
         if scene.right is None and len(scene.maps) > 1:
             raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
@@ -74,7 +74,7 @@ class Confidence(GivenMaps):
         right = None if scene.right is None or scene.right_map is None else loaded(scene.right_map, shape)
         clock.start("other")
         top = self.max_disparity(scene)
-        found = judged(images, maps, top, Bound(**config["bound"]), config["measures"], right, memory)
+        found = judged(images, maps, top, Bound(**config["bound"]), config["measures"], right, context.memory)
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder, config["keep"], config["threshold"])

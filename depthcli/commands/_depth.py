@@ -18,10 +18,10 @@ from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
 from depthcli.commands._scenes import scenes_at
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
+from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import color8
 from depthcli.core.maps import DisparityMap, MatchedMap
-from depthcli.core.result import Clock
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
 from depthcli.io.formats.disparity import read_disparity, read_pfm
@@ -82,9 +82,9 @@ class ToDepth(Batch[DisparityScene]):
         if self.config["focal"] is None:
             self._geometry(scene, (1, 1))
 
-    def compute(self, scene: DisparityScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: DisparityScene, folder: Path, context: Context) -> Outcome:
         """Load a map with what belongs to it, choose pixels, compute their depth, save it and the cloud."""
-        config, clock = self.config, Clock()
+        config, clock = self.config, context.clock
         clock.start("load")
         scene.check()
         disparity = read_disparity(scene.disparity)

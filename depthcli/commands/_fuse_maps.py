@@ -11,8 +11,8 @@ from depthcli.api.maps import fused
 from depthcli.commands._given_maps import GivenMaps, find_maps, largest, loaded
 from depthcli.commands._options import CodingOptions, RangeOptions, RunOptions
 from depthcli.core.bound import Bound
+from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError
-from depthcli.core.result import Clock
 from depthcli.io.formats.pictures import read_status
 from depthcli.io.scenes import MapsScene, check_same_size
 from depthcli.io.stereo_pairs import load_pair
@@ -56,9 +56,9 @@ class FuseMaps(GivenMaps):
         number("median_bound", "{:.3g} px"),
     )
 
-    def compute(self, scene: MapsScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: MapsScene, folder: Path, context: Context) -> Outcome:
         """Load a pair and its maps, fuse them, save."""
-        clock = Clock()
+        clock = context.clock
         clock.start("load")
         pair = load_pair(scene)
         maps = {one.run: loaded(one, pair.shape) for one in scene.maps}
@@ -68,7 +68,9 @@ class FuseMaps(GivenMaps):
         clock.start("other")
         config = self.config
         promise, bound = Bound(**(config["bound"] or {"within": config["within"]})), config["bound"] is not None
-        found = fused(pair, maps, self.max_disparity(scene), promise, config["surfaces"], memory, status, bound=bound)
+        found = fused(
+            pair, maps, self.max_disparity(scene), promise, config["surfaces"], context.memory, status, bound=bound
+        )
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder)

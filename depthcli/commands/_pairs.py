@@ -16,11 +16,10 @@ from depthcli.api.rigs import read_rig
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import SceneOptions
 from depthcli.commands._rectified_pairs import calibration_files, check_unit, rectified_pair, sequence_range
+from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError
 from depthcli.core.maps import Status
 from depthcli.core.method import parts_of
-from depthcli.core.result import Clock
-from depthcli.core.scene import current_scene
 from depthcli.device import Device
 from depthcli.io.formats.images import image_size
 from depthcli.io.formats.pictures import STATUS_PALETTE
@@ -147,35 +146,35 @@ class MatchPairs(Batch[StereoScene]):
             return ()
         return scene.sequence if config.calibration is not None or scene.frame_number is not None else ()
 
-    def compute(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: StereoScene, folder: Path, context: Context) -> Outcome:
         """Match one pair: load or rectify, search range, match, save.
 
         Raises
         ------
         InputError
-            The images cannot be used, too few pixels match for the range, or ``memory`` is too little.
+            The images cannot be used, too few pixels match for the range, or the memory is too little.
         """
-        config, clock, facts, warnings = self.config, Clock(), dict[str, Any](), list[str]()
-        matcher, limits = self.matcher(scene), limits_of(config, memory, self.device())
+        config, clock, facts, warnings = self.config, context.clock, dict[str, Any](), list[str]()
+        matcher, limits = self.matcher(scene), limits_of(config, context.memory, self.device())
         known = saved = None
         if frames := self.range_frames(scene):
             clock.start("range")
-            known = sequence_range(config.calibration, frames)
+            known = sequence_range(config.calibration, frames, context.latest)
         with ThreadPoolExecutor(1) as side_work:  # which starts no thread before it has work
             if config.calibration is None:
                 clock.start("load")
                 pair = load_pair(scene)
                 if scene.right is not None and scene.frame_number is None:
-                    current_scene().originals = pair, (scene.left, scene.right)
+                    context.originals = pair, (scene.left, scene.right)
             else:
                 clock.start("rectify")
-                rectified = rectified_pair(config.calibration, scene)
+                rectified = rectified_pair(config.calibration, scene, context.latest)
                 pair, facts, warnings = rectified.pair, rectified.facts, rectified.warnings
                 saved = side_work.submit(rectified.save, folder)  # while the pair is matched
-            found = match_pair(matcher, pair, self.given_range(scene), limits, clock, known)
+            found = match_pair(matcher, pair, self.given_range(scene), limits, context, known)
         if config.bound is not None:
             clock.start("bound")
-            found = with_bound(found, pair, config.bound, memory)
+            found = with_bound(found, pair, config.bound, context)
         if saved is not None:
             saved.result()
         clock.start("save")

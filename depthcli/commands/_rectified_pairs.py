@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from depthcli.api.rigs import rectified_rig
 from depthcli.core.cameras.rig import RectifiedRig
+from depthcli.core.context import Latest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.io.formats.calibrations import UNITS, write_geometry
@@ -55,10 +55,10 @@ class RectifiedPair(NamedTuple):
         write_geometry(folder / "calib.txt", self.rig.geometry)
 
 
-def rectified_pair(calibration: Calibration, scene: StereoScene) -> RectifiedPair:
+def rectified_pair(calibration: Calibration, scene: StereoScene, latest: Latest) -> RectifiedPair:
     """Return the rectified pair; rows are compared but in later frames of a sequence, which have the same cameras."""
     left, right = load_views(scene)
-    rig = rectified_rig(calibration, left, right)
+    rig = rectified_rig(calibration, left, right, latest)
     pair, view = _pair_of(rig, scene, left, right)
     facts, warnings = Row(), list[str]()
     if scene.is_first:
@@ -70,20 +70,22 @@ def rectified_pair(calibration: Calibration, scene: StereoScene) -> RectifiedPai
     return RectifiedPair(pair, view, rig, facts, warnings)
 
 
-def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene]) -> MatchedRange | None:
+def sequence_range(
+    calibration: Calibration | None, frames: Sequence[StereoScene], latest: Latest
+) -> MatchedRange | None:
     """Return the search range that frames of a sequence give together; None where too few pixels match in all.
 
-    The latest one is kept for the other frames of the sequence, until the files change. Frames in which too few
+    ``latest`` keeps it for the other frames of the sequence, until the files change. Frames in which too few
     pixels match, or which cannot be read, do not count. Without a calibration the frames are rectified.
     """
     files = {file for frame in frames for file in frame.input_files.values()}
     files |= set(calibration_files(calibration).values())
-    return _sequence_range(calibration, tuple(frames), file_states(*sorted(files)))
+    key = calibration, tuple(frames), file_states(*sorted(files))
+    return latest.get("range", key, lambda: _sequence_range(calibration, frames, latest))
 
 
-@lru_cache(maxsize=1)
 def _sequence_range(
-    calibration: Calibration | None, frames: tuple[StereoScene, ...], files: object
+    calibration: Calibration | None, frames: Sequence[StereoScene], latest: Latest
 ) -> MatchedRange | None:
     found: MatchedRange | None = None
     for frame in frames:
@@ -92,7 +94,7 @@ def _sequence_range(
                 pair = load_pair(frame)
             else:
                 views = load_views(frame)
-                pair, _ = _pair_of(rectified_rig(calibration, *views), frame, *views)
+                pair, _ = _pair_of(rectified_rig(calibration, *views, latest), frame, *views)
             one = matched_range(pair)
         except InputError:  # where no frame has a range, every one is on its own
             continue

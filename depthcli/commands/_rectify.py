@@ -23,9 +23,9 @@ from depthcli.commands._rectified_pairs import (
 )
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.cameras.rig import RectifiedRig
+from depthcli.core.context import Context, Latest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.result import Clock
 from depthcli.io.formats.calibrations import write_geometry
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import write_png
@@ -86,12 +86,12 @@ class Rectify(Batch[StereoScene]):
         if self.calibration is not None:
             read_rig(self.calibration)
 
-    def compute(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: StereoScene, folder: Path, context: Context) -> Outcome:
         """Rectify the pair, and find its search range.
 
         Frames of a video that a calibration rectifies have one search range, and rows are compared in the first alone.
         """
-        clock = Clock()
+        clock = context.clock
         clock.start("load")
         left, right = load_views(scene)
         clock.start("key points")
@@ -100,7 +100,7 @@ class Rectify(Batch[StereoScene]):
         clock.start("warp")
         found: RectifiedRig | RectifyingHomographies
         if self.calibration is not None:
-            found = rectified_rig(self.calibration, left, right)
+            found = rectified_rig(self.calibration, left, right, context.latest)
         else:
             sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
             if sizes[0] != sizes[1]:
@@ -116,7 +116,7 @@ class Rectify(Batch[StereoScene]):
         clock.start("save")
         search: Row = {}
         try:
-            search = self._search_range(frames, views)
+            search = self._search_range(frames, views, context.latest)
         except InputError as error:
             warnings.append(str(error))
         facts: Row = {"width": found.size[0], "height": found.size[1], **rows}
@@ -132,11 +132,11 @@ class Rectify(Batch[StereoScene]):
         write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
         return Outcome(facts, clock.seconds, warnings)
 
-    def _search_range(self, frames: tuple[StereoScene, ...], views: list[NDArray[Any]]) -> Row:
+    def _search_range(self, frames: tuple[StereoScene, ...], views: list[NDArray[Any]], latest: Latest) -> Row:
         """Return the range of disparities that the frames together, or else the views, suggest."""
         alike = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
         pair = StereoPair(*(views if alike else map(grey8, views)))
-        shared = sequence_range(self.calibration, frames) if frames else None
+        shared = sequence_range(self.calibration, frames, latest) if frames else None
         span = (shared or matched_range(pair)).suggested
         return {"min_disparity": span.min_disparity, "max_disparity": span.max_disparity}
 

@@ -16,6 +16,7 @@ from depthcli.api.saving import check_limits, empty_cloud, parse_mask
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import DepthOptions, RunOptions, SceneOptions
 from depthcli.commands._scenes import camera_of, depth_settings, find_scenes, say_typical_cameras
+from depthcli.core.context import Context
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
@@ -95,10 +96,10 @@ class RefineKinect(Batch[FrameOrSequence]):
         first = scene.frames[0] if isinstance(scene, SequenceScene) else scene
         return self.config.peak_bytes(frame_size(first))
 
-    def compute(self, scene: FrameOrSequence, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: FrameOrSequence, folder: Path, context: Context) -> Outcome:
         """Refine a frame; or the frames of a sequence, each into a folder, with means of their facts."""
         if isinstance(scene, RgbdScene):
-            return self._frame(scene, folder, memory, lambda frame: self.config.pipeline(frame))
+            return self._frame(scene, folder, context, lambda frame: self.config.pipeline(frame))
         step = frame_by_frame(self.config.pipeline)
         outcomes: list[Outcome] = []
         problems = []
@@ -106,7 +107,7 @@ class RefineKinect(Batch[FrameOrSequence]):
             target = folder / frame.name.rpartition("/")[2]
             try:
                 target.mkdir()
-                outcomes.append(self._frame(frame, target, memory, step))
+                outcomes.append(self._frame(frame, target, context, step))
             except DepthcliError as error:  # the other frames are written; the state is kept across the gap
                 target.rmdir()
                 problems.append(f"{frame.name}: {error}")
@@ -124,7 +125,7 @@ class RefineKinect(Batch[FrameOrSequence]):
         return Outcome(facts, seconds, [*problems, *dict.fromkeys(warnings)])
 
     def _frame(
-        self, scene: RgbdScene, folder: Path, memory: int, refine: Callable[[RgbdFrame], DepthResult]
+        self, scene: RgbdScene, folder: Path, context: Context, refine: Callable[[RgbdFrame], DepthResult]
     ) -> Outcome:
         config, clock = self.config, Clock()
         clock.start("load")
@@ -133,7 +134,7 @@ class RefineKinect(Batch[FrameOrSequence]):
             scene = replace(scene, depth_scale=scale, intrinsics=intrinsics)
         frame = load_frame(scene)
         height, width = frame.shape
-        check_memory(config.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
+        check_memory(config.peak_bytes(frame.shape), context.memory, f"{width} x {height} pixels")
         found = refined_frame(config, frame, refine, clock, scene.depth_scale, 3 if scene.rotated else 0)
         clock.start("save")
         found.save(folder)

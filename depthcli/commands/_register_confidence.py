@@ -16,8 +16,8 @@ from depthcli.api.registration import beyond_search, measured_pair, peak_bytes
 from depthcli.commands._batch import config_of
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._scenes import find_scenes
+from depthcli.core.context import Context
 from depthcli.core.errors import InputError
-from depthcli.core.result import Clock
 from depthcli.io.formats.volumes import written_suffix
 from depthcli.io.layouts.registration import VOLUMES
 from depthcli.io.scenes import VolumePairScene
@@ -91,9 +91,9 @@ class RegisterConfidence(Batch[VolumePairScene]):
         """Return the names of the labels of label maps."""
         return {"labels": f"{scene.labels}"} if scene.labels else {}
 
-    def compute(self, scene: VolumePairScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: VolumePairScene, folder: Path, context: Context) -> Outcome:
         """Load the volumes, search around every voxel, save the maps and the figures of regions."""
-        config, clock = self.config, Clock()
+        config, clock = self.config, context.clock
         clock.start("load")
         loaded = load_volumes(scene, config.field, config.pipeline.voxel_limit)
         warnings, points = [scene.lacks_for_truth] if scene.lacks_for_truth else [], None
@@ -101,7 +101,7 @@ class RegisterConfidence(Batch[VolumePairScene]):
             points = landmarks(scene, loaded.grid)
         except InputError as problem:  # the maps do without
             warnings.append(f"{problem}; no points.csv")
-        found = measured_pair(config, loaded, clock, memory)
+        found = measured_pair(config, loaded, clock, context.memory)
         clock.start("save")
         found.save(folder, written_suffix(scene.fixed), points)
         width, height, slices = loaded.grid.size

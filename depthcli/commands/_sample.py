@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.commands._options import SampleOptions
+from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError
-from depthcli.core.result import Clock
 from depthcli.run.batch import Batch, Outcome
 from depthcli.run.console import SIZE, percent
 from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene, sample_scenes
@@ -54,9 +54,9 @@ class Sample(Batch[SampleScene]):
         """Return the facts that make the scene, apart from the config."""
         return {key: str(value) for key, value in scene.settings.items()}
 
-    def compute(self, scene: SampleScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: SampleScene, folder: Path, context: Context) -> Outcome:
         """Generate one scene."""
-        clock = Clock()
+        clock = context.clock
         clock.start("make")
         facts = SAMPLE_KINDS[self.config["sample"]].make(self.config, scene, folder)
         return Outcome(facts, clock.seconds)

@@ -14,10 +14,10 @@ from depthcli.commands._batch import config_of
 from depthcli.commands._options import DepthOptions, RunOptions, SceneOptions
 from depthcli.commands._scenes import depth_settings, find_scenes, say_typical_cameras
 from depthcli.core.color_and_infrared import RgbIrFrame
+from depthcli.core.context import Context
 from depthcli.core.errors import InputError
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.core.result import Clock
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame, load_masked_frame, load_sparse_frame
@@ -99,9 +99,9 @@ class Transparent(Batch[RgbdScene]):
         """Return the estimate, or None if the color and infrared images are matched first."""
         return self.memory(scene) if self.config.stereo is None else None
 
-    def compute(self, scene: RgbdScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: RgbdScene, folder: Path, context: Context) -> Outcome:
         """Load a frame with its sparse depth, or match color and infrared image for it; complete it; save."""
-        config, clock = self.config, Clock()
+        config, clock = self.config, context.clock
         given: SparseFrame | RgbIrFrame
         clock.start("load")
         scale, intrinsics = config.depth_scale or scene.depth_scale, config.intrinsics or scene.intrinsics
@@ -119,7 +119,7 @@ class Transparent(Batch[RgbdScene]):
                 stereo = stereo.model_copy(update={"max_disparity": scene.max_disparity})
                 config = config.model_copy(update={"stereo": stereo})
         rotate = 3 if scene.rotated else 0
-        frame, found = completed_frame(config, given, clock, scene.depth_scale, memory, rotate)
+        frame, found = completed_frame(config, given, clock, scene.depth_scale, context.memory, rotate)
         clock.start("save")
         found.save(folder)
         facts: Row = {

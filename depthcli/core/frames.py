@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, cast
+from typing import cast
 
 import cv2
 import numpy as np
@@ -29,8 +29,6 @@ class StereoPair:
     right: Image
     bits: int | None = None
     light_trust: NDArray[np.uint8] | None = None
-    adjusted: dict[Any, StereoPair] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """What adjustments made of the pair, by their parameters: those of a map serve its bound, too."""
 
     def __post_init__(self) -> None:
         if self.left.shape != self.right.shape:

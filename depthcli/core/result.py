@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.maps import DepthMap
+from depthcli.kernels.jit import compile_seconds
 
 
 @dataclass(kw_only=True)
@@ -33,13 +34,7 @@ class DepthResult(Result):
 
 
 class Clock:
-    """Adds up seconds by stage.
-
-    ``untimed`` returns seconds that are left out. A runner sets it to the time spent on compiling kernels, which
-    happens once per machine and is not the method's time.
-    """
-
-    untimed: ClassVar[Callable[[], float]] = staticmethod(lambda: 0.0)
+    """Adds up seconds by stage, without those of compiling kernels, which happens once per machine."""
 
     def __init__(self) -> None:
         self._seconds: dict[str, float] = {}
@@ -65,7 +60,7 @@ class Clock:
         return self._seconds
 
     def _book(self) -> None:
-        now = time.perf_counter() - Clock.untimed()
+        now = time.perf_counter() - compile_seconds()
         if self._stage is not None:
             self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + max(now - self._last, 0.0)
         self._last = now

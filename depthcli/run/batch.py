@@ -13,6 +13,7 @@ from depthcli.core.errors import ConfigError
 from depthcli.run.resources import available_memory, cores
 
 if TYPE_CHECKING:
+    from depthcli.core.context import Context
     from depthcli.io.formats.pictures import Palette
     from depthcli.io.scenes import Scene
     from depthcli.run.console import Column
@@ -85,8 +86,8 @@ class Batch(ABC, Generic[SceneT]):
     """The config, a mapping for commands without one; it decides with all versions which run this is."""
 
     @abstractmethod
-    def compute(self, scene: SceneT, folder: Path, memory: int) -> Outcome:
-        """Compute a scene with at most ``memory`` bytes, and write its files into an empty folder."""
+    def compute(self, scene: SceneT, folder: Path, context: Context) -> Outcome:
+        """Compute a scene with at most ``context.memory`` bytes, and write its files into an empty folder."""
 
     def files(self, scene: SceneT) -> dict[str, Path]:
         """Return role -> file, for all files that the result depends on, except files that the config names."""

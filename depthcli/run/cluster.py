@@ -15,6 +15,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from depthcli.core.context import Latest
 from depthcli.core.errors import ConfigError, IncompleteError
 from depthcli.kernels.jit import CompileWatch
 from depthcli.run import resources
@@ -139,7 +140,8 @@ def _compute_there(data: bytes) -> tuple[Row, int, float]:
         # A worker that was believed to be dead may still compute the scene in its own folder.
         own = replace(task, hidden=task.hidden.with_name(f"{task.hidden.name}-{os.getpid()}-{time.time_ns():x}"))
         limit = work.how.max_memory or resources.available_memory()
-        return counted(partial(compute_scene, own, work, limit), watch)
+        latest = worker.__dict__.setdefault("depthcli_latest", Latest())  # for as long as the worker lives
+        return counted(partial(compute_scene, own, work, limit, latest), watch)
 
 
 def _identity_here(work: Work) -> str:

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.core.scene import BASE_BYTES
+from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import show_bytes
 
 

@@ -35,15 +35,15 @@ from pydantic import BaseModel
 from depthcli import __version__
 from depthcli.core import memory
 from depthcli.core.config_file import dump_config
+from depthcli.core.context import Context, Latest
 from depthcli.core.errors import DepthcliError, InputError, OutputError, Terminated
+from depthcli.core.memory import BASE_BYTES
 from depthcli.core.registry import Plugin, plugin_behind, versions_here
-from depthcli.core.result import Clock
-from depthcli.core.scene import BASE_BYTES, computing
 from depthcli.core.text import show_bytes, without_secrets
 from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.files import collected_warnings, file_states, shown
 from depthcli.io.scenes import Scene
-from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, set_threads
+from depthcli.kernels.jit import CompileWatch, cache_folder, set_threads
 from depthcli.run import resources
 from depthcli.run.batch import Batch, Execution, Outcome
 from depthcli.run.console import Reporter, silence_warnings
@@ -147,16 +147,18 @@ class Task:
         return row
 
 
-def compute_scene(task: Task, work: Work, limit: int) -> Row:
+def compute_scene(task: Task, work: Work, limit: int, latest: Latest | None = None) -> Row:
     """Compute a scene with at most ``limit`` bytes, write its record and return its row.
+
+    ``latest`` holds results that the scenes of this process share.
 
     Where a disk was full, the row has the key ``disk_full`` with the place, the reason and the bytes that are free, and
     nothing is recorded.
     """
-    return computed_scene(task, work, limit)()
+    return computed_scene(task, work, limit, latest)()
 
 
-def computed_scene(task: Task, work: Work, limit: int) -> Callable[[], Row]:
+def computed_scene(task: Task, work: Work, limit: int, latest: Latest | None = None) -> Callable[[], Row]:
     """Compute a scene into its hidden folder; return the function that finishes as :func:`compute_scene` does.
 
     That waits for the disk, which it may do in another thread while the next scene is computed.
@@ -168,9 +170,9 @@ def computed_scene(task: Task, work: Work, limit: int) -> Callable[[], Row]:
             task.scene.check()
             task.hidden.mkdir(parents=True)
             opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
-            with computing(task.scene.name, limit) as programs:
-                outcome = work.batch.compute(task.scene, task.hidden, limit)
-            row, done = task.done(outcome, programs.used, lines), True
+            context = Context(limit, task.scene.name, limit, latest or Latest())
+            outcome = work.batch.compute(task.scene, task.hidden, context)
+            row, done = task.done(outcome, context.used, lines), True
         except (KeyboardInterrupt, Terminated):
             _leave(task, opened)
             raise
@@ -288,7 +290,6 @@ def use_threads(count: int) -> None:
 
 def counted(compute: Callable[[], _T], watch: CompileWatch) -> tuple[_T, int, float]:
     """Compute a scene; return its row, the number of kernels that were compiled for it, and their seconds."""
-    Clock.untimed = staticmethod(compile_seconds)  # no measured time contains a compilation
     kernels, seconds = watch.calls, watch.seconds
     row = compute()
     return row, watch.calls - kernels, watch.seconds - seconds
@@ -330,11 +331,11 @@ def compute_on_this_machine(
         yield from in_processes(jobs, n_scenes)
         return
     use_threads(how.threads_each())
-    last = math.inf, math.inf
+    last, latest = (math.inf, math.inf), Latest()
     with CompileWatch(lambda _: _announce_compilation(reporter)) as watch:
         for number, task in enumerate(tasks, 1):
             begun, begun_busy = time.perf_counter(), time.process_time()
-            row, kernels, seconds = counted(partial(compute_scene, task, work, how.memory_each()), watch)
+            row, kernels, seconds = counted(partial(compute_scene, task, work, how.memory_each(), latest), watch)
             took = time.perf_counter() - begun, time.process_time() - begun_busy
             report_compilation(reporter, kernels, seconds)
             yield row
@@ -504,7 +505,7 @@ def _serve(pipe: connection.Connection, work: Work) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     use_threads(work.how.threads_each())
-    limit, turn = work.how.memory_each(), threading.Lock()
+    limit, latest, turn = work.how.memory_each(), Latest(), threading.Lock()
 
     def say(message: object) -> None:
         with turn:
@@ -522,7 +523,7 @@ def _serve(pipe: connection.Connection, work: Work) -> None:
         while True:
             task = pipe.recv()
             shutil.rmtree(task.hidden, ignore_errors=True)  # left by a worker that died
-            computed = counted(partial(computed_scene, task, work, limit), watch)
+            computed = counted(partial(computed_scene, task, work, limit, latest), watch)
             if finished is not None:
                 finished.result()
             say("computed")

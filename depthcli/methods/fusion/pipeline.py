@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from depthcli.algorithms.pixel_network import TrainedNetwork
+from depthcli.core.context import Context
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import ConfigModel
@@ -189,18 +190,18 @@ class Fusion(AdjustingMatcher):
         choice = self.maps.choice.with_network(trained, self.maps.kinds)
         return self.model_copy(update={"maps": self.maps.model_copy(update={"choice": choice})})
 
-    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+    def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
         """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive.
 
         InputError: a volume is missing, has another shape, or holds NaN or infinite costs; further disparities of it
         are cut off.
         """
         clock = Clock()
-        pair = adjusted(pair, max_disparity, self.adjust, clock)
+        pair = adjusted(pair, max_disparity, self.adjust, context, clock)
         other_maps = []
         if self.maps is not None:  # before the fused costs: then their matchers need no memory beside them
             clock.start("other_maps")
-            other_maps = [source.matcher(pair, max_disparity).disparity for source in self.maps.matchers]
+            other_maps = [source.matcher(pair, max_disparity, context).disparity for source in self.maps.matchers]
         fused = self.fuse(pair, max_disparity, clock, vote="consensus" in self.confidence)
         volume = fused.volume
         if self.segments is not None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.pixel_network import TrainedNetwork, log_odds, of_first
+from depthcli.core.context import Context
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock, Result
@@ -189,12 +190,13 @@ def bounds(
     max_disparity: int,
     within: float = 1.0,
     level: float = 0.9,
+    context: Context | None = None,
 ) -> tuple[Plane, Plane]:
     """Return probability and bound of a map as :func:`judge` does, in less time, since it says nothing else.
 
     ``filled`` values, (H, W) bool, are less sure than those that were measured.
     """
-    judged = judged_maps(Evidence.of(pair, max_disparity, Clock()), [values])[0]
+    judged = judged_maps(Evidence.of(pair, max_disparity, Clock(), context), [values])[0]
     return promised_of(networks, judged, within, level, filled)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import CORRELATED, correlation, local_moments
 from depthcli.core import memory
+from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
@@ -57,9 +58,9 @@ class Evidence(PairSupports):
     reference: DisparityMap  # the map of the preset stereo fast, made of these costs
 
     @classmethod
-    def of(cls, pair: StereoPair, max_disparity: int, clock: Clock) -> Evidence:
+    def of(cls, pair: StereoPair, max_disparity: int, clock: Clock, context: Context | None = None) -> Evidence:
         """Compute the costs of disparities 0 .. ``max_disparity``; ``clock`` books the stages."""
-        pair = adjusted(pair, max_disparity, ("noise", "rows", "light"), clock)
+        pair = adjusted(pair, max_disparity, ("noise", "rows", "light"), context, clock)
         clock.start("cost")
         volume = _COST(pair, max_disparity + 1)
         clock.start("optimization")

@@ -11,9 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from depthcli.core.context import Context
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.scene import BASE_BYTES
+from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import show_bytes
 from depthcli.device import Device
 from depthcli.methods.stereo.on_device import DevicePair, device_implementation_of, run_stage
@@ -46,7 +47,9 @@ class Limits:
         return None if self.device is None or device_implementation_of(matcher) is None else self.device
 
 
-def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Limits) -> StereoResult:
+def match(
+    matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Limits, context: Context | None = None
+) -> StereoResult:
     """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive, in the way that ``limits`` ask for.
 
     On the device, where one is given and the matcher has an implementation for it; in tiles, where the whole pair needs
@@ -56,15 +59,15 @@ def match(matcher: PairMatcher, pair: StereoPair, max_disparity: int, limits: Li
     need, has_tiles = _needs(matcher, pair.shape, max_disparity, limits)
     total = BASE_BYTES + need
     if has_tiles and (need > limits.tile_memory or total > limits.memory or limits.tiles == "always"):
-        return match_in_tiles(matcher, pair, max_disparity, min(limits.memory, limits.tile_memory))
+        return match_in_tiles(matcher, pair, max_disparity, min(limits.memory, limits.tile_memory), context)
     if total > limits.memory:
         raise InputError(
             f"needs about {show_bytes(total)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, {max_disparity + 1} "
             f"disparities), {show_bytes(limits.memory)} may be used; see max_disparity"
         )
     if device is None:
-        return matcher(pair, max_disparity)
-    result: StereoResult = run_stage(matcher, DevicePair(device, pair), max_disparity)
+        return matcher(pair, max_disparity, context)
+    result: StereoResult = run_stage(matcher, DevicePair(device, pair), max_disparity, context)
     return result
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.method import ConfigModel
@@ -32,8 +33,8 @@ class PairMatcher(ABC):
     """Whether :mod:`depthcli.device` opens the devices that it runs on; networks have a runtime that does."""
 
     @abstractmethod
-    def __call__(self, pair: StereoPair, max_disparity: int, /) -> StereoResult:
-        """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
+    def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None, /) -> StereoResult:
+        """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive; None: a scene of no folder."""
 
     @abstractmethod
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
@@ -47,7 +48,9 @@ class PairMatcher(ABC):
         """Return the stages of which only costs are computed tile by tile; None: each tile is a pair of its own."""
         return None
 
-    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, Self]:
+    def prepared(
+        self, pair: StereoPair, max_disparity: int, context: Context | None, clock: Clock
+    ) -> tuple[StereoPair, Self]:
         """Return the pair after steps that look at the whole of it, and a matcher without them for its tiles."""
         return pair, self
 

@@ -17,6 +17,7 @@ from depthcli.commands._batch import config_of, run_batch
 from depthcli.commands._options import PairOptions, ScoredRunOptions
 from depthcli.commands._scenes import find_scenes
 from depthcli.commands._shared_options import ConfigArgument, SetOption
+from depthcli.core.context import Context
 from depthcli.core.root_config import RootConfig
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.layouts.stereo import PAIRS
@@ -45,7 +46,7 @@ class Constant(Batch[StereoScene]):
 
     config: ConstantConfig
 
-    def compute(self, scene: StereoScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, scene: StereoScene, folder: Path, context: Context) -> Outcome:
         """Write ``disp_left.pfm``."""
         height, width = load_pair(scene).shape
         write_pfm(folder / "disp_left.pfm", np.full((height, width), self.config.disparity, np.float32))

@@ -18,7 +18,7 @@ import yaml
 
 import depthcli
 from depthcli.cli import main
-from depthcli.core.scene import computing
+from depthcli.core.context import Context
 from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.methods.stereo.config import StereoConfig
@@ -261,9 +261,9 @@ def test_programs_are_found_beside_the_config_before_the_current_folder(here: Pa
 
 def run(folder: Path, code: str, timeout: float = 60.0, memory: int = 1 << 40) -> dict[str, float]:
     (folder / "program.py").write_text(textwrap.dedent(code))
-    with computing("scene", memory) as scene:
-        run_program([sys.executable, "program.py"], folder, timeout)
-    return scene.used
+    context = Context(program_memory=memory)
+    run_program([sys.executable, "program.py"], folder, timeout, context)
+    return context.used
 
 
 def test_time_and_memory_are_those_of_the_program(tmp_path: Path):
@@ -347,8 +347,9 @@ def test_memory_of_all_processes_together_is_limited(tmp_path: Path):
 def test_it_ends_with_the_process_that_wanted_it(tmp_path: Path):
     (tmp_path / "program.py").write_text(CHILD + "time.sleep(300)")
     call = (
-        "import sys; from pathlib import Path; from depthcli.methods.stereo.pipeline._process import run_program; "
-        "run_program([sys.executable, 'program.py'], Path(sys.argv[1]), 300.0)"
+        "import sys; from pathlib import Path; from depthcli.core.context import Context; "
+        "from depthcli.methods.stereo.pipeline._process import run_program; "
+        "run_program([sys.executable, 'program.py'], Path(sys.argv[1]), 300.0, Context())"
     )
     caller = subprocess.Popen([sys.executable, "-c", call, str(tmp_path)])
     assert within_seconds((tmp_path / "child").is_file)

@@ -13,7 +13,7 @@ from depthcli.cli import main
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.core.scene import BASE_BYTES
+from depthcli.core.memory import BASE_BYTES
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo import tiling
 from depthcli.methods.stereo.matching import Limits, host_bytes, match

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
+from depthcli.core.context import Context
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.adjustment.noise import denoised
@@ -57,7 +58,9 @@ _MAX_PASSES = 4
 _REMATCH_THRESHOLD = 0.3  # rows of the reduced size, sum over the coefficients: census costs tolerate less
 
 
-def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | None = None) -> StereoPair:
+def adjusted(
+    pair: StereoPair, max_disparity: int, what: Adjust, context: Context | None = None, clock: Clock | None = None
+) -> StereoPair:
     """Return the pair without noise, with the rows and the light of its right image adjusted to the left one.
 
     ``noise``: see :func:`.noise.denoised`. For the others the pair is matched at a reduced size (census, scanlines).
@@ -66,16 +69,17 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
     where it was large, the corrected pair is matched again. ``light``: every channel is multiplied by the local ratio
     of the left to the right grey levels of the matches; the differences that remain give the pair's ``light_trust``.
     Only noise changes the left image. Disparities, at most ``max_disparity``, stay as they are. ``clock`` receives the
-    seconds as the stage "adjustment". The pair remembers what became of it.
+    seconds as the stage "adjustment". ``context`` keeps the result for the next matcher of the pair.
     """
     if not what:
         return pair
-    if clock is not None:
-        clock.start("adjustment")
-    found = pair.adjusted.get((max_disparity, what)) or _adjusted(pair, max_disparity, what)
-    if found is not pair:  # which would not be freed
-        pair.adjusted[max_disparity, what] = found
-    return found
+    context = context or Context()
+    (clock or context.clock).start("adjustment")
+    key = id(pair), (max_disparity, what)
+    if key not in context.adjusted:
+        context.adjusted[key] = pair, _adjusted(pair, max_disparity, what)
+    result: StereoPair = context.adjusted[key][1]
+    return result
 
 
 def _adjusted(pair: StereoPair, max_disparity: int, what: Adjust) -> StereoPair:
@@ -97,9 +101,11 @@ class AdjustingMatcher(PairMatcher, BaseModel):
 
     adjust: Adjust = ()
 
-    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, Self]:
+    def prepared(
+        self, pair: StereoPair, max_disparity: int, context: Context | None, clock: Clock
+    ) -> tuple[StereoPair, Self]:
         """Return the pair adjusted, and the matcher without this step."""
-        return adjusted(pair, max_disparity, self.adjust, clock), self.model_copy(update={"adjust": ()})
+        return adjusted(pair, max_disparity, self.adjust, context, clock), self.model_copy(update={"adjust": ()})
 
 
 def _reduced(pair: StereoPair, max_disparity: int) -> tuple[StereoPair, int]:

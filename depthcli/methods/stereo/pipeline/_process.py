@@ -15,8 +15,8 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from depthcli.core.context import Context
 from depthcli.core.errors import InputError
-from depthcli.core.scene import current_scene
 from depthcli.core.text import one_line, show_bytes
 from depthcli.kernels.jit import n_threads
 
@@ -29,9 +29,9 @@ class ProgramError(InputError):
 
 
 @contextlib.contextmanager
-def scratch_folder() -> Iterator[Path]:
+def scratch_folder(context: Context) -> Iterator[Path]:
     """Give an empty folder; it is deleted at the end, but kept where a program fails, whose message then names it."""
-    name = re.sub(r"[^\w.-]", "_", current_scene().name)[:40]
+    name = re.sub(r"[^\w.-]", "_", context.name)[:40]
     folder, kept = Path(tempfile.mkdtemp(prefix=f"depthcli-{name}-")), False
     try:
         yield folder
@@ -43,14 +43,16 @@ def scratch_folder() -> Iterator[Path]:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def run_program(words: Sequence[str], folder: Path, timeout: float, variables: Mapping[str, str] | None = None) -> None:
+def run_program(
+    words: Sequence[str], folder: Path, timeout: float, context: Context, variables: Mapping[str, str] | None = None
+) -> None:
     """Run a program in ``folder`` and end its process group; its output goes to files there.
 
-    ``variables`` are added to its environment, its processor time and memory to those of the current scene.
+    ``variables`` are added to its environment, its processor time and memory to those of the scene.
     ProgramError, with the end of the program's output, where it fails, runs for more than ``timeout`` seconds, or takes
     more memory than the scene may.
     """
-    scene, name = current_scene(), os.path.basename(words[0])
+    name = os.path.basename(words[0])
     logs = [folder / "stderr.txt", folder / "stdout.txt"]
     until, peak, problem = time.monotonic() + timeout, 0, ""
     env = os.environ | {"OMP_NUM_THREADS": str(n_threads())} | dict(variables or {})
@@ -67,8 +69,8 @@ def run_program(words: Sequence[str], folder: Path, timeout: float, variables: M
             peak = max(peak, _resident_bytes(program.pid))
             if time.monotonic() > until:
                 problem = f"was ended after {timeout:g} s; see timeout"
-            elif scene.memory is not None and peak > scene.memory:
-                problem = f"was ended: it took more than the {show_bytes(scene.memory)} that may be used; "
+            elif context.program_memory is not None and peak > context.program_memory:
+                problem = f"was ended: it took more than the {show_bytes(context.program_memory)} that may be used; "
                 problem += "see --max-memory, --jobs"
             if problem:
                 break
@@ -80,10 +82,10 @@ def run_program(words: Sequence[str], folder: Path, timeout: float, variables: M
         problem = f"was ended by {names.get(-code, -code)}" if code < 0 else f"ended with exit code {code}"
     if problem:
         raise ProgramError(f"{name} {problem}{_end_of(logs)}")
-    scene.used["program_cpu"] = round(scene.used.get("program_cpu", 0.0) + used.ru_utime + used.ru_stime, 6)
+    context.used["program_cpu"] = round(context.used.get("program_cpu", 0.0) + used.ru_utime + used.ru_stime, 6)
     if used.ru_maxrss > resource.getrusage(resource.RUSAGE_SELF).ru_maxrss:  # what it has from us when it starts counts
         peak = max(peak, used.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
-    scene.used["program_memory"] = max(scene.used.get("program_memory", 0), peak)
+    context.used["program_memory"] = max(context.used.get("program_memory", 0), peak)
 
 
 @contextlib.contextmanager

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AliasChoices, BeforeValidator, Field, ValidationInfo, field_validator
 
+from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
-from depthcli.core.scene import current_scene
 from depthcli.io.formats.disparity import read_plane
 from depthcli.kernels.jit import n_threads
 from depthcli.methods.stereo.pipeline import StereoPipeline
@@ -153,22 +153,22 @@ class Program(StereoPipeline):
         files = [Path(found), *(Path(word) for word in others if os.path.isfile(word))]
         return {f"program_{number}" if number else "program": file for number, file in enumerate(files)}
 
-    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+    def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
         """Write the images, run the program, read its map; ProgramError where it failed."""
-        clock = Clock()
+        context, clock = context or Context(), Clock()
         clock.start("write")
-        with scratch_folder() as scratch:
-            left, right = self._image_files(pair, scratch)
+        with scratch_folder(context) as scratch:
+            left, right = self._image_files(pair, scratch, context)
             path = scratch / (self.output or f"output{_SUFFIXES[self.format]}")
             values = {"left": left, "right": right, "max_disparity": max_disparity, "min_disparity": 0, "output": path}
-            values |= {"scratch": scratch, "name": current_scene().name, "threads": n_threads(), "cwd": os.getcwd()}
+            values |= {"scratch": scratch, "name": context.name, "threads": n_threads(), "cwd": os.getcwd()}
             clock.start("program")
             texts = {
                 name: str(value).lower() if isinstance(value, bool) else str(value)
                 for name, value in (values | self.parameters).items()
             }
             variables = {f"{_VARIABLE}{name.upper()}": text for name, text in texts.items()}
-            run_program(self._command_line(texts), scratch, self.timeout, variables)
+            run_program(self._command_line(texts), scratch, self.timeout, context, variables)
             clock.start("read")
             disparity = self._read_map(path, pair.shape)
             status = np.zeros(pair.shape, np.uint8)
@@ -185,10 +185,10 @@ class Program(StereoPipeline):
         others = [os.path.abspath(word) if os.path.isfile(word) else word.format_map(texts) for word in others]
         return [os.path.abspath(shutil.which(first) or first), *others]
 
-    def _image_files(self, pair: StereoPair, folder: Path) -> Sequence[Path]:
+    def _image_files(self, pair: StereoPair, folder: Path, context: Context) -> Sequence[Path]:
         """Return the left and the right image as files: the scene's own, or written into ``folder``."""
         if self.images == "original":
-            originals = current_scene().originals
+            originals = context.originals
             if originals is None or originals[0] is not pair:
                 raise InputError(
                     "images: original: no image files hold this pair as it is matched (rectified, shifted by "

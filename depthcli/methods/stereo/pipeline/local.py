@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
@@ -13,10 +14,10 @@ from depthcli.methods.stereo.volume import StereoResult
 class Local(CostStages, AdjustingMatcher, StereoPipeline):
     """Stereo by matching costs: any measure, any aggregation, any optimization, any list of refinements."""
 
-    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+    def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
         """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
         clock = Clock()
-        pair = adjusted(pair, max_disparity, self.adjust, clock)
+        pair = adjusted(pair, max_disparity, self.adjust, context, clock)
         return self.match(pair, max_disparity, clock)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.core.context import Context
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
@@ -105,7 +106,7 @@ class NetworkPipeline(Network, StereoPipeline):
         if self.self_check:
             _check_shifts(self, self.session)
 
-    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+    def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
         """Match the whole pair; disparities beyond 0 .. ``max_disparity`` are out of range. InputError if it fails."""
         clock = Clock()
         clock.start("network")

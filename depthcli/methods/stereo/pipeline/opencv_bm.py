@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 from pydantic import Field
 
+from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.methods.stereo.pipeline._opencv import OpencvMatcher, opencv_disparities
@@ -24,7 +25,7 @@ class OpencvBm(OpencvMatcher):
     pre_filter_cap: int = Field(31, ge=1, le=63, description="truncation of the pre-filtered gradients, grey levels")
     texture: int = Field(10, ge=0, le=10**6, description="smallest sum of gradients of a block, else it is rejected")
 
-    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+    def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
         matcher = cv2.StereoBM.create(opencv_disparities(max_disparity), self.block)
         matcher.setPreFilterType(cv2.STEREO_BM_PREFILTER_XSOBEL)
         matcher.setPreFilterCap(self.pre_filter_cap)

@@ -7,6 +7,7 @@ from typing import Literal
 import cv2
 from pydantic import Field
 
+from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.methods.stereo.pipeline._opencv import OpencvMatcher, opencv_disparities
@@ -39,7 +40,7 @@ class OpencvSgbm(OpencvMatcher):
     )
     pre_filter_cap: int = Field(0, ge=0, le=63, description="truncation of the pre-filtered gradients, grey levels")
 
-    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+    def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
         """Match on 8 bits; color pairs are matched in color."""
         left, right = pair.color8 if pair.left.ndim == 3 else pair.grey8
         area = self.block**2 * (3 if pair.left.ndim == 3 else 1)

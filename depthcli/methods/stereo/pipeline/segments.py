@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
@@ -27,10 +28,10 @@ class Segments(SegmentSteps, AdjustingMatcher, StereoPipeline):
 
     cost: Cost = Field(description="matching cost of two pixels")
 
-    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+    def __call__(self, pair: StereoPair, max_disparity: int, context: Context | None = None) -> StereoResult:
         """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
         clock = Clock()
-        pair = adjusted(pair, max_disparity, self.adjust, clock)
+        pair = adjusted(pair, max_disparity, self.adjust, context, clock)
         clock.start("cost")
         volume = self.cost.checked_costs(pair, max_disparity + 1)
         return self.from_volume(pair, volume, max_disparity, clock)

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
@@ -50,7 +51,9 @@ _COARSE_STAGES = CostStages(
 )
 
 
-def match_in_tiles(matcher: PairMatcher, pair: StereoPair, max_disparity: int, memory: int) -> StereoResult:
+def match_in_tiles(
+    matcher: PairMatcher, pair: StereoPair, max_disparity: int, memory: int, context: Context | None = None
+) -> StereoResult:
     """Match a pair over disparities 0 .. ``max_disparity`` inclusive, in a process that takes at most ``memory`` bytes.
 
     Methods with ``tile_stages`` compute costs tile by tile; the right view's map, and every step that looks at maps
@@ -60,7 +63,7 @@ def match_in_tiles(matcher: PairMatcher, pair: StereoPair, max_disparity: int, m
     nothing fits.
     """
     clock = Clock()
-    prepared, matcher = matcher.prepared(pair, max_disparity, clock)
+    prepared, matcher = matcher.prepared(pair, max_disparity, context, clock)
     added = 0 if prepared is pair else prepared.right.nbytes + pair.shape[0] * pair.shape[1]
     available = Memory(memory, PROCESS_BYTES + added)
     stages = matcher.tile_stages()
@@ -68,7 +71,7 @@ def match_in_tiles(matcher: PairMatcher, pair: StereoPair, max_disparity: int, m
     prior = None if exact else coarse_prior(stages or _COARSE_STAGES, prepared, max_disparity, available, clock)
     candidates = Candidates.everywhere(pair.shape, max_disparity) if prior is None else prior.candidates
     if stages is None:
-        result = match_by_patches(matcher, prepared, candidates, available, clock)
+        result = match_by_patches(matcher, prepared, candidates, available, context, clock)
     else:
         result, _ = match_by_costs(stages, prepared, candidates, prior, available, clock)
     result.figures |= {"levels": 1.0 if prior is None else float(prior.levels), "exact": float(exact)}

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
+from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
@@ -126,7 +127,12 @@ def match_by_costs(
 
 
 def match_by_patches(
-    matcher: PairMatcher, pair: StereoPair, candidates: Candidates, available: Memory, clock: Clock
+    matcher: PairMatcher,
+    pair: StereoPair,
+    candidates: Candidates,
+    available: Memory,
+    context: Context | None,
+    clock: Clock,
 ) -> StereoResult:
     """Match every tile as a pair of its own, over one range from the smallest to the largest of its ``candidates``."""
     clock.start("plan")
@@ -144,7 +150,7 @@ def match_by_patches(
         memory.release(may_keep)
         clock.start("tiles")
         (span,) = tile.spans
-        part = matcher(tile.cut(pair, span.low), span.n - 1)
+        part = matcher(tile.cut(pair, span.low), span.n - 1, context)
         values[tile.place] = part.disparity.values[tile.inside] + np.float32(span.low)
         status[tile.place] = part.disparity.status[tile.inside]
         for name, own in part.confidence.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from depthcli.core.context import Context
 from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
@@ -26,7 +27,7 @@ _KERNELS = Kernels("depthcli.methods.stereo", "selection.cl")
 _LANES, _PIXELS = 32, 8  # threads of a group along the disparities, and pixels of a group
 
 
-def local(method: Local, pair: DevicePair, max_disparity: int) -> StereoResult:
+def local(method: Local, pair: DevicePair, max_disparity: int, context: Context | None = None) -> StereoResult:
     """Match a pair over disparities 0 .. ``max_disparity`` inclusive; InputError where device memory is short.
 
     Stages without a device implementation run on the processor, with transfers; ``figures["stages_on_cpu"]`` counts
@@ -39,7 +40,7 @@ def local(method: Local, pair: DevicePair, max_disparity: int) -> StereoResult:
             f"needs about {show_bytes(need)} on {info.address} ({info.name}), which has {show_bytes(info.memory)}; "
             "see device, max_disparity"
         )
-    pair = DevicePair(device, adjusted(pair.host, max_disparity, method.adjust, clock))
+    pair = DevicePair(device, adjusted(pair.host, max_disparity, method.adjust, context, clock))
 
     def start(stage: str) -> None:
         device.finish()
@@ -56,9 +57,9 @@ def local(method: Local, pair: DevicePair, max_disparity: int) -> StereoResult:
     disparity = DeviceMap.empty(device, left.shape)
     device.launch(_KERNELS, "start_map", (left.size,), (256,), left, disparity.values, disparity.status, left.size)
     start("refinement")
-    context = DeviceContext(pair, volume, right)
+    seen = DeviceContext(pair, volume, right)
     for step in method.refinement:
-        disparity = run_stage(step, disparity, context)
+        disparity = run_stage(step, disparity, seen)
     found = disparity.download()
     clock.start("confidence")
     maps = confidence_maps(device.download(volume.costs), method.confidence) if method.confidence else {}
