@@ -4,7 +4,7 @@ A public module here is a command: it defines a function of its own name, whose 
 options (``_shared_options``, ``_options``), and the module's docstring is its help. The function returns the exit code.
 Nothing heavy is imported before it runs: each imports the module that does the work where it needs it.
 
-A command that makes a run folder describes its work as a ``Batch`` (:mod:`depthcli.run.batch`), finds the scenes
+A command that makes a run folder describes its work as a ``Batch`` (:mod:`depthcli.run.job`), finds the scenes
 (``_scenes``) and gives both to ``run_batch`` (``_batch``), which has every scene computed by
 :func:`depthcli.run.runner.run_scenes`, evaluates where that is requested, and prints the table.
 """

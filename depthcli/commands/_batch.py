@@ -18,10 +18,11 @@ from depthcli.core.root_config import RootConfig
 from depthcli.core.text import one_line, show_bytes
 from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.pictures import write_legend
-from depthcli.run.batch import Batch, Execution, SceneT
+from depthcli.problems.problem import SceneJob
 from depthcli.run.console import aligned, run_table
 from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import EVALUATION, LEGEND_FILE, refusal
+from depthcli.run.job import Execution, SceneT
 from depthcli.run.json_csv import Row, to_json
 from depthcli.run.presets import find_config, find_preset
 from depthcli.run.records import read_record
@@ -63,7 +64,7 @@ def config_of(
 
 
 def run_batch(
-    batch: Batch[SceneT],
+    batch: SceneJob[SceneT],
     scenes: Sequence[SceneT],
     options: RunOptions,
     source: SceneOptions | None = None,
@@ -93,8 +94,8 @@ def run_batch(
     for line in problems:
         reporter.error(line)
     failed = [row for row in rows if row["status"] == "failed"]
-    if batch.palette is not None and len(failed) < len(rows):
-        write_legend(options.output / LEGEND_FILE, batch.palette, batch.legend)
+    if batch.shown.palette is not None and len(failed) < len(rows):
+        write_legend(options.output / LEGEND_FILE, batch.shown.palette, batch.shown.legend)
     evaluation = None
     if (options.evaluate or options.html) and not elsewhere:
         from depthcli.commands import _evaluation, _scores  # only a run that is evaluated needs the evaluation
@@ -115,7 +116,7 @@ def run_batch(
 
 
 def _print_results(
-    batch: Batch[Any], rows: Sequence[Row], options: RunOptions, evaluation: EvaluationReport | None, flags: Flags
+    batch: SceneJob[Any], rows: Sequence[Row], options: RunOptions, evaluation: EvaluationReport | None, flags: Flags
 ) -> None:
     """Print the report as JSON, or the tables of the evaluation or of the run, and the flagged rows."""
     reporter = options.reporter
@@ -129,12 +130,12 @@ def _print_results(
 
         print_tables(evaluation, reporter, TableOptions(), options.quiet)
     elif not options.quiet:
-        reporter.data(run_table(rows, batch.columns))
+        reporter.data(run_table(rows, batch.shown.columns))
     if options.conditions and not options.quiet:
         reporter.data(flags.text())
 
 
-def plan_of(batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> Row:
+def plan_of(batch: SceneJob[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution) -> Row:
     """Return what a run would do: its config, why it would reject the folder, and a row for every scene.
 
     A row has ``scene``, ``status`` (``DONE``, ``TO_DO`` or ``BROKEN``), ``memory`` (bytes or None) and ``problem``.

@@ -17,10 +17,12 @@ from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.maps import Status
 from depthcli.io.formats.images import read_image
+from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.scenes import MapsScene
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.run.batch import Outcome
+from depthcli.problems.problem import Shown
 from depthcli.run.console import SIZE, number, percent
+from depthcli.run.job import Outcome
 from depthcli.run.json_csv import median, share
 
 
@@ -60,7 +62,11 @@ class Confidence(GivenMaps):
     """Judges the first map of scenes."""
 
     command = "confidence"
-    columns = (SIZE, *map(percent, ("density", "expected_right", "hidden")), number("median_bound", "{:.3g} px"))
+    shown = Shown(
+        (SIZE, *map(percent, ("density", "expected_right", "hidden")), number("median_bound", "{:.3g} px")),
+        palette=STATUS_PALETTE,
+        protocol="middlebury-v2",
+    )
 
     def compute(self, scene: MapsScene, folder: Path, context: Context) -> Outcome:
         """Load a pair and its maps, judge the first, save it with its confidence."""

@@ -32,8 +32,9 @@ from depthcli.io.inputs import local
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
 from depthcli.io.walk import matches_any, scenes_with_files
-from depthcli.run.batch import Batch, Outcome
+from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE, Reporter, number, percent
+from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
 from depthcli.run.json_csv import median as median_of
 from depthcli.run.records import is_inside, read_json
@@ -56,20 +57,22 @@ def prepare(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> tuple[To
 
 
 @dataclass(frozen=True)
-class ToDepth(Batch[DisparityScene]):
+class ToDepth(SceneJob[DisparityScene]):
     """Turns disparity maps into depth and point clouds; ``config`` has the options, None for one that is not given."""
 
     command = "depth"
-    columns = (
-        SIZE,
-        percent("density"),
-        number("median_depth", "{:.4g} m"),
-        number("median_bound", "{:.3g} m"),
-        number("focal", "{:.4g} px"),
-        number("baseline", "{:.4g} m"),
+    shown = Shown(
+        (
+            SIZE,
+            percent("density"),
+            number("median_depth", "{:.4g} m"),
+            number("median_bound", "{:.3g} m"),
+            number("focal", "{:.4g} px"),
+            number("baseline", "{:.4g} m"),
+        ),
+        palette=STATUS_PALETTE,
+        protocol="depth",
     )
-    palette = STATUS_PALETTE
-    shown_as = "depth"
 
     config: Mapping[str, Any]
 

@@ -13,12 +13,13 @@ from depthcli.commands._options import CodingOptions, RangeOptions, RunOptions
 from depthcli.core.bound import Bound
 from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError
-from depthcli.io.formats.pictures import read_status
+from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
 from depthcli.io.scenes import MapsScene, check_same_size
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
-from depthcli.run.batch import Outcome
+from depthcli.problems.problem import Shown
 from depthcli.run.console import SIZE, number, percent
+from depthcli.run.job import Outcome
 from depthcli.run.json_csv import median, share
 
 
@@ -49,11 +50,15 @@ class FuseMaps(GivenMaps):
 
     command = "fuse-maps"
     n_added = N_ADDED
-    columns = (
-        SIZE,
-        number("maps", "{}"),
-        *map(percent, ("expected_right", "measured")),
-        number("median_bound", "{:.3g} px"),
+    shown = Shown(
+        (
+            SIZE,
+            number("maps", "{}"),
+            *map(percent, ("expected_right", "measured")),
+            number("median_bound", "{:.3g} px"),
+        ),
+        palette=STATUS_PALETTE,
+        protocol="middlebury-v2",
     )
 
     def compute(self, scene: MapsScene, folder: Path, context: Context) -> Outcome:

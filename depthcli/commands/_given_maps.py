@@ -28,12 +28,11 @@ from depthcli.evaluation.map_files import (
 from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
 from depthcli.io.formats.files import collected_warnings, shown, warn
 from depthcli.io.formats.images import image_size
-from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.inputs import local
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene
 from depthcli.methods.given_maps import peak_bytes
-from depthcli.run.batch import Batch
+from depthcli.problems.problem import SceneJob
 from depthcli.run.console import Reporter
 from depthcli.run.records import RECORD_FILE
 from depthcli.run.report import read_report
@@ -51,11 +50,9 @@ def largest(text: str | None) -> int | None:
 
 
 @dataclass(frozen=True)
-class GivenMaps(Batch[MapsScene]):
+class GivenMaps(SceneJob[MapsScene]):
     """Common base of ``confidence`` and ``fuse maps``; ``config`` has the options, None for one not given."""
 
-    palette = STATUS_PALETTE
-    shown_as = "middlebury-v2"
     n_added: ClassVar[int] = 0
     """Number of maps that are compared with the given ones."""
 

@@ -24,8 +24,8 @@ from depthcli.commands._shared_options import (
     parse_bytes,
 )
 from depthcli.core.errors import ConfigError
-from depthcli.run.batch import Execution, shard_of
 from depthcli.run.flags import Condition, conditions_of
+from depthcli.run.job import Execution, shard_of
 
 NOWHERE = Path(os.devnull, "no output")
 """In place of a run folder where nothing is computed and none is given."""

@@ -30,8 +30,9 @@ from depthcli.methods.stereo.matching import host_bytes
 from depthcli.methods.stereo.networks import Network
 from depthcli.methods.stereo.pipeline.command import Program
 from depthcli.methods.stereo.stages import PairMatcher
-from depthcli.run.batch import Batch, Outcome
+from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE, number, percent
+from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, median, share
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
@@ -69,14 +70,16 @@ def bound_columns(found: Disparity) -> Row:
 
 
 @dataclass(frozen=True)
-class MatchPairs(Batch[StereoScene]):
+class MatchPairs(SceneJob[StereoScene]):
     """Matches pairs and writes the left view's maps; a command chooses the method."""
 
-    columns = (SIZE, *map(percent, ("density", "measured")), number("median_bound", "{:.3g} px"))
-    palette = STATUS_PALETTE
-    # Each reason, alone and filled.
-    legend = (0, int(Status.SMOOTHED), *_REASONS, *(bit | int(Status.FILLED) for bit in _REASONS))
-    shown_as = "middlebury-v2"
+    shown = Shown(
+        (SIZE, *map(percent, ("density", "measured")), number("median_bound", "{:.3g} px")),
+        palette=STATUS_PALETTE,
+        # Each reason, alone and filled.
+        legend=(0, int(Status.SMOOTHED), *_REASONS, *(bit | int(Status.FILLED) for bit in _REASONS)),
+        protocol="middlebury-v2",
+    )
 
     config: PairConfig
 

@@ -36,8 +36,9 @@ from depthcli.methods.stereo.config import Calibration
 from depthcli.methods.stereo.rectification import RectifyingHomographies, rectify_uncalibrated
 from depthcli.methods.stereo.search_range import matched_range
 from depthcli.methods.stereo.view_matching import Points, match_views
-from depthcli.run.batch import Batch, Outcome
+from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE, number, percent
+from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
 
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
@@ -63,16 +64,11 @@ def prepare(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> tuple[R
 
 
 @dataclass(frozen=True)
-class Rectify(Batch[StereoScene]):
+class Rectify(SceneJob[StereoScene]):
     """Rectifies pairs; ``calibration`` None: by their key points alone."""
 
     command = "rectify"
-    columns = (
-        SIZE,
-        number("row_error_before", "{:.2f} px"),
-        number("row_error", "{:.2f} px"),
-        percent("overlap"),
-    )
+    shown = Shown((SIZE, number("row_error_before", "{:.2f} px"), number("row_error", "{:.2f} px"), percent("overlap")))
 
     config: Mapping[str, object]
     calibration: Calibration | None

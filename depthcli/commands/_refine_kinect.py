@@ -31,8 +31,9 @@ from depthcli.io.rgbd_frames import frame_size, load_frame
 from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import SequencePipeline, frame_by_frame
-from depthcli.run.batch import Batch, Outcome
+from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE, number, percent
+from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, median, share
 from depthcli.run.resources import check_memory
 
@@ -64,13 +65,15 @@ def prepare(
 
 
 @dataclass(frozen=True)
-class RefineKinect(Batch[FrameOrSequence]):
+class RefineKinect(SceneJob[FrameOrSequence]):
     """Refines frames, or the frames of sequences in order."""
 
     command = "refine-kinect"
-    columns = (SIZE, *map(percent, ("known", "kept", "filled", "corrected")), number("median_bound", "{:.3g} m"))
-    palette = DEPTH_STATUS_PALETTE
-    shown_as = "depth"
+    shown = Shown(
+        (SIZE, *map(percent, ("known", "kept", "filled", "corrected")), number("median_bound", "{:.3g} m")),
+        palette=DEPTH_STATUS_PALETTE,
+        protocol="depth",
+    )
 
     config: RefineKinectConfig
 

@@ -24,8 +24,9 @@ from depthcli.io.scenes import VolumePairScene
 from depthcli.io.volume_pairs import LoadedPair, landmarks, load_volumes, loaded_size, region_masks
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
-from depthcli.run.batch import Batch, Outcome
+from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import Column, number, percent
+from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row
 
 _NUMBERED = re.compile(r"(.+)_\d+")  # a label without a name
@@ -63,23 +64,24 @@ def _bound(row: Row) -> str:
     return "> " * lower + number("inside_bound", "{:.1f}").text(row)
 
 
+_COLUMNS = (
+    Column("size", _size),
+    _error("inside_mean", "{:.2f}", "mean mm"),
+    _error("inside_95", "{:.1f}", "95 % mm"),
+    _error("inside_max", "{:.1f}", "largest mm"),
+    Column("bound mm", _bound),
+    number("above_3mm", "{:.1f}", "above 3 mm, mL"),
+    Column("center, LPS", _center),
+    percent("border", "at border"),
+)
+
+
 @dataclass(frozen=True)
-class RegisterConfidence(Batch[VolumePairScene]):
+class RegisterConfidence(SceneJob[VolumePairScene]):
     """Computes confidence, expected error and, where matches are searched for, shift of pairs."""
 
     command = "register-confidence"
-    columns = (
-        Column("size", _size),
-        _error("inside_mean", "{:.2f}", "mean mm"),
-        _error("inside_95", "{:.1f}", "95 % mm"),
-        _error("inside_max", "{:.1f}", "largest mm"),
-        Column("bound mm", _bound),
-        number("above_3mm", "{:.1f}", "above 3 mm, mL"),
-        Column("center, LPS", _center),
-        percent("border", "at border"),
-    )
-    page_columns = (columns[0], *columns[3:])
-    shown_as = "registration"
+    shown = Shown(_COLUMNS, (_COLUMNS[0], *_COLUMNS[3:]), protocol="registration")
 
     config: RegisterConfidenceConfig
 

@@ -10,8 +10,9 @@ from typing import Any
 from depthcli.commands._options import SampleOptions
 from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError
-from depthcli.run.batch import Batch, Outcome
+from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE, percent
+from depthcli.run.job import Outcome
 from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene, sample_scenes
 
 _BY_SCENE = frozenset({"count", "kind", "seed", "from_"})
@@ -42,11 +43,11 @@ def prepare(options: SampleOptions) -> tuple[Sample, list[SampleScene]]:
 
 
 @dataclass(frozen=True)
-class Sample(Batch[SampleScene]):
+class Sample(SceneJob[SampleScene]):
     """Generates scenes."""
 
     command = "sample"
-    columns = (SIZE, percent("nonocc", "visible"))
+    shown = Shown((SIZE, percent("nonocc", "visible")))
 
     config: Mapping[str, Any]
 

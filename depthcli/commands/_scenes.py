@@ -18,8 +18,8 @@ from depthcli.io.layouts import Layouts
 from depthcli.io.named_files import STDIN, is_table, named_scenes, patterns_in, scenes_of_table
 from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 from depthcli.io.walk import NoScenesError, chosen_scenes, discover_scenes
-from depthcli.run.batch import SceneT
 from depthcli.run.console import Reporter
+from depthcli.run.job import SceneT
 
 _MIN_SCENES_TO_FREEZE = 1000  # scenes, whose objects take long to look through
 

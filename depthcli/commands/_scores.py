@@ -15,16 +15,17 @@ from depthcli.evaluation.map_files import run_names
 from depthcli.evaluation.protocols import load
 from depthcli.io.inputs import local, origin
 from depthcli.io.scenes import Scene, SequenceScene
+from depthcli.problems.problem import SceneJob
 from depthcli.report.page import Page
 from depthcli.report.without_truth import RunWithoutTruth
-from depthcli.run.batch import Batch, SceneT
 from depthcli.run.flags import flag_rows
 from depthcli.run.folder import EVALUATION, saved_config, staging_folder
+from depthcli.run.job import SceneT
 from depthcli.run.json_csv import Row
 
 
 def evaluated(
-    batch: Batch[SceneT],
+    batch: SceneJob[SceneT],
     scenes: Sequence[SceneT],
     rows: Sequence[Row],
     options: RunOptions,
@@ -58,7 +59,7 @@ def evaluated(
 
 
 def _without_truth(
-    batch: Batch[SceneT], scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path
+    batch: SceneJob[SceneT], scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path
 ) -> RunWithoutTruth:
     """Return the views of scenes without truth for the page; a sequence is shown frame by frame."""
     by_name, shown, row_of = {str(row["scene"]): row for row in rows}, list[Scene](), dict[str, Row]()
@@ -71,9 +72,9 @@ def _without_truth(
             shown.append(scene)
             row_of[scene.name] = row
     (run,) = run_names([folder])
-    columns = batch.columns if batch.page_columns is None else batch.page_columns
+    columns = batch.shown.columns if batch.shown.page_columns is None else batch.shown.page_columns
     own = [(scene.name, by_name[scene.name]) for scene in scenes if scene.name in by_name]
     warnings = summarized((name, line) for name, row in own for line in row.get("warnings") or ())
     bounds = frozenset(name for name, row in own if batch.is_lower_bound(row))
-    judge = load(batch.shown_as)()
-    return RunWithoutTruth(run, folder, judge, batch.palette, shown, row_of, columns, warnings, bounds)
+    judge = load(batch.shown.protocol)()
+    return RunWithoutTruth(run, folder, judge, batch.shown.palette, shown, row_of, columns, warnings, bounds)

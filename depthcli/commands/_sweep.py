@@ -22,7 +22,7 @@ from depthcli.io.formats.files import write_text
 from depthcli.io.inputs import local
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
-from depthcli.run.batch import Batch
+from depthcli.problems.problem import SceneJob
 from depthcli.run.console import aligned
 from depthcli.run.folder import FolderLock
 from depthcli.run.json_csv import Row, to_csv, to_json
@@ -36,7 +36,7 @@ _MAX_SHOWN = 20  # runs in the printed table; files list all
 class _Run(NamedTuple):
     values: Combination
     options: RunOptions
-    batch: Batch[Any]
+    batch: SceneJob[Any]
     scenes: list[Any]
 
 

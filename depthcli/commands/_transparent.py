@@ -23,8 +23,9 @@ from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame, load_masked_frame, load_sparse_frame
 from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.methods.transparent.config import TransparentConfig
-from depthcli.run.batch import Batch, Outcome
+from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE, number, percent
+from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, median, share
 
 
@@ -46,25 +47,27 @@ def prepare(
 
 
 @dataclass(frozen=True)
-class Transparent(Batch[RgbdScene]):
+class Transparent(SceneJob[RgbdScene]):
     """Computes the dense depth of frames."""
 
     command = "transparent"
-    columns = (
-        SIZE,
-        *map(percent, ("known", "sparse", "kept", "filled", "replaced", "from_stereo")),
-        number("median_bound", "{:.3g} m"),
+    shown = Shown(
+        (
+            SIZE,
+            *map(percent, ("known", "sparse", "kept", "filled", "replaced", "from_stereo")),
+            number("median_bound", "{:.3g} m"),
+        ),
+        palette=DEPTH_STATUS_PALETTE,
+        legend=(
+            0,
+            DepthStatus.GAP_FILLED,
+            DepthStatus.CORRECTED,
+            DepthStatus.GAP_FILLED | DepthStatus.SAMPLED,
+            DepthStatus.CORRECTED | DepthStatus.SAMPLED,
+            DepthStatus.EMPTY,
+        ),
+        protocol="depth",
     )
-    palette = DEPTH_STATUS_PALETTE
-    legend = (
-        0,
-        DepthStatus.GAP_FILLED,
-        DepthStatus.CORRECTED,
-        DepthStatus.GAP_FILLED | DepthStatus.SAMPLED,
-        DepthStatus.CORRECTED | DepthStatus.SAMPLED,
-        DepthStatus.EMPTY,
-    )
-    shown_as = "depth"
 
     config: TransparentConfig
 

@@ -1,6 +1,6 @@
 """Run a command over many scenes: skip finished scenes, compute the rest, record, report. Knows no algorithm.
 
-The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a ``batch`` and its scenes from a command:
+The life of a scene, from :func:`depthcli.run.runner.run_scenes`, which gets a ``Job`` and its scenes from a command:
 
 1. ``folder`` locks the run folder, writes ``run.yaml``, or refuses the folder of another config.
 2. ``runner`` digests every file that the scene depends on. If ``record.json`` of the scene (``records``) has the

@@ -21,10 +21,10 @@ from depthcli.io.formats.files import flush_all
 from depthcli.io.formats.map_format import format_plugins
 from depthcli.io.inputs import origin
 from depthcli.io.layouts import layout_plugins
-from depthcli.run.batch import Batch, Execution, SceneT
 from depthcli.run.cluster import compute_on_cluster
 from depthcli.run.console import Reporter, WarningCounts
 from depthcli.run.folder import FOLDER_FILES, FolderLock
+from depthcli.run.job import Execution, Job, SceneT
 from depthcli.run.json_csv import Row
 from depthcli.run.records import (
     OTHER_RUN,
@@ -43,7 +43,7 @@ _MAX_REMEMBERED = 16
 
 
 def run_scenes(
-    batch: Batch[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution, reporter: Reporter
+    job: Job[SceneT], scenes: Sequence[SceneT], output: Path, how: Execution, reporter: Reporter
 ) -> tuple[list[Row], list[str]]:
     """Compute every scene that is not done yet, and write the run folder ``output``.
 
@@ -63,7 +63,7 @@ def run_scenes(
     IncompleteError
         Everything was computed, but the report cannot be written; or the connection to the scheduler was lost.
     """
-    own, plan = how.own(scenes), Plan(batch, scenes, output, how)
+    own, plan = how.own(scenes), Plan(job, scenes, output, how)
     plan.check_names(own)
     with FolderLock(output, reporter.info) as lock:
         lock.set_up(plan.work.text, how.overwrite)
@@ -73,15 +73,15 @@ def run_scenes(
 class Plan:
     """Says which scenes of a run are done, and makes tasks of the others."""
 
-    def __init__(self, batch: Batch[Any], scenes: Sequence[Any], output: Path, how: Execution) -> None:
-        plugins = used_plugins(batch.config) | layout_plugins(scenes)
-        name = batch.command.replace("-", "_")
+    def __init__(self, job: Job[Any], scenes: Sequence[Any], output: Path, how: Execution) -> None:
+        plugins = used_plugins(job.config) | layout_plugins(scenes)
+        name = job.command.replace("-", "_")
         plugins |= {plugin for plugin in plugins_in("depthcli.commands") if plugin.name == name}
         plugins |= format_plugins(file for scene in scenes for file in scene.input_files.values())
-        self.work, self.output = Work(batch, how, frozenset(plugins)), output
+        self.work, self.output = Work(job, how, frozenset(plugins)), output
         self.identity = self.work.identity
         self.workspace = hidden_folder(output)
-        self._shared = used_files(batch.config)  # files that the config names, of every scene
+        self._shared = used_files(job.config)  # files that the config names, of every scene
         self._digest = lru_cache(maxsize=_MAX_REMEMBERED)(digest_and_state)
 
     def check_names(self, scenes: Sequence[Any]) -> None:
@@ -107,13 +107,13 @@ class Plan:
         files = self._files(scene)
         watched = {file: self._digest(file) for file in dict.fromkeys(files.values())}
         inputs = {role: watched[file][0] for role, file in files.items()}
-        inputs |= {} if scene.problem else self.work.batch.settings(scene)
+        inputs |= {} if scene.problem else self.work.job.settings(scene)
         inputs |= {"keep": " ".join(keep)} if (keep := self.work.how.keep) else {}
         source = origin(next(iter(files.values()), scene.folder).absolute())
         return Task(scene, self.output, self.workspace / str(number), self.identity, inputs, source, watched)
 
     def _files(self, scene: Any) -> dict[str, Path]:
-        return {} if scene.problem else self.work.batch.files(scene) | self._shared
+        return {} if scene.problem else self.work.job.files(scene) | self._shared
 
 
 class _Run:
@@ -131,7 +131,7 @@ class _Run:
 
     def rows_of_all(self) -> tuple[list[Row], list[str]]:
         """Compute unfinished scenes, write the report, and return the same as ``run_scenes``."""
-        command = self.plan.work.batch.command
+        command = self.plan.work.job.command
         computed = self._computed(self._tasks())
         try:
             with self.reporter, contextlib.closing(computed):

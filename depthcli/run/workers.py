@@ -45,9 +45,9 @@ from depthcli.io.formats.files import collected_warnings, file_states, shown
 from depthcli.io.scenes import Scene
 from depthcli.kernels.jit import CompileWatch, cache_folder, set_threads
 from depthcli.run import resources
-from depthcli.run.batch import Batch, Execution, Outcome
 from depthcli.run.console import Reporter, silence_warnings
 from depthcli.run.folder import TITLE
+from depthcli.run.job import Execution, Job, Outcome
 from depthcli.run.json_csv import Row
 from depthcli.run.records import Record, digest, digests_below, file_digest, install, record_failure
 
@@ -69,9 +69,9 @@ _MAX_TRIES = 3  # of a scene whose worker dies: another program may have used up
 
 @dataclass(frozen=True)
 class Work:
-    """What workers get: the batch, how it is carried out, and the plug-ins that take part."""
+    """What workers get: the job, how it is carried out, and the plug-ins that take part."""
 
-    batch: Batch[Any]
+    job: Job[Any]
     how: Execution
     plugins: frozenset[Plugin]
 
@@ -82,7 +82,7 @@ class Work:
         for name in _LIBRARIES:
             with contextlib.suppress(metadata.PackageNotFoundError):
                 versions[name] = metadata.version(name)
-        command, config = self.batch.command, self.batch.config
+        command, config = self.job.command, self.job.config
         run = to_yaml({"run": {"command": command, "versions": versions | versions_here(self.plugins)}})
         if isinstance(config, BaseModel):
             return f"{TITLE} Repeat it with: depthcli {command} run.yaml ...\n{dump_config(config)}{run}"
@@ -171,7 +171,7 @@ def computed_scene(task: Task, work: Work, limit: int, latest: Latest | None = N
             task.hidden.mkdir(parents=True)
             opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
             context = Context(limit, task.scene.name, limit, latest or Latest())
-            outcome = work.batch.compute(task.scene, task.hidden, context)
+            outcome = work.job.compute(task.scene, task.hidden, context)
             row, done = task.done(outcome, context.used, lines), True
         except (KeyboardInterrupt, Terminated):
             _leave(task, opened)
@@ -316,7 +316,7 @@ def compute_on_this_machine(
     Each process may take as much memory as this one, so that their number changes no map.
     """
     tasks, how = iter(tasks), work.how
-    need = cache(lambda: _largest_need(work.batch, scenes))  # which takes a look into every file
+    need = cache(lambda: _largest_need(work.job, scenes))  # which takes a look into every file
 
     def in_processes(jobs: int, left: int) -> Generator[Row, None, None]:
         reporter.detail(f"{jobs} processes compute {left} scenes")
@@ -375,11 +375,11 @@ def n_processes(
     return soonest(min(jobs, how.memory_each() // (bound + _PROCESS_BYTES)))
 
 
-def _largest_need(batch: Batch[Any], scenes: Sequence[Scene]) -> int | None:
+def _largest_need(job: Job[Any], scenes: Sequence[Scene]) -> int | None:
     needs: list[int | None] = [0]
     for scene in scenes:
         with contextlib.suppress(InputError):  # it will fail
-            needs.append(0 if scene.problem else batch.memory_bound(scene))
+            needs.append(0 if scene.problem else job.memory_bound(scene))
     return None if None in needs else max(need or 0 for need in needs)
 
 

@@ -24,8 +24,8 @@ from depthcli.core.result import Clock
 from depthcli.io.formats.files import atomic_path
 from depthcli.io.scenes import Scene
 from depthcli.run import records, workers
-from depthcli.run.batch import Batch, Execution, Outcome
 from depthcli.run.console import Column, Reporter, run_table
+from depthcli.run.job import Execution, Job, Outcome
 from depthcli.run.records import RECORD_FILE, discard, hidden_folder
 from depthcli.run.report import read_report
 from depthcli.run.runner import run_scenes
@@ -50,7 +50,7 @@ class Text(Scene):
 
 
 @dataclass(frozen=True)
-class Repeat(Batch[Text]):
+class Repeat(Job[Text]):
     """Writes the scene's text ``factor`` times; words in the text make it go wrong."""
 
     command = "repeat"

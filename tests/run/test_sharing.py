@@ -13,8 +13,8 @@ import pytest
 
 from depthcli.core.errors import ConfigError
 from depthcli.run import workers
-from depthcli.run.batch import shard_of
 from depthcli.run.folder import LOCKS_FILE, FolderLock
+from depthcli.run.job import shard_of
 from tests.command_line import contents, refused, run, start, statuses, wait_for
 
 FAST = "opencv-bm"

@@ -23,8 +23,9 @@ from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.run.batch import Batch, Outcome
+from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE
+from depthcli.run.job import Outcome
 
 
 class ConstantConfig(RootConfig):
@@ -37,12 +38,11 @@ class ConstantConfig(RootConfig):
 
 
 @dataclass(frozen=True)
-class Constant(Batch[StereoScene]):
+class Constant(SceneJob[StereoScene]):
     """Computes scenes; it is sent to worker processes."""
 
     command = "constant"
-    columns = (SIZE,)
-    shown_as = "middlebury-v2"
+    shown = Shown((SIZE,), protocol="middlebury-v2")
 
     config: ConstantConfig
 

@@ -1,4 +1,4 @@
-"""The computation of a command for every scene: all that a run knows of the command."""
+"""``Job``, the computation of a command for every scene, and how a run is carried out."""
 
 from __future__ import annotations
 
@@ -14,10 +14,7 @@ from depthcli.run.resources import available_memory, cores
 
 if TYPE_CHECKING:
     from depthcli.core.context import Context
-    from depthcli.io.formats.pictures import Palette
     from depthcli.io.scenes import Scene
-    from depthcli.run.console import Column
-    from depthcli.run.json_csv import Row
 
 SceneT = TypeVar("SceneT", bound="Scene")
 
@@ -72,15 +69,10 @@ def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[int, int
     return int(found[1]), int(found[2])
 
 
-class Batch(ABC, Generic[SceneT]):
-    """A command's work on its scenes, which ``run`` is given; it goes to worker processes, so that it is picklable."""
+class Job(ABC, Generic[SceneT]):
+    """A command's work on its scenes: all that a run knows of the command. It goes to workers, so it is picklable."""
 
     command: ClassVar[str]
-    columns: ClassVar[tuple[Column, ...]] = ()  # of the printed table, in addition to scene, status, seconds and memory
-    palette: ClassVar[Palette | None] = None  # colors of the status maps
-    legend: ClassVar[tuple[int, ...] | None] = None  # combinations of status bits that their legend shows
-    shown_as: ClassVar[str] = ""  # protocol by which the page shows maps without truth
-    page_columns: ClassVar[tuple[Column, ...] | None] = None  # shown on this page with its own; None: ``columns``
 
     config: Any
     """The config, a mapping for commands without one; it decides with all versions which run this is."""
@@ -104,19 +96,3 @@ class Batch(ABC, Generic[SceneT]):
     def memory_bound(self, scene: SceneT) -> int | None:
         """Return the largest peak memory in bytes; where it is None, one scene is computed at a time by default."""
         return self.memory(scene)
-
-    def truth_scenes(self, scenes: Sequence[SceneT]) -> Sequence[Scene]:
-        """Return the scenes whose ground truth ``--evaluate`` compares the results with."""
-        return scenes
-
-    def is_lower_bound(self, row: Row) -> bool:
-        """Return whether the errors in a row are lower bounds, which tables and the page show as ``> 14``."""
-        return False
-
-    def notes(self, scenes: Sequence[SceneT], rows: Sequence[Row]) -> list[str]:
-        """Return warnings about a whole run."""
-        return []
-
-    def problems(self, rows: Sequence[Row]) -> list[str]:
-        """Return what could not be done of scenes that are done, a line each; the exit code is 3 then."""
-        return []

@@ -1,0 +1,109 @@
+"""What a command computes of a scene: ``SceneJob``, and ``Problem``, which loads, solves and writes."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+
+from depthcli.core.context import Context
+from depthcli.io.formats.pictures import Palette
+from depthcli.io.scenes import Scene
+from depthcli.run.console import Column
+from depthcli.run.job import Job, Outcome, SceneT
+from depthcli.run.json_csv import Row
+
+
+class Shown(NamedTuple):
+    """How tables and pages show the results of a command."""
+
+    columns: tuple[Column, ...] = ()  # of the printed table, in addition to scene, status, seconds and memory
+    page_columns: tuple[Column, ...] | None = None  # shown on this page with its own; None: ``columns``
+    palette: Palette | None = None  # colors of the status maps
+    legend: tuple[int, ...] | None = None  # combinations of status bits that their legend shows
+    protocol: str = ""  # by which the page shows maps without truth
+
+
+class SceneJob(Job[SceneT]):
+    """The work of a command on its scenes, and what the command tells of it."""
+
+    shown: ClassVar[Shown] = Shown()
+
+    def truth_scenes(self, scenes: Sequence[SceneT]) -> Sequence[Scene]:
+        """Return the scenes whose ground truth ``--evaluate`` compares the results with."""
+        return scenes
+
+    def is_lower_bound(self, row: Row) -> bool:
+        """Return whether the errors in a row are lower bounds, which tables and the page show as ``> 14``."""
+        return False
+
+    def notes(self, scenes: Sequence[SceneT], rows: Sequence[Row]) -> list[str]:
+        """Return warnings about a whole run."""
+        return []
+
+    def problems(self, rows: Sequence[Row]) -> list[str]:
+        """Return what could not be done of scenes that are done, a line each; the exit code is 3 then."""
+        return []
+
+
+class Inputs(Protocol):
+    """What a problem is solved from, loaded from files or made of arrays."""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What looks wrong with the inputs, a line each."""
+
+    @property
+    def saving(self) -> Mapping[str, Any]:
+        """How the result is written: arguments of its ``save``."""
+
+    @property
+    def later(self) -> Callable[[Path], None] | None:
+        """What writes further files of the scene while it is solved; None: nothing does."""
+
+
+class Solution(Protocol):
+    """The result of a problem."""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What looks wrong with the result, a line each."""
+
+    def save(self, folder: str | Path) -> None:
+        """Write the files of the result."""
+
+
+InputsT = TypeVar("InputsT", bound=Inputs)
+ResultT = TypeVar("ResultT", bound=Solution)
+
+
+class Problem(SceneJob[SceneT], Generic[SceneT, InputsT, ResultT]):
+    """One problem, told once: its inputs, how it is solved, its result. Functions for Python call ``solve`` alone."""
+
+    @abstractmethod
+    def load(self, scene: SceneT, context: Context) -> InputsT:
+        """Return the inputs from the files of a scene; InputError where they cannot be used."""
+
+    @abstractmethod
+    def solve(self, inputs: InputsT, context: Context) -> ResultT:
+        """Return the result; InputError where sizes do not fit, or the memory of the context does not suffice."""
+
+    @abstractmethod
+    def row(self, inputs: InputsT, result: ResultT) -> Row:
+        """Return the columns of the report, in their order."""
+
+    def compute(self, scene: SceneT, folder: Path, context: Context) -> Outcome:
+        """Load a scene, solve it, write the result, and return its row of the report."""
+        context.clock.start("load")
+        inputs = self.load(scene, context)
+        with ThreadPoolExecutor(1) as side:  # which starts no thread before it has work
+            writing = None if inputs.later is None else side.submit(inputs.later, folder)
+            result = self.solve(inputs, context)
+            if writing is not None:
+                writing.result()
+        context.clock.start("save")
+        result.save(folder, **inputs.saving)
+        row = self.row(inputs, result)
+        return Outcome(row, context.clock.seconds, [*inputs.warnings, *result.warnings])
