@@ -10,12 +10,12 @@ import _env
 import numpy as np
 import yaml
 
-from depthcli.api.stereo import with_network
 from depthcli.commands import config_model
 from depthcli.core.config_file import load_config
 from depthcli.evaluation.render import Table
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.walk import discover_scenes
+from depthcli.problems.stereo import with_network
 from depthcli.run.presets import find_config
 
 THESIS = yaml.safe_load((_env.ROOT / "scripts" / "thesis.yaml").read_text("utf-8"))

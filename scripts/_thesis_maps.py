@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from _experiments import GROUPS, Experiment, Rows, matcher, real_scenes, scenes_in, seconds_in_turns
 
-from depthcli.api.bounds import networks
 from depthcli.evaluation import protocols
 from depthcli.evaluation.curves import reliability, sparsification
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps import judge
 from depthcli.methods.given_maps.fusion import fuse
+from depthcli.problems.given_maps import networks
 
 METHODS = ("opencv-sgbm", "segments", "ad-census", "fast", "accurate")
 FUSED = ("opencv-sgbm", "fast", "ad-census", "segments")

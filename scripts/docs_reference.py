@@ -22,7 +22,6 @@ import yaml
 import depthcli
 from depthcli import testing
 from depthcli.cli import command_of
-from depthcli.commands import CONFIGS as CONFIG_NAMES
 from depthcli.commands import config_model, grouped_names, help_of
 from depthcli.core.errors import EXIT_CODES
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
@@ -37,6 +36,7 @@ from depthcli.io.formats.volumes import VOLUME_SUFFIXES
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.methods.confidence import measures as confidence_measures
 from depthcli.methods.registration.search import MEASURES
+from depthcli.problems import PROBLEMS
 from depthcli.run.folder import REPORT_FILES
 from depthcli.run.presets import find_config, list_presets
 
@@ -49,7 +49,7 @@ METHOD_PACKAGES = [
     "depthcli.algorithms.segmentation", "depthcli.algorithms.keypoints",
 ]  # fmt: skip
 """Packages of all families of methods, in the order in which they are explained."""
-CONFIGS: dict[str, Any] = {command: config_model(command) for command in CONFIG_NAMES}
+CONFIGS: dict[str, Any] = {command: config_model(command) for command in PROBLEMS}
 """Command -> class of its config."""
 MAPS, DEPTH = "disp_left.*, status.png, preview.png, confidence_*", "depth.*, bound.pfm, status.png, preview.png"
 OUTPUTS = {

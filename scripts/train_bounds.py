@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from train_choice import Loaded, generated
 
 from depthcli.algorithms.error_table import ErrorTable
-from depthcli.api.bounds import networks
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
 from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.methods.given_maps import FILLED_DOUBT, judged_maps, odds_of, odds_within
 from depthcli.methods.given_maps._planes import ONE_VIEW, Evidence
 from depthcli.methods.registration.pipeline.search import isotonic
+from depthcli.problems.given_maps import networks
 
 TAUGHT = ("fast", "accurate", "opencv-sgbm")
 METHODS = (*TAUGHT, "segments")  # the last one only checks the tables

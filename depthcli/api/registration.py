@@ -16,9 +16,7 @@ from scipy import ndimage
 from depthcli.algorithms.body import body_of_volume
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.resampling import block_means, trilinear
-from depthcli.api.inputs import Overrides, as_volume, load_config
 from depthcli.api.registration_preview import registration_preview
-from depthcli.api.saving import made
 from depthcli.core.bound import VolumeBound
 from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
@@ -31,6 +29,8 @@ from depthcli.io.volume_pairs import LoadedPair, blocks_of, joined, usable
 from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
+from depthcli.problems.inputs import Overrides, as_volume, load_config
+from depthcli.problems.results import made
 from depthcli.run.json_csv import to_csv
 from depthcli.run.resources import available_memory, check_memory
 

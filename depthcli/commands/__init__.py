@@ -4,8 +4,8 @@ A public module here is a command: it defines a function of its own name, whose 
 options (``_shared_options``, ``_options``), and the module's docstring is its help. The function returns the exit code.
 Nothing heavy is imported before it runs: each imports the module that does the work where it needs it.
 
-A command that makes a run folder describes its work as a ``Batch`` (:mod:`depthcli.run.job`), finds the scenes
-(``_scenes``) and gives both to ``run_batch`` (``_batch``), which has every scene computed by
+A command that makes a run folder gives its options to ``run_problem`` (``_run``), which takes the problem from
+:mod:`depthcli.problems`, finds the scenes (``_scenes``), has every scene computed by
 :func:`depthcli.run.runner.run_scenes`, evaluates where that is requested, and prints the table.
 """
 
@@ -20,6 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from depthcli import problems
 from depthcli.core.errors import ConfigError
 from depthcli.core.registry import plugins_in
 
@@ -35,15 +36,6 @@ _GROUPS = {
     "Evaluate and report": ("evaluate", "sweep", "export", "presets"),
 }
 """Headings of ``depthcli --help``; commands that are listed nowhere come last, under a heading of their own."""
-
-CONFIGS = {
-    "stereo": "stereo:StereoConfig",
-    "fuse": "fusion:FuseConfig",
-    "refine-kinect": "kinect:RefineKinectConfig",
-    "transparent": "transparent:TransparentConfig",
-    "register-confidence": "registration:RegisterConfidenceConfig",
-}
-"""Commands with configs -> package of ``methods`` and class; by name, so that listing presets imports none."""
 
 CommandT = TypeVar("CommandT", bound=Callable[..., int])
 
@@ -85,10 +77,8 @@ def command(config: type[BaseModel] | None = None) -> Callable[[CommandT], Comma
 
 def config_model(name: str) -> type[BaseModel] | None:
     """Return the class of a command's configs; None where it has no configs, or there is no such command."""
-    if name in CONFIGS:
-        module, _, kind = CONFIGS[name].partition(":")
-        model: type[BaseModel] = getattr(importlib.import_module(f"depthcli.methods.{module}.config"), kind)
-        return model
+    if name in problems.PROBLEMS:
+        return problems.config_model(name)
     return getattr(find(name), "config", None)
 
 

@@ -12,8 +12,6 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.results import PointCloud
-from depthcli.api.saving import check_limits, chosen_pixels, empty_cloud, parse_mask, write_depth
 from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
 from depthcli.commands._scenes import scenes_at
 from depthcli.core.cameras.camera import Intrinsics
@@ -33,6 +31,7 @@ from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
 from depthcli.io.walk import matches_any, scenes_with_files
 from depthcli.problems.problem import SceneJob, Shown
+from depthcli.problems.results import PointCloud, check_limits, chosen_pixels, empty_cloud, parse_mask, write_depth
 from depthcli.run.console import SIZE, Reporter, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share

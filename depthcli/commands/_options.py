@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from typer import Argument, Option
 
@@ -116,6 +117,25 @@ class DepthOptions:
     within: float | None = option(
         None, metavar="METERS", help="Error up to which a value is right in probability.pfm. Default: 0.03."
     )
+
+    def settings(self) -> dict[str, Any]:
+        """Return config key -> value, None: not given; ConfigError if no camera can have the intrinsics."""
+        given = vars(self) | {"ply": self.ply or None}
+        if self.intrinsics is not None:
+            camera_of("--intrinsics", self.intrinsics)
+            given["intrinsics"] = f"[{self.intrinsics}]"
+        return given | {"bound.level": given.pop("level"), "bound.within": given.pop("within")}
+
+
+def camera_of(option: str, text: str) -> tuple[float, float, float, float]:
+    """Return fx, fy, cx, cy of an option; ConfigError if no camera can have them."""
+    try:
+        fx, fy, cx, cy = (float(number) for number in text.split(","))
+    except ValueError:
+        fx = fy = cx = cy = math.nan
+    if not (all(map(math.isfinite, (fx, fy, cx, cy))) and min(fx, fy) > 0):
+        raise ConfigError(f"{option}: expected fx,fy,cx,cy in pixels, focal lengths above 0 (got {text[:64]!r})")
+    return fx, fy, cx, cy
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,16 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.rigs import read_rig, rectified_rig
 from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
-from depthcli.commands._rectified_pairs import (
-    calibration_files,
-    calibration_warnings,
-    check_unit,
-    grey8,
-    row_errors,
-    sequence_range,
-)
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.cameras.rig import RectifiedRig
 from depthcli.core.context import Context, Latest
@@ -32,11 +23,20 @@ from depthcli.io.formats.images import write_png
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_views
-from depthcli.methods.stereo.config import Calibration
 from depthcli.methods.stereo.rectification import RectifyingHomographies, rectify_uncalibrated
 from depthcli.methods.stereo.search_range import matched_range
 from depthcli.methods.stereo.view_matching import Points, match_views
 from depthcli.problems.problem import SceneJob, Shown
+from depthcli.problems.rectified import (
+    Calibration,
+    calibration_files,
+    calibration_warnings,
+    check_unit,
+    grey8,
+    rectified_rig,
+    row_errors,
+    sequence_range,
+)
 from depthcli.run.console import SIZE, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
@@ -80,7 +80,7 @@ class Rectify(SceneJob[StereoScene]):
     def memory(self, scene: StereoScene) -> None:
         """Return None, since it is little more than the images; InputError where the calibration cannot be read."""
         if self.calibration is not None:
-            read_rig(self.calibration)
+            self.calibration.rig()
 
     def compute(self, scene: StereoScene, folder: Path, context: Context) -> Outcome:
         """Rectify the pair, and find its search range.

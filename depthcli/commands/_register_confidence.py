@@ -13,8 +13,8 @@ import numpy as np
 
 from depthcli.algorithms.resampling import block_means
 from depthcli.api.registration import beyond_search, measured_pair, peak_bytes
-from depthcli.commands._batch import config_of
 from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.commands._run import config_of
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.context import Context
 from depthcli.core.errors import InputError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import math
 import os
 import shlex
 from collections.abc import Sequence
@@ -11,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from depthcli.commands._options import DepthOptions, RunOptions, SceneOptions
+from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.core.errors import ConfigError
 from depthcli.io.inputs import local
 from depthcli.io.layouts import Layouts
@@ -86,33 +85,3 @@ def scenes_at(
 
 def _chosen(scenes: Sequence[SceneT], patterns: Sequence[str], place: Path | str) -> list[SceneT]:
     return cast("list[SceneT]", chosen_scenes(cast("Sequence[Scene]", scenes), patterns, place))
-
-
-def camera_of(option: str, text: str) -> tuple[float, float, float, float]:
-    """Return fx, fy, cx, cy of an option; ConfigError if no camera can have them."""
-    try:
-        fx, fy, cx, cy = (float(number) for number in text.split(","))
-    except ValueError:
-        fx = fy = cx = cy = math.nan
-    if not (all(map(math.isfinite, (fx, fy, cx, cy))) and min(fx, fy) > 0):
-        raise ConfigError(f"{option}: expected fx,fy,cx,cy in pixels, focal lengths above 0 (got {text[:64]!r})")
-    return fx, fy, cx, cy
-
-
-def depth_settings(options: DepthOptions) -> dict[str, object]:
-    """Return config key -> value, None: not given; ConfigError if no camera can have the intrinsics."""
-    given = vars(options) | {"ply": options.ply or None}
-    if options.intrinsics is not None:
-        camera_of("--intrinsics", options.intrinsics)
-        given["intrinsics"] = f"[{options.intrinsics}]"
-    return given | {"bound.level": given.pop("level"), "bound.within": given.pop("within")}
-
-
-def say_typical_cameras(scenes: Sequence[RgbdScene], reporter: Reporter) -> None:
-    """Warn of frames without intrinsics, whose clouds take the intrinsics of a typical Kinect."""
-    own = [scene for scene in scenes if not (scene.problem or scene.raw)]
-    if n_without := sum(frame.intrinsics is None for frame in own):
-        reporter.info(
-            f"warning: {n_without} of {len(own)} frames have no intrinsics; point clouds assume a "
-            "typical Kinect (fx, fy 525 at a width of 640); see --intrinsics, or meta.json"
-        )

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from depthcli.commands import CONFIGS
-from depthcli.commands._batch import DONE, plan_of, run_batch
-from depthcli.commands._evaluation import print_place, viewers
 from depthcli.commands._options import RunOptions, SceneOptions
+from depthcli.commands._run import DONE, plan_of, print_place, run_job, viewers
+from depthcli.commands._run import prepared as prepared_run
 from depthcli.commands._sweep_axes import Axes, Combination, effects, folder_names, value_text
 from depthcli.core.errors import SOME_FAILED, ConfigError
 from depthcli.evaluation.comparison import Section
@@ -22,6 +20,7 @@ from depthcli.io.formats.files import write_text
 from depthcli.io.inputs import local
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
+from depthcli.problems import PROBLEMS
 from depthcli.problems.problem import SceneJob
 from depthcli.run.console import aligned
 from depthcli.run.folder import FolderLock
@@ -37,7 +36,7 @@ class _Run(NamedTuple):
     values: Combination
     options: RunOptions
     batch: SceneJob[Any]
-    scenes: list[Any]
+    scenes: Sequence[Any]
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class Sweep:
             lock.share()
             for count, (name, run) in enumerate(runs.items(), 1):
                 reporter.info(f"run {count} of {len(runs)}: {name}")
-                failed |= run_batch(run.batch, run.scenes, run.options, source) != 0
+                failed |= run_job(run.batch, run.scenes, run.options, source) != 0
             others = lock.locks and not lock.last()
         if others:
             reporter.info("the process that ends last compares the runs")
@@ -103,15 +102,16 @@ class Sweep:
 
     def _runs(self) -> tuple[dict[str, _Run], str]:
         """Return name -> run, and the name of the run that has the config's own values; empty where none has."""
-        if self.command not in CONFIGS:
-            raise ConfigError(f"--command: must be one of {', '.join(CONFIGS)} (got {self.command!r})")
-        prepare = importlib.import_module(f"depthcli.commands._{self.command.replace('-', '_')}").prepare
+        if self.command not in PROBLEMS:
+            raise ConfigError(f"--command: must be one of {', '.join(PROBLEMS)} (got {self.command!r})")
 
         def prepared(name: str, values: Combination) -> _Run:
             place = self.options.output / _RUNS / name
             options = replace(self.options, output=place, json=False, quiet=True, flag=None, fail_flagged=False)
             own = [(f"--over {key}", f"{key}={value}") for key, value in zip(self.axes, values, strict=False)]
-            return _Run(values, options, *prepare(self.config, self.source, options, [*self.settings, *own]))
+            return _Run(
+                values, options, *prepared_run(self.command, self.config, self.source, options, [*self.settings, *own])
+            )
 
         names = folder_names(self.axes, self.chosen)
         runs = {name: prepared(name, values) for name, values in zip(names, self.chosen, strict=True)}

@@ -12,12 +12,14 @@ Examples:
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import replace
+from typing import Annotated, Any
 
 from typer import Option
 
 from depthcli.commands._options import CodingOptions, PairOptions, ScoredRunOptions
 from depthcli.commands._shared_options import LevelOption, MaxDisparityOption, WithinOption
+from depthcli.core.errors import ConfigError
 
 
 def confidence(
@@ -40,11 +42,24 @@ def confidence(
     ] = None,
 ) -> int:
     """Judge the map of every scene; ``--keep SHARE`` and ``--threshold`` leave doubtful pixels out of disp_left."""
-    from depthcli.commands._batch import run_batch
-    from depthcli.commands._confidence import prepare
+    from depthcli.commands._run import run_maps
+    from depthcli.problems.given_maps import Confidence, largest, measures_named
 
-    promise = {"level": level, "within": within}
-    batch, scenes, run = prepare(
-        maps, witness or [], right_maps, pairs, coding, run, max_disparity, promise, measure or [], threshold
-    )
-    return run_batch(batch, scenes, run, pairs)
+    keep = share_of(run.keep)
+    if keep is not None and threshold is not None:
+        raise ConfigError("--keep SHARE and --threshold exclude each other")
+    options: dict[str, Any] = {"max_disparity": largest(max_disparity), "bound": {"level": level, "within": within}}
+    options |= {"keep": keep, "threshold": threshold, "measures": measures_named(measure or [], "--measure")}
+    run = run if keep is None else replace(run, keep=None)
+    return run_maps(Confidence(options), pairs, coding, run, [maps], witness or [], right_maps)
+
+
+def share_of(keep: str | None) -> float | None:
+    """Return the share that ``--keep`` gives, or None for names of files; ConfigError for no such share."""
+    try:
+        share = float(keep or "")
+    except ValueError:
+        return None
+    if not 0 < share <= 1:
+        raise ConfigError(f"--keep: expected a share above 0 and up to 1, or names of files (got {keep!r})")
+    return share

@@ -25,7 +25,7 @@ class DepthRunOptions(RunOptions):
 
 def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     """Turn every map of the run into depth; return the exit code."""
-    from depthcli.commands._batch import run_batch
     from depthcli.commands._depth import prepare
+    from depthcli.commands._run import run_job
 
-    return run_batch(*prepare(maps, clouds, run), run)
+    return run_job(*prepare(maps, clouds, run), run)

@@ -70,7 +70,7 @@ def evaluate(
     ] = "50MB",
 ) -> int:
     """Evaluate, print the tables, and return the exit code."""
-    from depthcli.commands._evaluation import check_tables, print_place, print_tables, viewers
+    from depthcli.commands._run import check_tables, print_place, print_tables, viewers
     from depthcli.evaluation.evaluate import Choices, evaluate_runs
     from depthcli.evaluation.map_files import MapNaming, find_runs, given_naming
     from depthcli.evaluation.protocols import Settings, load

@@ -12,7 +12,7 @@ Examples:
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Option
 
@@ -36,16 +36,21 @@ def fuse(
     surfaces: Annotated[bool, Option("--surfaces", help="With maps: also propose planes of segments; slower.")] = False,
 ) -> int:
     """Match every pair by fusion of measures, or fuse maps."""
-    from depthcli.commands._batch import run_batch
+    from depthcli.commands._run import run_maps, run_problem
 
     promise = {"level": level, "within": within}
-    if config == "maps":
-        from depthcli.commands import _fuse_maps
+    if config != "maps":
+        if maps:
+            raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
+        return run_problem("fuse", config, pairs, run, set, bound=promise if bound else None)
+    from depthcli.methods.given_maps.fusion import MAX_MAPS
+    from depthcli.problems.given_maps import FuseMaps, largest
 
-        prepared = _fuse_maps.prepare(maps or [], pairs, coding, run, bound, promise, surfaces, set)
-        return run_batch(*prepared, run, pairs)
-    if maps:
-        raise ConfigError("--maps goes with depthcli fuse maps, not with a config")
-    from depthcli.commands._fuse import prepare
-
-    return run_batch(*prepare(config, pairs, run, set, promise if bound else None), run, pairs)
+    if not 1 <= len(maps or ()) <= MAX_MAPS:
+        raise ConfigError(f"--maps: give 1 to {MAX_MAPS} runs or maps (got {len(maps or ())})")
+    unused = [name for name in ("calibration", "unit", "min_disparity") if getattr(pairs, name) is not None]
+    if unused or set:
+        raise ConfigError(f"--{(unused or ['set'])[0].replace('_', '-')} does not go with fuse maps")
+    options: dict[str, Any] = {"max_disparity": largest(pairs.max_disparity), "surfaces": surfaces}
+    options |= {"within": within, "bound": promise if bound else None}
+    return run_maps(FuseMaps(options), pairs, coding, run, maps or [])

@@ -15,7 +15,7 @@ from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
 
 def rectify(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> int:
     """Rectify every pair; return the exit code."""
-    from depthcli.commands._batch import run_batch
     from depthcli.commands._rectify import prepare
+    from depthcli.commands._run import run_job
 
-    return run_batch(*prepare(pairs, how, run), run, pairs)
+    return run_job(*prepare(pairs, how, run), run, pairs)

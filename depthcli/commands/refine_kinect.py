@@ -7,12 +7,16 @@ Examples:
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
-from depthcli.commands._options import DepthOptions, FrameOptions, ScoredRunOptions
+from depthcli.commands._options import DepthOptions, FrameOptions, ScoredRunOptions, camera_of
 from depthcli.commands._shared_options import ConfigArgument, SetOption
+
+if TYPE_CHECKING:
+    from depthcli.io.scenes import RgbdScene
 
 
 def refine_kinect(
@@ -26,7 +30,15 @@ def refine_kinect(
     ] = None,
 ) -> int:
     """Refine single frames, or sequences where the method carries state from frame to frame."""
-    from depthcli.commands._batch import run_batch
-    from depthcli.commands._refine_kinect import prepare
+    from depthcli.commands._run import run_problem
+    from depthcli.io.layouts import Folder
+    from depthcli.io.layouts.depth import cameras
 
-    return run_batch(*prepare(config, frames, run, set, depths, depth_intrinsics), run, frames)
+    camera = None if depth_intrinsics is None else camera_of("--depth-intrinsics", depth_intrinsics)
+
+    def with_cameras(scenes: list[RgbdScene]) -> list[RgbdScene]:
+        if frames.color is not None:  # a meta.json in the folder of the files may describe the cameras
+            scenes = [replace(s, **cameras(Folder(s.folder, s.name, "", "").meta)) for s in scenes]
+        return scenes if camera is None else [s if s.raw else replace(s, depth_intrinsics=camera) for s in scenes]
+
+    return run_problem("refine-kinect", config, frames, run, set, with_cameras, **depths.settings())

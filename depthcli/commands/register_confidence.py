@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from typer import Option
 
@@ -53,9 +53,12 @@ def register_confidence(
     ] = False,
 ) -> int:
     """Estimate the error of every registration, by a search around every voxel."""
-    from depthcli.commands._batch import run_batch
-    from depthcli.commands._register_confidence import prepare
+    from depthcli.commands._run import run_problem
 
-    promise = {"bound.level": level, "bound.within": within}
-    prepared = prepare(config, volumes, run, set, field=field, neurological=neurological or None, **promise)
-    return run_batch(*prepared, run, volumes)
+    options: dict[str, Any] = {
+        "field": field,
+        "neurological": neurological or None,
+        "bound.level": level,
+        "bound.within": within,
+    }
+    return run_problem("register-confidence", config, volumes, run, set, **options)

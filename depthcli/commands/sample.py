@@ -14,7 +14,7 @@ from depthcli.commands._options import RunOptions, SampleOptions
 
 def sample(run: RunOptions, scenes: SampleOptions) -> int:
     """Generate the scenes of one kind into a run folder."""
-    from depthcli.commands._batch import run_batch
+    from depthcli.commands._run import run_job
     from depthcli.commands._sample import prepare
 
-    return run_batch(*prepare(scenes), run)
+    return run_job(*prepare(scenes), run)

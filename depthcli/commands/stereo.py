@@ -60,8 +60,7 @@ def stereo(
     ] = None,
 ) -> int:
     """Match every pair by a pipeline of ``methods/stereo/pipeline``, here or on a device."""
-    from depthcli.commands._batch import run_batch
-    from depthcli.commands._stereo import prepare
+    from depthcli.commands._run import run_problem
 
     promise = {"level": level, "within": within} if bound else None
-    return run_batch(*prepare(config, pairs, run, set, device=device, bound=promise), run, pairs)
+    return run_problem("stereo", config, pairs, run, set, device=device, bound=promise)

@@ -20,7 +20,6 @@ def transparent(
     set: SetOption = None,
 ) -> int:
     """Complete every frame from its sparse depth, given or matched between color and infrared, or from a mask."""
-    from depthcli.commands._batch import run_batch
-    from depthcli.commands._transparent import prepare
+    from depthcli.commands._run import run_problem
 
-    return run_batch(*prepare(config, frames, run, set, depths), run, frames)
+    return run_problem("transparent", config, frames, run, set, **depths.settings())

@@ -6,12 +6,14 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from depthcli.core.context import Context
+from depthcli.core.root_config import RootConfig
 from depthcli.io.formats.pictures import Palette
+from depthcli.io.layouts import Layouts
 from depthcli.io.scenes import Scene
-from depthcli.run.console import Column
+from depthcli.run.console import Column, Reporter
 from depthcli.run.job import Job, Outcome, SceneT
 from depthcli.run.json_csv import Row
 
@@ -81,6 +83,18 @@ ResultT = TypeVar("ResultT", bound=Solution)
 
 class Problem(SceneJob[SceneT], Generic[SceneT, InputsT, ResultT]):
     """One problem, told once: its inputs, how it is solved, its result. Functions for Python call ``solve`` alone."""
+
+    model: ClassVar[type[RootConfig]]  # of its config
+    rows: ClassVar[Layouts[Any]]  # by which its scenes are found
+
+    @classmethod
+    def ready(cls, config: Any) -> Self:
+        """Return the problem of a config; ConfigError or InputError where what the config names cannot be used."""
+        return cls(config)  # type: ignore[call-arg]
+
+    def units(self, scenes: Sequence[Any], reporter: Reporter) -> Sequence[SceneT]:
+        """Return what is computed at a time, of the scenes that were found."""
+        return scenes
 
     @abstractmethod
     def load(self, scene: SceneT, context: Context) -> InputsT:

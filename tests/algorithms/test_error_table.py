@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.error_table import ErrorTable
-from depthcli.api.bounds import networks
-from depthcli.api.depth_bounds import kinect_errors
+from depthcli.problems.frames import kinect_errors
+from depthcli.problems.given_maps import networks
 
 LEVELS = np.linspace(0.5, 0.99, 15)
 WITHIN = np.geomspace(0.25, 8, 25)

@@ -17,13 +17,13 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from depthcli.commands._stereo import prepare
 from PIL import Image
 
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
 from depthcli.commands._options import PairOptions, RunOptions
 from depthcli.commands._shared_options import parse_bytes
-from depthcli.commands._stereo import prepare
 from depthcli.commands._sweep_axes import parse_axes
 from depthcli.core.config_file import load_config
 from depthcli.io.formats.disparity import read_disparity, read_pfm
@@ -201,7 +201,7 @@ def test_a_bug_and_ctrl_c_have_their_exit_codes(error, code: int, said: str, mon
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr("depthcli.commands._batch.find_config", fail)
+    monkeypatch.setattr("depthcli.commands._run.find_config", fail)
     assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == code
     err = capsys.readouterr().err
     assert said in err and ("ZeroDivisionError" in err) == (code == 1)

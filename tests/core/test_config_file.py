@@ -14,8 +14,8 @@ from depthcli.core.errors import ConfigError
 from depthcli.core.method import Family
 from depthcli.core.root_config import RootConfig
 from depthcli.core.yaml_source import parse_config, read_config
-from depthcli.methods.fusion.config import FuseConfig
-from depthcli.methods.stereo.config import StereoConfig
+from depthcli.problems.fusion import FuseConfig
+from depthcli.problems.stereo import StereoConfig
 from tests.command_line import refused
 from tests.core.toys import AnyToy
 

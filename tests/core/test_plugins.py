@@ -22,7 +22,7 @@ from depthcli.evaluation import protocols
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
 from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.methods.stereo.config import StereoConfig
+from depthcli.problems.stereo import StereoConfig
 from depthcli.run import presets
 from tests.command_line import refused
 

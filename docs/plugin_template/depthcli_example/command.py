@@ -13,8 +13,8 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.commands import command
-from depthcli.commands._batch import config_of, run_batch
 from depthcli.commands._options import PairOptions, ScoredRunOptions
+from depthcli.commands._run import run_job
 from depthcli.commands._scenes import find_scenes
 from depthcli.commands._shared_options import ConfigArgument, SetOption
 from depthcli.core.context import Context
@@ -23,6 +23,7 @@ from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair
+from depthcli.problems.inputs import config_with_options
 from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE
 from depthcli.run.job import Outcome
@@ -57,7 +58,7 @@ class Constant(SceneJob[StereoScene]):
 def constant(config: ConfigArgument, pairs: PairOptions, run: ScoredRunOptions, set: SetOption = None) -> int:
     """Write the same disparity everywhere.
 
-    ``run_batch`` goes through the scenes, with progress, resuming, reports and workers.
+    ``run_job`` goes through the scenes, with progress, resuming, reports and workers.
     """
-    batch = Constant(config_of(ConstantConfig, config, set))
-    return run_batch(batch, find_scenes(PAIRS, pairs, run), run, pairs)
+    job = Constant(config_with_options(ConstantConfig, config, set, {}))
+    return run_job(job, find_scenes(PAIRS, pairs, run), run, pairs)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from depthcli.api.stereo import with_network
 from depthcli.evaluation.curves import sparsification
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.cost.census import Census
+from depthcli.problems.stereo import with_network
 from tests.contracts.inputs import preset
 from tests.scenes import rates, real_scenes
 

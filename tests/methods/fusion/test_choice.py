@@ -8,13 +8,13 @@ import pytest
 
 from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
-from depthcli.api.stereo import with_network
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.networks import read_network, write_network
 from depthcli.methods.fusion.choice import network
-from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.map_costs import hidden_jumps, matching_costs
 from depthcli.methods.fusion.votes import ColorSupport, WindowSupport
+from depthcli.problems.fusion import FuseConfig
+from depthcli.problems.stereo import with_network
 from depthcli.testing.inputs import assert_pure, texture
 from tests.contracts.checks import CHECKS
 from tests.contracts.inputs import KINDS, random_proposals

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.pixel_network import TILE
-from depthcli.api.bounds import networks
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
 from depthcli.methods import given_maps
 from depthcli.methods.given_maps import _planes
 from depthcli.methods.given_maps.fusion import fuse
+from depthcli.problems.given_maps import networks
 from depthcli.simulate.stereo_scenes import SyntheticScene, make_scene
 from tests.contracts.inputs import preset
 from tests.scenes import real_scenes

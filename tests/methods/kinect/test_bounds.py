@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from depthcli.api.depth_bounds import kinect_errors
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.methods.kinect.bounds import INPUTS, depth_bounds, error_planes
+from depthcli.problems.frames import kinect_errors
 from depthcli.simulate.depth_sensor import simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene
 from tests.contracts.inputs import preset

@@ -13,9 +13,9 @@ from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo import adjustment
 from depthcli.methods.stereo.adjustment import adjusted, right_view
 from depthcli.methods.stereo.adjustment.right_view import BLOCK, CELL, resample
-from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES
+from depthcli.problems.stereo import StereoConfig
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import texture, threads
 from tests.contracts.inputs import preset, wrong

@@ -21,8 +21,8 @@ from depthcli.cli import main
 from depthcli.core.context import Context
 from depthcli.io.formats.disparity import read_pfm, write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline._process import ProgramError, run_program
+from depthcli.problems.stereo import StereoConfig
 from tests.command_line import rows
 
 # OpenCV's matcher as a program of somebody else: reads two images, writes a map as .npy.

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from depthcli.api.depth_bounds import glass_errors
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.methods.transparent.bounds import EVIDENCE, evidence, glass_bounds
+from depthcli.problems.frames import glass_errors
 
 SHAPE = 90, 120
 

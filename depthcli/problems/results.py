@@ -1,4 +1,4 @@
-"""What a matched pair becomes: a disparity map, its metric depth, and colored points."""
+"""What a matched pair becomes: a disparity map, its metric depth, and colored points; and the files of results."""
 
 from __future__ import annotations
 
@@ -10,18 +10,155 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.saving import Pixels, chosen_pixels, made, write_depth, write_details, write_disparity
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.core.frames import Image, color8
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
-from depthcli.io.formats.calibrations import read_geometry, write_geometry
-from depthcli.io.formats.depth import MILLIMETERS, write_points
+from depthcli.core.result import Result
+from depthcli.io.formats.calibrations import read_geometry
+from depthcli.io.formats.depth import MILLIMETERS, write_depth_png, write_points
+from depthcli.io.formats.disparity import write_disparity_png, write_pfm
+from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png
-from depthcli.io.formats.pictures import preview, preview_depth
+from depthcli.io.formats.pictures import (
+    DEPTH_STATUS_PALETTE,
+    STATUS_PALETTE,
+    confidence_picture,
+    preview,
+    preview_depth,
+    with_bound,
+    write_status,
+)
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
+from depthcli.problems.rectified import Rectified
+from depthcli.run.json_csv import to_csv
+
+Pixels = str | NDArray[np.bool_]
+"""Name of a choice of pixels, or (H, W) bool."""
+
+
+def made(folder: Path | str) -> Path:
+    """Return the folder, created where it is missing; OutputError where that cannot be."""
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    return Path(folder)
+
+
+def write_depth(
+    depth: MatchedMap | DepthMap,
+    folder: Path,
+    scale: float,
+    rotate: int = 0,
+    bound: NDArray[np.float32] | None = None,
+) -> None:
+    """Write ``depth.pfm``, ``depth.png``, ``status.png``, ``preview.png``, and ``bound.pfm`` of a map in meters."""
+    write_pfm(folder / "depth.pfm", depth.values)
+    write_depth_png(folder / "depth.png", depth.values, scale, rotate)
+    palette = DEPTH_STATUS_PALETTE if isinstance(depth, DepthMap) else STATUS_PALETTE
+    write_status(folder / "status.png", depth.status, palette)
+    _write_preview(folder, preview_depth(depth.values), bound, "m")
+
+
+def write_disparity(
+    values: NDArray[np.float32],
+    status: NDArray[np.uint8],
+    picture: NDArray[np.uint8],
+    folder: Path,
+    bound: NDArray[np.float32] | None = None,
+    probability: NDArray[np.float32] | None = None,
+) -> None:
+    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png``, and ``picture`` with the bound as ``preview.png``.
+
+    And ``bound.pfm`` and ``probability.pfm``, where they are given.
+    """
+    write_pfm(folder / "disp_left.pfm", values)
+    # The PNG has no code for what is negative: those pixels have no value there.
+    write_disparity_png(folder / "disp_left.png", np.where(values < 0, np.float32(np.nan), values))
+    write_status(folder / "status.png", status, STATUS_PALETTE)
+    _write_preview(folder, picture, bound, "px")
+    if probability is not None:
+        write_pfm(folder / "probability.pfm", probability)
+
+
+def _write_preview(folder: Path, picture: NDArray[np.uint8], bound: NDArray[np.float32] | None, unit: str) -> None:
+    if bound is not None:
+        write_pfm(folder / "bound.pfm", bound)
+        picture = with_bound(picture, bound, unit)
+    write_png(folder / "preview.png", picture)
+
+
+def write_details(result: Result, folder: Path) -> None:
+    """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV, and pictures."""
+    for name, confidence in result.confidence.items():
+        write_pfm(folder / f"confidence_{name}.pfm", confidence)
+        write_png(folder / f"confidence_{name}.png", confidence_picture(confidence))
+    for name, rows in result.tables.items():
+        write_text(folder / f"{name}.csv", to_csv(rows))
+    for name, picture in result.pictures.items():
+        write_png(folder / f"{name}.png", picture)
+
+
+def parse_mask(text: str) -> tuple[str, float, str]:
+    """Return kind, share and name of a mask as :func:`chosen_pixels` takes it; ConfigError for other texts."""
+    kind, _, rest = text.partition(":")
+    share, _, name = rest.partition(":")
+    try:
+        number = float(share or "nan")
+    except ValueError:
+        number = -1.0
+    if (kind in ("measured", "all") and not rest) or (kind == "confident" and 0 < number <= 1):
+        return kind, number, name
+    raise ConfigError(f"mask: must be measured, all, or confident:0.8 (got {text!r})")
+
+
+def chosen_pixels(
+    found: MatchedMap | DepthMap, mask: Pixels, confidence: Mapping[str, NDArray[np.float32]] | None = None
+) -> NDArray[np.bool_]:
+    """Return the pixels of a map that a mask chooses, (H, W) bool.
+
+    ``confident:0.8:NAME`` chooses those of the measured ones at and above the quantile of a confidence; the name may be
+    left out where there is one only. ConfigError for other texts; InputError for an array of another shape or dtype,
+    and where no confidence has that name, or none is named and there are several.
+    """
+    if not isinstance(mask, str):
+        if np.shape(mask) != found.values.shape or np.asarray(mask).dtype != np.bool_:
+            raise InputError(f"mask: expected bool of shape {found.values.shape}, got {np.shape(mask)}")
+        return mask
+    kind, share, name = parse_mask(mask)
+    measured = found.valid & ~found.filled
+    if kind != "confident":
+        return measured if kind == "measured" else found.valid
+    maps = confidence or {}
+    name = name or (next(iter(maps)) if len(maps) == 1 else "")
+    if name not in maps:
+        raise InputError(f"mask {mask}: which confidence map? there are: {', '.join(maps) or 'none'}")
+    measured &= np.isfinite(maps[name])
+    if measured.any():
+        measured &= maps[name] >= np.quantile(maps[name][measured], 1 - share, method="higher")
+    return measured
+
+
+def check_limits(near: float, far: float | None) -> None:
+    """Raise ConfigError where no depth lies between ``--near`` and ``--far``, meters; ``far`` None: no limit."""
+    if far is not None and near >= far:
+        raise ConfigError(f"--near {near:g}, --far {far:g}: no depth lies between them")
+
+
+def empty_cloud(depth: NDArray[np.float32], cloud: NDArray[np.bool_]) -> list[str]:
+    """Return a warning where none of the pixels ``cloud`` has a depth, else no line."""
+    known = np.isfinite(depth)
+    if np.any(known & cloud):
+        return []
+    if not known.any():
+        return ["points.ply has no points: no depth is known"]
+    low, high = float(depth[known].min()), float(depth[known].max())
+    return [
+        f"points.ply has no points, the depths are {low:.3g} to {high:.3g} m; see --near, --far, --mask, --max-bound"
+    ]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -122,7 +259,7 @@ class Disparity(Shown, DisparityMap):
     seconds: Mapping[str, float]  # stage -> time
     warnings: tuple[str, ...] = ()  # what looks wrong, one line each
     key_points: Mapping[str, int] = field(default_factory=dict)  # matches and their range, where an end was "auto"
-    geometry: PairGeometry | None = None  # of the rectified views, where a calibration was given
+    rectified: Rectified | None = None  # the views as a calibration rectified them
     # Where a bound was asked for, (H, W) float32: of the error, pixels, and the chance of a small error.
     bound: NDArray[np.float32] | None = None
     probability: NDArray[np.float32] | None = None
@@ -131,6 +268,11 @@ class Disparity(Shown, DisparityMap):
     def confidence(self) -> Mapping[str, NDArray[np.float32]]:
         """Name of a measure -> (H, W) float32, higher is surer."""
         return self.details.confidence
+
+    @property
+    def geometry(self) -> PairGeometry | None:
+        """The cameras of the rectified views, where a calibration was given."""
+        return None if self.rectified is None else self.rectified.rig.geometry
 
     def to_depth(
         self,
@@ -194,9 +336,8 @@ class Disparity(Shown, DisparityMap):
         files = made(folder)
         write_disparity(self.values, self.status, self._preview(), files, self.bound, self.probability)
         write_details(self.details, files)
-        if self.geometry is not None:
-            write_png(files / "left.png", self.left)
-            write_geometry(files / "calib.txt", self.geometry)
+        if self.rectified is not None:
+            self.rectified.save(files)
 
     def _preview(self) -> NDArray[np.uint8]:
         low, high = self.search.min_disparity, self.search.max_disparity

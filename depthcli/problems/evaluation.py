@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.api.inputs import as_map, as_volume
 from depthcli.core.errors import InputError
 from depthcli.core.maps import DepthMap, MatchedMap
 from depthcli.core.volumes import Grid
@@ -25,6 +24,7 @@ from depthcli.io.rgbd_frames import RgbdTruth
 from depthcli.io.scenes import RgbdScene, Scene, StereoScene, VolumePairScene
 from depthcli.io.stereo_pairs import StereoTruth
 from depthcli.io.volume_pairs import RegistrationTruth
+from depthcli.problems.inputs import as_map, as_volume
 
 _TRUTH = Path("truth")  # files of a truth in memory, for messages
 

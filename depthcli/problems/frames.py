@@ -1,0 +1,188 @@
+"""Depth of sensors, refined: what ``refine-kinect`` and ``transparent`` have in common."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.core.bound import DepthBound
+from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
+from depthcli.core.context import Context
+from depthcli.core.frames import RgbdFrame, SparseFrame
+from depthcli.core.maps import DepthMap, DepthStatus, Floats
+from depthcli.core.result import DepthResult
+from depthcli.core.root_config import RootConfig
+from depthcli.io.formats.depth import MILLIMETERS, beyond_png
+from depthcli.io.formats.disparity import write_pfm
+from depthcli.io.formats.networks import network_path, read_errors, read_network, read_numbers
+from depthcli.io.scenes import RgbdScene
+from depthcli.methods.kinect.bounds import DepthErrors
+from depthcli.methods.kinect.bounds import depth_bounds as kinect_bounds
+from depthcli.methods.transparent.bounds import KINDS, GlassErrors, glass_bounds
+from depthcli.problems.results import Pixels, PointCloud, Shown, chosen_pixels, made, write_depth, write_details
+from depthcli.run.console import Reporter
+
+
+class DepthConfig(RootConfig):
+    """How depth is read, what is said of its errors, and which points the clouds have."""
+
+    depth_scale: float | None = Field(
+        None, gt=0, le=1e6, description="codes per meter in the files; null: as the layout says"
+    )
+    intrinsics: tuple[float, float, float, float] | None = Field(
+        None, description="fx, fy, cx, cy of the color camera, pixels; null: what the layout says"
+    )
+    mask: str = Field(
+        "all",
+        pattern=r"^(all|measured|confident:[0-9.]+(:.+)?)$",
+        description="pixels of point clouds: all, measured, or confident:0.8, the surest 80 % of the measured",
+    )
+    near: float = Field(0.0, ge=0, description="points of clouds are no nearer, meters")
+    far: float = Field(1000.0, gt=0, description="points of clouds are no farther, meters")
+    max_bound: float | None = Field(None, ge=0, description="largest bound of points of clouds, meters; null: any")
+    ply: bool = Field(False, description="write a colored point cloud of every frame, too")
+    bound: DepthBound = Field(DepthBound(), description="bound of the errors and probability of a small one")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RefinedDepth(Shown, DepthMap):
+    """The depth map of a sensor, cleaned and completed.
+
+    ``values`` (H, W) are float32, meters, NaN = no value; ``status`` (H, W) uint8 has bits of :class:`DepthStatus`,
+    which ``kept``, ``filled`` and ``corrected`` read.
+    """
+
+    frame: RgbdFrame  # the color image, the depth as it was measured, and any sparse depth
+    camera: Intrinsics | None  # of the color image; None: not known
+    bound: NDArray[np.float32]  # (H, W) of the error, meters: a share ``level`` is not larger; NaN = no value
+    probability: NDArray[np.float32]  # (H, W) of an error up to ``within`` meters; 0 where there is no value
+    details: DepthResult  # what the method returns beside the map: confidence, tables, pictures, figures
+    seconds: Mapping[str, float]  # stage -> time
+    scale: float = MILLIMETERS  # codes per meter of depth.png
+    rotate: int = 0  # bits that the codes are rotated left by
+    cloud: NDArray[np.bool_] | None = None  # (H, W), the pixels that ``save`` writes as points.ply
+    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
+
+    @property
+    def color(self) -> NDArray[np.uint8]:
+        """(H, W, 3) the color image."""
+        return self.frame.color
+
+    @property
+    def confidence(self) -> Mapping[str, NDArray[np.float32]]:
+        """Name of a measure -> (H, W) float32, higher is surer."""
+        return self.details.confidence
+
+    def to_points(
+        self,
+        mask: Pixels = "all",
+        near: float = 0.0,
+        far: float = math.inf,
+        intrinsics: tuple[float, float, float, float] | None = None,
+        max_bound: float = math.inf,
+    ) -> PointCloud:
+        """Return the colored points of the pixels that ``mask`` chooses, from ``near`` to ``far`` meters.
+
+        The mask is ``all``, ``measured`` (not those that were filled in), or (H, W) bool; ``intrinsics`` are fx, fy,
+        cx, cy, pixels, by default those of ``camera``, or of a typical Kinect where that is not known. Points with a
+        ``bound`` above ``max_bound`` meters are left out.
+        """
+        camera = self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
+        camera = camera if intrinsics is None else Intrinsics(*intrinsics)
+        chosen = chosen_pixels(self, mask)
+        chosen = chosen & (self.bound <= max_bound) if max_bound < math.inf else chosen
+        return PointCloud.of(self, camera, self.color, chosen, near, far)
+
+    def save(self, folder: str | Path) -> None:
+        """Write the files that ``depthcli refine-kinect`` and ``transparent`` write for a scene, with the same bytes.
+
+        The folder is created where it is missing.
+        """
+        files = made(folder)
+        write_depth(self, files, self.scale, self.rotate, self.bound)
+        write_pfm(files / "probability.pfm", self.probability)
+        if self.cloud is not None:
+            self.to_points(self.cloud).save(files / "points.ply")
+        write_details(self.details, files)
+
+
+def refined(
+    refine: Callable[[Any], DepthResult],
+    frame: RgbdFrame,
+    promise: DepthBound,
+    context: Context,
+    scale: float,
+    rotate: int,
+) -> RefinedDepth:
+    """Return a frame's map refined, with its bound.
+
+    The clock books the stages, and ``other``; ``scale`` and ``rotate`` are of the codes that are written.
+    """
+    clock = context.clock
+    clock.start("other")
+    result = refine(frame)
+    clock.include(result.seconds)
+    clock.start("bound")
+    bound, probability = depth_bounds(frame, result.depth, promise)
+    depth = result.depth
+    if frame.interpolated:
+        depth.status[depth.kept] |= np.uint8(DepthStatus.SMOOTHED)
+    _, beyond = beyond_png(depth.values, scale)
+    return RefinedDepth(
+        depth.values,
+        depth.status,
+        frame,
+        frame.intrinsics,
+        bound,
+        probability,
+        result,
+        dict(clock.seconds),
+        scale,
+        rotate,
+        warnings=(f"{beyond}; see depth_scale",) if beyond else (),
+    )
+
+
+def with_cloud(config: DepthConfig, depth: RefinedDepth, maps: Mapping[str, NDArray[np.float32]]) -> RefinedDepth:
+    """Return a map with the pixels of its cloud, if there is to be one; ``maps``: of ``confident:0.8``."""
+    if not config.ply:
+        return depth
+    cloud = chosen_pixels(depth, config.mask, maps) & (depth.values >= config.near) & (depth.values <= config.far)
+    return replace(depth, cloud=cloud if config.max_bound is None else cloud & (depth.bound <= config.max_bound))
+
+
+@cache
+def kinect_errors() -> DepthErrors:
+    """Return the network and the table of the package."""
+    return DepthErrors(read_network(network_path("depth_error")), read_errors("depth_errors"))
+
+
+@cache
+def glass_errors() -> GlassErrors:
+    """Return the curves and tables of the package for completed depth."""
+    return GlassErrors(read_numbers("glass_curves"), tuple(read_errors(f"glass_{kind}") for kind in KINDS))
+
+
+def depth_bounds(frame: RgbdFrame, found: DepthMap, promise: DepthBound) -> tuple[Floats, Floats]:
+    """Return bound, meters, NaN = no value, and probability of an error within ``promise.within``, of a frame's map."""
+    if isinstance(frame, SparseFrame):
+        return glass_bounds(glass_errors(), frame, found, promise.level, promise.within)
+    return kinect_bounds(kinect_errors(), frame, found, promise.level, promise.within)
+
+
+def say_typical_cameras(scenes: Sequence[RgbdScene], reporter: Reporter) -> None:
+    """Warn of frames without intrinsics, whose clouds take the intrinsics of a typical Kinect."""
+    own = [scene for scene in scenes if not (scene.problem or scene.raw)]
+    if n_without := sum(frame.intrinsics is None for frame in own):
+        reporter.info(
+            f"warning: {n_without} of {len(own)} frames have no intrinsics; point clouds assume a "
+            "typical Kinect (fx, fy 525 at a width of 640); see --intrinsics, or meta.json"
+        )

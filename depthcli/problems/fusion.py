@@ -1,0 +1,146 @@
+"""Pairs to disparity maps by several measures, fused: ``fuse``, and what differs from ``stereo``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.io.formats.disparity import map_npy
+from depthcli.io.formats.networks import network_path, read_network
+from depthcli.io.scenes import StereoScene
+from depthcli.methods.fusion.pipeline import Fusion
+from depthcli.methods.stereo.stages import PairMatcher
+from depthcli.problems.inputs import Overrides, load_config
+from depthcli.problems.results import Disparity
+from depthcli.problems.stereo import (
+    End,
+    Matcher,
+    PairConfig,
+    Pairs,
+    Stereo,
+    StereoConfig,
+    with_opened_networks,
+    with_range,
+)
+
+
+class FuseConfig(PairConfig, Fusion):
+    """The fields of ``Fusion`` and of every config that matches pairs, side by side."""
+
+    command: ClassVar[str] = "fuse"
+    flattened: ClassVar[str] = ""
+
+
+@dataclass(frozen=True)
+class Fuse(Pairs[FuseConfig]):
+    """Pairs matched by fusion; volumes made elsewhere are read when a pair is matched."""
+
+    command = "fuse"
+    model = FuseConfig
+
+    volumes: Mapping[str, NDArray[Any]] | None = None  # of pairs that are arrays: name -> (H, W, D) costs
+
+    @classmethod
+    def ready(cls, config: FuseConfig) -> Self:
+        """Return the problem with its networks opened; ConfigError where one cannot be used, or is for other maps."""
+        config = with_opened_networks(super().ready(config).config, "cpu")
+        if config.network_name is None:
+            return cls(config)
+        try:
+            return cls(config.with_network(read_network(network_path(config.network_name))))
+        except InputError as error:
+            raise ConfigError(f"maps.choice.weights: {error}") from None
+
+    def matcher(self, scene: StereoScene | None = None) -> PairMatcher:
+        """Return the fusion, with the volumes of the scene, or those given as arrays."""
+        if scene is None:
+            given = self.volumes or {}
+            if self.config.volumes - set(given):
+                raise ConfigError(f"volumes: the config needs {', '.join(sorted(self.config.volumes))}")
+            return self.config.with_volumes(lambda: given) if given else self.config
+        files = self._volumes(scene)
+        if files and self.ends(scene)[0] != 0:
+            raise InputError(f"{scene.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
+        return self.config.with_volumes(lambda: {name: map_npy(file, 3) for name, file in files.items()})
+
+    def files(self, scene: StereoScene) -> dict[str, Path]:
+        """Return the files of the pair, the volumes made elsewhere, and the network that chooses among maps."""
+        name = self.config.network_name
+        network = {} if name is None else {"network": network_path(name)}
+        return super().files(scene) | self._volumes(scene) | network
+
+    def _volumes(self, scene: StereoScene) -> dict[str, Path]:
+        last = scene.name.rpartition("/")[2]
+        return {name: scene.left.parent / name.replace("{scene}", last) for name in sorted(self.config.volumes)}
+
+
+def fuse(
+    left: ArrayLike,
+    right: ArrayLike,
+    max_disparity: End = None,
+    preset: str | Path | FuseConfig = "accurate",
+    overrides: Overrides | None = None,
+    *,
+    volumes: Mapping[str, ArrayLike] | None = None,
+    **fields: object,
+) -> Disparity:
+    """Return the map of a rectified pair by several measures, each trusted where the pixels around agree with it.
+
+    ConfigError and InputError as for :func:`stereo`.
+
+    Parameters
+    ----------
+    left, right, max_disparity, overrides, **fields : as for :func:`stereo`
+    preset : name of a preset of ``depthcli fuse``, path of a YAML file, or a config
+    volumes : costs made elsewhere: name, as the ``volume`` of a measure in the config has it -> (H, W, D)
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> left = np.random.default_rng(0).integers(0, 256, (48, 96), np.uint8)
+    >>> right = np.roll(left, -8, axis=1)
+    >>> disparity = depthcli.fuse(left, right, max_disparity=16)
+    >>> round(float(np.median(disparity.values)))
+    8
+    """
+    config = load_config(FuseConfig, preset, overrides, **with_range(fields, max_disparity))
+    arrays = {name: np.asarray(volume) for name, volume in (volumes or {}).items()}
+    return Matcher(Fuse(Fuse.ready(config).config, arrays))(left, right)
+
+
+def matcher(
+    preset: str | Path | StereoConfig | FuseConfig = "accurate",
+    max_disparity: End = None,
+    overrides: Overrides | None = None,
+    **fields: object,
+) -> Matcher:
+    """Return what matches many pairs: the config is checked, and kernels are loaded or compiled, once and before.
+
+    ConfigError as for :func:`stereo`.
+
+    Parameters
+    ----------
+    preset : as for :func:`stereo`; or a ``FuseConfig``
+    max_disparity, overrides, **fields : as for :func:`stereo`. "auto" finds the range of every pair anew
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> match = depthcli.matcher("fast", max_disparity=16)
+    >>> left = np.random.default_rng(0).integers(0, 256, (48, 96), np.uint8)
+    >>> [float(np.median(match(left, np.roll(left, -k, axis=1)).values)) for k in (2, 4, 6)]
+    [2.0, 4.0, 6.0]
+    """
+    fields = with_range(fields, max_disparity)
+    if isinstance(preset, FuseConfig):
+        match = Matcher(Fuse.ready(load_config(FuseConfig, preset, overrides, **fields)))
+    else:
+        match = Matcher(Stereo.ready(load_config(StereoConfig, preset, overrides, **fields)))
+    match.load_kernels()
+    return match

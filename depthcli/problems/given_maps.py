@@ -1,0 +1,570 @@
+"""Maps of any programs: how sure each value is (``confidence``), and the best of several (``fuse maps``)."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from depthcli.core import config_file
+from depthcli.core.bound import Bound
+from depthcli.core.context import Context
+from depthcli.core.errors import ConfigError, DepthcliError, InputError
+from depthcli.core.frames import Image, StereoPair
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.result import Result
+from depthcli.core.yaml_source import ConfigData
+from depthcli.evaluation import protocols
+from depthcli.evaluation.map_files import (
+    DisparityFiles,
+    MapFiles,
+    MapNaming,
+    find_runs,
+    given_naming,
+    names_in_run,
+    recognized,
+)
+from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
+from depthcli.io.formats.files import collected_warnings, shown, warn
+from depthcli.io.formats.images import image_size, png_bytes, read_image, write_png
+from depthcli.io.formats.networks import network_path, read_errors, read_network
+from depthcli.io.formats.pictures import STATUS_PALETTE, preview, read_status
+from depthcli.io.layouts.stereo import PAIRS
+from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene, check_same_size
+from depthcli.io.stereo_pairs import load_pair
+from depthcli.kernels.jit import one_at_a_time
+from depthcli.methods.given_maps import MEASURES, Networks, judge, judge_by_one_view, peak_bytes
+from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
+from depthcli.methods.stereo.search_range import SearchRange, matched_range
+from depthcli.methods.stereo.volume import StereoResult
+from depthcli.problems.inputs import as_image, as_map, as_pair
+from depthcli.problems.problem import Problem, ResultT, Shown
+from depthcli.problems.results import Disparity, made, write_details, write_disparity
+from depthcli.run.console import SIZE, Reporter, number, percent
+from depthcli.run.json_csv import Row, median, share
+from depthcli.run.records import RECORD_FILE
+from depthcli.run.report import read_report
+from depthcli.run.resources import available_memory, check_memory
+
+_TOP_SHARE = 0.999  # of the values; larger ones do not widen the range of the costs
+_MAX_OUTSIDE = 0.5  # share of a map's values that may lie outside of the range
+_MAX_BEYOND = 0.01  # share of a map's values above the range; with more it has a warning
+_MIN_EXPECTED = 0.3  # mean probability below which a map has a warning
+_RIGHT_FILES = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right", "{scene}"), DisparityFiles().suffixes)
+
+
+@cache
+def networks() -> Networks:
+    """Return the networks of the package, and their tables of errors."""
+    right, hidden, one_view = (read_network(network_path(f"map_{name}")) for name in ("right", "hidden", "one_view"))
+    return Networks(right, hidden, one_view, read_errors("map_errors"), read_errors("map_errors_one_view"))
+
+
+@dataclass(frozen=True, eq=False)
+class MapConfidence:
+    """How sure a disparity map is: arrays of (H, W) pixels.
+
+    ``status`` has bits of :class:`Status`: ``OCCLUDED``, hidden in the right view; ``OUT_OF_RANGE``, its match lies
+    outside the right image; ``MISMATCH``, visible, and more likely wrong than right; ``NO_DATA``, no value.
+    """
+
+    values: NDArray[np.float32]  # the map that was judged, pixels, NaN = no value
+    bound: NDArray[np.float32]  # of the error, pixels: a share ``level`` of the errors is not larger; NaN = no value
+    probability: NDArray[np.float32]  # of pixels with p, a share of p is right; 0 where there is no value
+    status: NDArray[np.uint8]
+    measures: Mapping[str, NDArray[np.float32]]  # those that were asked for; larger is surer, NaN = no value
+    max_disparity: int  # the largest one whose costs were computed, pixels
+    seconds: Mapping[str, float]  # stage -> time
+    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
+
+    def kept(self, share: float | None = None, threshold: float | None = None) -> NDArray[np.float32]:
+        """Return the map without its doubtful pixels, (H, W) float32, pixels, NaN = no value.
+
+        ``share`` of the map's pixels stay, those of the highest probability (of equal ones all), or those of at least
+        the probability ``threshold``. ConfigError where both are given, or one is not in 0 .. 1.
+        """
+        if share is not None and threshold is not None:
+            raise ConfigError("share and threshold exclude each other")
+        for name, value in (("share", share), ("threshold", threshold)):
+            if value is not None and not 0 <= value <= 1:
+                raise ConfigError(f"{name}: expected a number from 0 to 1 (got {value:g})")
+        limit = threshold or 0.0
+        known = self.probability[np.isfinite(self.values)]
+        if share is not None and known.size:
+            place = min(max(math.ceil(share * known.size), 1), known.size)
+            limit = float(np.partition(known, known.size - place)[known.size - place])
+        return np.where(self.probability >= np.float32(limit), self.values, np.float32(np.nan))
+
+    def save(self, folder: str | Path, share: float | None = None, threshold: float | None = None) -> None:
+        """Write what ``depthcli confidence`` writes, the map as :meth:`kept` returns it, into a folder old or new."""
+        kept, files = self.kept(share, threshold), made(folder)
+        write_png(files / "probability.png", self._picture())
+        picture = preview(kept, self.max_disparity)
+        write_disparity(kept, self.status, picture, files, self.bound, self.probability)
+        write_details(Result(confidence=dict(self.measures)), files)
+
+    def _picture(self) -> NDArray[np.uint8]:
+        return np.asarray(np.rint(self.probability * np.float32(255)), np.uint8)
+
+    def _repr_png_(self) -> bytes:
+        return png_bytes(self._picture())
+
+
+@dataclass(frozen=True, eq=False)
+class MapInputs:
+    """Images and maps of their left view, by the names that messages call them."""
+
+    images: StereoPair | Image  # the pair, or the left image where there is no right one
+    maps: Mapping[str, NDArray[np.float32]]  # (H, W), pixels, NaN = no value
+    max_disparity: int | None = None  # pixels; None: as the pair says
+    right: NDArray[np.float32] | None = None  # (H, W), the map of the right view
+    status: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)  # (H, W), of some of the maps
+    saving: Mapping[str, Any] = field(default_factory=dict)
+    warnings: Sequence[str] = ()
+
+    later: ClassVar[Callable[[Path], None] | None] = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the images."""
+        return self.images.shape[0], self.images.shape[1]
+
+    def prepared(self) -> tuple[int, list[NDArray[np.float32]], list[str]]:
+        """Return the largest disparity, the maps without values outside of the range, and warnings.
+
+        If none is given, it is that of the pair, not of the maps, whose scale may be wrong; of the maps if it must be.
+        """
+        images, maps, max_disparity = self.images, self.maps, self.max_disparity
+        if max_disparity is not None and not max_disparity >= 1:
+            raise InputError(f"max_disparity: must be at least 1 (got {max_disparity})")
+        finite = {name: one[np.isfinite(one)] for name, one in maps.items()}
+        for name, known in finite.items():
+            if known.size and np.count_nonzero(known < 0) > _MAX_OUTSIDE * known.size:
+                raise InputError(
+                    f"{name}: most disparities are negative; they are pixels from 0 on, by which matches lie to the "
+                    "left in the right image: is the sign swapped?"
+                )
+        if not any(known.size for known in finite.values()):
+            raise InputError(f"{', '.join(maps)}: no value at any pixel")
+        warnings, clean, top = [], [], max_disparity
+        if top is None and isinstance(images, StereoPair):
+            try:
+                top = min(matched_range(images).suggested.max_disparity, images.shape[1] - 1)
+            except InputError as error:
+                warnings.append(f"the largest disparity is that of the maps: {error}")
+        if top is None:
+            highest = max(float(np.quantile(known, _TOP_SHARE)) for known in finite.values() if known.size)
+            top = min(max(math.ceil(highest), 1), images.shape[1] - 1)
+        for name, one in maps.items():
+            with np.errstate(invalid="ignore"):
+                inside = np.isfinite(one) & (one >= 0) & (one <= top + 0.5)
+            clean.append(np.where(inside, one, np.float32(np.nan)))
+            beyond = np.count_nonzero(finite[name] > top + 0.5) / max(finite[name].size, 1)
+            if beyond > _MAX_BEYOND:
+                above = f"{100 * beyond:.0f} % of {name} lies above the largest disparity, {top} px"
+                warnings.append(f"{above}; see max_disparity")
+        return top, clean, warnings
+
+
+@dataclass(frozen=True)
+class GivenMaps(Problem[MapsScene, MapInputs, ResultT]):
+    """Maps of pairs, found in runs; ``config`` has the options, None for one not given."""
+
+    rows = PAIRS
+    n_added: ClassVar[int] = 0
+    """Number of maps that are compared with the given ones."""
+
+    config: Mapping[str, Any]
+
+    def truth_scenes(self, scenes: Sequence[MapsScene]) -> Sequence[Scene]:
+        """Return the pairs, which can be used without their maps."""
+        return [scene.pair for scene in scenes]
+
+    def settings(self, scene: MapsScene) -> dict[str, str]:
+        """Return the readers of the maps, and the range of the scene."""
+        maps = scene.maps if scene.right_map is None else (*scene.maps, scene.right_map)
+        coding = ", ".join(f"{one.scale} {one.invalid}" for one in maps)
+        return {"max_disparity": str(scene.max_disparity), "coding": coding}
+
+    def memory(self, scene: MapsScene) -> int | None:
+        """Estimate by the left image's size; None where the maps give the range."""
+        top = self.max_disparity(scene)
+        return None if top is None else peak_bytes(image_size(scene.left), top, len(scene.maps) + self.n_added)
+
+    def max_disparity(self, scene: MapsScene) -> int | None:
+        """Return the largest disparity that the options or the scene give."""
+        given: int | None = self.config["max_disparity"]
+        return given or scene.max_disparity
+
+    def check_memory(self, inputs: MapInputs, max_disparity: int, context: Context) -> None:
+        """Raise InputError where the memory does not suffice."""
+        height, width = inputs.shape
+        need = peak_bytes(inputs.shape, max_disparity, len(inputs.maps) + self.n_added)
+        check_memory(need, context.memory, f"{width} x {height} pixels, {max_disparity + 1} disparities")
+
+
+@dataclass(frozen=True)
+class Confidence(GivenMaps[MapConfidence]):
+    """How sure the first map of a scene is."""
+
+    command = "confidence"
+    shown = Shown(
+        (SIZE, *map(percent, ("density", "expected_right", "hidden")), number("median_bound", "{:.3g} px")),
+        palette=STATUS_PALETTE,
+        protocol="middlebury-v2",
+    )
+
+    def load(self, scene: MapsScene, context: Context) -> MapInputs:
+        """Return the images and the maps of a scene, the one that is judged first."""
+        if scene.right is None and len(scene.maps) > 1:
+            raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
+        images = read_image(scene.left) if scene.right is None else load_pair(scene)
+        shape = (images.shape[0], images.shape[1])
+        maps = {one.run: loaded(one, shape) for one in scene.maps}
+        right = None if scene.right is None or scene.right_map is None else loaded(scene.right_map, shape)
+        saving = {"share": self.config["keep"], "threshold": self.config["threshold"]}
+        absent = [f"no map of {run}: judged without it" for run in scene.absent]
+        return MapInputs(images, maps, self.max_disparity(scene), right, saving=saving, warnings=absent)
+
+    def solve(self, inputs: MapInputs, context: Context) -> MapConfidence:
+        """Judge the first map; InputError where the maps do not fit, or the memory does not suffice."""
+        context.clock.start("other")
+        images, measures, promise = inputs.images, self.config["measures"], Bound(**self.config["bound"])
+        top, clean, warnings = inputs.prepared()
+        first = next(iter(inputs.maps.values()))
+        known = np.isfinite(first) & (first >= 0)
+        if not isinstance(images, StereoPair):
+            judgment = judge_by_one_view(networks(), images, clean[0], top, promise.within, measures, promise.level)
+            status = judgment.status
+            note = "no right image: judged by the map's shape and the left image alone, which say far less"
+            warnings.insert(0, note)
+        else:
+            self.check_memory(inputs, top, context)
+            right = inputs.right
+            judgment = judge(networks(), images, clean, top, promise.within, measures, right, promise.level)
+            status = np.where(known & np.isnan(clean[0]), np.uint8(Status.MISMATCH), judgment.status)
+            expected = float(judgment.probability[known].mean()) if known.any() else 0.0
+            if not known.any():
+                warnings.append("the map has no value at any pixel")
+            elif expected < _MIN_EXPECTED:
+                warnings.append(
+                    f"only {100 * expected:.0f} % of the values are likely right: a map of another pair, views "
+                    "swapped, not rectified, or another scale?"
+                )
+        values = np.where(known, first, np.float32(np.nan))
+        # The truth of a value above the largest disparity lies in 0 .. ``top``.
+        bound = np.where(known & np.isnan(clean[0]), values, judgment.bound)
+        context.clock.include(judgment.seconds)
+        details = judgment.confidence, top, judgment.seconds, tuple(warnings)
+        return MapConfidence(values, bound, judgment.probability, status, *details)
+
+    def row(self, inputs: MapInputs, result: MapConfidence) -> Row:
+        """Return size, range, density, and the means of what is said of the values."""
+        known = np.isfinite(result.values)
+        hidden = (result.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
+        return {
+            "width": inputs.shape[1],
+            "height": inputs.shape[0],
+            "max_disparity": result.max_disparity,
+            "density": share(np.isfinite(result.kept(**inputs.saving))),
+            "expected_right": share(result.probability[known]) if known.any() else None,
+            "hidden": share(hidden),
+            "median_bound": median(result.bound),
+        }
+
+
+@dataclass(frozen=True)
+class FuseMaps(GivenMaps[Disparity]):
+    """The best of the maps of a scene, pixel by pixel."""
+
+    command = "fuse-maps"
+    n_added = N_ADDED
+    shown = Shown(
+        (
+            SIZE,
+            number("maps", "{}"),
+            *map(percent, ("expected_right", "measured")),
+            number("median_bound", "{:.3g} px"),
+        ),
+        palette=STATUS_PALETTE,
+        protocol="middlebury-v2",
+    )
+
+    def load(self, scene: MapsScene, context: Context) -> MapInputs:
+        """Return the pair and the maps of a scene, with the status of those that a run of this program made."""
+        pair = load_pair(scene)
+        maps = {one.run: loaded(one, pair.shape) for one in scene.maps}
+        status = {one.run: read_status(one.status) for one in scene.maps if one.status is not None}
+        for name, codes in status.items():
+            check_same_size(scene.folder / f"status.png of {name}", codes.shape, scene.left, pair.shape)
+        absent = [f"no map of {run}: fused without it" for run in scene.absent]
+        return MapInputs(pair, maps, self.max_disparity(scene), status=status, warnings=absent)
+
+    def solve(self, inputs: MapInputs, context: Context) -> Disparity:
+        """Fuse the maps; InputError where the maps do not fit, or the memory does not suffice."""
+        pair, maps = inputs.images, inputs.maps
+        assert isinstance(pair, StereoPair)
+        context.clock.start("other")
+        if not 1 <= len(maps) <= MAX_MAPS:
+            raise InputError(f"maps: expected 1 to {MAX_MAPS} (got {len(maps)})")
+        top, clean, warnings = inputs.prepared()
+        self.check_memory(inputs, top, context)
+        empty = np.zeros(pair.shape, np.uint8)
+        coded = zip(clean, [inputs.status.get(name, empty) for name in maps], strict=True)
+        measured = [np.isfinite(values) & DisparityMap(values, status).measured for values, status in coded]
+        promise = self.config["bound"]
+        within, level = (self.config["within"], None) if promise is None else (promise["within"], promise["level"])
+        best = fuse(networks(), pair, clean, top, within, self.config["surfaces"], measured, level)
+        context.clock.include(best.seconds)
+        disparity, confidence = best.disparity, {"probability": best.probability} if level is None else {}
+        result = StereoResult(disparity=disparity, seconds=best.seconds, confidence=confidence)
+        details = SearchRange(0, top), result, best.seconds, tuple(warnings)
+        fused = Disparity(disparity.values, disparity.status, pair.left, *details)
+        return fused if level is None else replace(fused, bound=best.bound, probability=best.probability)
+
+    def row(self, inputs: MapInputs, result: Disparity) -> Row:
+        """Return size, range, number of maps, and the means of what is said of the values."""
+        sure = result.confidence["probability"] if result.probability is None else result.probability
+        return {
+            "width": inputs.shape[1],
+            "height": inputs.shape[0],
+            "max_disparity": result.search.max_disparity,
+            "maps": len(inputs.maps),
+            "expected_right": share(sure),
+            **({} if result.bound is None else {"median_bound": median(result.bound)}),
+            "measured": share(result.measured),
+        }
+
+
+def map_confidence(
+    left: ArrayLike,
+    right: ArrayLike | None,
+    disparity: ArrayLike,
+    *,
+    max_disparity: int | None = None,
+    witnesses: Sequence[ArrayLike] = (),
+    right_disparity: ArrayLike | None = None,
+    within: float = 1.0,
+    level: float = 0.9,
+    measures: Sequence[str] = (),
+) -> MapConfidence:
+    """Return how wrong each value of a disparity map of a rectified pair may be that any program made.
+
+    ConfigError for an unknown measure, or a number out of bounds; InputError for images and maps that do not fit each
+    other, negative disparities, or too little memory.
+
+    Parameters
+    ----------
+    left, right : the images, as for :func:`stereo`; right None: there is none, and the map is judged by its shape and
+        the left image alone, which say far less. Witnesses, most measures and hidden pixels need a right image
+    disparity : (H, W) pixels, the left view's map; NaN, infinite and negative ones = no value
+    max_disparity : largest disparity that is compared with, pixels; None: as the pair says; values above are wrong
+    witnesses : maps of the same view by other methods, which make the judgment better
+    right_disparity : (H, W) pixels, the map of the right view by the same program, for the measure ``left_right``
+    within : error up to which a value counts as right in ``probability``, pixels, 0.25 to 8
+    level : share of the errors that the ``bound`` is not smaller than, 0.5 to 0.99
+    measures : names of single measures that are wanted, too, or ``all``; the error for another name lists them
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> left = np.random.default_rng(0).integers(0, 256, (48, 96), np.uint8)
+    >>> right = np.roll(left, -8, axis=1)
+    >>> disparity = np.full((48, 96), 8.0)
+    >>> disparity[20:30, 40:60] = 3
+    >>> sure = depthcli.map_confidence(left, right, disparity).probability
+    >>> bool(sure[5:15, 40:60].mean() > sure[20:30, 40:60].mean())
+    True
+    """
+    if right is None and (witnesses or right_disparity is not None):
+        raise ConfigError("right: witnesses and right_disparity need a right image")
+    images = as_image(left, "left") if right is None else as_pair(left, right)
+    given = {"disparity": disparity, **{f"witnesses[{k}]": one for k, one in enumerate(witnesses)}}
+    shape = (images.shape[0], images.shape[1])
+    maps = {name: as_map(one, name, shape) for name, one in given.items()}
+    other = None if right_disparity is None else as_map(right_disparity, "right_disparity", shape)
+    bound = _promise(level, within).model_dump()
+    problem = Confidence({"max_disparity": max_disparity, "bound": bound, "measures": measures_named(measures)})
+    with one_at_a_time():
+        return problem.solve(MapInputs(images, maps, max_disparity, other), Context(available_memory()))
+
+
+def fuse_maps(
+    left: ArrayLike,
+    right: ArrayLike,
+    maps: Sequence[ArrayLike],
+    *,
+    max_disparity: int | None = None,
+    within: float = 1.0,
+    surfaces: bool = False,
+    bound: bool = False,
+    level: float = 0.9,
+) -> Disparity:
+    """Return the best of several disparity maps of a rectified pair at every pixel; one is completed and corrected.
+
+    The map has a value everywhere. ConfigError and InputError as for :func:`map_confidence`; no map, or more than 14.
+
+    Parameters
+    ----------
+    left, right : the images, as for :func:`stereo`
+    maps : (H, W) pixels each, maps of the left view by any programs; NaN, infinite and negative ones = no value
+    max_disparity : largest disparity that is compared with, pixels; None: as the pair says; values above are wrong
+    within : error up to which a value counts as right in ``confidence["probability"]``, pixels, 0.25 to 8
+    surfaces : whether planes of segments are proposed, too; slower
+    bound : whether ``bound`` and ``probability`` of the fused map are computed, by judging it once more
+    level : share of the errors that the ``bound`` is not smaller than, 0.5 to 0.99
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> left = np.random.default_rng(0).integers(0, 256, (48, 96), np.uint8)
+    >>> right = np.roll(left, -8, axis=1)
+    >>> upper, lower = np.full((48, 96), 8.0), np.full((48, 96), 8.0)
+    >>> upper[:24], lower[24:] = 3, 2
+    >>> bool(np.mean(np.abs(depthcli.fuse_maps(left, right, [upper, lower]).values - 8) < 1) > 0.9)
+    True
+    """
+    pair = as_pair(left, right)
+    arrays = {f"maps[{k}]": as_map(one, f"maps[{k}]", pair.shape) for k, one in enumerate(maps)}
+    promise = _promise(level, within).model_dump()
+    config = {"within": promise["within"], "bound": promise if bound else None, "surfaces": surfaces}
+    with one_at_a_time():
+        return FuseMaps(config).solve(MapInputs(pair, arrays, max_disparity), Context(available_memory()))
+
+
+def measures_named(names: Sequence[str], option: str = "measures") -> list[str]:
+    """Return the names of measures, each once, "all" for all of them; ConfigError where there is no such measure."""
+    if unknown := [name for name in names if name not in ("all", *MEASURES)]:
+        raise ConfigError(f"{option}: no measure called {unknown[0]!r}; one of: all, {', '.join(MEASURES)}")
+    return list(MEASURES) if "all" in names else list(dict.fromkeys(names))
+
+
+def _promise(level: float, within: float) -> Bound:
+    values = {"level": float(level), "within": float(within)}
+    return config_file.load_config(Bound, ConfigData("bound", {}), values=values)
+
+
+def largest(text: str | None) -> int | None:
+    """Return the largest disparity that the command line gives, or None; ConfigError if it is no number."""
+    if text is None:
+        return None
+    if not text.isdigit() or not 1 <= int(text) <= 16383:
+        raise ConfigError(f"--max-disparity: expected a whole number from 1 to 16383 (got {text!r})")
+    return int(text)
+
+
+def with_maps(
+    scenes: Sequence[StereoScene],
+    place: Path | None,
+    coding: tuple[Sequence[str] | None, Sequence[str] | None, Sequence[str] | None],
+    reporter: Reporter,
+    first: Sequence[str],
+    others: Sequence[str] = (),
+    right: str | None = None,
+) -> list[MapsScene]:
+    """Return pairs with their maps.
+
+    A scene needs a map of at least one of the runs ``first``; maps of the runs ``others``, and of the right views by
+    the run ``right``, may be absent. ConfigError or InputError if such a run or a scene is missing, or several
+    files may be a run's maps.
+    """
+    places, right_places = find_runs([*first, *others]), find_runs([right]) if right else {}
+    of_all, own = given_naming({**right_places, **places}, "--pattern", *coding)
+    of_rights = replace(of_all, pattern="")
+    runs = [_Run(name, place, DisparityFiles(), own[name].over(of_all)) for name, place in places.items()]
+    rights = [_Run(name, place, _RIGHT_FILES, own[name].over(of_rights)) for name, place in right_places.items()]
+    names = names_in_run([scene.name for scene in scenes], place)
+    runs = [run.recognized(scenes, names, reporter) for run in runs]
+    made = []
+    for scene in scenes:
+        of_scene = names[scene.name]
+        maps, right_maps = ([run.map_of(of_scene) for run in each] for each in (runs, rights))
+        absent = [run.name for run, one in zip(runs, maps, strict=True) if one is None]
+        absent += [f"{run.name} (right view)" for run, one in zip(rights, right_maps, strict=True) if one is None]
+        problem = scene.problem
+        if not problem and not any(maps[: len(first)]):
+            where = ", ".join(str(run.place) for run in runs[: len(first)])
+            problem = f"{where}: no map of scene {scene.name}{DisparityFiles().searched(of_scene)}"
+        there, right_map = tuple(filter(None, maps)), next(iter(right_maps), None)
+        fields = {"left": scene.folder, **vars(scene), "problem": problem}  # an unusable folder has no left image
+        made.append(MapsScene(**fields, pair=scene, maps=there, right_map=right_map, absent=tuple(absent)))
+    return made
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Maps of one view, by one program: a folder of them, or one map."""
+
+    name: str
+    place: Path
+    files: MapFiles  # usual places of maps of the view
+    naming: MapNaming
+
+    def map_of(self, names: Sequence[str]) -> GivenMap | None:
+        """Return the map of a scene that may have these names, or None."""
+        single = os.path.isfile(self.place)
+        path = self.place if single else self.naming.files(self.files).find(self.place, names)
+        if path is None:
+            return None
+        status = path.parent / "status.png"
+        is_own = status.is_file() and (path.parent / RECORD_FILE).is_file()  # maps of other programs have no such file
+        return GivenMap(self.name, path, self.naming.scale, self.naming.invalid, status if is_own else None)
+
+    def recognized(self, scenes: Sequence[StereoScene], names: Mapping[str, Sequence[str]], reporter: Reporter) -> _Run:
+        """Return the run with the pattern of its maps, if another program made them and none has a usual name."""
+        if os.path.isfile(self.place):
+            if len(scenes) > 1:
+                raise ConfigError(f"{self.place}: one map for {len(scenes)} scenes; give the folder of their maps")
+            return self
+        if read_report(self.place):
+            return self
+        usable = {scene.name: scene for scene in scenes if not scene.problem}
+
+        def fits(name: str, path: Path, tried: MapNaming) -> bool:
+            with collected_warnings(), contextlib.suppress(DepthcliError):
+                shape = _read_map(GivenMap(self.name, path, tried.scale, tried.invalid)).shape
+                return shape == image_size(usable[name].left)
+            return False
+
+        usual = protocols.load("middlebury-v2")().files
+        of_scenes = {name: (usual, names[name]) for name in usable}
+        found = recognized(self.name, self.place, self.naming, of_scenes, fits)
+        if found != self.naming:
+            reporter.info(f"{self.name}: taken as its maps: {found.pattern} (--pattern sets others)")
+        return replace(self, naming=found)
+
+
+def loaded(one: GivenMap, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return a map; InputError where it cannot be read or has another size than the images."""
+    values = _read_map(one)
+    if values.shape != shape:
+        height, width = values.shape
+        raise InputError(f"{one.path}: {width} x {height}, but the images are {shape[1]} x {shape[0]}")
+    return values
+
+
+def _read_map(one: GivenMap) -> NDArray[np.float32]:
+    """Return a map, (H, W) float32, pixels, NaN = no value.
+
+    If no option names the value that means none, a constant at or below 0 that is alone there means none in maps of
+    other programs, with a warning.
+    """
+    values = read_disparity(one.path, one.scale)
+    if one.invalid is not None:
+        values[read_plane(one.path) == np.float32(one.invalid)] = np.nan
+    elif (one.path.parent / "record.json").is_file():  # runs of this program mark what has no value
+        pass
+    elif (constant := lone_constant(values)) is not None:
+        marked = values == np.float32(constant)
+        values[marked] = np.nan
+        share = f"{100 * np.mean(marked):.3g} % of the pixels are {constant:g}"
+        warn(f"{shown(one.path)}: {share}: taken as no value (--invalid nan keeps them)")
+    return values

@@ -1,0 +1,312 @@
+"""Depth of a Kinect, or a sensor like it, cleaned and completed: ``refine-kinect`` and ``refine_depth``."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Self, TypeAlias, cast, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.color_and_depth import registered
+from depthcli.core.cameras.kinect import sensor_fb
+from depthcli.core.context import Context
+from depthcli.core.errors import DepthcliError, InputError
+from depthcli.core.frames import RgbdFrame, color8
+from depthcli.core.maps import DepthStatus
+from depthcli.core.result import Clock, DepthResult
+from depthcli.io.formats.depth import MILLIMETERS, sensor_warning
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.files import collected_warnings, naming
+from depthcli.io.formats.images import IMAGE_SUFFIXES
+from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
+from depthcli.io.formats.plain_text import numbers
+from depthcli.io.layouts.depth import FRAMES
+from depthcli.io.rgbd_frames import frame_size, load_frame
+from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
+from depthcli.kernels.jit import one_at_a_time
+from depthcli.methods.kinect.bounds import BYTES_PER_PIXEL
+from depthcli.methods.kinect.pipeline import Pipeline, SequencePipeline, frame_by_frame
+from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typical_cameras, with_cloud
+from depthcli.problems.inputs import Overrides, as_depth, as_image, load_config
+from depthcli.problems.problem import Problem, Shown
+from depthcli.problems.results import check_limits, empty_cloud, parse_mask
+from depthcli.run.console import SIZE, Reporter, number, percent
+from depthcli.run.job import Outcome
+from depthcli.run.json_csv import Row, median, share
+from depthcli.run.resources import available_memory, check_memory
+
+Image = NDArray[Any]
+FrameOrSequence: TypeAlias = RgbdScene | SequenceScene
+
+
+class RefineKinectConfig(DepthConfig):
+    """A pipeline and its parameters, side by side."""
+
+    command: ClassVar[str] = "refine-kinect"
+
+    pipeline: Pipeline = Field(description="the data flow from frame to refined depth")
+
+    def peak_bytes(self, shape: tuple[int, int]) -> int:
+        """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
+        return max(self.pipeline.peak_bytes(shape), BYTES_PER_PIXEL * shape[0] * shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class FrameInputs:
+    """A frame, and the codes that its depth is written in."""
+
+    frame: RgbdFrame
+    scale: float  # codes per meter of depth.png
+    rotate: int = 0  # bits that the codes are rotated left by
+    registered: str = ""  # how depth and color were registered; empty: they were before
+    warnings: Sequence[str] = ()
+
+    saving: ClassVar[Mapping[str, Any]] = {}
+    later: ClassVar[Callable[[Path], None] | None] = None
+
+
+@dataclass(frozen=True)
+class RefineKinect(Problem[FrameOrSequence, FrameInputs, RefinedDepth]):
+    """Frames refined, or the frames of sequences in order."""
+
+    command = "refine-kinect"
+    model = RefineKinectConfig
+    rows = FRAMES
+    shown = Shown(
+        (SIZE, *map(percent, ("known", "kept", "filled", "corrected")), number("median_bound", "{:.3g} m")),
+        palette=DEPTH_STATUS_PALETTE,
+        protocol="depth",
+    )
+
+    config: RefineKinectConfig
+    step: Callable[[RgbdFrame], DepthResult] | None = None  # refines the next frame of a sequence
+
+    def truth_scenes(self, scenes: Sequence[FrameOrSequence]) -> Sequence[Scene]:
+        """Return the frames, of sequences, too."""
+        frames = [each for scene in scenes for each in (scene.frames if isinstance(scene, SequenceScene) else (scene,))]
+        return sorted(frames, key=lambda frame: frame.name)
+
+    def settings(self, scene: FrameOrSequence) -> dict[str, str]:
+        """Return the cameras that the layout or the options describe."""
+        frames = scene.frames if isinstance(scene, SequenceScene) else (scene,)
+        first = frames[0]
+        scale = self.config.depth_scale or first.depth_scale
+        found = {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
+        if first.depth_intrinsics is not None:
+            found["depth_camera"] = f"{first.depth_intrinsics} {first.depth_to_color}"
+        if isinstance(scene, SequenceScene) and any(frame.pose is not None for frame in frames):
+            found["poses"] = hashlib.sha256(repr([frame.pose for frame in frames]).encode()).hexdigest()[:16]
+        return found
+
+    def memory(self, scene: FrameOrSequence) -> int:
+        """Estimate by the size of the image, or of the first one."""
+        first = scene.frames[0] if isinstance(scene, SequenceScene) else scene
+        return self.config.peak_bytes(frame_size(first))
+
+    @classmethod
+    def ready(cls, config: RefineKinectConfig) -> Self:
+        """Return the problem; ConfigError where the limits of clouds are wrong, before any frame is opened."""
+        check_limits(config.near, config.far)
+        parse_mask(config.mask)
+        return cls(config)
+
+    def units(self, scenes: Sequence[RgbdScene], reporter: Reporter) -> Sequence[FrameOrSequence]:
+        """Return the frames, or the sequences of them if the pipeline carries a state along."""
+        if self.config.ply and self.config.intrinsics is None:
+            say_typical_cameras(scenes, reporter)
+        return (
+            cast("Sequence[FrameOrSequence]", sequences(scenes))
+            if isinstance(self.config.pipeline, SequencePipeline)
+            else scenes
+        )
+
+    def compute(self, scene: FrameOrSequence, folder: Path, context: Context) -> Outcome:
+        """Refine a frame; or the frames of a sequence, each into a folder, with means of their facts."""
+        if isinstance(scene, RgbdScene):
+            return super().compute(scene, folder, context)
+        along = replace(self, step=frame_by_frame(self.config.pipeline))
+        outcomes: list[Outcome] = []
+        problems = []
+        for frame in scene.frames:
+            target = folder / frame.name.rpartition("/")[2]
+            try:
+                target.mkdir()
+                outcomes.append(along.compute(frame, target, replace(context, clock=Clock())))
+            except DepthcliError as error:  # the other frames are written; the state is kept across the gap
+                target.rmdir()
+                problems.append(f"{frame.name}: {error}")
+        if not outcomes:
+            raise InputError(problems[0])
+        facts = {"frames": len(outcomes), "frames_failed": len(problems), **outcomes[0].facts}
+        for key, value in outcomes[0].facts.items():
+            if isinstance(value, float):
+                facts[key] = round(sum(each.facts[key] for each in outcomes) / len(outcomes), 6)
+        if "motion" in facts:
+            runs = itertools.groupby(each.facts["motion"] for each in outcomes)
+            facts["motion"] = ", ".join(f"{len(list(run))} {motion}" for motion, run in runs)
+        seconds = {key: sum(each.seconds.get(key, 0.0) for each in outcomes) for key in outcomes[0].seconds}
+        warnings = [line for each in outcomes for line in each.warnings]
+        return Outcome(facts, seconds, [*problems, *dict.fromkeys(warnings)])
+
+    def load(self, scene: FrameOrSequence, context: Context) -> FrameInputs:
+        """Return the frame of a scene, with depth registered to color."""
+        assert isinstance(scene, RgbdScene)
+        config = self.config
+        if not scene.raw:
+            scale, intrinsics = config.depth_scale or scene.depth_scale, config.intrinsics or scene.intrinsics
+            scene = replace(scene, depth_scale=scale, intrinsics=intrinsics)
+        frame, way = load_frame(scene), ""
+        if frame.interpolated or scene.depth_intrinsics is not None:
+            way = "by both cameras" if scene.depth_intrinsics else "assumed"
+        warnings = [] if scene.raw else _scale_warnings(scene, frame)
+        return FrameInputs(frame, scene.depth_scale, 3 if scene.rotated else 0, way, warnings)
+
+    def solve(self, inputs: FrameInputs, context: Context) -> RefinedDepth:
+        """Refine the frame, and choose the pixels of its cloud; InputError where the memory does not suffice."""
+        config, frame = self.config, inputs.frame
+        height, width = frame.shape
+        check_memory(config.peak_bytes(frame.shape), context.memory, f"{width} x {height} pixels")
+        refine = self.step or config.pipeline
+        depth = refined(refine, frame, config.bound, context, inputs.scale, inputs.rotate)
+        depth = with_cloud(config, depth, depth.confidence or {"bound": -depth.bound})
+        if depth.cloud is None:
+            return depth
+        return replace(depth, warnings=(*depth.warnings, *empty_cloud(depth.values, depth.cloud)))
+
+    def row(self, inputs: FrameInputs, result: RefinedDepth) -> Row:
+        """Return size, shares of the pixels by their status, the bound, and figures of the method."""
+        bits = [bit for bit in DepthStatus if bit and bit.name and bit != DepthStatus.SAMPLED]
+        row: Row = {
+            "width": inputs.frame.shape[1],
+            "height": inputs.frame.shape[0],
+            "known": share(np.isfinite(inputs.frame.depth)),
+            "kept": share(result.kept),
+            "filled": share(result.filled),
+            "corrected": share(result.corrected),
+            **{str(bit.name).lower(): share((result.status & bit) != 0) for bit in bits},
+            "density": share(result.valid),
+            "median_bound": median(result.bound),
+            **{name: float(value) for name, value in result.details.figures.items()},
+            **result.details.words,
+        }
+        if inputs.registered:
+            row["registered"] = inputs.registered
+        if result.cloud is not None:
+            row["intrinsics"] = "of the camera" if inputs.frame.intrinsics else "typical"
+        return row
+
+
+def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
+    """Return a warning where no such sensor sees depths of codes, with the scale that would make them plausible."""
+    codes = read_plane(scene.depth)
+    if codes.dtype.kind not in "iu":
+        return []
+    # The three low bits are free where codes are rotated by 3.
+    is_image = scene.depth.suffix.lower() in IMAGE_SUFFIXES
+    if not scene.rotated and is_image and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
+        return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
+    text = sensor_warning(scene.depth, frame.depth, scene.depth_scale)
+    return [text] if text else []
+
+
+Preset: TypeAlias = str | Path | RefineKinectConfig
+
+
+@overload
+def refine_depth(color: Image | None, depth: Image, preset: Preset = ..., **options: Any) -> RefinedDepth: ...
+@overload
+def refine_depth(
+    color: Sequence[Image], depth: Sequence[Image], preset: Preset = ..., **options: Any
+) -> list[RefinedDepth]: ...
+def refine_depth(
+    color: Image | Sequence[Image | None] | None,
+    depth: Image | Sequence[Image],
+    preset: Preset = "accurate",
+    overrides: Overrides | None = None,
+    *,
+    fb: float | None = None,
+    depth_intrinsics: Sequence[float] | None = None,
+    depth_to_color: tuple[ArrayLike, ArrayLike] | None = None,
+    **fields: object,
+) -> RefinedDepth | list[RefinedDepth]:
+    """Return the depth map of a Kinect or a sensor like it cleaned and completed, or a list of such maps.
+
+    ConfigError for an unknown preset, or keys and values that do not fit; InputError for arrays that are no images or
+    maps, or have no depth, sizes that differ while the cameras are not known, or too little memory.
+
+    Parameters
+    ----------
+    color : (H, W, 3) RGB or (H, W) grey, as for :func:`depthcli.stereo`; None: there is depth alone, whose gaps are
+        filled and noise removed by geometry; or a list of the frames of a sequence
+    depth : (H, W), registered to the color image: floats are meters, integers ``depth_scale`` codes a meter; what is
+        not a positive number is unknown. A smaller one of the same aspect ratio is scaled. Or a list of as many
+    preset : name of a preset of ``depthcli refine-kinect``, path of a YAML file, or a config. ``"sequence"`` carries
+        a state along a list; others refine each frame alone
+    overrides : config keys -> values, as ``--set`` has them
+    fb : focal length x baseline of the sensor, pixel meters; None: by the ``intrinsics``, else that of a Kinect
+    depth_intrinsics : fx, fy, cx, cy of the depth camera, pixels of ``depth``, of any size; with ``intrinsics``, those
+        of the color camera, the depth is registered to the color image. None: it is registered
+    depth_to_color : rotation (3, 3) and translation (3,), meters, from the depth camera's frame to the color camera's;
+        None: both are at one place
+    **fields : config keys that are Python names, such as ``intrinsics=(fx, fy, cx, cy)`` and ``depth_scale=5000``
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> color = np.full((48, 64, 3), 128, np.uint8)
+    >>> measured = np.full((48, 64), 2.0, np.float32)  # a wall at 2 m
+    >>> measured[20:24, 20:30] = np.nan
+    >>> refined = depthcli.refine_depth(color, measured, preset="nearest")
+    >>> bool(np.isnan(refined.values).any()), int(refined.filled.sum())
+    (False, 40)
+    """
+    config = load_config(RefineKinectConfig, preset, overrides, **fields)
+    depth_camera = place = None
+    if depth_intrinsics is not None:
+        depth_camera = Intrinsics(*numbers(list(depth_intrinsics), "depth_intrinsics", (4,)).tolist())
+    if depth_to_color is not None:
+        if len(depth_to_color) != 2:
+            raise InputError(f"depth_to_color: expected rotation and translation (got {len(depth_to_color)} parts)")
+        turn, shift = (np.ravel(np.asarray(part)).tolist() for part in depth_to_color)
+        rotation = numbers(turn, "depth_to_color: rotation", (9,)).tolist()
+        place = tuple(rotation), tuple(numbers(shift, "depth_to_color: translation", (3,)).tolist())
+    scale = config.depth_scale or MILLIMETERS
+    single = not isinstance(color, list | tuple) and not isinstance(depth, list | tuple)
+    colors, depths = ([color], [depth]) if single else (color, depth)
+    if colors is None:
+        colors = [None] * len(depth)
+    if not isinstance(colors, list | tuple) or not isinstance(depths, list | tuple) or len(colors) != len(depths):
+        raise InputError("color, depth: give two images, or two lists of as many")
+    problem = RefineKinect(config, frame_by_frame(config.pipeline))
+    results: list[RefinedDepth] = []
+    for index, (one_color, one_depth) in enumerate(zip(colors, depths, strict=True)):
+        where = "" if single else f"frame {index}: "
+        with collected_warnings() as lines:
+            measured = as_depth(one_depth, f"{where}depth", scale)
+        image = None if one_color is None else color8(as_image(one_color, f"{where}color"))
+        height, width = measured.shape if image is None else image.shape[:2]
+        if results and (height, width) != results[0].values.shape:
+            first_height, first_width = results[0].values.shape
+            raise InputError(f"frame {index}: {width} x {height}, but frame 0 is {first_width} x {first_height}")
+        camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+        if image is None:
+            camera = camera or depth_camera
+            frame = RgbdFrame.without_color(measured, fb or sensor_fb(camera), camera)
+        else:
+            with naming(f"{where}depth"):
+                found = registered(measured, (height, width), camera, depth_camera, place)
+            lines += [f"{where}depth: {found.note}"] if found.note else []
+            frame = RgbdFrame(image, found.depth, fb or sensor_fb(camera), camera, found.interpolated)
+        if np.asarray(one_depth).dtype.kind != "f" and (text := sensor_warning(f"{where}depth", frame.depth, scale)):
+            lines.append(text)
+        with one_at_a_time():
+            result = problem.solve(FrameInputs(frame, scale), Context(available_memory()))
+        results.append(replace(result, warnings=(*lines, *result.warnings)))
+    return results[0] if single else results

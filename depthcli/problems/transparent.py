@@ -1,0 +1,294 @@
+"""Depth of transparent objects, completed: ``transparent`` and ``complete_transparent``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.kinect import sensor_fb
+from depthcli.core.color_and_infrared import RgbIrFrame
+from depthcli.core.context import Context
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import SparseFrame, color8, infrared_image
+from depthcli.core.maps import DepthStatus
+from depthcli.io.formats.calibrations import read_color_infrared_rig
+from depthcli.io.formats.depth import MILLIMETERS
+from depthcli.io.formats.files import collected_warnings
+from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
+from depthcli.io.layouts.depth import FRAMES
+from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame, load_masked_frame, load_sparse_frame
+from depthcli.io.scenes import RgbdScene, RgbIrScene
+from depthcli.kernels.jit import one_at_a_time
+from depthcli.methods.transparent.cross_modal import CrossModal
+from depthcli.methods.transparent.pipeline import Pipeline
+from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typical_cameras, with_cloud
+from depthcli.problems.inputs import Overrides, as_depth, as_image, as_map, load_config
+from depthcli.problems.problem import Problem, Shown
+from depthcli.problems.results import check_limits, empty_cloud, parse_mask
+from depthcli.run.console import SIZE, Reporter, number, percent
+from depthcli.run.json_csv import Row, median, share
+from depthcli.run.resources import available_memory, check_memory
+
+Image = NDArray[Any]
+
+
+class TransparentConfig(DepthConfig):
+    """A pipeline and its parameters, side by side."""
+
+    command: ClassVar[str] = "transparent"
+
+    pipeline: Pipeline = Field(description="the data flow from sensor and sparse depth to a dense map")
+    stereo: CrossModal | None = Field(
+        None, description="stereo of color and infrared for the sparse depth; null: a file has it"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class GlassInputs:
+    """A frame with sparse depth, or with the infrared image that gives it."""
+
+    frame: SparseFrame | RgbIrFrame
+    stereo: CrossModal | None  # matches color and infrared; None: the frame has its sparse depth
+    camera: Intrinsics | None  # of the color image
+    scale: float  # codes per meter of depth.png
+    rotate: int = 0  # bits that the codes are rotated left by
+
+    saving: ClassVar[Mapping[str, Any]] = {}
+    later: ClassVar[Callable[[Path], None] | None] = None
+    warnings: ClassVar[Sequence[str]] = ()
+
+
+@dataclass(frozen=True)
+class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
+    """Dense depth of frames with transparent objects."""
+
+    command = "transparent"
+    model = TransparentConfig
+    rows = FRAMES
+    shown = Shown(
+        (
+            SIZE,
+            *map(percent, ("known", "sparse", "kept", "filled", "replaced", "from_stereo")),
+            number("median_bound", "{:.3g} m"),
+        ),
+        palette=DEPTH_STATUS_PALETTE,
+        legend=(
+            0,
+            DepthStatus.GAP_FILLED,
+            DepthStatus.CORRECTED,
+            DepthStatus.GAP_FILLED | DepthStatus.SAMPLED,
+            DepthStatus.CORRECTED | DepthStatus.SAMPLED,
+            DepthStatus.EMPTY,
+        ),
+        protocol="depth",
+    )
+
+    config: TransparentConfig
+
+    def files(self, scene: RgbdScene) -> dict[str, Path]:
+        """Return the files of the frame, and of its sparse depth unless that comes from stereo."""
+        sparse = {"sparse": scene.sparse, "sparse_confidence": scene.sparse_confidence}
+        if self._by_mask:
+            sparse = {"objects": scene.masks.get(TRANSPARENT)}
+        given = {role: file for role, file in sparse.items() if file is not None and self.config.stereo is None}
+        return scene.input_files | given
+
+    @property
+    def _by_mask(self) -> bool:
+        return self.config.stereo is None and self.config.pipeline.needs == "objects"
+
+    def truth_scenes(self, scenes: Sequence[RgbdScene]) -> Sequence[RgbdScene]:
+        """Return the frames, without the source of a sparse depth that is not read."""
+        read = self.config.stereo is None and not self._by_mask
+        return scenes if read else [replace(scene, sparse_source="") for scene in scenes]
+
+    def settings(self, scene: RgbdScene) -> dict[str, str]:
+        """Return the scale of the depth, and the largest disparity of color and infrared image."""
+        scale, max_disparity = self.config.depth_scale or scene.depth_scale, getattr(scene, "max_disparity", None)
+        found = {"depth_scale": str(scale), "max_disparity": str(max_disparity)}
+        return found | ({"camera": str(scene.intrinsics)} if self.config.ply else {})
+
+    def memory(self, scene: RgbdScene) -> int:
+        """Return an estimate of the peak memory once the sparse depth is known, bytes."""
+        return self.config.pipeline.peak_bytes(frame_size(scene))
+
+    def memory_bound(self, scene: RgbdScene) -> int | None:
+        """Return the estimate, or None if the color and infrared images are matched first."""
+        return self.memory(scene) if self.config.stereo is None else None
+
+    @classmethod
+    def ready(cls, config: TransparentConfig) -> Self:
+        """Return the problem; ConfigError where the limits of clouds are wrong, before any frame is opened."""
+        check_limits(config.near, config.far)
+        parse_mask(config.mask)
+        return cls(config)
+
+    def units(self, scenes: Sequence[RgbdScene], reporter: Reporter) -> Sequence[RgbdScene]:
+        """Return the frames, with a warning of those without intrinsics, if clouds need these."""
+        if self.config.ply and self.config.intrinsics is None:
+            say_typical_cameras(scenes, reporter)
+        return scenes
+
+    def load(self, scene: RgbdScene, context: Context) -> GlassInputs:
+        """Return the frame of a scene with its sparse depth, its mask of objects, or its infrared image."""
+        config, stereo = self.config, self.config.stereo
+        scale, intrinsics = config.depth_scale or scene.depth_scale, config.intrinsics or scene.intrinsics
+        scene = replace(scene, depth_scale=scale, intrinsics=intrinsics)
+        frame: SparseFrame | RgbIrFrame
+        if self._by_mask:
+            frame = load_masked_frame(scene)
+        elif stereo is None:
+            frame = load_sparse_frame(scene)
+        elif not isinstance(scene, RgbIrScene):
+            raise InputError(f"{scene.folder}: {scene.name} has no infrared image (ir.*), which this config needs")
+        else:
+            frame = load_infrared_frame(scene)
+            if stereo.max_disparity is None and scene.max_disparity is not None:
+                stereo = stereo.model_copy(update={"max_disparity": scene.max_disparity})
+        camera = None if intrinsics is None else Intrinsics(*intrinsics)
+        return GlassInputs(frame, stereo, camera, scene.depth_scale, 3 if scene.rotated else 0)
+
+    def solve(self, inputs: GlassInputs, context: Context) -> RefinedDepth:
+        """Match color and infrared if there is no sparse depth, and complete the frame.
+
+        InputError where the memory does not suffice.
+        """
+        config, stereo, frame = self.config, inputs.stereo, inputs.frame
+        shape = frame.depth.shape[0], frame.depth.shape[1]
+        need = max(part.peak_bytes(shape) for part in (config.pipeline, stereo) if part is not None)
+        check_memory(need, context.memory, f"{shape[1]} x {shape[0]} pixels")
+        figures: dict[str, float] | None = None
+        if not isinstance(frame, SparseFrame):
+            assert stereo is not None
+            frame, figures = stereo(frame, context.clock)
+        depth = refined(config.pipeline, frame, config.bound, context, inputs.scale, inputs.rotate)
+        depth = replace(depth, camera=inputs.camera or depth.camera)
+        depth, warnings = with_cloud(config, depth, {"bound": -depth.bound}), list(depth.warnings)
+        if frame.objects is not None:
+            text = "inside the mask is the depth of the surroundings, not of the objects: nothing measured it"
+            warnings.insert(0, text)
+        if depth.cloud is not None:
+            warnings += empty_cloud(depth.values, depth.cloud)
+        if figures is not None:
+            with np.errstate(invalid="ignore"):
+                codes = np.nan_to_num(np.rint(frame.sparse * inputs.scale), nan=0.0)
+            depth.details.figures |= figures
+            depth.details.pictures["stereo"] = np.where(codes <= 65535, codes, 0).astype(np.uint16)
+            if frame.sparse_confidence is not None:
+                depth.details.confidence["stereo"] = frame.sparse_confidence
+        return replace(depth, warnings=tuple(warnings))
+
+    def row(self, inputs: GlassInputs, result: RefinedDepth) -> Row:
+        """Return size, shares of the pixels by the source of their depth, the bound, and figures of the method."""
+        frame = result.frame
+        assert isinstance(frame, SparseFrame)
+        row: Row = {
+            "width": frame.shape[1],
+            "height": frame.shape[0],
+            "known": share(np.isfinite(frame.depth)),
+            "sparse": share(np.isfinite(frame.sparse)),
+            "kept": share(result.kept),
+            "filled": share((result.status & DepthStatus.GAP_FILLED) != 0),
+            "replaced": share(result.corrected),
+            "from_stereo": share((result.status & DepthStatus.SAMPLED) != 0),
+            "density": share(result.valid),
+            "median_bound": median(result.bound),
+            **{name: float(value) for name, value in result.details.figures.items()},
+        }
+        if result.cloud is not None:
+            row["intrinsics"] = "of the camera" if inputs.camera else "typical"
+        return row
+
+
+def complete_transparent(
+    color: Image,
+    depth: Image,
+    sparse: Image | None = None,
+    preset: str | Path | TransparentConfig | None = None,
+    overrides: Overrides | None = None,
+    *,
+    sparse_confidence: Image | None = None,
+    objects: Image | None = None,
+    infrared: Image | None = None,
+    calibration: str | Path | None = None,
+    fb: float | None = None,
+    **fields: object,
+) -> RefinedDepth:
+    """Return depth completed at transparent objects, from sparse depth or stereo of the color and an infrared image.
+
+    ConfigError for an unknown preset, or keys and values that do not fit; InputError for arrays that are no images or
+    maps, or differ in size, where what the preset needs is missing, or with too little memory.
+
+    Parameters
+    ----------
+    color, depth : as for :func:`depthcli.refine_depth`
+    sparse : (H, W), a second measurement in the same unit, known at some pixels
+    preset : name of a preset of ``depthcli transparent``, path of a YAML file, or a config; None: ``"sparse"`` where
+        ``sparse`` is given, ``"sensor"`` where ``objects`` are, else ``"kinect"``
+    overrides : config keys -> values, as ``--set`` has them
+    sparse_confidence : (H, W) floats, higher is surer; None: all alike
+    objects : (H, W), not 0 at transparent objects, for ``"sensor"``, which continues what surrounds them
+    infrared : (h, w) grey image of a second camera, for presets with stereo
+    calibration : file of both cameras, JSON or OpenCV's YAML; None: the images are a rectified pair
+    fb : focal length x baseline of the rectified pair, pixel meters; with ``sparse``, that of the sensor
+    **fields : config keys that are Python names, such as ``depth_scale=4000``
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> color = np.full((48, 64, 3), 128, np.uint8)
+    >>> measured = np.full((48, 64), 1.0, np.float32)
+    >>> color[16:32, 16:32], measured[16:32, 16:32] = 90, np.nan  # glass that the sensor does not see
+    >>> sparse = np.full((48, 64), np.nan, np.float32)
+    >>> sparse[16:32:3, 16:32:3] = 0.8
+    >>> completed = depthcli.complete_transparent(color, measured, sparse)
+    >>> round(float(completed.values[24, 24]), 1)
+    0.8
+    """
+    default = "sparse" if sparse is not None else "kinect" if objects is None else "sensor"
+    chosen = preset if preset is not None else default
+    config = load_config(TransparentConfig, chosen, overrides, **fields)
+    scale = config.depth_scale or MILLIMETERS
+    image = color8(as_image(color, "color"))
+    height, width = image.shape[:2]
+    with collected_warnings() as lines:
+        measured = as_depth(depth, "depth", scale, (height, width))
+        second = None if sparse is None or config.stereo else as_depth(sparse, "sparse", scale, measured.shape)
+    camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+    frame: SparseFrame | RgbIrFrame
+    if config.stereo is None and config.pipeline.needs == "objects":
+        if objects is None:
+            raise InputError("this config needs a mask of the transparent objects: give objects")
+        inside, nothing = as_map(objects, "objects", measured.shape) != 0, np.full_like(measured, np.nan)
+        if not (np.isfinite(measured) & ~inside).any():
+            raise InputError("objects: no pixel outside of them has a depth")
+        frame = SparseFrame(image, measured, fb or sensor_fb(camera), camera, sparse=nothing, objects=inside)
+    elif config.stereo is None:
+        if second is None:
+            raise InputError("this config needs sparse depth: give sparse, or a preset with stereo")
+        surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
+        frame = SparseFrame(image, measured, fb or sensor_fb(None), camera, sparse=second, sparse_confidence=surer)
+    else:
+        if infrared is None:
+            raise InputError("this config needs an infrared image: give infrared, or sparse with another preset")
+        if (calibration is None) == (fb is None):
+            both = "the calibration of both cameras, or fb of a rectified pair"
+            raise ConfigError(f"an infrared image needs either {both}")
+        grey, rig = infrared_image(as_image(infrared, "infrared")), None
+        if calibration is not None:
+            found = read_color_infrared_rig(Path(calibration), (width, height), (grey.shape[1], grey.shape[0]))
+            rig, fb = (None, found) if isinstance(found, int | float) else (found, None)
+        if rig is None and grey.shape != measured.shape:
+            raise InputError("infrared: a rectified pair has one size")
+        frame = RgbIrFrame(image, grey, measured, rig, fb or 1.0)
+    inputs = GlassInputs(frame, config.stereo, camera, scale)
+    with one_at_a_time():
+        completed = Transparent(config).solve(inputs, Context(available_memory()))
+    return replace(completed, warnings=(*lines, *completed.warnings))
