@@ -1,12 +1,9 @@
-from depthcli.api.registration import RegistrationConfidence as RegistrationConfidence
-from depthcli.api.registration import registration_confidence as registration_confidence
 from depthcli.core.errors import ConfigError as ConfigError
 from depthcli.core.errors import DepthcliError as DepthcliError
 from depthcli.core.errors import InputError as InputError
 from depthcli.core.errors import OutputError as OutputError
 from depthcli.core.maps import DepthStatus as DepthStatus
 from depthcli.core.maps import Status as Status
-from depthcli.methods.registration.config import RegisterConfidenceConfig as RegisterConfidenceConfig
 from depthcli.problems.evaluation import Scores as Scores
 from depthcli.problems.evaluation import evaluate as evaluate
 from depthcli.problems.frames import RefinedDepth as RefinedDepth
@@ -19,6 +16,9 @@ from depthcli.problems.given_maps import map_confidence as map_confidence
 from depthcli.problems.inputs import load_config as load_config
 from depthcli.problems.kinect import RefineKinectConfig as RefineKinectConfig
 from depthcli.problems.kinect import refine_depth as refine_depth
+from depthcli.problems.registration import RegisterConfidenceConfig as RegisterConfidenceConfig
+from depthcli.problems.registration import RegistrationConfidence as RegistrationConfidence
+from depthcli.problems.registration import registration_confidence as registration_confidence
 from depthcli.problems.results import Depth as Depth
 from depthcli.problems.results import Disparity as Disparity
 from depthcli.problems.results import PointCloud as PointCloud

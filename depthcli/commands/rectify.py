@@ -15,7 +15,9 @@ from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
 
 def rectify(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> int:
     """Rectify every pair; return the exit code."""
-    from depthcli.commands._rectify import prepare
     from depthcli.commands._run import run_job
+    from depthcli.commands._scenes import find_scenes
+    from depthcli.io.layouts.stereo import PAIRS
+    from depthcli.problems.rectify import rectifier
 
-    return run_job(*prepare(pairs, how, run), run, pairs)
+    return run_job(rectifier(**vars(how)), find_scenes(PAIRS, pairs, run), run, pairs)

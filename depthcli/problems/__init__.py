@@ -30,7 +30,7 @@ PROBLEMS = {
     "fuse": "fusion:Fuse",
     "refine-kinect": "kinect:RefineKinect",
     "transparent": "transparent:Transparent",
-    "register-confidence": "registration:RegisterConfidence",
+    "register-confidence": "registration:Register",
 }
 """Commands with configs -> module and class, by name: listing presets imports none."""
 

@@ -13,7 +13,17 @@ import pytest
 import depthcli
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = ("depth", "inputs", "maps", "registration", "results", "scores", "stereo")
+EXAMPLES = (
+    "evaluation",
+    "fusion",
+    "given_maps",
+    "inputs",
+    "kinect",
+    "registration",
+    "results",
+    "stereo",
+    "transparent",
+)
 
 USER_SCRIPT = """
 import numpy as np
@@ -67,7 +77,7 @@ def test_every_public_name_has_a_docstring():
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_run(name: str):
-    failed, tried = doctest.testmod(importlib.import_module(f"depthcli.api.{name}"))
+    failed, tried = doctest.testmod(importlib.import_module(f"depthcli.problems.{name}"))
     assert tried and not failed
 
 
