@@ -5,8 +5,6 @@ from depthcli.api.inputs import load_config as load_config
 from depthcli.api.maps import MapConfidence as MapConfidence
 from depthcli.api.maps import fuse_maps as fuse_maps
 from depthcli.api.maps import map_confidence as map_confidence
-from depthcli.api.registration import RegistrationConfidence as RegistrationConfidence
-from depthcli.api.registration import registration_confidence as registration_confidence
 from depthcli.api.results import Depth as Depth
 from depthcli.api.results import Disparity as Disparity
 from depthcli.api.results import PointCloud as PointCloud
@@ -24,8 +22,10 @@ from depthcli.core.maps import DepthStatus as DepthStatus
 from depthcli.core.maps import Status as Status
 from depthcli.methods.fusion.config import FuseConfig as FuseConfig
 from depthcli.methods.kinect.config import RefineKinectConfig as RefineKinectConfig
-from depthcli.methods.registration.config import RegisterConfidenceConfig as RegisterConfidenceConfig
 from depthcli.methods.stereo.config import StereoConfig as StereoConfig
 from depthcli.methods.transparent.config import TransparentConfig as TransparentConfig
+from depthcli.problems.registration import RegisterConfidenceConfig as RegisterConfidenceConfig
+from depthcli.problems.registration import RegistrationConfidence as RegistrationConfidence
+from depthcli.problems.registration import registration_confidence as registration_confidence
 
 __version__: str

@@ -23,7 +23,6 @@ from train_bounds import Map, table, write
 
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.resampling import trilinear
-from depthcli.api.registration import bounds_of
 from depthcli.core.bound import VolumeBound
 from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.bounds import bound_scores
@@ -31,6 +30,7 @@ from depthcli.evaluation.scores import Tally
 from depthcli.io.formats.fields import in_millimeters, read_field, read_landmarks
 from depthcli.io.formats.volumes import simple_itk
 from depthcli.io.volume_pairs import load_volumes
+from depthcli.problems.registration import bounds_of
 
 # Share of the registration's displacement that is done, but for its mean; largest error that is added to it, mm.
 STATES = {

@@ -9,8 +9,7 @@ users import are listed in ``depthcli/__init__.pyi``; all others may change.
 | ``matching`` | the part of these that the commands that match pairs call, too |
 | ``rigs`` | calibrations that rectify pairs, read and kept |
 | ``depth`` | ``refine_depth``, ``complete_transparent``: color and a sensor's depth -> ``RefinedDepth`` |
-| ``registration`` | ``registration_confidence``: two volumes on one grid -> ``RegistrationConfidence`` |
-| ``registration_preview`` | its picture |
+| ``registration_preview`` | the picture of a registration's confidence |
 | ``maps`` | ``map_confidence``, ``fuse_maps``: maps of any program -> ``MapConfidence``, ``Disparity`` |
 | ``scores`` | ``evaluate``: an estimate and the truth -> ``Scores`` |
 | ``results`` | ``Disparity``, and the ``Depth`` and the ``PointCloud`` that it becomes |

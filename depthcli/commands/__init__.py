@@ -37,13 +37,13 @@ _GROUPS = {
 """Headings of ``depthcli --help``; commands that are listed nowhere come last, under a heading of their own."""
 
 CONFIGS = {
-    "stereo": "stereo:StereoConfig",
-    "fuse": "fusion:FuseConfig",
-    "refine-kinect": "kinect:RefineKinectConfig",
-    "transparent": "transparent:TransparentConfig",
-    "register-confidence": "registration:RegisterConfidenceConfig",
+    "stereo": "methods.stereo.config:StereoConfig",
+    "fuse": "methods.fusion.config:FuseConfig",
+    "refine-kinect": "methods.kinect.config:RefineKinectConfig",
+    "transparent": "methods.transparent.config:TransparentConfig",
+    "register-confidence": "problems.registration:RegisterConfidenceConfig",
 }
-"""Commands with configs -> package of ``methods`` and class; by name, so that listing presets imports none."""
+"""Commands with configs -> module and class; by name, so that listing presets imports none."""
 
 CommandT = TypeVar("CommandT", bound=Callable[..., int])
 
@@ -87,7 +87,7 @@ def config_model(name: str) -> type[BaseModel] | None:
     """Return the class of a command's configs; None where it has no configs, or there is no such command."""
     if name in CONFIGS:
         module, _, kind = CONFIGS[name].partition(":")
-        model: type[BaseModel] = getattr(importlib.import_module(f"depthcli.methods.{module}.config"), kind)
+        model: type[BaseModel] = getattr(importlib.import_module(f"depthcli.{module}"), kind)
         return model
     return getattr(find(name), "config", None)
 

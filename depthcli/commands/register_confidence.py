@@ -9,12 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from typer import Option
 
-from depthcli.commands._options import SceneOptions, ScoredRunOptions
+from depthcli.commands._options import RunOptions, SceneOptions, ScoredRunOptions
 from depthcli.commands._shared_options import ConfigArgument, SetOption, option
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from depthcli.io.scenes import VolumePairScene
+    from depthcli.problems.registration import Register
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +60,24 @@ def register_confidence(
 ) -> int:
     """Estimate the error of every registration, by a search around every voxel."""
     from depthcli.commands._batch import run_batch
-    from depthcli.commands._register_confidence import prepare
 
     promise = {"bound.level": level, "bound.within": within}
     prepared = prepare(config, volumes, run, set, field=field, neurological=neurological or None, **promise)
     return run_batch(*prepared, run, volumes)
+
+
+def prepare(
+    config: str,
+    volumes: SceneOptions,
+    run: RunOptions,
+    settings: Sequence[str | tuple[str, str]] | None,
+    **options: Any,
+) -> tuple[Register, list[VolumePairScene]]:
+    """Return the job with this config, and the pairs that the command line names."""
+    from depthcli.commands._batch import config_of
+    from depthcli.commands._scenes import find_scenes
+    from depthcli.io.layouts.registration import VOLUMES
+    from depthcli.problems.registration import Register, RegisterConfidenceConfig
+
+    values = config_of(RegisterConfidenceConfig, config, settings, **options)
+    return Register(values), find_scenes(VOLUMES, volumes, run)

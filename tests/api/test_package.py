@@ -13,7 +13,15 @@ import pytest
 import depthcli
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = ("depth", "inputs", "maps", "registration", "results", "scores", "stereo")
+EXAMPLES = (
+    "api.depth",
+    "api.inputs",
+    "api.maps",
+    "api.results",
+    "api.scores",
+    "api.stereo",
+    "problems.registration",
+)
 
 USER_SCRIPT = """
 import numpy as np
@@ -67,7 +75,7 @@ def test_every_public_name_has_a_docstring():
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_run(name: str):
-    failed, tried = doctest.testmod(importlib.import_module(f"depthcli.api.{name}"))
+    failed, tried = doctest.testmod(importlib.import_module(f"depthcli.{name}"))
     assert tried and not failed
 
 

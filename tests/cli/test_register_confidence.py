@@ -10,7 +10,6 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 
-from depthcli.api.registration import inside_figures
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError
 from depthcli.core.volumes import Grid, RegisteredPair
@@ -22,6 +21,7 @@ from depthcli.io.scenes import VolumePairScene
 from depthcli.io.volume_pairs import LoadedPair
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.registration.pipeline import RegistrationResult
+from depthcli.problems.registration import inside_figures
 from tests.command_line import refused
 
 with warnings.catch_warnings():

@@ -11,8 +11,8 @@ from depthcli.core.method import Family
 from depthcli.core.result import Clock
 from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.statistics import correlation, ranks
-from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline.search import isotonic, monotone
+from depthcli.problems.registration import RegisterConfidenceConfig
 from depthcli.simulate.deformed_volumes import make_deformed_pair, smooth_noise
 from tests.contracts.inputs import soft_volume
 

@@ -1,0 +1,511 @@
+"""Register-confidence: the expected error of a registration, voxel by voxel, with a bound and the better match."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+from scipy import ndimage
+
+from depthcli.algorithms.body import body_of_volume
+from depthcli.algorithms.error_table import ErrorTable
+from depthcli.algorithms.resampling import block_means, trilinear
+from depthcli.api.inputs import Overrides, as_volume, load_config
+from depthcli.api.registration_preview import registration_preview
+from depthcli.api.saving import made
+from depthcli.core.bound import VolumeBound
+from depthcli.core.context import Context
+from depthcli.core.errors import InputError
+from depthcli.core.root_config import RootConfig
+from depthcli.core.volumes import Grid
+from depthcli.io.formats.files import write_text
+from depthcli.io.formats.images import png_bytes, write_png
+from depthcli.io.formats.networks import read_errors
+from depthcli.io.formats.volumes import simple_itk, write_volume, written_suffix
+from depthcli.io.scenes import VolumePairScene
+from depthcli.io.volume_pairs import (
+    LoadedPair,
+    blocks_of,
+    joined,
+    landmarks,
+    load_volumes,
+    loaded_size,
+    region_masks,
+    usable,
+)
+from depthcli.kernels.jit import one_at_a_time
+from depthcli.methods.registration.pipeline import Pipeline, RegistrationResult, at_voxels
+from depthcli.methods.registration.pipeline.search import RegistrationSearch
+from depthcli.problems.problem import Problem, Shown
+from depthcli.run.console import Column, number, percent
+from depthcli.run.json_csv import Row, to_csv
+from depthcli.run.resources import available_memory, check_memory
+
+_USUAL = VolumeBound()
+_MAX_BORDER_SHARE = 0.2  # of best matches on the border of the search; above it, errors exceed the search range
+_WRONG_MM = 3.0  # the center of expected errors above it is reported
+_DECIMALS = {"confidence": 5, "probability": 5}  # in the table of landmarks; other columns have 4
+_SUFFIXES = (".nii.gz", ".nii", ".mha", ".nrrd")
+_NUMBERED = re.compile(r"(.+)_\d+")  # name of a region whose label has no name
+
+
+class RegisterConfidenceConfig(RootConfig):
+    """A pipeline and its parameters, side by side."""
+
+    command: ClassVar[str] = "register-confidence"
+
+    pipeline: Pipeline = Field(RegistrationSearch(), description="the data flow from registered pair to expected error")
+    bound: VolumeBound = Field(VolumeBound(), description="bound of the errors and probability of small ones")
+    field: str = Field(
+        "auto",
+        pattern="^(auto|itk|ants|niftyreg|voxels)$",
+        description="convention of displacement files; auto: what the header says, checked against the others",
+    )
+    neurological: bool = Field(False, description="pictures have the patient's right on the right, else on the left")
+
+    def peak_bytes(self, grid: Grid, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> int:
+        """Return an estimate of the peak memory of a pair that is loaded as ``shape`` voxels, bytes."""
+        # The pipeline's memory, and two volumes of 4 bytes a voxel.
+        working = self.pipeline.peak_bytes(shape, spacing) + 8 * math.prod(shape)
+        reading = 6 * math.prod(grid.size)  # one whole volume, 2 bytes as stored and 4 converted
+        return max(working, reading)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RegistrationConfidence:
+    """Expected errors of a registration, on the grid of the fixed volume."""
+
+    loaded: LoadedPair  # the pair as it was compared, maybe as means of blocks
+    details: RegistrationResult  # what the method returns, on its own grid of measured voxels
+    bounds: Mapping[str, NDArray[np.float32]]  # bound and probability on that grid; empty: the method gives none
+    seconds: Mapping[str, float]  # stage -> time
+    warnings: tuple[str, ...] = ()  # what looks wrong, one line each
+    neurological: bool = False  # pictures have the patient's right on the right
+
+    @property
+    def grid(self) -> Grid:
+        """Positions of the fixed volume's voxels, mm, in the LPS frame of ITK."""
+        return self.loaded.grid
+
+    @cached_property
+    def values(self) -> NDArray[np.float32]:
+        """(Z, Y, X) float32, mm: the expected error."""
+        return self._on_fixed_grid(self.details.expected_error)
+
+    @cached_property
+    def confidence(self) -> NDArray[np.float32]:
+        """(Z, Y, X) float32 in [0, 1]: exp(-expected error / 3 mm)."""
+        return self._on_fixed_grid(self.details.certainty)
+
+    @cached_property
+    def bound(self) -> NDArray[np.float32]:
+        """(Z, Y, X) float32, mm: a share ``level`` of the errors is not larger; InputError without one.
+
+        Where it is ``details.figures["reach"]``, as far as matches were searched for, it may be any larger number.
+        """
+        return self._bounds("bound")
+
+    @cached_property
+    def probability(self) -> NDArray[np.float32]:
+        """(Z, Y, X) float32: of an error up to ``within`` mm; InputError without one."""
+        return self._bounds("probability")
+
+    @cached_property
+    def shift(self) -> NDArray[np.float32]:
+        """(Z, Y, X, 3) float32, mm along x, y, z: where the match of a voxel lies; InputError without one."""
+        return self._shift()
+
+    def at(self, points: ArrayLike) -> list[dict[str, float]]:
+        """Return position, confidence, expected error, and any shift, bound and probability, of points; a row for each.
+
+        The points are (N, 3) positions x, y, z, mm.
+        """
+        positions = np.asarray(points, np.float64)
+        if positions.ndim != 2 or positions.shape[1] != 3:
+            raise InputError(f"points: expected (N, 3) positions in mm, got {positions.shape}")
+        starts, steps = self.loaded.on_grid(self.details.start, self.details.step)
+        places = (self.grid.to_index(positions) - np.array(starts)) / np.array(steps)
+        columns: dict[str, NDArray[Any]] = dict(zip("xyz", positions.T, strict=True))
+        columns["confidence"] = trilinear(self.details.certainty, places)
+        columns["expected_error"] = trilinear(self.details.expected_error, places)
+        if self.details.shift is not None:
+            shift = np.stack([trilinear(self.details.shift[axis], places) for axis in (2, 1, 0)], axis=-1)
+            columns |= zip(("shift_x", "shift_y", "shift_z"), (shift @ self.grid.axes.T).T, strict=True)
+        columns |= {name: trilinear(values, places) for name, values in self.bounds.items()}
+        return [
+            {name: round(float(v), _DECIMALS.get(name, 4)) for name, v in zip(columns, row, strict=True)}
+            for row in zip(*columns.values(), strict=True)
+        ]
+
+    def save(self, folder: str | Path, suffix: str = ".nii.gz", landmarks: ArrayLike | None = None) -> None:
+        """Write the files that ``depthcli register-confidence`` writes for a scene, with the same bytes.
+
+        The folder is created where it is missing; volumes have the suffix ``.nii.gz``, ``.nii``, ``.mha`` or ``.nrrd``;
+        landmarks, (N, 3) positions x, y, z, mm, are for the table ``points.csv``, where a bound that ends with the
+        search is ``> 14``.
+        """
+        if suffix not in _SUFFIXES:
+            raise InputError(f"suffix: must be .nii.gz, .nii, .mha or .nrrd (got {suffix!r})")
+        files = made(folder)
+        maps = {"confidence": self.details.certainty, "expected_error": self.details.expected_error, **self.bounds}
+        for name, values in maps.items():
+            write_volume(files / f"{name}{suffix}", self.grid, partial(self._on_fixed_grid, values))
+        if self.details.shift is not None:
+            write_volume(files / f"shift{suffix}", self.grid, self._shift, vector=True)
+        write_png(files / "preview.png", self._preview())
+        if landmarks is not None:
+            reach = round(self.details.figures.get("reach", math.inf), 4)
+            rows: list[Row] = list(self.at(landmarks))
+            for row in rows:
+                if row.get("bound", 0) >= reach:
+                    row["bound"] = f"> {reach:g}"
+            write_text(files / "points.csv", to_csv(rows))
+
+    def _on_fixed_grid(
+        self, values: NDArray[np.float32], first: int = 0, last: int | None = None
+    ) -> NDArray[np.float32]:
+        """Return slices ``first`` .. ``last`` (None: all) of a map of the method, on the fixed volume's grid."""
+        depth, height, width = self.grid.shape
+        start_and_step = self.loaded.on_grid(self.details.start, self.details.step)
+        shape = ((depth if last is None else last) - first, height, width)
+        return at_voxels(values, *start_and_step, shape, (first, 0, 0))
+
+    def _bounds(self, name: str) -> NDArray[np.float32]:
+        if name not in self.bounds:
+            raise InputError(f"{name}: this pipeline gives no score of the error, so there is none")
+        return self._on_fixed_grid(self.bounds[name])
+
+    def _shift(self, first: int = 0, last: int | None = None) -> NDArray[np.float32]:
+        if self.details.shift is None:
+            raise InputError("shift: this pipeline searches for no matches, so there is none")
+        parts = [self._on_fixed_grid(self.details.shift[axis], first, last) for axis in (2, 1, 0)]
+        return np.asarray(np.stack(parts, axis=-1) @ self.grid.axes.T, np.float32)
+
+    def _preview(self) -> NDArray[np.uint8]:
+        return registration_preview(self.details, self.loaded, self.neurological, self.bounds.get("bound"))
+
+    def __repr__(self) -> str:
+        error, size = self.details.figures["mean_error"], " x ".join(map(str, self.grid.size))
+        above = "> " * _beyond_search(self.details.figures)
+        return f"RegistrationConfidence({size} voxels, {above}{error:.2f} mm expected)"
+
+    def _repr_png_(self) -> bytes:
+        return png_bytes(self._preview())
+
+
+def _size(row: Row) -> str:
+    return f"{row['width']}x{row['height']}x{row['slices']}" if "slices" in row else "-"
+
+
+def _center(row: Row) -> str:
+    center = [row.get(f"above_{axis}") for axis in "xyz"]
+    return " ".join(f"{value:.0f}" for value in center if isinstance(value, int | float)) or "-"
+
+
+def _error(key: str, form: str, title: str) -> Column:
+    """Return the column of an expected error, as ``> 14`` where it stops at the border of the search."""
+    plain = number(key, form, title)
+    return Column(title, lambda row: "> " * (key in row and _beyond_search(row)) + plain.text(row))
+
+
+def _bound(row: Row) -> str:
+    lower: bool = row.get("at_reach", 0) >= 0.5  # the figure is a median
+    return "> " * lower + number("inside_bound", "{:.1f}").text(row)
+
+
+_COLUMNS = (
+    Column("size", _size),
+    _error("inside_mean", "{:.2f}", "mean mm"),
+    _error("inside_95", "{:.1f}", "95 % mm"),
+    _error("inside_max", "{:.1f}", "largest mm"),
+    Column("bound mm", _bound),
+    number("above_3mm", "{:.1f}", "above 3 mm, mL"),
+    Column("center, LPS", _center),
+    percent("border", "at border"),
+)
+
+
+class VolumePair(NamedTuple):
+    """A registered pair in memory, with the files that it was loaded from."""
+
+    loaded: LoadedPair
+    scene: VolumePairScene | None = None  # whose regions have figures
+    saving: Mapping[str, Any] = {}
+    warnings: Sequence[str] = ()
+    later: None = None
+
+
+@dataclass(frozen=True)
+class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
+    """Estimate the errors of registrations by a search around every voxel."""
+
+    command = "register-confidence"
+    shown = Shown(_COLUMNS, (_COLUMNS[0], *_COLUMNS[3:]), protocol="registration")
+
+    config: RegisterConfidenceConfig
+
+    def memory(self, scene: VolumePairScene) -> int:
+        """Estimate by the size in the header of the fixed volume."""
+        return self.config.peak_bytes(*loaded_size(scene, self.config.pipeline.voxel_limit))
+
+    def settings(self, scene: VolumePairScene) -> dict[str, str]:
+        """Return the names of the labels of label maps."""
+        return {"labels": f"{scene.labels}"} if scene.labels else {}
+
+    def load(self, scene: VolumePairScene, context: Context) -> VolumePair:
+        """Return both volumes and the landmarks; a warning where the landmarks cannot be used."""
+        loaded = load_volumes(scene, self.config.field, self.config.pipeline.voxel_limit)
+        warnings, points = [scene.lacks_for_truth] if scene.lacks_for_truth else [], None
+        try:
+            points = landmarks(scene, loaded.grid)
+        except InputError as problem:  # the maps do not need them
+            warnings.append(f"{problem}; no points.csv")
+        return VolumePair(loaded, scene, {"suffix": written_suffix(scene.fixed), "landmarks": points}, warnings)
+
+    def solve(self, inputs: VolumePair, context: Context) -> RegistrationConfidence:
+        """Return the expected errors; the clock books the stages, and ``other``."""
+        config, loaded, clock = self.config, inputs.loaded, context.clock
+        need = config.peak_bytes(loaded.grid, loaded.pair.shape, loaded.pair.spacing)
+        check_memory(need, context.memory, f"{' x '.join(map(str, loaded.grid.size))} voxels", "max_voxels, iso")
+        clock.start("other")
+        details = config.pipeline(loaded.pair)
+        clock.include(details.seconds)
+        clock.start("bound")
+        bounds: dict[str, NDArray[np.float32]] = {}
+        if details.scores:
+            table = read_errors(config.pipeline.error_table)
+            bounds = bounds_of(details.scores, details.figures["iso"], details.figures["reach"], table, config.bound)
+        clock.start("other")
+        details.figures.update(inside_figures(details, loaded, bounds.get("bound")))
+        warnings = []
+        if _beyond_search(details.figures):
+            warnings.append(
+                f"{100 * details.figures['border']:.0f} % of the best matches lie on the border of the search: the "
+                "registration may be off by more than its range; a larger levels, radius or iso searches farther"
+            )
+        if np.array_equal(loaded.pair.fixed, loaded.pair.warped):
+            warnings.append("fixed and registered volume are the same: is one of them given twice?")
+        seconds = dict(clock.seconds)
+        return RegistrationConfidence(loaded, details, bounds, seconds, tuple(warnings), config.neurological)
+
+    def row(self, inputs: VolumePair, result: RegistrationConfidence) -> Row:
+        """Return size, figures, and the figures of regions, whose masks are read one by one."""
+        width, height, slices = result.grid.size
+        row: Row = {"width": width, "height": height, "slices": slices, **result.details.figures}
+        if inputs.scene is not None and inputs.scene.regions:
+            row |= _region_figures(result.details, inputs.loaded, inputs.scene)
+        return row
+
+    def is_lower_bound(self, row: Row) -> bool:
+        """Return whether the search ends before the errors do."""
+        return _beyond_search(row)
+
+    def problems(self, rows: Sequence[Row]) -> list[str]:
+        """Return a line for each region whose mask could not be used."""
+        cells = ((row, value) for row in rows for key, value in row.items() if key.startswith("region_error_"))
+        return [f"{row['scene']}: left out, as a region: {value}" for row, value in cells if value]
+
+    def notes(self, scenes: Sequence[VolumePairScene], rows: Sequence[Row]) -> list[str]:
+        """Return a line for each label map of which some pairs have the first label alone, so that it has no number."""
+        start = "region_volume_"
+        regions = {str(row["scene"]): {key.removeprefix(start) for key in row if key.startswith(start)} for row in rows}
+        masks = {scene.name: {name for name, _ in scene.regions} for scene in scenes if regions.get(scene.name)}
+        unmasked = {name for scene, names in regions.items() for name in names - masks.get(scene, set())}
+        numbered = {match[1] for name in unmasked if (match := _NUMBERED.fullmatch(name))}
+        lines = []
+        for name in sorted(numbered):
+            if alone := [scene for scene, names in regions.items() if name in names]:
+                others = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
+                what = f"mask_{name} has one label in {alone[0]}{others}"
+                lines.append(f"{what}: the region {name} there, not {name}_1; name its labels in meta.json")
+        return lines
+
+
+def registration_confidence(
+    fixed: Any,
+    warped: Any,
+    spacing: tuple[float, float, float] | None = None,
+    preset: str | Path | RegisterConfidenceConfig = "mind",
+    overrides: Overrides | None = None,
+    *,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    direction: ArrayLike | None = None,
+    mask: Any = None,
+    **fields: object,
+) -> RegistrationConfidence:
+    """Return expected error, bound, confidence and shift of every voxel of a registration, from the registered volumes.
+
+    ConfigError for an unknown preset, or keys and values that do not fit; InputError for volumes of different grids,
+    with values that are no numbers, or that are the same everywhere, or too little memory.
+
+    Parameters
+    ----------
+    fixed, warped : the fixed volume, and the moving one after registration on the same grid: (Z, Y, X) arrays, or
+        images of SimpleITK, which have their geometry with them
+    spacing : distance (z, y, x) of the voxels of arrays, mm: ``image.GetSpacing()[::-1]`` of SimpleITK
+    preset : name of a preset of ``depthcli register-confidence``, path of a YAML file, or a config
+    overrides : config keys -> values, as ``--set`` has them
+    origin : of arrays: position x, y, z of the first voxel, mm
+    direction : of arrays: (3, 3), whose columns are the axes x, y, z, as in ITK; None: the axes of the frame
+    mask : (Z, Y, X) or image, > 0 where voxels are of interest; None: all
+    **fields : config keys that are Python names, such as ``radius=4``
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> fixed = np.random.default_rng(0).random((20, 24, 24), np.float32)
+    >>> right = depthcli.registration_confidence(fixed, fixed, spacing=(2, 1, 1), preset="intensity")
+    >>> wrong = depthcli.registration_confidence(fixed, np.roll(fixed, 3, axis=2), (2, 1, 1), "intensity")
+    >>> bool(right.values.mean() < wrong.values.mean())
+    True
+    """
+    config, context = load_config(RegisterConfidenceConfig, preset, overrides, **fields), Context()
+    context.clock.start("load")
+    given = {"fixed": fixed, "warped": warped} | ({} if mask is None else {"mask": mask})
+    volumes = {name: _volume(volume, name, spacing, origin, direction) for name, volume in given.items()}
+    grids = {name: grid for name, (grid, _) in volumes.items()}
+    for name, grid in grids.items():
+        if not grid.same_as(grids["fixed"]):
+            difference = grid.describe_difference(grids["fixed"])
+            raise InputError(f"{name}: another grid than the fixed volume's ({difference})")
+    inside = volumes.pop("mask")[1] > 0 if mask is not None else None
+    if inside is not None and not inside.any():
+        raise InputError("mask: no voxel is set")
+    grid = grids["fixed"]
+    blocks = blocks_of(grid, config.pipeline.voxel_limit)
+    first, second = (block_means(usable(volumes.pop(name)[1], inside, name), blocks) for name in ("fixed", "warped"))
+    loaded = joined(first, second, inside, grid, blocks)
+    with one_at_a_time():
+        context.memory = available_memory()
+        return Register(config).solve(VolumePair(loaded), context)
+
+
+def _volume(
+    volume: Any,
+    name: str,
+    spacing: tuple[float, float, float] | None,
+    origin: tuple[float, float, float],
+    direction: ArrayLike | None,
+) -> tuple[Grid, NDArray[np.float32]]:
+    """Return grid and values of an array, or of an image of SimpleITK."""
+    axes = np.eye(3) if direction is None else np.asarray(direction, np.float64)
+    if all(hasattr(volume, method) for method in ("GetSpacing", "GetOrigin", "GetDirection")):  # of SimpleITK
+        values = as_volume(simple_itk().GetArrayFromImage(volume), name)
+        steps, first = volume.GetSpacing(), volume.GetOrigin()
+        axes = np.reshape(volume.GetDirection(), (len(steps), len(steps)))
+        if len(steps) == 2:
+            steps, first, axes = (*steps, 1.0), (*first, 0.0), np.pad(axes, (0, 1))
+            axes[2, 2] = 1.0
+    else:
+        values = as_volume(volume, name)
+        if spacing is None:
+            raise InputError(f"{name}: an array needs its spacing (z, y, x) in mm beside it")
+        steps, first = tuple(spacing)[::-1], tuple(origin)
+    numbers = np.array([*steps, *first, *axes.ravel()], np.float64)
+    if numbers.shape != (15,) or not np.isfinite(numbers).all() or min(steps) <= 0 or abs(np.linalg.det(axes)) < 1e-6:
+        raise InputError(f"{name}: expected three positive spacings, an origin of three numbers and three axes")
+    x, y, z = (float(v) for v in steps)
+    at = (float(first[0]), float(first[1]), float(first[2]))
+    depth, height, width = values.shape
+    return Grid((width, height, depth), (x, y, z), at, tuple(map(float, axes.ravel()))), values
+
+
+def bounds_of(
+    scores: Sequence[NDArray[np.float32]], iso: float, reach: float, table: ErrorTable, promise: VolumeBound
+) -> dict[str, NDArray[np.float32]]:
+    """Return bound, mm, and probability of the scores of a result, with its figures, by a table of errors in voxels.
+
+    They are those of the finest resolution whose usual bound does not end with its search; empty without scores.
+    """
+    bounds: dict[str, NDArray[np.float32]] = {}
+    for k, score in reversed(list(enumerate(scores))):
+        unit = iso * 2**k
+        finer = {
+            "bound": np.minimum(table.bound(score, promise.level) * np.float32(unit), np.float32(reach)),
+            "probability": table.probability(score, promise.within / unit),
+        }
+        if bounds:
+            ends = table.bound(score, _USUAL.level) * unit >= reach / 2 ** (len(scores) - 1 - k)
+            finer = {name: np.where(ends, bounds[name], values) for name, values in finer.items()}
+        bounds = finer
+    return bounds
+
+
+def _beyond_search(figures: Mapping[str, Any]) -> bool:
+    """Return whether so many of the best matches lie on the border of the search that its errors are lower bounds."""
+    return float(figures.get("border", 0.0)) > _MAX_BORDER_SHARE
+
+
+def inside_figures(
+    result: RegistrationResult, loaded: LoadedPair, bound: NDArray[np.float32] | None = None
+) -> dict[str, float]:
+    """Return figures of the expected error in the mask, or else in the body; empty where no voxel lies there.
+
+    They are ``inside_mean``, ``inside_95`` (quantile), ``inside_max``, mm; ``above_3mm``, mL of larger errors; where
+    there are any, ``above_x``, ``above_y`` and ``above_z``: center of their largest connected region, mm, LPS. Of a
+    bound ``inside_bound``, its median, mm, and ``at_reach``, the share of voxels where it ends with the search.
+    """
+    pair, grid = loaded.pair, loaded.grid
+    inside = pair.mask
+    if inside is None:
+        order, flipped = grid.anatomical_axes()
+        turned = np.flip(body_of_volume(grid.turned(pair.fixed)), flipped)
+        inside = turned.transpose(np.argsort(order))
+    error = at_voxels(result.expected_error, result.start, result.step, pair.shape)
+    errors = error[inside]
+    if not errors.size:
+        return {}
+    wrong = inside & (error > _WRONG_MM)
+    figures = {"inside_mean": float(errors.mean(dtype=np.float64)), "inside_95": float(np.quantile(errors, 0.95))}
+    figures["inside_max"] = float(errors.max())
+    figures["above_3mm"] = int(np.count_nonzero(wrong)) * math.prod(pair.spacing) / 1000
+    if wrong.any():
+        labels, _ = ndimage.label(wrong)
+        largest = int(np.bincount(labels[wrong]).argmax())
+        center = np.array([ndimage.center_of_mass(labels == largest)])
+        first, blocks = (np.array(values) for values in loaded.on_grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
+        position = grid.to_point(first + blocks * center)[0]
+        figures |= dict(zip(("above_x", "above_y", "above_z"), map(float, position), strict=True))
+    if bound is not None:
+        within = at_voxels(bound, result.start, result.step, pair.shape)[inside]
+        figures["inside_bound"] = float(np.median(within))
+        figures["at_reach"] = float(np.mean(within >= bound.dtype.type(result.figures["reach"])))
+    return {name: round(value, 4) for name, value in figures.items()}
+
+
+def _region_figures(result: RegistrationResult, loaded: LoadedPair, scene: VolumePairScene) -> dict[str, float | str]:
+    """Return figures of the expected error in the regions of a pair, such as organs.
+
+    They are ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL, alone
+    where a region has no voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
+    """
+    figures: dict[str, float | str] = {}
+    error = at_voxels(result.expected_error, result.start, result.step, loaded.pair.shape)
+    voxel = math.prod(loaded.grid.spacing) / 1000
+    for file, _ in scene.regions:
+        try:
+            for name, mask in region_masks(scene, file, loaded.grid):
+                if f"region_volume_{name}" in figures:
+                    twice = f"{scene.folder}: two regions are called {name}: give one of them another name"
+                    figures.setdefault(f"region_error_{file}", twice)
+                    continue
+                chosen = mask
+                if max(loaded.blocks) > 1:  # blocks half in the mask; of a small mask, the fullest blocks
+                    shares = block_means(mask, loaded.blocks)
+                    chosen = (shares > 0) & (shares >= min(0.5, float(shares.max())))
+                errors = error[chosen]
+                figures[f"region_volume_{name}"] = round(int(np.count_nonzero(mask)) * voxel, 4)
+                if errors.size:
+                    figures[f"region_mean_{name}"] = round(float(errors.mean(dtype=np.float64)), 4)
+                    figures[f"region_95_{name}"] = round(float(np.quantile(errors, 0.95)), 4)
+        except InputError as problem:
+            figures[f"region_error_{file}"] = str(problem)
+    return figures
