@@ -175,10 +175,8 @@ class Disparity(Shown, DisparityMap):
             geometry = read_geometry(Path(calibration), (2, 3))
         if geometry is None:
             raise ConfigError("to_depth needs either a calibration file, or focal (pixels) and baseline (meters)")
-        geometry = geometry.for_size(width, height)
-        values = np.where(chosen_pixels(self, mask, self.confidence), self.values, np.float32(np.nan))
-        bound = None if self.bound is None else geometry.depth_bound(values, self.bound)
-        return Depth(geometry.depth(values), self.status, geometry.left, self.left, bound)
+        chosen = chosen_pixels(self, mask, self.confidence)
+        return depth_of(self, geometry.for_size(width, height), self.left, chosen, self.bound)
 
     def to_points(
         self, calibration: str | Path | None = None, *, focal: float | None = None, baseline: float | None = None
@@ -204,3 +202,16 @@ class Disparity(Shown, DisparityMap):
 
     def _range(self) -> str:
         return f"searched {self.search.min_disparity} to {self.search.max_disparity} px"
+
+
+def depth_of(
+    disparity: DisparityMap,
+    geometry: PairGeometry,
+    left: Image,
+    mask: NDArray[np.bool_],
+    bound: NDArray[np.float32] | None = None,
+) -> Depth:
+    """Return the depth of the pixels ``mask`` of a disparity map; ``bound`` is of its error, pixels."""
+    values = np.where(mask, disparity.values, np.float32(np.nan))
+    depth_bound = None if bound is None else geometry.depth_bound(values, bound)
+    return Depth(geometry.depth(values), disparity.status, geometry.left, left, depth_bound)

@@ -18,6 +18,7 @@ from typer import Argument, Option
 
 from depthcli.commands._options import BoardOptions
 from depthcli.commands._shared_options import Printing, local_output
+from depthcli.core.errors import SOME_FAILED
 
 
 def calibrate(
@@ -40,6 +41,14 @@ def calibrate(
     overwrite: Annotated[bool, Option("--overwrite", help="Replace an earlier calibration.")] = False,
 ) -> int:
     """Calibrate the cameras that took the photos; return the exit code, 3 where a photo could not be read."""
-    from depthcli.commands._calibrate import calibrate_cameras
+    from depthcli.problems.boards import board_of, calibrate_cameras, print_summary, table_of
+    from depthcli.run.json_csv import to_json
 
-    return calibrate_cameras(photos, board, printing, output, fisheye, overwrite)
+    reporter = printing.reporter
+    calibrated = calibrate_cameras(photos, board_of(**vars(board)), output, fisheye, overwrite, reporter)
+    if printing.json:
+        reporter.data(to_json(calibrated.report))
+    elif not printing.quiet:
+        reporter.data(table_of(calibrated.report))
+    print_summary(calibrated, reporter)
+    return SOME_FAILED if any(view.unreadable for view in calibrated.views) else 0

@@ -11,6 +11,7 @@ Examples:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
 from depthcli.commands._shared_options import HtmlOption
@@ -26,6 +27,18 @@ class DepthRunOptions(RunOptions):
 def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     """Turn every map of the run into depth; return the exit code."""
     from depthcli.commands._batch import run_batch
-    from depthcli.commands._depth import prepare
+    from depthcli.commands._scenes import scenes_at
+    from depthcli.core.errors import ConfigError
+    from depthcli.io.layouts.stereo import PAIRS
+    from depthcli.problems.depth import ToDepth, find_maps
 
-    return run_batch(*prepare(maps, clouds, run), run)
+    numbers = {name: getattr(maps, name) for name in ("focal", "baseline", "doffs")}
+    given = [name for name, value in numbers.items() if value is not None]
+    job = ToDepth(numbers | vars(clouds))
+    if given and maps.calibration is not None:
+        raise ConfigError(f"--calibration and --{given[0]} exclude each other")
+    pairs = None
+    if (place := maps.input) is not None:
+        pairs = partial(scenes_at, place, PAIRS, maps.layout, ["*"], run.reporter)
+    scenes = find_maps(maps.run, maps.scenes or ["*"], maps.left, maps.calibration, bool(given), pairs)
+    return run_batch(job, scenes, run)

@@ -16,6 +16,8 @@ from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
 def rectify(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> int:
     """Rectify every pair; return the exit code."""
     from depthcli.commands._batch import run_batch
-    from depthcli.commands._rectify import prepare
+    from depthcli.commands._scenes import find_scenes
+    from depthcli.io.layouts.stereo import PAIRS
+    from depthcli.problems.rectify import rectifier
 
-    return run_batch(*prepare(pairs, how, run), run, pairs)
+    return run_batch(rectifier(**vars(how)), find_scenes(PAIRS, pairs, run), run, pairs)

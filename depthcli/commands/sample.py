@@ -9,12 +9,14 @@ Examples:
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 from depthcli.commands._options import RunOptions, SampleOptions
 
 
 def sample(run: RunOptions, scenes: SampleOptions) -> int:
     """Generate the scenes of one kind into a run folder."""
     from depthcli.commands._batch import run_batch
-    from depthcli.commands._sample import prepare
+    from depthcli.problems.sample import sampled
 
-    return run_batch(*prepare(scenes), run)
+    return run_batch(*sampled(vars(scenes), {option.name: option.default for option in fields(scenes)}), run)

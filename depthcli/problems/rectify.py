@@ -1,9 +1,9 @@
-"""What ``rectify`` computes of a pair: both images rectified, by a calibration or by key points."""
+"""Rectify: both images of a pair rectified, by a calibration or by key points."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.api.rigs import read_rig, rectified_rig
-from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
 from depthcli.commands._rectified_pairs import (
     calibration_files,
     calibration_warnings,
@@ -21,7 +20,6 @@ from depthcli.commands._rectified_pairs import (
     row_errors,
     sequence_range,
 )
-from depthcli.commands._scenes import find_scenes
 from depthcli.core.cameras.rig import RectifiedRig
 from depthcli.core.context import Context, Latest
 from depthcli.core.errors import ConfigError, InputError
@@ -29,7 +27,6 @@ from depthcli.core.frames import StereoPair
 from depthcli.io.formats.calibrations import write_geometry
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import write_png
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_views
 from depthcli.methods.stereo.config import Calibration
@@ -42,25 +39,6 @@ from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
 
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
-
-
-def prepare(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> tuple[Rectify, list[StereoScene]]:
-    """Return the batch of ``rectify``, and the pairs that the options name."""
-    files = tuple(path.absolute() for path in how.calibration or ())
-    if how.uncalibrated == bool(files):
-        raise ConfigError("give --calibration FILE, or --uncalibrated")
-    if len(files) > 2:
-        raise ConfigError("--calibration: at most two files belong together")
-    check_unit(how.unit)
-    first, _, second = how.cameras.partition(",")
-    if not (first.isdigit() and second.isdigit() and len(first + second) == 2 and first != second):
-        raise ConfigError(f"--cameras: must be two numbers such as 2,3 (got {how.cameras!r})")
-    calibration = None
-    if files:
-        lens = {"unit": how.unit, "fisheye": how.fisheye, "alpha": how.alpha, "cameras": (int(first), int(second))}
-        calibration = Calibration.model_validate({"files": [str(file) for file in files], **lens})
-    config = {key: getattr(how, key) for key in ("uncalibrated", "unit", "fisheye", "alpha", "cameras")}
-    return Rectify(config, calibration), find_scenes(PAIRS, pairs, run)
 
 
 @dataclass(frozen=True)
@@ -94,19 +72,19 @@ class Rectify(SceneJob[StereoScene]):
         frames = scene.sequence if scene.frame_number is not None and self.calibration is not None else ()
         points = None if frames and not scene.is_first else match_views(grey8(left), grey8(right))
         clock.start("warp")
-        found: RectifiedRig | RectifyingHomographies
+        rectified: RectifiedRig | RectifyingHomographies
         if self.calibration is not None:
-            found = rectified_rig(self.calibration, left, right, context.latest)
+            rectified = rectified_rig(self.calibration, left, right, context.latest)
         else:
             sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
             if sizes[0] != sizes[1]:
                 raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
             assert points is not None  # calibrated videos alone go without
-            found = rectify_uncalibrated(*points, sizes[0])
-        *views, overlap = found.images(left, right)
+            rectified = rectify_uncalibrated(*points, sizes[0])
+        *views, overlap = rectified.images(left, right)
         rows, warnings = Row(), list[str]()
         if points is not None:
-            moved = found.points(*points)
+            moved = rectified.points(*points)
             rows = row_errors(points, moved)
             warnings = calibration_warnings(rows) if self.calibration is not None else _flatness_warnings(*moved)
         clock.start("save")
@@ -115,18 +93,18 @@ class Rectify(SceneJob[StereoScene]):
             search = self._search_range(frames, views, context.latest)
         except InputError as error:
             warnings.append(str(error))
-        facts: Row = {"width": found.size[0], "height": found.size[1], **rows}
-        facts |= {"overlap": share(overlap), **search}
-        if isinstance(found, RectifiedRig):
-            facts |= {"focal": found.geometry.left.fx, "baseline": found.geometry.baseline}
-            write_geometry(folder / "calib.txt", found.geometry, search.get("max_disparity"))
+        row: Row = {"width": rectified.size[0], "height": rectified.size[1], **rows}
+        row |= {"overlap": share(overlap), **search}
+        if isinstance(rectified, RectifiedRig):
+            row |= {"focal": rectified.geometry.left.fx, "baseline": rectified.geometry.baseline}
+            write_geometry(folder / "calib.txt", rectified.geometry, search.get("max_disparity"))
         for name, view in zip(("left", "right"), views, strict=True):
             write_png(folder / f"{name}.png", view)
         meta: Row = {"source": f"rectified by depthcli from {scene.name}", **search}
         if self.calibration is None:
             meta["uncalibrated"] = True  # which ``depth`` refuses
         write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
-        return Outcome(facts, clock.seconds, warnings)
+        return Outcome(row, clock.seconds, warnings)
 
     def _search_range(self, frames: tuple[StereoScene, ...], views: list[NDArray[Any]], latest: Latest) -> Row:
         """Return the range of disparities that the frames together, or else the views, suggest."""
@@ -144,5 +122,26 @@ def _flatness_warnings(left: Points, right: Points) -> list[str]:
         return []
     return [
         f"the disparities of most matched key points are within {high - low:.1f} px: the cameras are at one "
-        "place, or see one flat thing; there is no depth to be found"
+        "place, or see one flat thing; there is no depth to be rectified"
     ]
+
+
+def rectifier(
+    calibration: Sequence[Path] | None, uncalibrated: bool, unit: str, fisheye: bool, alpha: float, cameras: str
+) -> Rectify:
+    """Return the job with the options of these names; ConfigError where they do not fit together."""
+    files = tuple(path.absolute() for path in calibration or ())
+    if uncalibrated == bool(files):
+        raise ConfigError("give --calibration FILE, or --uncalibrated")
+    if len(files) > 2:
+        raise ConfigError("--calibration: at most two files belong together")
+    check_unit(unit)
+    first, _, second = cameras.partition(",")
+    if not (first.isdigit() and second.isdigit() and len(first + second) == 2 and first != second):
+        raise ConfigError(f"--cameras: must be two numbers such as 2,3 (got {cameras!r})")
+    config = {"uncalibrated": uncalibrated, "unit": unit, "fisheye": fisheye, "alpha": alpha, "cameras": cameras}
+    if uncalibrated:
+        return Rectify(config, None)
+    names = [str(file) for file in files]
+    lens = {"unit": unit, "fisheye": fisheye, "alpha": alpha, "cameras": (int(first), int(second))}
+    return Rectify(config, Calibration.model_validate({"files": names, **lens}))

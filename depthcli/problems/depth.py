@@ -1,27 +1,24 @@
-"""What ``depth`` computes of a disparity map."""
+"""Depth: the metric depth of the disparity maps of a run, or of a single one, and a point cloud."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.api.results import PointCloud
-from depthcli.api.saving import check_limits, chosen_pixels, empty_cloud, parse_mask, write_depth
-from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
-from depthcli.commands._scenes import scenes_at
+from depthcli.api.results import PointCloud, depth_of
+from depthcli.api.saving import check_limits, chosen_pixels, empty_cloud, parse_mask
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.frames import color8
-from depthcli.core.maps import DisparityMap, MatchedMap
+from depthcli.core.maps import DisparityMap
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
 from depthcli.io.formats.disparity import read_disparity, read_pfm
@@ -33,7 +30,7 @@ from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
 from depthcli.io.walk import matches_any, scenes_with_files
 from depthcli.problems.problem import SceneJob, Shown
-from depthcli.run.console import SIZE, Reporter, number, percent
+from depthcli.run.console import SIZE, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
 from depthcli.run.json_csv import median as median_of
@@ -43,22 +40,9 @@ from depthcli.run.report import read_report
 _MAP = "disp_left.pfm"
 
 
-def prepare(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> tuple[ToDepth, list[DisparityScene]]:
-    """Return the batch of ``depth``, and the maps that the options name; ConfigError where options do not fit."""
-    by_hand = {name: getattr(maps, name) for name in ("focal", "baseline", "doffs")}
-    given = [name for name, value in by_hand.items() if value is not None]
-    if given and (maps.focal is None or maps.baseline is None):
-        raise ConfigError("--focal and --baseline belong together (and --doffs, where the cameras have one)")
-    if given and maps.calibration is not None:
-        raise ConfigError(f"--calibration and --{given[0]} exclude each other")
-    check_limits(clouds.near, clouds.far)
-    parse_mask(clouds.mask or "all")
-    return ToDepth(by_hand | vars(clouds)), find_maps(maps, run.reporter)
-
-
 @dataclass(frozen=True)
 class ToDepth(SceneJob[DisparityScene]):
-    """Turns disparity maps into depth and point clouds; ``config`` has the options, None for one that is not given."""
+    """Turns disparity maps into depth and point clouds; ConfigError where the options do not fit together."""
 
     command = "depth"
     shown = Shown(
@@ -74,7 +58,15 @@ class ToDepth(SceneJob[DisparityScene]):
         protocol="depth",
     )
 
-    config: Mapping[str, Any]
+    config: Mapping[str, Any]  # option -> value; None: not given
+
+    def __post_init__(self) -> None:
+        config = self.config
+        numbers = [config[name] for name in ("focal", "baseline", "doffs")]
+        if numbers != [None] * 3 and None in numbers[:2]:
+            raise ConfigError("--focal and --baseline belong together (and --doffs, where the cameras have one)")
+        check_limits(config["near"], config["far"])
+        parse_mask(config["mask"] or "all")
 
     def settings(self, scene: DisparityScene) -> dict[str, str]:
         """Return which cameras of the calibration took the pair."""
@@ -86,7 +78,7 @@ class ToDepth(SceneJob[DisparityScene]):
             self._geometry(scene, (1, 1))
 
     def compute(self, scene: DisparityScene, folder: Path, context: Context) -> Outcome:
-        """Load a map with what belongs to it, choose pixels, compute their depth, save it and the cloud."""
+        """Load a map with its status, confidence and bound, compute depth, save it and the cloud."""
         config, clock = self.config, context.clock
         clock.start("load")
         scene.check()
@@ -102,46 +94,45 @@ class ToDepth(SceneJob[DisparityScene]):
         status = np.zeros(disparity.shape, np.uint8) if scene.status is None else read(read_status, scene.status)
         ranked = (config["mask"] or "").startswith("confident")
         confidence = {name: read(read_pfm, file) for name, file in scene.confidence.items() if ranked}
-        if config["ply"] and scene.left is None:
-            raise InputError(f"{scene.folder}: the left image is missing, which colors a point cloud; give --input")
-        image = color8(read(read_image, scene.left)) if config["ply"] and scene.left is not None else None
+        image = np.zeros(disparity.shape, np.uint8)  # the colors of a cloud
+        if config["ply"]:
+            if scene.left is None:
+                raise InputError(f"{scene.folder}: the left image is missing, which colors a point cloud; give --input")
+            image = read(read_image, scene.left)
         clock.start("depth")
         matched = DisparityMap(disparity, status)
         with naming(scene.folder):
             kept = chosen_pixels(matched, config["mask"] or "all", confidence)
             in_cloud = chosen_pixels(matched, config["mask"] or "measured", confidence)
-        values = np.where(kept, disparity, np.float32(np.nan))
-        depth, bound = geometry.depth(values), None
-        if scene.bound is not None:
-            bound = geometry.depth_bound(values, read(read_pfm, scene.bound))
-        in_cloud &= (depth >= config["near"]) & (depth <= (math.inf if config["far"] is None else config["far"]))
+        bound = None if scene.bound is None else read(read_pfm, scene.bound)
+        depth = depth_of(matched, geometry, image, kept, bound)
+        in_cloud &= (depth.values >= config["near"]) & (depth.values <= (config["far"] or math.inf))
         if config["max_bound"] is not None:
-            if bound is None:
+            if depth.bound is None:
                 raise InputError(f"{scene.folder}: no bound.pfm for --max-bound; match with --bound")
-            in_cloud &= bound <= config["max_bound"]
+            in_cloud &= depth.bound <= config["max_bound"]
         clock.start("save")
-        found = MatchedMap(depth, status)
-        write_depth(found, folder, config["depth_scale"], bound=bound)
-        known = np.isfinite(depth)
-        median = round(float(np.median(depth[known])), 6) if known.any() else None
-        beyond, beyond_warning = beyond_png(depth, config["depth_scale"])
-        facts: Row = {"width": width, "height": height, "density": share(known)}
-        facts |= {"median_depth": median, "focal": geometry.left.fx, "baseline": geometry.baseline}
-        facts |= {"doffs": geometry.offset, "beyond_png": round(beyond, 6)}
-        if bound is not None:
-            facts["median_bound"] = median_of(bound)
+        depth.save(folder, config["depth_scale"])
+        valid = np.isfinite(depth.values)
+        median = round(float(np.median(depth.values[valid])), 6) if valid.any() else None
+        beyond, beyond_warning = beyond_png(depth.values, config["depth_scale"])
+        row: Row = {"width": width, "height": height, "density": share(valid)}
+        row |= {"median_depth": median, "focal": geometry.left.fx, "baseline": geometry.baseline}
+        row |= {"doffs": geometry.offset, "beyond_png": round(beyond, 6)}
+        if depth.bound is not None:
+            row["median_bound"] = median_of(depth.bound)
         warnings = []
-        if image is not None:
-            PointCloud.of(found, geometry.left, image, in_cloud).save(folder / "points.ply")
-            facts["points"] = int(np.count_nonzero(known & in_cloud))
-            warnings += empty_cloud(depth, in_cloud)
+        if config["ply"]:
+            PointCloud.of(depth, geometry.left, image, in_cloud).save(folder / "points.ply")
+            row["points"] = int(np.count_nonzero(valid & in_cloud))
+            warnings += empty_cloud(depth.values, in_cloud)
         warnings += [f"{beyond_warning}; see --depth-scale"] if beyond_warning else []
         if median is not None and not MIN_DEPTH <= median <= MAX_DEPTH:
             warnings.append(
                 f"the median depth is {median:.4g} m, with a focal length of {geometry.left.fx:.4g} px and a baseline "
                 f"of {geometry.baseline:.4g} m; does the calibration belong to this map?"
             )
-        return Outcome(facts, clock.seconds, warnings)
+        return Outcome(row, clock.seconds, warnings)
 
     def _geometry(self, scene: DisparityScene, shape: tuple[int, ...]) -> PairGeometry:
         focal, baseline = self.config["focal"], self.config["baseline"]
@@ -157,20 +148,31 @@ class ToDepth(SceneJob[DisparityScene]):
         return read_geometry(scene.calibration, scene.cameras)
 
 
-def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:
-    """Return the disparity maps of a run, each with its left image and calibration, or a single map.
+def find_maps(
+    run: Path,
+    patterns: Sequence[str] = ("*",),
+    left: Path | None = None,
+    calibration: Path | None = None,
+    by_hand: bool = False,
+    pairs: Callable[[], Sequence[Scene]] | None = None,
+) -> list[DisparityScene]:
+    """Return the disparity maps of a run, with their left images and calibrations, or a single map.
 
-    A scene that the run's report lists as done, but whose map is gone, is among them with a ``problem``.
+    A scene that the run's report lists as done, but whose map is gone, is among them with a ``problem``. InputError
+    where there is no such run, or no map of a scene that matches.
 
-    Raises
-    ------
-    InputError
-        There is no such run, or no map of a scene that matches ``--scenes``.
+    Parameters
+    ----------
+    run : run folder, or file of a map
+    patterns : shell patterns of the names of scenes
+    left : left image of a single map
+    calibration : calibration of all maps, instead of their own
+    by_hand : the cameras are given by numbers, instead of calibrations
+    pairs : returns the image pairs that were matched; None: they are where the run's report says
     """
-    run, patterns = local(maps.run), maps.scenes or ["*"]
+    run = local(run)
     if os.path.isfile(run):
-        one = DisparityScene(name=run.stem, folder=run.parent, disparity=run)
-        return [replace(one, left=maps.left, calibration=maps.calibration)]
+        return [DisparityScene(name=run.stem, folder=run.parent, disparity=run, left=left, calibration=calibration)]
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such run folder or map")
     rows = {name: row for name, row in read_report(run).items() if is_inside(name)}
@@ -180,21 +182,24 @@ def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:
     if not names:
         raise InputError(f"{run}: no {'scene matches' if there else 'disparity maps there'} (SCENE/{_MAP})")
     sources = {name: local(source) for name in names if (source := rows.get(name, {}).get("source"))}
-    if maps.input is not None:
-        pairs = scenes_at(maps.input, PAIRS, maps.layout, ["*"], reporter)
-        inputs = {scene.name: cast(Scene, scene) for scene in pairs}
+    if pairs is not None:
+        matched = {scene.name: scene for scene in pairs()}
     else:
-        known = scenes_with_files(sources.values(), PAIRS)
-        inputs = {name: known[source] for name, source in sources.items() if source in known}
-    found = [_map_of(run / name, name, inputs.get(name), sources.get(name), maps) for name in names]
+        by_file = scenes_with_files(sources.values(), PAIRS)
+        matched = {name: by_file[source] for name, source in sources.items() if source in by_file}
+    maps = [_map_of(run / name, name, matched.get(name), sources.get(name)) for name in names]
+    if calibration is not None:
+        maps = [replace(each, calibration=calibration, geometry=None) for each in maps]
+    elif by_hand:
+        maps = [replace(each, calibration=None) for each in maps]
     for name, row in rows.items():
         if row["status"] == "done" and name not in names and matches_any(name, patterns):
             problem = f"{run / name}: no {_MAP}, though the run's report lists the scene as done; run it again"
-            found.append(DisparityScene(name=name, folder=run / name, disparity=run / name / _MAP, problem=problem))
-    return sorted(found, key=lambda scene: scene.name)
+            maps.append(DisparityScene(name=name, folder=run / name, disparity=run / name / _MAP, problem=problem))
+    return sorted(maps, key=lambda scene: scene.name)
 
 
-def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, maps: MapOptions) -> DisparityScene:
+def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None) -> DisparityScene:
     """Return the map in ``folder``; ``pair`` is the scene it was made from, and ``source`` its left image, if known."""
     left = source if source is not None and os.path.isfile(source) else None
     calibration, cameras, geometry = None, (2, 3), None
@@ -221,7 +226,7 @@ def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, ma
         confidence={path.stem.removeprefix("confidence_"): path for path in confidences},
         bound=bound if os.path.isfile(bound) else None,
         left=left,
-        calibration=maps.calibration or (calibration if maps.focal is None else None),
+        calibration=calibration,
         cameras=cameras,
-        geometry=geometry if maps.calibration is None else None,
+        geometry=geometry,
     )
