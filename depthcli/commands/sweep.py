@@ -9,13 +9,31 @@ Examples:
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Option
 
 from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._shared_options import ConfigArgument, HtmlOption, LayoutOption, ScenesOption, SetOption
+from depthcli.core.errors import SOME_FAILED, ConfigError
+from depthcli.problems import PROBLEMS
+
+if TYPE_CHECKING:
+    from depthcli.evaluation.sweeps import Axes, Combination
+    from depthcli.problems.problem import SceneJob
+
+_RUNS = "runs"  # the folder with one run folder per combination
+_TABLES = ("sweep.json", "sweep.csv")
+
+
+class _Run(NamedTuple):
+    values: Combination
+    options: RunOptions
+    job: SceneJob[Any]
+    scenes: Sequence[Any]
 
 
 def sweep(
@@ -35,9 +53,106 @@ def sweep(
     ] = "50MB",
 ) -> int:
     """Run every combination, evaluate all runs, and print the runs by their figure and the effect of every key."""
-    from depthcli.commands._sweep import Sweep
-    from depthcli.commands._sweep_axes import combinations, parse_axes
+    from depthcli.commands._run import print_place, run_job, viewers
+    from depthcli.evaluation.evaluate import Choices, evaluate_runs
+    from depthcli.evaluation.sweeps import combinations, compared, parse_axes, text_of
+    from depthcli.io.formats.files import write_text
+    from depthcli.io.inputs import local
+    from depthcli.io.layouts.all_kinds import ALL_KINDS
+    from depthcli.io.walk import discover_scenes
+    from depthcli.run.folder import FolderLock
+    from depthcli.run.json_csv import to_csv, to_json
 
     source, axes = SceneOptions(input=input, layout=layout, scenes=scenes), parse_axes(over)
-    chosen = combinations(axes, random, seed)
-    return Sweep(command, config, set or [], axes, chosen, source, run).run(html, html_budget)
+    output, reporter, chosen = run.output, run.reporter, combinations(axes, random, seed)
+    runs, own_run = _runs_of(command, config, set or [], axes, chosen, source, run)
+    if run.dry_run:
+        _show_plan(command, runs, run)
+        return 0
+    for table in _TABLES:
+        if (output / table).exists() and not (output / _RUNS).is_dir():
+            raise ConfigError(f"{output / table}: is no sweep's; move it away, or choose another --output")
+    failed = False
+    with FolderLock(output, reporter.info) as lock:
+        lock.share()
+        for count, (name, one) in enumerate(runs.items(), 1):
+            reporter.info(f"run {count} of {len(runs)}: {name}")
+            failed |= run_job(one.job, one.scenes, one.options, source) != 0
+        others = lock.locks and not lock.last()
+    if others:
+        reporter.info("the process that ends last compares the runs")
+        return SOME_FAILED if failed else 0
+    truth = local(input)
+    all_scenes = discover_scenes(truth, ALL_KINDS, layout, source.patterns)
+    if not any(scene.has_truth for scene in all_scenes):
+        reporter.info(f"{input}: no ground truth there, the runs are not compared")
+        return SOME_FAILED if failed else 0
+    folder, places = output / "evaluation", [one.options.output for one in runs.values()]
+    scored = [scene for scene in all_scenes if scene.problem or scene.has_truth]
+    choices = Choices(viewers=viewers(reporter, folder, html, html_budget), reporter=reporter)
+    report = evaluate_runs(places, scored, truth, folder, choices)
+    tried = {name: one.values for name, one in runs.items()}
+    results = [compared(section, axes, tried, own_run) for section in report.sections]
+    document = to_json({"over": axes, "results": results})
+    write_text(output / _TABLES[0], document)
+    write_text(output / _TABLES[1], to_csv([row for result in results for row in result["runs"]]))
+    if run.json:
+        reporter.data(document)
+    elif not run.quiet:
+        reporter.data("\n".join(map(text_of, report.sections, results)))
+    reporter.info(f"runs, evaluation, sweep.csv and sweep.json in {output}")
+    print_place(report, folder, html, reporter)
+    return SOME_FAILED if failed or report.incomplete else 0
+
+
+def _runs_of(
+    command: str,
+    config: str,
+    settings: Sequence[str],
+    axes: Axes,
+    chosen: Sequence[Combination],
+    source: SceneOptions,
+    options: RunOptions,
+) -> tuple[dict[str, _Run], str]:
+    """Return name -> run, and the name of the run that has the config's own values; empty where none has."""
+    from depthcli.commands._run import prepared
+    from depthcli.evaluation.sweeps import OWN_VALUES, folder_names, value_text
+
+    if command not in PROBLEMS:
+        raise ConfigError(f"--command: must be one of {', '.join(PROBLEMS)} (got {command!r})")
+
+    def run_of(name: str, values: Combination) -> _Run:
+        place = options.output / _RUNS / name
+        quiet = replace(options, output=place, json=False, quiet=True, flag=None, fail_flagged=False)
+        own = [(f"--over {key}", f"{key}={value}") for key, value in zip(axes, values, strict=False)]
+        job, scenes = prepared(command, config, source, quiet, [*settings, *own])
+        return _Run(values, quiet, job, scenes)
+
+    names = folder_names(axes, chosen)
+    runs = {name: run_of(name, values) for name, values in zip(names, chosen, strict=True)}
+    try:
+        plain = run_of(OWN_VALUES, ())
+    except ConfigError:  # a config that needs the values of --over has none of its own
+        return runs, ""
+    if alike := [name for name, run in runs.items() if run.job.config == plain.job.config]:
+        return runs, alike[0]
+    own_config = plain.job.config.model_dump(mode="json", by_alias=True)
+    plain = plain._replace(values=tuple(value_text(own_config, key) for key in axes))
+    return {OWN_VALUES: plain, **runs}, OWN_VALUES
+
+
+def _show_plan(command: str, runs: Mapping[str, _Run], options: RunOptions) -> None:
+    """Print what would be computed."""
+    from depthcli.commands._run import DONE, plan_of
+    from depthcli.run.console import aligned
+    from depthcli.run.json_csv import to_json
+
+    rows = []
+    for name, run in runs.items():
+        plan = plan_of(run.job, run.scenes, run.options.output, run.options.execution)
+        done = sum(row["status"] == DONE for row in plan["scenes"])
+        rows.append({"run": name, "scenes": len(plan["scenes"]), "done": done, "refused": plan["refused"]})
+    lines = [("run", "", "scenes", "done")]
+    lines += [(row["run"], row["refused"], str(row["scenes"]), str(row["done"])) for row in rows]
+    text = f"{aligned(lines)}\n\nnothing was computed\n"
+    options.reporter.data(to_json({"command": command, "runs": rows}) if options.json else text)

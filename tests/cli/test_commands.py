@@ -24,8 +24,8 @@ from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
 from depthcli.commands._options import PairOptions, RunOptions
 from depthcli.commands._shared_options import parse_bytes
-from depthcli.commands._sweep_axes import parse_axes
 from depthcli.core.config_file import load_config
+from depthcli.evaluation.sweeps import parse_axes
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import read_status

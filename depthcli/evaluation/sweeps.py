@@ -1,4 +1,4 @@
-"""The combinations of a sweep, the names of their runs, and the influence of every key on their figures."""
+"""Sweeps: the combinations of settings, the names of their runs, the comparison, and the effect of every key."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from decimal import Decimal
 from typing import Any, TypeAlias
 
 from depthcli.core.errors import ConfigError
+from depthcli.evaluation.comparison import Section
+from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.statistics import mean_of_known
 from depthcli.run.json_csv import Row
 
 Axes: TypeAlias = Mapping[str, Sequence[str]]
@@ -25,6 +28,8 @@ Combination: TypeAlias = tuple[str, ...]
 _MAX_VALUES = 10_000  # of one key
 _MAX_RUNS = 100_000
 _MAX_NAME_LENGTH = 120  # characters of a folder's name; file systems take 255
+OWN_VALUES = "own-values"  # name of the run of the config as it is
+_MAX_SHOWN = 20  # runs in the printed table; files list all
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?"
 
 
@@ -76,14 +81,14 @@ def combinations(axes: Axes, drawn: int | None = None, seed: int = 0) -> list[Co
     generator, chosen = random.Random(seed), dict[int, None]()
     while len(chosen) < drawn:
         chosen[generator.randrange(total)] = None
-    found = []
+    drawn_values = []
     for number in sorted(chosen):
         values: Combination = ()
-        for each in reversed(list(axes.values())):
-            number, place = divmod(number, len(each))
-            values = (each[place], *values)
-        found.append(values)
-    return found
+        for choices in reversed(list(axes.values())):
+            number, place = divmod(number, len(choices))
+            values = (choices[place], *values)
+        drawn_values.append(values)
+    return drawn_values
 
 
 def folder_names(axes: Axes, chosen: Sequence[Combination]) -> list[str]:
@@ -115,6 +120,32 @@ def value_text(config: Mapping[str, Any], key: str) -> str:
     return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
 
 
+def compared(section: Section, axes: Axes, tried: Mapping[str, Combination], own_run: str) -> Row:
+    """Return the runs of one data set, the best first, and the effect of every key.
+
+    ``tried`` has a run's value of every key; ``own_run`` is the run that has the config's own values, or empty.
+    """
+    headline = section.protocol.headline
+    figures = {run: section.overall(run).value for run in tried}
+    order = sorted(tried, key=lambda run: (math.isnan(figures[run]), headline.sign * figures[run]))
+    where = {"data_set": section.data_set, "protocol": section.protocol.name}
+    rows: list[Row] = []
+    for run in order:
+        row = {**where, "run": run, **dict(zip(axes, tried[run], strict=True)), headline.heading: figures[run]}
+        own = {"missing": len(section.missing[run]), "own_values": run == own_run}
+        rows.append(row | {"seconds": mean_of_known(result.seconds for result in section.results_of(run))} | own)
+    combined = {tried[run]: figures[run] for run in order if run != OWN_VALUES}
+    return {
+        **where,
+        "headline": headline.heading,
+        "unit": headline.unit,
+        "larger_is_better": headline.larger_is_better,
+        "best": order[0],
+        "runs": rows,
+        "sensitivity": effects(axes, combined, headline.larger_is_better),
+    }
+
+
 def effects(axes: Axes, figures: Mapping[Combination, float], larger_is_better: bool = False) -> list[Row]:
     """Return the effect of every key on the figure, the strongest first; runs whose figure is NaN are left out.
 
@@ -139,3 +170,27 @@ def effects(axes: Axes, figures: Mapping[Combination, float], larger_is_better: 
         spread = max(means) - min(means) if means else math.nan
         found.append({"key": key, "spread": spread, "share_of_variance": share, "values": rows})
     return sorted(found, key=lambda row: math.inf if math.isnan(row["spread"]) else -row["spread"])
+
+
+def text_of(section: Section, comparison: Row) -> str:
+    """Return the comparison of the runs of one data set as two tables."""
+    headline, rows = section.protocol.headline, comparison["runs"]
+    title = f"{section.data_set} - {section.protocol.presentation.title}, mean of {len(section.scenes)} scenes"
+    more = f"; the first {_MAX_SHOWN} of {len(rows)}" if len(rows) > _MAX_SHOWN else ""
+    best = tuple(
+        (f"{row['run']} *" if row["own_values"] else row["run"], Number(row[headline.heading]), Number(row["seconds"]))
+        for place, row in enumerate(rows)
+        if place < _MAX_SHOWN or row["own_values"]
+    )
+    note = "*: the config's own values" if any(row["own_values"] for row in rows) else ""
+    runs = Table(f"{title}: the best first{more}", ("run", headline.heading_with_unit, "seconds"), best, note)
+    lines: list[tuple[str, ...]] = []
+    for effect in comparison["sensitivity"]:
+        of_key = effect["key"], Number(effect["spread"]), Number(100 * effect["share_of_variance"], 0)
+        for place, row in enumerate(effect["values"]):
+            key, *spread = of_key if place == 0 else ("", "", "")
+            lines.append((key, row["value"], str(row["runs"]), Number(row["mean"]), Number(row["best"]), *spread))
+    header = ("key", "value", "runs", f"mean {headline.heading_with_unit}", "best", "spread of means", "% of variance")
+    note = "spread: largest difference of the means; % of variance: the share that the key explains alone"
+    keys = Table("Sensitivity, the strongest first", header, tuple(lines), note)
+    return f"{runs.text()}\n{keys.text()}"
