@@ -15,7 +15,6 @@ from depthcli.core.config_file import load_config
 from depthcli.evaluation.render import Table
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.walk import discover_scenes
-from depthcli.problems.stereo import with_network
 from depthcli.run.presets import find_config
 
 THESIS = yaml.safe_load((_env.ROOT / "scripts" / "thesis.yaml").read_text("utf-8"))
@@ -44,7 +43,7 @@ def config_of(command: str, name: str, *settings: str) -> Any:
 def matcher(name: str, *settings: str) -> Callable[[Any, int], Any]:
     """Return what computes a map of a pair and its range: a preset, ``fuse/NAME`` for one of fuse, or a file."""
     if name.startswith("fuse/"):
-        return with_network(config_of("fuse", name.removeprefix("fuse/"), *settings))
+        return Fuse.ready(config_of("fuse", name.removeprefix("fuse/"), *settings)).config
     return config_of("stereo", name, *settings).pipeline  # type: ignore[no-any-return]
 
 

@@ -17,12 +17,12 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from depthcli.commands._stereo import prepare
 from PIL import Image
 
 from depthcli.cli import command_of, main
 from depthcli.commands import config_model, find, grouped_names, help_of, own_names, text_of
 from depthcli.commands._options import PairOptions, RunOptions
+from depthcli.commands._run import prepared
 from depthcli.commands._shared_options import parse_bytes
 from depthcli.core.config_file import load_config
 from depthcli.evaluation.sweeps import parse_axes
@@ -201,7 +201,7 @@ def test_a_bug_and_ctrl_c_have_their_exit_codes(error, code: int, said: str, mon
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr("depthcli.commands._run.find_config", fail)
+    monkeypatch.setattr("depthcli.problems.inputs.find_config", fail)
     assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == code
     err = capsys.readouterr().err
     assert said in err and ("ZeroDivisionError" in err) == (code == 1)
@@ -379,8 +379,8 @@ def test_the_largest_need_of_a_scene(two_scenes: Path, tmp_path: Path):
     pairs, options = PairOptions(input=two_scenes), RunOptions(output=tmp_path)
 
     def needs(*settings: str, config: str = "fast") -> tuple[int | None, int | None]:
-        batch, scenes = prepare(config, pairs, options, settings)
-        return batch.memory(scenes[0]), batch.memory_bound(scenes[0])
+        job, scenes = prepared("stereo", config, pairs, options, settings)
+        return job.memory(scenes[0]), job.memory_bound(scenes[0])
 
     known, bound = needs()
     assert known is not None and known == bound == needs("max_disparity=12")[1]

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import depthcli
-from depthcli.commands import _rectified_pairs
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
@@ -20,6 +19,7 @@ from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import read_status
 from depthcli.methods.stereo.rectification import rectify_uncalibrated
 from depthcli.methods.stereo.view_matching import row_error
+from depthcli.problems import rectified
 from tests.command_line import contents, refused, run
 
 SIZE = (240, 180)
@@ -292,8 +292,8 @@ def test_a_calibration_costs_a_video_once(video: list[str | Path], tmp_path: Pat
 
         monkeypatch.setattr(place, name, call)
 
-    counted(_rectified_pairs, "match_views")
-    counted(_rectified_pairs, "matched_range")
+    counted(rectified, "match_views")
+    counted(rectified, "matched_range")
     counted(Camera, "undistortion_maps")
     assert run(*video, "-o", tmp_path / "run", "-q") == 0
     assert calls == {"match_views": 1, "matched_range": 3, "undistortion_maps": 2}

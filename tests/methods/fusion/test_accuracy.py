@@ -9,7 +9,7 @@ from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.cost.census import Census
-from depthcli.problems.stereo import with_network
+from depthcli.problems.fusion import Fuse
 from tests.contracts.inputs import preset
 from tests.scenes import rates, real_scenes
 
@@ -55,7 +55,7 @@ def test_disparity_agreement_and_peak_sorts_out_errors_best(name, max_area):
 def test_mixed_maps_are_right_with_a_lamp_in_one_view_and_in_a_sunny_street(folder, protocol, name, region, max_rate):
     """The network was not trained on the street."""
     pair, truth, top = real_scenes(folder, protocol)[name]
-    result = with_network(preset("fuse", "accurate"))(pair, top)
+    result = Fuse.ready(preset("fuse", "accurate")).config(pair, top)
     assert rates(result.disparity.values, truth, protocol)[region] <= max_rate
 
 
@@ -67,7 +67,7 @@ def test_mixed_maps_are_right_with_a_lamp_in_one_view_and_in_a_sunny_street(fold
 def test_mixed_maps_keep_their_accuracy_and_their_probability_sorts_out_errors(folder, name, max_rate):
     """The network was trained on Teddy and Venus, not on Dolls."""
     pair, truth, top = real_scenes(folder)[name]
-    result = with_network(preset("fuse", "accurate"))(pair, top)
+    result = Fuse.ready(preset("fuse", "accurate")).config(pair, top)
     assert rates(result.disparity.values, truth)["nonocc"] <= max_rate
     visible = truth.masks["nonocc"]
     wrong = ~(np.abs(result.disparity.values - truth.values) <= 1)[visible]

@@ -13,8 +13,7 @@ from depthcli.io.formats.networks import read_network, write_network
 from depthcli.methods.fusion.choice import network
 from depthcli.methods.fusion.map_costs import hidden_jumps, matching_costs
 from depthcli.methods.fusion.votes import ColorSupport, WindowSupport
-from depthcli.problems.fusion import FuseConfig
-from depthcli.problems.stereo import with_network
+from depthcli.problems.fusion import Fuse, FuseConfig
 from depthcli.testing.inputs import assert_pure, texture
 from tests.contracts.checks import CHECKS
 from tests.contracts.inputs import KINDS, random_proposals
@@ -154,4 +153,4 @@ def test_a_network_takes_only_the_inputs_and_maps_it_was_trained_for():
             network.NetworkChoice().with_network(other, KINDS)
     maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
     with pytest.raises(ConfigError, match="trained for the maps median, own, segments, scanline"):
-        with_network(FuseConfig.model_validate({"measures": ["census"], "maps": maps}))
+        Fuse.ready(FuseConfig.model_validate({"measures": ["census"], "maps": maps}))
