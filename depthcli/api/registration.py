@@ -31,8 +31,8 @@ from depthcli.io.volume_pairs import LoadedPair, blocks_of, joined, usable
 from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
-from depthcli.run.json_csv import to_csv
 from depthcli.run.resources import available_memory, check_memory
+from depthcli.show.table import to_csv
 
 _USUAL = VolumeBound()
 _MAX_BORDER_SHARE = 0.2  # of best matches on the border of the search; above it errors exceed its range

@@ -23,7 +23,7 @@ from depthcli.io.formats.pictures import (
     with_bound,
     write_status,
 )
-from depthcli.run.json_csv import to_csv
+from depthcli.show.table import to_csv
 
 Pixels = str | NDArray[np.bool_]
 """Name of a choice of pixels, or (H, W) bool."""

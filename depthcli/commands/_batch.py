@@ -19,7 +19,6 @@ from depthcli.core.text import one_line, show_bytes
 from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.pictures import write_legend
 from depthcli.problems.problem import SceneJob
-from depthcli.run.console import aligned, run_table
 from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import EVALUATION, LEGEND_FILE, refusal
 from depthcli.run.job import Execution, SceneT
@@ -29,6 +28,7 @@ from depthcli.run.records import read_record
 from depthcli.run.report import report_document
 from depthcli.run.runner import Plan, run_scenes
 from depthcli.run.workers import BUG
+from depthcli.show.table import aligned, run_table
 
 if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport

@@ -14,8 +14,9 @@ from depthcli.algorithms.calibration import MIN_TILT, Board, CharucoBoard, RigFi
 from depthcli.commands._board_photos import NOT_FOUND, OUTLIER, CameraPhotos
 from depthcli.core.cameras.camera import Camera
 from depthcli.io.formats.pictures import draw_text
-from depthcli.run.console import Reporter, aligned
+from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row
+from depthcli.show.table import aligned
 
 _MAX_DEVIATION = 0.005  # of the focal length
 _MAX_ERROR = 1.0  # pixels, root mean square

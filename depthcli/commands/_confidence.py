@@ -21,9 +21,9 @@ from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.scenes import MapsScene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.problems.problem import Shown
-from depthcli.run.console import SIZE, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import median, share
+from depthcli.show.table import SIZE, number, percent
 
 
 def prepare(

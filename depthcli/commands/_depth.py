@@ -33,12 +33,13 @@ from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
 from depthcli.io.walk import matches_any, scenes_with_files
 from depthcli.problems.problem import SceneJob, Shown
-from depthcli.run.console import SIZE, Reporter, number, percent
+from depthcli.run.console import Reporter
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
 from depthcli.run.json_csv import median as median_of
 from depthcli.run.records import is_inside, read_json
 from depthcli.run.report import read_report
+from depthcli.show.table import SIZE, number, percent
 
 _MAP = "disp_left.pfm"
 

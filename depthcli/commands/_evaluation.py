@@ -8,12 +8,12 @@ from depthcli.commands._shared_options import TableOptions, parse_bytes
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import PAGE_FILE, Viewer
-from depthcli.evaluation.render import FORMATS
 from depthcli.evaluation.tables import check_names, chosen_text, headline_text
 from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.page import Page
 from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.console import Reporter
+from depthcli.show.table import FORMATS
 
 
 def viewers(

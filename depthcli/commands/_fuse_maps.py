@@ -18,9 +18,9 @@ from depthcli.io.scenes import MapsScene, check_same_size
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
 from depthcli.problems.problem import Shown
-from depthcli.run.console import SIZE, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import median, share
+from depthcli.show.table import SIZE, number, percent
 
 
 def prepare(

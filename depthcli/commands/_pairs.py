@@ -31,9 +31,9 @@ from depthcli.methods.stereo.networks import Network
 from depthcli.methods.stereo.pipeline.command import Program
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.problems.problem import SceneJob, Shown
-from depthcli.run.console import SIZE, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, median, share
+from depthcli.show.table import SIZE, number, percent
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 

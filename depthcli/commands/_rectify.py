@@ -37,9 +37,9 @@ from depthcli.methods.stereo.rectification import RectifyingHomographies, rectif
 from depthcli.methods.stereo.search_range import matched_range
 from depthcli.methods.stereo.view_matching import Points, match_views
 from depthcli.problems.problem import SceneJob, Shown
-from depthcli.run.console import SIZE, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
+from depthcli.show.table import SIZE, number, percent
 
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
 

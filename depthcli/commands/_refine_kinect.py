@@ -32,10 +32,10 @@ from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import SequencePipeline, frame_by_frame
 from depthcli.problems.problem import SceneJob, Shown
-from depthcli.run.console import SIZE, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, median, share
 from depthcli.run.resources import check_memory
+from depthcli.show.table import SIZE, number, percent
 
 FrameOrSequence: TypeAlias = RgbdScene | SequenceScene
 

@@ -25,9 +25,9 @@ from depthcli.io.volume_pairs import LoadedPair, landmarks, load_volumes, loaded
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
 from depthcli.problems.problem import SceneJob, Shown
-from depthcli.run.console import Column, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row
+from depthcli.show.table import Column, number, percent
 
 _NUMBERED = re.compile(r"(.+)_\d+")  # a label without a name
 
@@ -56,12 +56,12 @@ def _center(row: Row) -> str:
 def _error(key: str, form: str, title: str) -> Column:
     """Return the column of an expected error, as ``> 14`` where it stops at the border of the search."""
     plain = number(key, form, title)
-    return Column(title, lambda row: "> " * (key in row and beyond_search(row)) + plain.text(row))
+    return Column(title, lambda row: "> " * (key in row and beyond_search(row)) + plain.cell(row))
 
 
 def _bound(row: Row) -> str:
     lower: bool = row.get("at_reach", 0) >= 0.5  # the figure is a median
-    return "> " * lower + number("inside_bound", "{:.1f}").text(row)
+    return "> " * lower + str(number("inside_bound", "{:.1f}").cell(row))
 
 
 _COLUMNS = (

@@ -11,8 +11,8 @@ from depthcli.commands._options import SampleOptions
 from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError
 from depthcli.problems.problem import SceneJob, Shown
-from depthcli.run.console import SIZE, percent
 from depthcli.run.job import Outcome
+from depthcli.show.table import SIZE, percent
 from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene, sample_scenes
 
 _BY_SCENE = frozenset({"count", "kind", "seed", "from_"})

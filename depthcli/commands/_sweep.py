@@ -16,16 +16,15 @@ from depthcli.commands._sweep_axes import Axes, Combination, effects, folder_nam
 from depthcli.core.errors import SOME_FAILED, ConfigError
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.evaluate import Choices, evaluate_runs
-from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.io.formats.files import write_text
 from depthcli.io.inputs import local
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
 from depthcli.problems.problem import SceneJob
-from depthcli.run.console import aligned
 from depthcli.run.folder import FolderLock
-from depthcli.run.json_csv import Row, to_csv, to_json
+from depthcli.run.json_csv import Row, to_json
+from depthcli.show.table import Number, Table, aligned, to_csv
 
 _RUNS = "runs"  # the folder with one run folder per combination
 _OWN = "own-values"  # name of the run of the config as it is
@@ -168,7 +167,7 @@ def _text(section: Section, compared: Row) -> str:
         if place < _MAX_SHOWN or row["own_values"]
     )
     note = "*: the config's own values" if any(row["own_values"] for row in rows) else ""
-    runs = Table(f"{title}: the best first{more}", ("run", headline.heading_with_unit, "seconds"), best, note)
+    runs = Table.of_cells(f"{title}: the best first{more}", ("run", headline.heading_with_unit, "seconds"), best, note)
     lines: list[tuple[str, ...]] = []
     for effect in compared["sensitivity"]:
         of_key = effect["key"], Number(effect["spread"]), Number(100 * effect["share_of_variance"], 0)
@@ -177,5 +176,5 @@ def _text(section: Section, compared: Row) -> str:
             lines.append((key, row["value"], str(row["runs"]), Number(row["mean"]), Number(row["best"]), *spread))
     header = ("key", "value", "runs", f"mean {headline.heading_with_unit}", "best", "spread of means", "% of variance")
     note = "spread: largest difference of the means; % of variance: the share that the key explains alone"
-    keys = Table("Sensitivity, the strongest first", header, tuple(lines), note)
+    keys = Table.of_cells("Sensitivity, the strongest first", header, tuple(lines), note)
     return f"{runs.text()}\n{keys.text()}"

@@ -24,9 +24,9 @@ from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame
 from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.problems.problem import SceneJob, Shown
-from depthcli.run.console import SIZE, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, median, share
+from depthcli.show.table import SIZE, number, percent
 
 
 def prepare(

@@ -35,8 +35,9 @@ from depthcli.io.scenes import Scene
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, flag_rows, plain_name
 from depthcli.run.folder import saved_config, staging_folder
-from depthcli.run.json_csv import Row, to_csv, to_json
+from depthcli.run.json_csv import Row, to_json
 from depthcli.run.report import read_report
+from depthcli.show.table import to_csv
 
 PAGE_FILE = "report.html"
 """The page, in the folder of an evaluation."""

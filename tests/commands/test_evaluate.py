@@ -345,7 +345,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     # Ranks and comparisons are over what both have: a tie.
     (summary, *_) = report_tables(report)
     column = summary.header.index("avg rank")
-    assert [row[column] for row in summary.rows] == ["", "1.5", "", "1.5"]
+    assert [row[column] for row in summary.lines[1:]] == ["", "1.5", "", "1.5"]
     (comparison,) = report.sections[0].ranking.tests.values()
     assert (comparison.scenes, comparison.wins, comparison.losses, comparison.ties) == (1, 0, 0, 1)
 
@@ -536,7 +536,7 @@ def test_no_mean_is_over_several_data_sets(tmp_path: Path, truth: Path):
     runs = [run_of(tmp_path / "x", maps), run_of(tmp_path / "y", {**maps, "two/a": good})]
     report = evaluated(runs, tmp_path / "all", tmp_path / "out")
     (overview,) = [table for table in report_tables(report) if table.name == "overview"]
-    assert [(row[0], *row[4:7], row[-1]) for row in overview.rows] == [
+    assert [(row[0], *row[4:7], row[-1]) for row in overview.lines[1:]] == [
         ("one", "x", "2", "50.00", "best"), ("one", "y", "2", "50.00", "too few scenes"),
         ("two", "y", "1", "0.00", "best"), ("two", "x", "1", "100.00", "too few scenes"),
     ]  # fmt: skip

@@ -26,12 +26,12 @@ from depthcli.core.frames import color8
 from depthcli.core.registry import Registry, registered_name
 from depthcli.evaluation.curves import ConfidenceCurve, is_probability, reliability, sparsifications
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.render import Table
 from depthcli.evaluation.scores import MapResult, Metric, Score, mean_of_scenes, pooled
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import Palette
 from depthcli.io.scenes import Scene
+from depthcli.show.table import Table
 
 UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
 """Kinds of pixel; ``HIDDEN``: occluded in the other view, ``EMPTY``: without a value."""

@@ -18,12 +18,12 @@ from depthcli.core.volumes import ENDS, PLANES, Grid
 from depthcli.evaluation.curves import ConfidenceCurve, sparsification
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, SliceAxis, bound_beside
-from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.scores import MapResult, Metric, Score, percent
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene, VolumePairScene
 from depthcli.io.volume_pairs import RegistrationTruth, true_errors
+from depthcli.show.table import Number, Table
 
 Errors = NDArray[np.float32]
 
@@ -145,8 +145,8 @@ def _tables(run: str, kept: Sequence[tuple[Errors, Errors]]) -> list[Table]:
     title = f"{run}: number of points by true class (rows) and expected class (columns)"
     header = ("mean expected error, mm", "mean true error, mm", "points")
     return [
-        Table(title, ("true class", *names), tuple(counts)),
-        Table(f"{run}: expected against true error, in bins of equal size", header, tuple(bins)),
+        Table.of_cells(title, ("true class", *names), tuple(counts)),
+        Table.of_cells(f"{run}: expected against true error, in bins of equal size", header, tuple(bins)),
     ]
 
 
