@@ -10,7 +10,6 @@ users import are listed in ``depthcli/__init__.pyi``; all others may change.
 | ``rigs`` | calibrations that rectify pairs, read and kept |
 | ``depth`` | ``refine_depth``, ``complete_transparent``: color and a sensor's depth -> ``RefinedDepth`` |
 | ``registration`` | ``registration_confidence``: two volumes on one grid -> ``RegistrationConfidence`` |
-| ``registration_preview`` | its picture |
 | ``maps`` | ``map_confidence``, ``fuse_maps``: maps of any program -> ``MapConfidence``, ``Disparity`` |
 | ``scores`` | ``evaluate``: an estimate and the truth -> ``Scores`` |
 | ``results`` | ``Disparity``, and the ``Depth`` and the ``PointCloud`` that it becomes |

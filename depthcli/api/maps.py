@@ -22,13 +22,13 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Result
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.images import png_bytes, write_png
-from depthcli.io.formats.pictures import preview
 from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.given_maps import MEASURES, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.run.resources import available_memory, check_memory
+from depthcli.show.view import View
 
 _TOP_SHARE = 0.999  # of the values; larger ones do not widen the range of the costs
 _MAX_OUTSIDE = 0.5  # share of a map's values that may lie outside of the range
@@ -75,8 +75,8 @@ class MapConfidence:
         """Write what ``depthcli confidence`` writes, the map as :meth:`kept` returns it, into a folder old or new."""
         kept, files = self.kept(share, threshold), made(folder)
         write_png(files / "probability.png", self._picture())
-        picture = preview(kept, self.max_disparity)
-        write_disparity(kept, self.status, picture, files, self.bound, self.probability)
+        view = View(kept, "px", (0, self.max_disparity), bound=self.bound)
+        write_disparity(view, self.status, files, self.probability)
         write_details(Result(confidence=dict(self.measures)), files)
 
     def _picture(self) -> NDArray[np.uint8]:

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from depthcli.algorithms.body import body_of_volume
+from depthcli.algorithms.body import body, body_of_volume
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.api.inputs import Overrides, as_volume, load_config
-from depthcli.api.registration_preview import registration_preview
 from depthcli.api.saving import made
 from depthcli.core.bound import VolumeBound
 from depthcli.core.errors import InputError
@@ -33,6 +32,7 @@ from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels
 from depthcli.run.resources import available_memory, check_memory
 from depthcli.show.table import to_csv
+from depthcli.show.volumes import draw_volumes
 
 _USUAL = VolumeBound()
 _MAX_BORDER_SHARE = 0.2  # of best matches on the border of the search; above it errors exceed its range
@@ -151,7 +151,14 @@ class RegistrationConfidence:
         return np.asarray(np.stack(parts, axis=-1) @ self.grid.axes.T, np.float32)
 
     def _preview(self) -> NDArray[np.uint8]:
-        return registration_preview(self.details, self.loaded, self.neurological, self.bounds.get("bound"))
+        result, pair = self.details, self.loaded.pair
+        volumes = {"fixed": pair.fixed, "moving, registered": pair.warped}
+        errors = {"expected error": result.expected_error}
+        if "bound" in self.bounds:
+            errors["bound of the error"] = self.bounds["bound"]
+        maps = {title: partial(at_voxels, values, result.start, result.step) for title, values in errors.items()}
+        inside = body if pair.mask is None else pair.mask
+        return draw_volumes(volumes, self.grid, self.loaded.blocks, maps, inside, self.neurological)
 
     def __repr__(self) -> str:
         error, size = self.details.figures["mean_error"], " x ".join(map(str, self.grid.size))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +19,10 @@ from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
 from depthcli.io.formats.calibrations import read_geometry, write_geometry
 from depthcli.io.formats.depth import MILLIMETERS, write_points
 from depthcli.io.formats.images import png_bytes, write_png
-from depthcli.io.formats.pictures import preview, preview_depth
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
+from depthcli.show.draw import draw
+from depthcli.show.view import View
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,8 +62,8 @@ class Shown:
 
     values: NDArray[np.float32]
 
-    def _preview(self) -> NDArray[np.uint8]:
-        return preview_depth(self.values)
+    def _view(self) -> View:
+        return View.of_depth(self.values)
 
     def _range(self) -> str:
         known = self.values[~np.isnan(self.values)]
@@ -73,7 +74,7 @@ class Shown:
         return f"{type(self).__name__}({width} x {height}, {self._range()}, {100 * share:.1f} % with a value)"
 
     def _repr_png_(self) -> bytes:
-        return png_bytes(self._preview())
+        return png_bytes(draw(self._view(), "preview"))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -192,15 +193,14 @@ class Disparity(Shown, DisparityMap):
         The folder is created where it is missing.
         """
         files = made(folder)
-        write_disparity(self.values, self.status, self._preview(), files, self.bound, self.probability)
+        write_disparity(replace(self._view(), bound=self.bound), self.status, files, self.probability)
         write_details(self.details, files)
         if self.geometry is not None:
             write_png(files / "left.png", self.left)
             write_geometry(files / "calib.txt", self.geometry)
 
-    def _preview(self) -> NDArray[np.uint8]:
-        low, high = self.search.min_disparity, self.search.max_disparity
-        return preview(self.values - np.float32(low), high - low)
+    def _view(self) -> View:
+        return View(self.values, "px", (self.search.min_disparity, self.search.max_disparity))
 
     def _range(self) -> str:
         return f"searched {self.search.min_disparity} to {self.search.max_disparity} px"

@@ -15,15 +15,10 @@ from depthcli.io.formats.depth import write_depth_png
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.pictures import (
-    DEPTH_STATUS_PALETTE,
-    STATUS_PALETTE,
-    confidence_picture,
-    preview_depth,
-    with_bound,
-    write_status,
-)
+from depthcli.io.formats.status import write_status
+from depthcli.show.draw import draw
 from depthcli.show.table import to_csv
+from depthcli.show.view import DEPTH_STATUS_PALETTE, STATUS_PALETTE, View
 
 Pixels = str | NDArray[np.bool_]
 """Name of a choice of pixels, or (H, W) bool."""
@@ -50,42 +45,36 @@ def write_depth(
     write_depth_png(folder / "depth.png", depth.values, scale, rotate)
     palette = DEPTH_STATUS_PALETTE if isinstance(depth, DepthMap) else STATUS_PALETTE
     write_status(folder / "status.png", depth.status, palette)
-    _write_preview(folder, preview_depth(depth.values), bound, "m")
+    _write_preview(folder, View.of_depth(depth.values, bound))
 
 
 def write_disparity(
-    values: NDArray[np.float32],
-    status: NDArray[np.uint8],
-    picture: NDArray[np.uint8],
-    folder: Path,
-    bound: NDArray[np.float32] | None = None,
-    probability: NDArray[np.float32] | None = None,
+    view: View, status: NDArray[np.uint8], folder: Path, probability: NDArray[np.float32] | None = None
 ) -> None:
-    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png``, and ``picture`` with the bound as ``preview.png``.
+    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png`` and ``preview.png``.
 
     And ``bound.pfm`` and ``probability.pfm``, where they are given.
     """
-    write_pfm(folder / "disp_left.pfm", values)
+    write_pfm(folder / "disp_left.pfm", view.values)
     # The PNG has no code for what is negative: those pixels have no value there.
-    write_disparity_png(folder / "disp_left.png", np.where(values < 0, np.float32(np.nan), values))
+    write_disparity_png(folder / "disp_left.png", np.where(view.values < 0, np.float32(np.nan), view.values))
     write_status(folder / "status.png", status, STATUS_PALETTE)
-    _write_preview(folder, picture, bound, "px")
+    _write_preview(folder, view)
     if probability is not None:
         write_pfm(folder / "probability.pfm", probability)
 
 
-def _write_preview(folder: Path, picture: NDArray[np.uint8], bound: NDArray[np.float32] | None, unit: str) -> None:
-    if bound is not None:
-        write_pfm(folder / "bound.pfm", bound)
-        picture = with_bound(picture, bound, unit)
-    write_png(folder / "preview.png", picture)
+def _write_preview(folder: Path, view: View) -> None:
+    if view.bound is not None:
+        write_pfm(folder / "bound.pfm", view.bound)
+    write_png(folder / "preview.png", draw(view, "preview"))
 
 
 def write_details(result: Result, folder: Path) -> None:
     """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV, and pictures."""
     for name, confidence in result.confidence.items():
         write_pfm(folder / f"confidence_{name}.pfm", confidence)
-        write_png(folder / f"confidence_{name}.png", confidence_picture(confidence))
+        write_png(folder / f"confidence_{name}.png", draw(View(confidence), "confidence"))
     for name, rows in result.tables.items():
         write_text(folder / f"{name}.csv", to_csv(rows))
     for name, picture in result.pictures.items():

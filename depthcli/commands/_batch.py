@@ -17,7 +17,7 @@ from depthcli.core.method import used_files
 from depthcli.core.root_config import RootConfig
 from depthcli.core.text import one_line, show_bytes
 from depthcli.core.yaml_source import to_yaml
-from depthcli.io.formats.pictures import write_legend
+from depthcli.io.formats.status import write_legend
 from depthcli.problems.problem import SceneJob
 from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import EVALUATION, LEGEND_FILE, refusal

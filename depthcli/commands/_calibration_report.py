@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from depthcli.algorithms.calibration import MIN_TILT, Board, CharucoBoard, RigFit
 from depthcli.commands._board_photos import NOT_FOUND, OUTLIER, CameraPhotos
 from depthcli.core.cameras.camera import Camera
-from depthcli.io.formats.pictures import draw_text
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row
+from depthcli.show.draw import draw_text
 from depthcli.show.table import aligned
 
 _MAX_DEVIATION = 0.005  # of the focal length

@@ -17,13 +17,13 @@ from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.maps import Status
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.scenes import MapsScene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.problems.problem import Shown
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import median, share
 from depthcli.show.table import SIZE, number, percent
+from depthcli.show.view import STATUS_PALETTE
 
 
 def prepare(

@@ -13,7 +13,7 @@ from depthcli.commands._options import CodingOptions, RangeOptions, RunOptions
 from depthcli.core.bound import Bound
 from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError
-from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
+from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import MapsScene, check_same_size
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED
@@ -21,6 +21,7 @@ from depthcli.problems.problem import Shown
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import median, share
 from depthcli.show.table import SIZE, number, percent
+from depthcli.show.view import STATUS_PALETTE
 
 
 def prepare(

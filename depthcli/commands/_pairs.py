@@ -22,7 +22,6 @@ from depthcli.core.maps import Status
 from depthcli.core.method import parts_of
 from depthcli.device import Device
 from depthcli.io.formats.images import image_size
-from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.methods.stereo.config import PairConfig
@@ -34,6 +33,7 @@ from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, median, share
 from depthcli.show.table import SIZE, number, percent
+from depthcli.show.view import STATUS_PALETTE
 
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 

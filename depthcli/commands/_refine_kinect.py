@@ -24,7 +24,6 @@ from depthcli.core.result import Clock, DepthResult
 from depthcli.io.formats.depth import sensor_warning
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import IMAGE_SUFFIXES
-from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts import Folder
 from depthcli.io.layouts.depth import FRAMES, cameras
 from depthcli.io.rgbd_frames import frame_size, load_frame
@@ -36,6 +35,7 @@ from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, median, share
 from depthcli.run.resources import check_memory
 from depthcli.show.table import SIZE, number, percent
+from depthcli.show.view import DEPTH_STATUS_PALETTE
 
 FrameOrSequence: TypeAlias = RgbdScene | SequenceScene
 

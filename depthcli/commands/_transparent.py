@@ -18,7 +18,6 @@ from depthcli.core.context import Context
 from depthcli.core.errors import InputError
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame, load_masked_frame, load_sparse_frame
 from depthcli.io.scenes import RgbdScene, RgbIrScene
@@ -27,6 +26,7 @@ from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, median, share
 from depthcli.show.table import SIZE, number, percent
+from depthcli.show.view import DEPTH_STATUS_PALETTE
 
 
 def prepare(

@@ -28,7 +28,7 @@ from depthcli.evaluation.tables import report_markdown
 from depthcli.io.formats.files import collected_warnings, short_path, warn, write_text
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.map_format import format_plugins
-from depthcli.io.formats.pictures import read_status
+from depthcli.io.formats.status import read_status
 from depthcli.io.inputs import origin
 from depthcli.io.layouts import layout_plugins
 from depthcli.io.scenes import Scene

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
 from depthcli.core.context import Context
-from depthcli.io.formats.pictures import Palette
 from depthcli.io.scenes import Scene
 from depthcli.run.job import Job, Outcome, SceneT
 from depthcli.run.json_csv import Row
 from depthcli.show.table import Column
+from depthcli.show.view import Palette
 
 
 class Shown(NamedTuple):

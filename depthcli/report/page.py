@@ -21,16 +21,17 @@ from depthcli.evaluation.bounds import COVERAGE
 from depthcli.evaluation.columns import heading_help
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.plots import plots
-from depthcli.evaluation.protocols import AnyProtocol, error_scales
+from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.files import write_text
-from depthcli.io.formats.pictures import NO_VALUE, map_colors
 from depthcli.io.scenes import Scene
 from depthcli.report.packing import script_json
 from depthcli.report.scene_view import SceneView, view_with_truth
 from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
 from depthcli.run.flags import Flags
+from depthcli.show.draw import error_scales, map_colors
 from depthcli.show.table import Number
+from depthcli.show.view import NO_VALUE
 
 _ASSETS = "assets"  # folder of the pictures that do not fit into the page
 _BUDGET = 50_000_000  # size of the scenes' pictures in the page, bytes: browsers open such a file within seconds

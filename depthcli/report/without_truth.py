@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from depthcli.core.errors import InputError
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.formats.pictures import Palette
 from depthcli.io.scenes import Scene
-from depthcli.report.scene_view import SceneView, ShownTruth, scale_of
+from depthcli.report.scene_view import SceneView, scale_of
 from depthcli.run.json_csv import Row
 from depthcli.show.table import SECONDS, Column, Number, Table
+from depthcli.show.view import Palette, View
 
 _MAX_SHOWN = 300  # scenes without truth with pictures; more would make the page slow
 _DOUBTS = {"expected_right": -1, "inside_mean": 1, "mean_error": 1, "measured": -1, "density": -1}
@@ -107,8 +105,8 @@ def _view(run: RunWithoutTruth, scene: Scene) -> SceneView:
         raise InputError(f"no map there{protocol.files.searched([scene.name])}")
     with collected_warnings():
         shown = presentation.show(path, scene, protocol.files)
-        nothing, scale = np.zeros(shown.values.shape, np.bool_), presentation.scale or scale_of(shown.values)
-        view = SceneView(scene, protocol, ShownTruth(nothing, nothing, None, shown.axes, scale), run.palette)
+        base = View(shown.values, presentation.unit, presentation.scale or scale_of(shown.values), axes=shown.axes)
+        view = SceneView(scene, protocol, base, run.palette)
         view.add_shown(run.name, path, shown)
         view.above = "> " * (scene.name in run.lower_bounds)
     return view

@@ -19,17 +19,18 @@ from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import Choices, evaluate_runs
-from depthcli.evaluation.protocols import EMPTY, RIGHT, WRONG, Settings, kind_colors
+from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
 from depthcli.evaluation.tables import chosen_text, headline_text, report_tables
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.pictures import NO_VALUE, map_picture
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
 from depthcli.run.records import Record, write_record
+from depthcli.show.draw import draw, kind_colors
+from depthcli.show.view import EMPTY, NO_VALUE, RIGHT, WRONG, View
 from tests.command_line import contents, refused
 from tests.command_line import run as run_command
 from tests.scenes import true
@@ -124,7 +125,7 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     colors = kind_colors()
     assert tuple(picture[0, 10]) == tuple(colors[WRONG])
     assert tuple(picture[20, 10]) == tuple(colors[RIGHT])
-    assert tuple(colors[EMPTY]) == NO_VALUE == tuple(map_picture(np.full((1, 1), np.nan), 0, 1)[0, 0])
+    assert tuple(colors[EMPTY]) == NO_VALUE == tuple(draw(View(np.full((1, 1), np.nan)), "values")[0, 0])
 
 
 def test_maps_of_other_programs(tmp_path: Path, truth: Path):

@@ -17,13 +17,14 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import ENDS, PLANES, Grid
 from depthcli.evaluation.curves import ConfidenceCurve, sparsification
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, SliceAxis, bound_beside
+from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, bound_beside
 from depthcli.evaluation.scores import MapResult, Metric, Score, percent
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene, VolumePairScene
 from depthcli.io.volume_pairs import RegistrationTruth, true_errors
 from depthcli.show.table import Number, Table
+from depthcli.show.view import SliceAxis
 
 Errors = NDArray[np.float32]
 
@@ -127,7 +128,14 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
         f"{_CAUTION}; in the body: mean over the mask, or over tissue and all that it encloses, and its 95 % quantile"
     )
     figures = {"expected error in the body, mm": mean, "95 % quantile, mm": high}
-    return ShownMap(values, confidence, bound_beside(path, files, read=_turned), _axes(grid), figures, note)
+    return ShownMap(
+        values,
+        confidence=confidence,
+        bound=bound_beside(path, files, read=_turned),
+        axes=_axes(grid),
+        figures=figures,
+        note=note,
+    )
 
 
 def _tables(run: str, kept: Sequence[tuple[Errors, Errors]]) -> list[Table]:
