@@ -8,9 +8,10 @@ from depthcli.commands._shared_options import TableOptions, parse_bytes
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import PAGE_FILE, Viewer
-from depthcli.evaluation.tables import check_names, chosen_text, headline_text
 from depthcli.report.contact_sheet import ContactSheet
+from depthcli.report.document import Document
 from depthcli.report.page import Page
+from depthcli.report.tables import check_names, chosen_text, headline_text
 from depthcli.report.without_truth import RunWithoutTruth
 from depthcli.run.console import Reporter
 from depthcli.show.table import FORMATS
@@ -19,15 +20,16 @@ from depthcli.show.table import FORMATS
 def viewers(
     reporter: Reporter, output: Path | None, html: bool, html_budget: str = "50MB", run: RunWithoutTruth | None = None
 ) -> list[Viewer]:
-    """Return what shows the maps of an evaluation: the contact sheet, and the page that ``--html`` requests.
+    """Return what shows the maps of an evaluation: document, contact sheet, and the page that ``--html`` requests.
 
     ConfigError if the page has no folder, or ``html_budget`` is no size.
     """
+    made: list[Viewer] = [Document(), ContactSheet()]
     if not html:
-        return [ContactSheet()]
+        return made
     if output is None:
         raise ConfigError("--html needs --output, the folder to write the page into")
-    return [ContactSheet(), Page(reporter.command_line, parse_bytes(html_budget, "--html-budget"), run)]
+    return [*made, Page(reporter.command_line, parse_bytes(html_budget, "--html-budget"), run)]
 
 
 def check_tables(options: TableOptions) -> None:

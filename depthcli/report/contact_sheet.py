@@ -37,6 +37,7 @@ class ContactSheet:
     """Small pictures of the scenes of an evaluation whose maps differ most, side by side; a ``Viewer``."""
 
     file = "contact_sheet.png"
+    needed = False
 
     def __init__(self) -> None:
         self._ends = 0.0, 1.0

@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.text import printable, without_secrets
-from depthcli.evaluation import tables
 from depthcli.evaluation.bounds import COVERAGE
-from depthcli.evaluation.columns import heading_help
 from depthcli.evaluation.comparison import EvaluationReport, Section
-from depthcli.evaluation.plots import plots
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.files import write_text
 from depthcli.io.scenes import Scene
+from depthcli.report import tables
 from depthcli.report.packing import script_json
+from depthcli.report.plots import plots
 from depthcli.report.scene_view import SceneView, view_with_truth
+from depthcli.report.terms import heading_help
 from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
 from depthcli.run.flags import Flags
 from depthcli.show.draw import error_scales, map_colors
@@ -52,6 +52,7 @@ class Page:
     """
 
     file = "report.html"
+    needed = False
 
     def __init__(self, command: str = "", budget: int = _BUDGET, run: RunWithoutTruth | None = None) -> None:
         self.command, self.budget, self.run = command, budget, run

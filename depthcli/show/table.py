@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
 import os
 import re
 import textwrap
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
@@ -40,6 +41,11 @@ class Number(str):
         number = super().__new__(cls, "-" if math.isnan(value) else f"{value:.{digits}f}{mark}")
         number.value, number.digits = float(value), digits
         return number
+
+    @property
+    def plain(self) -> float | None:
+        """All digits; None for NaN."""
+        return None if math.isnan(self.value) else self.value
 
 
 @dataclass(frozen=True)
@@ -181,11 +187,7 @@ class Table:
 
     def csv(self) -> str:
         """Return comma-separated values: numbers with all digits, NaN and None empty, no formulas of spreadsheets."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(map(csv_cell, self.header))
-        writer.writerows([_plain(column.cell(row)) for column in self.columns] for row in self.rows)
-        return text.getvalue()
+        return _csv(self.lines)
 
     def _escaped(self, best: str, second: str, escape: Callable[[str], str]) -> list[list[str]]:
         """Return header and rows, escaped; ranked numbers in the formats of their place."""
@@ -226,9 +228,16 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
     Mappings become ``outer_inner`` columns, lists one text.
     """
-    flat = [_flat(row) for row in rows]
-    keys = list(dict.fromkeys(key for row in flat for key in row))
-    return Table.of_cells("", keys, [[row.get(key, "") for key in keys] for row in flat]).csv()
+    flat: list[dict[str, Any]] = []
+    for row in rows:
+        flat.append({})
+        for key, value in row.items():
+            if isinstance(value, Mapping):
+                flat[-1].update({f"{key}_{k}": v for k, v in value.items()})
+            else:
+                flat[-1][key] = "; ".join(map(str, value)) if isinstance(value, list) else value
+    keys = list(dict.fromkeys(itertools.chain(*flat)))
+    return _csv([keys, *(map(row.get, keys) for row in flat)])
 
 
 def run_table(rows: Sequence[Mapping[str, Any]], columns: Sequence[Column]) -> str:
@@ -279,24 +288,15 @@ def _latex(text: str) -> str:
     return "".join(_LATEX.get(char, char) for char in one_line(text))
 
 
-def _plain(cell: Any) -> Any:
-    """Return a cell of a CSV file."""
-    if isinstance(cell, Number):
-        return "" if math.isnan(cell.value) else repr(cell.value)
-    return csv_cell(cell)
+def _csv(lines: Iterable[Iterable[Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for line in lines:
+        writer.writerow(csv_cell(cell) if type(cell) is not Number else cell.plain for cell in line)
+    return text.getvalue()
 
 
 def _shortened(name: str, limit: int) -> str:
     """Return a name of at most ``limit`` characters, without its middle."""
     name, half = one_line(name), (limit - 3) // 2
     return name if len(name) <= limit else f"{name[: limit - 3 - half]}...{name[len(name) - half :]}"
-
-
-def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for key, value in row.items():
-        if isinstance(value, Mapping):
-            out.update({f"{key}_{k}": v for k, v in value.items()})
-        else:
-            out[key] = "; ".join(map(str, value)) if isinstance(value, list) else value
-    return out

@@ -22,12 +22,13 @@ from depthcli.evaluation.evaluate import Choices, evaluate_runs
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
-from depthcli.evaluation.tables import chosen_text, headline_text, report_tables
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
+from depthcli.report.document import Document
+from depthcli.report.tables import chosen_text, headline_text, report_tables
 from depthcli.run.records import Record, write_record
 from depthcli.show.draw import draw, kind_colors
 from depthcli.show.view import EMPTY, NO_VALUE, RIGHT, WRONG, View
@@ -48,7 +49,7 @@ def evaluated(
 ) -> EvaluationReport:
     scored_by = None if protocol is None else protocols.load(protocol)(settings or Settings())
     found = scenes_with_truth(truth, protocol=scored_by, settings=settings)
-    return evaluate_runs(runs, found, truth, output, Choices(scored_by, settings or Settings()))
+    return evaluate_runs(runs, found, truth, output, Choices(scored_by, settings or Settings(), viewers=[Document()]))
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.curves import ConfidenceCurve, HiddenPixels, Reliability
 from depthcli.evaluation.scores import COMMON_MEAN, ESTIMATED_ONLY, MEAN, Key
 from depthcli.evaluation.statistics import mean_of_known
-from depthcli.show.table import FORMATS, Column, Number, Table, markdown_code, markdown_link, markdown_text
+from depthcli.show.table import FORMATS, Column, Number, Table
 
 NAMES = ("headline", "overview", "metrics", "scenes", "further", "bounds", "confidence", "hidden", "missing")
 """Names of tables, which a region or run and a data set may follow, as in ``metrics-nonocc``."""
@@ -422,27 +422,3 @@ def check_names(names: Sequence[str]) -> None:
     wrong = [name for name in names if name.partition("-")[0] not in (*NAMES, "all")]
     if wrong:
         raise ConfigError(f"--tables: expected all, {', '.join(NAMES)} (got {', '.join(wrong)})")
-
-
-def report_markdown(report: EvaluationReport) -> str:
-    """Return ``report.md``: all tables and warnings, with links to error pictures and plots."""
-    runs = ", ".join(map(markdown_code, report.runs))
-    out = ["# Evaluation", "", f"Ground truth: {markdown_code(report.truth)}. Runs: {runs}.", ""]
-    if report.plugins:
-        used = ", ".join(f"{package} {version}" for package, version in report.plugins.items())
-        out += [f"Plug-ins: {markdown_code(used)}.", ""]
-    out += [f"**Warning:** {markdown_text(line)}\n" for line in report.warnings]
-    out += [table.markdown() for table in report_tables(report)]
-    drawn = {p.name: p.presentation.legend for p in report.protocols.values() if p.presentation.error_pictures}
-    out += ["## Error pictures" if drawn else "## Curves", ""]
-    out += [f"{name}: {legend}.\n" for name, legend in drawn.items()]
-    if drawn and any(r.bounds for r in report.results):
-        out += ["Below, where the truth lies outside the bound: the colors of wrong pixels.\n"]
-    for r in report.results:
-        if not r.error:
-            scene = markdown_text(r.scene)
-            out += [f"{markdown_text(r.run)}, {scene}:", ""]
-            out += [f"![{scene}]({markdown_link(r.picture)})", ""] if r.protocol in drawn else []
-            out += [f"![bound]({markdown_link(r.bound_picture)})", ""] if r.protocol in drawn and r.bounds else []
-            out += [f"![{of}, {region}]({markdown_link(path)})\n" for (region, of), path in r.plots.items()]
-    return "\n".join(out)
