@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,14 +44,16 @@ RESULTS = (*_FILES, "errors/**/*", "bounds/**/*", "curves/**/*", "points/**/*", 
 """Shell patterns of the files of an evaluation."""
 
 
-class Viewer(typing.Protocol):
-    """Something that shows the maps, such as the page; it gets them while they are scored."""
+class Viewer:
+    """A file that shows the maps, such as the page; it gets them while they are scored."""
 
-    file: str
-    needed: bool  # an evaluation without the file fails; else it counts as incomplete
+    file: ClassVar[str]
+    needed: ClassVar[bool] = False  # an evaluation without the file fails; else it counts as incomplete
+    folder: Path
 
     def begin(self, folder: Path) -> None:
-        """Begin a file in ``folder``."""
+        """Begin the file in ``folder``."""
+        self.folder = folder
 
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
         """Begin a scene, to which the maps that follow belong; ``truth`` is what ``protocol.truth(scene)`` returned."""

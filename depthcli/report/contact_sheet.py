@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.evaluate import Viewer
 from depthcli.evaluation.protocols import AnyProtocol, picture
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.images import write_png
@@ -33,21 +34,16 @@ class _Row(NamedTuple):
     results: list[MapResult]
 
 
-class ContactSheet:
-    """Small pictures of the scenes of an evaluation whose maps differ most, side by side; a ``Viewer``."""
+class ContactSheet(Viewer):
+    """Small pictures of the scenes of an evaluation whose maps differ most, side by side."""
 
     file = "contact_sheet.png"
-    needed = False
 
     def __init__(self) -> None:
         self._ends = 0.0, 1.0
         self._rows: list[_Row] = []  # of those that differ most, the scene under way last
         self._scene = ""
         self._runs: set[str] = set()  # that have a map
-
-    def begin(self, folder: Path) -> None:
-        """Begin a sheet in ``folder``."""
-        self._path = folder / self.file
 
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
         """Begin the row of a scene; one without an image, or a volume, has no row."""
@@ -123,7 +119,7 @@ class ContactSheet:
         for text, color in kinds:
             _swatch(sheet, text, (_GAP, top), color)
             top += _LINE
-        write_png(self._path, sheet)
+        write_png(self.folder / self.file, sheet)
 
 
 def _bar(low: float, high: float, unit: str) -> Picture:

@@ -3,31 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.protocols import AnyProtocol
+from depthcli.evaluation.evaluate import Viewer
 from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.files import write_text
-from depthcli.io.scenes import Scene
 from depthcli.report.plots import curve_plot
 from depthcli.report.tables import report_tables
 from depthcli.show.table import markdown_code, markdown_link, markdown_text
 
 
-class Document:
-    """Tables as Markdown, and plots of confidence curves as SVG; a ``Viewer``."""
+class Document(Viewer):
+    """Tables as Markdown, and plots of confidence curves as SVG."""
 
     file = "report.md"
     needed = True
-
-    def begin(self, folder: Path) -> None:
-        """Begin a document in ``folder``."""
-        self.folder = folder
-
-    def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
-        """Do nothing: tables come at the end."""
 
     def add_map(self, result: MapResult, *_: Any) -> None:
         """Write the plots of one run's map."""

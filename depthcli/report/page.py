@@ -18,6 +18,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.text import printable, without_secrets
 from depthcli.evaluation.bounds import COVERAGE
 from depthcli.evaluation.comparison import EvaluationReport, Section
+from depthcli.evaluation.evaluate import Viewer
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.files import write_text
@@ -39,8 +40,8 @@ _MAX_CONFIG = 100_000  # characters of a config that are shown
 _MAX_CELLS = 40_000  # of the tables of one section; more make the page slow
 
 
-class Page:
-    """``report.html``: a ``Viewer`` of the scenes of an evaluation, and of a run's scenes without truth.
+class Page(Viewer):
+    """``report.html``: the scenes of an evaluation, and of a run's scenes without truth.
 
     The pictures of every scene are written to the folder ``assets`` when it is complete, so that few are in memory at a
     time, and embedded at the end; the folder stays where the page would become larger than ``budget``.
@@ -52,16 +53,11 @@ class Page:
     """
 
     file = "report.html"
-    needed = False
 
     def __init__(self, command: str = "", budget: int = _BUDGET, run: RunWithoutTruth | None = None) -> None:
         self.command, self.budget, self.run = command, budget, run
         self._views: list[SceneView] = []  # of complete scenes
         self._scene: SceneView | None = None
-
-    def begin(self, folder: Path) -> None:
-        """Begin a page in ``folder``."""
-        self.folder = folder
 
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
         """Begin a scene, to which the maps that follow belong."""

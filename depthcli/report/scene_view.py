@@ -33,7 +33,7 @@ from depthcli.show.view import (
     View,
     bound_range,
     pixel_kinds,
-    status_color,
+    status_colors,
     status_words,
 )
 
@@ -313,7 +313,7 @@ class SceneView:
         if status is None or status.shape != self.base.values.shape:
             return None
         for value in np.unique(status).tolist():
-            words, color = status_words(value, self.palette), status_color(value, self.palette)
+            words, color = status_words(value, self.palette), status_colors(self.palette)[value].tolist()
             self.data["status"][str(value)] = {"words": words, "color": color}
         return status
 

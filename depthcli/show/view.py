@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
@@ -116,29 +115,17 @@ def bound_range(bound: NDArray[np.floating[Any]]) -> Range:
     return (low, max(high, 2 * low)) if low else (0.1, 1.0)
 
 
-def status_color(value: int, palette: Palette) -> tuple[int, int, int]:
-    """Return the RGB color of a pixel with the bits ``value``; black where no bit is in the palette."""
+def status_colors(palette: Palette) -> Picture:
+    """Return (256, 3) RGB of all statuses; black where no bit is in the palette."""
+    values, colors = np.arange(256), np.zeros((256, 3))
     # Nearly every pixel is smoothed: that shows only without another state.
-    shown = value if value == _SMOOTHED else value & ~_SMOOTHED
-    colors = [np.array(color, float) for bit, (_, color) in palette.items() if shown & bit]
-    if value == 0:
-        colors = [np.array(palette[0][1], float)]
-    mixed = colors[0] if colors else np.zeros(3)
-    for color in colors[1:]:
-        mixed = mixed + _TINT * (color - mixed)
-    red, green, blue = np.rint(mixed).astype(int).tolist()
-    return red, green, blue
-
-
-def status_colors(palette: Palette) -> NDArray[np.uint8]:
-    """Return (256, 3) RGB of all statuses."""
-    return _status_colors(tuple(palette.items()))
-
-
-@cache  # one table for many small maps
-def _status_colors(entries: tuple[tuple[int, tuple[str, tuple[int, int, int]]], ...]) -> NDArray[np.uint8]:
-    palette = dict(entries)
-    return np.array([status_color(value, palette) for value in range(256)], np.uint8)
+    bits, mixed = np.where(values == _SMOOTHED, values, values & ~_SMOOTHED), np.zeros(256, np.bool_)
+    for bit, (_, color) in palette.items():
+        has = bits & int(bit) > 0 if bit else values == 0
+        tint = np.where(mixed, _TINT, 1.0)[:, None]
+        colors = np.where(has[:, None], colors + tint * (color - colors), colors)
+        mixed |= has
+    return np.rint(colors).astype(np.uint8)
 
 
 def status_words(value: int, palette: Palette) -> str:

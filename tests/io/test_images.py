@@ -19,7 +19,7 @@ from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, collected_warnings, write_text
 from depthcli.io.formats.images import image_size, read_grey, read_image, read_pair, sample_bits, write_png
 from depthcli.io.formats.status import read_status, write_legend, write_status
-from depthcli.show.view import DEPTH_STATUS_PALETTE, STATUS_PALETTE, status_color, status_words
+from depthcli.show.view import DEPTH_STATUS_PALETTE, STATUS_PALETTE, status_colors, status_words
 from tests.command_line import refused
 
 
@@ -270,7 +270,7 @@ def test_bits_survive_and_are_in_color(tmp_path: Path, palette, flag):
     np.testing.assert_array_equal(read_status(tmp_path / "status.png"), bits)
     seen = read_image(tmp_path / "status.png")
     np.testing.assert_array_equal(seen[bits == 0][0], palette[0][1])
-    np.testing.assert_array_equal(seen[bits == 17][0], status_color(17, palette))
+    np.testing.assert_array_equal(seen[bits == 17][0], status_colors(palette)[17])
     assert all(bit in palette for bit in [0, *map(int, flag)])
     with pytest.raises(ValueError, match="uint8"):
         write_status(tmp_path / "status.png", bits.astype(int), palette)
@@ -291,11 +291,11 @@ def test_few_and_many_values_keep_their_numbers(tmp_path: Path):
 
 @PALETTES
 def test_single_bits_differ_clearly_and_combinations_at_all(palette, flag):
-    one = [np.array(status_color(int(bit), palette), float) for bit in [0, *flag]]
+    one = [status_colors(palette)[int(bit)].astype(float) for bit in [0, *flag]]
     assert min(np.abs(a - b).sum() for a, b in itertools.combinations(one, 2)) > 60
     # That a value was smoothed as well is not shown beside anything else.
     told_apart = {value if value == int(Status.SMOOTHED) else value & ~int(Status.SMOOTHED) for value in OCCURRING}
-    assert len({status_color(value, palette) for value in OCCURRING}) >= len(told_apart) - 2
+    assert len({tuple(status_colors(palette)[value]) for value in OCCURRING}) >= len(told_apart) - 2
 
 
 def test_words(tmp_path: Path):
@@ -307,5 +307,5 @@ def test_words(tmp_path: Path):
     legend = read_image(tmp_path / "legend.png")
     assert legend.shape[0] < read_image(tmp_path / "all.png").shape[0]
     for row, value in enumerate((0, 17)):
-        np.testing.assert_array_equal(legend[8 + 26 * row + 12, 20], status_color(value, STATUS_PALETTE))
+        np.testing.assert_array_equal(legend[8 + 26 * row + 12, 20], status_colors(STATUS_PALETTE)[value])
     assert (legend[:, 60:] < 100).any()  # words

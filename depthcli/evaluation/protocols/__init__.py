@@ -44,23 +44,19 @@ class ShownMap(View):
     note: str = ""  # explanation of the figures
 
 
-def planes_beside(path: Path, files: MapFiles) -> dict[str, NDArray[Any]]:
-    """Return name -> confidence or probability in the folder of a map, without those that cannot be read."""
-    found = {}
+def beside(
+    path: Path, files: MapFiles, unit: float = 1.0, read: Callable[[Path], NDArray[Any]] = read_plane
+) -> dict[str, Any]:
+    """Return ``confidence`` and ``bound``, times ``unit``, in the folder of a map, as far as they can be read."""
+    confidence: dict[str, NDArray[Any]] = {}
     for name, file in files.planes(path).items():
         with contextlib.suppress(InputError):
-            found[name] = read_plane(file)
-    return found
-
-
-def bound_beside(
-    path: Path, files: MapFiles, unit: float = 1.0, read: Callable[[Path], NDArray[Any]] = read_plane
-) -> NDArray[np.float64] | None:
-    """Return the bound in the folder of a map, times ``unit``; None if there is none, or it cannot be read."""
-    file = files.companion(path, "bound")
+            confidence[name] = read(file)
+    bound = None
     with contextlib.suppress(InputError):
-        return None if file is None else unit * read(file).astype(np.float64)
-    return None
+        if (file_of_bound := files.companion(path, "bound")) is not None:
+            bound = unit * read(file_of_bound).astype(np.float64)
+    return {"confidence": confidence, "bound": bound}
 
 
 def _first_image(scene: Scene) -> NDArray[np.uint8] | None:
@@ -92,7 +88,7 @@ class Presentation:
     scale: tuple[float, float] | None = None  # of the colors if no truth is known; None: by the map
     # Returns one run's map as it is shown if no truth is known; InputError if it cannot be read.
     show: Callable[[Path, Scene, MapFiles], ShownMap] = lambda path, _, files: ShownMap(
-        read_plane(path), confidence=planes_beside(path, files), bound=bound_beside(path, files)
+        read_plane(path), **beside(path, files)
     )
     # Returns the picture beneath maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey levels of a volume; or None.
     image: Callable[[Scene], NDArray[np.uint8] | None] = _first_image

@@ -15,7 +15,7 @@ from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.core.maps import DepthStatus
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, bound_beside, planes_beside
+from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, beside
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
@@ -60,9 +60,7 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
     values = 1000.0 * read_depth(path, scale).astype(np.float64)
     figures = {"no value, %": 100.0 * float(np.isnan(values).mean())}
-    return ShownMap(
-        values, confidence=planes_beside(path, files), bound=bound_beside(path, files, 1000.0), figures=figures
-    )
+    return ShownMap(values, figures=figures, **beside(path, files, 1000.0))
 
 
 def _sensor(scene: Scene) -> NDArray[np.float64] | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from depthcli.io.formats.files import naming, read_bytes, write_bytes
 from depthcli.io.formats.images import decode_bits
-from depthcli.show.view import Palette, status_color, status_colors, status_words
+from depthcli.show.view import Palette, status_colors, status_words
 
 _ROW, _SWATCH, _MARGIN = 26, 34, 8  # of the legend, pixels
 
@@ -52,7 +52,7 @@ def write_legend(path: Path | str, palette: Palette, values: Iterable[int] | Non
     for number, (value, text) in enumerate(zip(rows, words, strict=True)):
         top = _MARGIN + number * _ROW
         box = (_MARGIN, top + 3, _MARGIN + _SWATCH, top + _ROW - 4)
-        draw.rectangle(box, fill=status_color(value, palette), outline="black")
+        draw.rectangle(box, fill=tuple(status_colors(palette)[value].tolist()), outline="black")
         draw.text((_SWATCH + 2 * _MARGIN, top + 4), text, fill="black", font=font)
     _save(path, picture)
 
