@@ -91,10 +91,11 @@ class ContactSheet(Viewer):
         """Write the sheet as PNG, if there is something to show."""
         self._choose()
         runs = report.runs[:_MAX_RUNS]
-        rows = [row for row in self._rows if any(run in row.pictures for run in runs)]
+        rows = [row for row in self._rows if row.pictures.keys() & runs]
         if not rows:
             return
-        columns = ["", *(run for run in runs if any(run in row.pictures for row in rows))]
+        present = set[str]().union(*(row.pictures for row in rows))
+        columns = [run for run in ("", *runs) if run in present]
         heights = [max(sum(len(each) + _GAP for each in row.pictures.get(run, ())) for run in columns) for row in rows]
         width = _GAP + len(columns) * (_WIDTH + _GAP)
         words = rows[0].protocol.presentation

@@ -102,7 +102,8 @@ def _with_bound(picture: Picture, view: View) -> Picture:
     draw_text(sheet, f"bound, {view.unit}", (width + _MARGIN, height + _LINE // 2), _INK, max_width=width)
     for share in (0.0, 0.5, 1.0) if width > 5 * _LINE else (1.0,):
         number = f"{low ** (1 - share) * high**share:.2g}" + f" {view.unit}" * (share == 1)
-        place = round(width + _MARGIN + share * (width - _text_size(number)[0])), height + 2 * _LINE + 6
+        free = width - cv2.getTextSize(number, *_FONT, 1)[0][0]
+        place = round(width + _MARGIN + share * free), height + 2 * _LINE + 6
         draw_text(sheet, number, place, _INK)
     return sheet
 
@@ -149,13 +150,9 @@ def draw_text(
     than ``max_width`` pixels is cut and ends in three dots.
     """
     shown = text.encode("ascii", "replace").decode()
-    while max_width is not None and len(shown) > 4 and _text_size(shown)[0] > max_width:
+    (width, height), _ = cv2.getTextSize(shown, *_FONT, 1)
+    while max_width is not None and len(shown) > 4 and width > max_width:
         shown = shown[:-4] + "..."
-    width, height = _text_size(shown)
+        (width, height), _ = cv2.getTextSize(shown, *_FONT, 1)
     x = place[0] - width // 2 if centered else place[0]
     cv2.putText(picture, shown, (x, place[1] + height // 2), *_FONT, ink, 1, cv2.LINE_AA)
-
-
-def _text_size(text: str) -> tuple[int, int]:
-    width, height = cv2.getTextSize(text, *_FONT, 1)[0]
-    return width, height

@@ -99,7 +99,7 @@ class Table:
     @cached_property
     def cells(self) -> list[list[str]]:
         """Cells of every column."""
-        return [[column.cell(row) for row in self.rows] for column in self.columns]
+        return [list(map(column.cell, self.rows)) for column in self.columns]
 
     @property
     def lines(self) -> list[tuple[str, ...]]:
