@@ -12,10 +12,11 @@ import yaml
 
 from depthcli.commands import config_model
 from depthcli.core.config_file import load_config
-from depthcli.evaluation.render import Table
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.walk import discover_scenes
+from depthcli.problems.fusion import Fuse
 from depthcli.run.presets import find_config
+from depthcli.show.table import Table
 
 THESIS = yaml.safe_load((_env.ROOT / "scripts" / "thesis.yaml").read_text("utf-8"))
 Rows = dict[str, dict[str, float]]  # row -> column -> number
@@ -105,4 +106,4 @@ def mean_known(values: Iterable[float] | np.ndarray) -> float:
 
 def show(title: str, header: Sequence[str], rows: Iterable[Sequence[str]], note: str = "") -> None:
     """Print a table as Markdown."""
-    print(Table(title, tuple(header), tuple(map(tuple, rows)), note).markdown(), flush=True)
+    print(Table.of_cells(title, header, list(rows), note).markdown(), flush=True)

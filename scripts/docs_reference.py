@@ -26,7 +26,6 @@ from depthcli.commands import config_model, grouped_names, help_of
 from depthcli.core.errors import EXIT_CODES
 from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
-from depthcli.evaluation import columns as evaluation
 from depthcli.evaluation import protocols
 from depthcli.evaluation.evaluate import RESULTS
 from depthcli.io.formats.files import RUN_FILE
@@ -37,6 +36,7 @@ from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.methods.confidence import measures as confidence_measures
 from depthcli.methods.registration.search import MEASURES
 from depthcli.problems import PROBLEMS
+from depthcli.report import terms
 from depthcli.run.folder import REPORT_FILES
 from depthcli.run.presets import find_config, list_presets
 
@@ -74,14 +74,14 @@ OUTPUTS = {
 }
 REFERENCE = _env.ROOT / "docs" / "reference"
 COLUMNS = yaml.safe_load((_env.ROOT / "scripts" / "report_columns.yaml").read_text("utf-8")) | {
-    heading: {column.headings: column.about for column in columns}
-    for heading, columns in {
-        "Metrics (evaluate)": evaluation.METRICS,
-        "Regions (evaluate)": evaluation.REGIONS,
-        "Other columns of evaluate and sweep": evaluation.TABLES,
-        "scores.csv": evaluation.SCORES,
-        "points.csv, points/RUN/SCENE.csv": evaluation.POINTS,
-        "Sensitivity, sweep.csv": evaluation.SWEEP,
+    heading: {term.headings: term.about for term in named}
+    for heading, named in {
+        "Metrics (evaluate)": terms.METRICS,
+        "Regions (evaluate)": terms.REGIONS,
+        "Other columns of evaluate and sweep": terms.TABLES,
+        "scores.csv": terms.SCORES,
+        "points.csv, points/RUN/SCENE.csv": terms.POINTS,
+        "Sensitivity, sweep.csv": terms.SWEEP,
     }.items()
 }
 

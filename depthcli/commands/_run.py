@@ -18,14 +18,14 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import one_line, show_bytes, summarized
 from depthcli.core.yaml_source import to_yaml
-from depthcli.io.formats.pictures import write_legend
+from depthcli.io.formats.status import write_legend
 from depthcli.io.inputs import local, origin
 from depthcli.io.scenes import Scene, SequenceScene
 from depthcli.problems.given_maps import GivenMaps, with_maps
 from depthcli.problems.inputs import config_with_options
 from depthcli.problems.problem import SceneJob
 from depthcli.problems.stereo import PairConfig, with_unit
-from depthcli.run.console import Reporter, aligned, run_table
+from depthcli.run.console import Reporter
 from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import EVALUATION, LEGEND_FILE, refusal, saved_config, staging_folder
 from depthcli.run.job import Execution, SceneT
@@ -34,6 +34,7 @@ from depthcli.run.records import read_record
 from depthcli.run.report import report_document
 from depthcli.run.runner import Plan, run_scenes
 from depthcli.run.workers import BUG
+from depthcli.show.table import aligned, run_table
 
 if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport
@@ -271,24 +272,26 @@ def _without_truth(
 def viewers(
     reporter: Reporter, output: Path | None, html: bool, html_budget: str = "50MB", run: RunWithoutTruth | None = None
 ) -> list[Viewer]:
-    """Return what shows the maps of an evaluation: the contact sheet, and the page that ``--html`` requests.
+    """Return what shows the maps of an evaluation: document, contact sheet, and the page that ``--html`` requests.
 
     ConfigError if the page has no folder, or ``html_budget`` is no size.
     """
     from depthcli.report.contact_sheet import ContactSheet
+    from depthcli.report.document import Document
     from depthcli.report.page import Page
 
+    shown: list[Viewer] = [Document(), ContactSheet()]
     if not html:
-        return [ContactSheet()]
+        return shown
     if output is None:
         raise ConfigError("--html needs --output, the folder to write the page into")
-    return [ContactSheet(), Page(reporter.command_line, parse_bytes(html_budget, "--html-budget"), run)]
+    return [*shown, Page(reporter.command_line, parse_bytes(html_budget, "--html-budget"), run)]
 
 
 def check_tables(options: TableOptions) -> None:
     """Raise ConfigError where a format or the name of a table is none."""
-    from depthcli.evaluation.render import FORMATS
-    from depthcli.evaluation.tables import check_names
+    from depthcli.report.tables import check_names
+    from depthcli.show.table import FORMATS
 
     if options.format is not None and options.format not in FORMATS:
         raise ConfigError(f"--format: must be one of {', '.join(FORMATS)} (got {options.format!r})")
@@ -297,7 +300,7 @@ def check_tables(options: TableOptions) -> None:
 
 def print_tables(report: EvaluationReport, reporter: Reporter, options: TableOptions, quiet: bool) -> None:
     """Print the tables that the options choose, or else the headline."""
-    from depthcli.evaluation.tables import chosen_text, headline_text
+    from depthcli.report.tables import chosen_text, headline_text
 
     names, columns, form = _listed(options.tables), _listed(options.columns), options.format
     if form is None and columns == [] and options.caption is None and names in ([], ["headline"]):

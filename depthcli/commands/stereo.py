@@ -15,7 +15,8 @@ from typer import Option
 
 from depthcli.commands._options import RangeOptions, ScoredRunOptions
 from depthcli.commands._shared_options import BoundOption, ConfigArgument, LevelOption, SetOption, WithinOption
-from depthcli.run.console import Reporter, aligned
+from depthcli.run.console import Reporter
+from depthcli.show.table import aligned
 
 
 def _listed(name: str | None) -> str | None:

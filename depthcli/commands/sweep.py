@@ -61,7 +61,8 @@ def sweep(
     from depthcli.io.layouts.all_kinds import ALL_KINDS
     from depthcli.io.walk import discover_scenes
     from depthcli.run.folder import FolderLock
-    from depthcli.run.json_csv import to_csv, to_json
+    from depthcli.run.json_csv import to_json
+    from depthcli.show.table import to_csv
 
     source, axes = SceneOptions(input=input, layout=layout, scenes=scenes), parse_axes(over)
     output, reporter, chosen = run.output, run.reporter, combinations(axes, random, seed)
@@ -144,8 +145,8 @@ def _runs_of(
 def _show_plan(command: str, runs: Mapping[str, _Run], options: RunOptions) -> None:
     """Print what would be computed."""
     from depthcli.commands._run import DONE, plan_of
-    from depthcli.run.console import aligned
     from depthcli.run.json_csv import to_json
+    from depthcli.show.table import aligned
 
     rows = []
     for name, run in runs.items():

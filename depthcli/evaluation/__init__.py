@@ -1,4 +1,4 @@
-"""Comparison of runs with ground truth: maps of the runs and scenes with truth in, scores, tables and plots out.
+"""Comparison of runs with ground truth: maps of the runs and scenes with truth in, scores out.
 
 ``truth`` finds the scenes, ``evaluate.evaluate_runs`` does the rest; arrays have NaN for no value:
 
@@ -10,10 +10,9 @@
    sparsification ``curves`` of the confidence maps. All that is known of one map is a ``MapResult``.
 4. ``comparison``: a ``Section`` has the results of one data set under one protocol, with means and ranks by the
    protocol's rule and the tests of ``statistics``; an ``EvaluationReport`` all sections.
-5. ``tables`` arranges the numbers, ``render`` writes any table as text, Markdown, LaTeX or CSV, ``plots`` draws.
-   A protocol's words, units and colors are its ``Presentation``. The page and the contact sheet (room ``report``) are
-   viewers, which get the maps while they are scored.
+5. Tables, plots, page and contact sheet are made in the room ``report``, by viewers, which get the maps while they
+   are scored. A protocol's words, units and colors are its ``Presentation``.
 
 ``benchmarks`` is separate: the files of a submission to a benchmark. Begin with
-``protocols/middlebury_v2.py``, the shortest protocol; ``columns`` explains all metrics and regions.
+``protocols/middlebury_v2.py``, the shortest protocol; ``report.terms`` explains all metrics and regions.
 """

@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,22 +20,21 @@ from depthcli.evaluation.bounds import judged, promised
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
 from depthcli.evaluation.map_files import MapNaming, find_runs, names_in_run, recognized
-from depthcli.evaluation.plots import curve_plot
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load, missing_scores, picture
 from depthcli.evaluation.scores import MapResult
-from depthcli.evaluation.tables import report_markdown
 from depthcli.io.formats.files import collected_warnings, short_path, warn, write_text
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.map_format import format_plugins
-from depthcli.io.formats.pictures import read_status
+from depthcli.io.formats.status import read_status
 from depthcli.io.inputs import origin
 from depthcli.io.layouts import layout_plugins
 from depthcli.io.scenes import Scene
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, flag_rows, plain_name
 from depthcli.run.folder import saved_config, staging_folder
-from depthcli.run.json_csv import Row, to_csv, to_json
+from depthcli.run.json_csv import Row, to_json
 from depthcli.run.report import read_report
+from depthcli.show.table import to_csv
 
 PAGE_FILE = "report.html"
 """The page, in the folder of an evaluation."""
@@ -46,13 +44,16 @@ RESULTS = (*_FILES, "errors/**/*", "bounds/**/*", "curves/**/*", "points/**/*", 
 """Shell patterns of the files of an evaluation."""
 
 
-class Viewer(typing.Protocol):
-    """Something that shows the maps, such as the page; it gets them while they are scored."""
+class Viewer:
+    """A file that shows the maps, such as the page; it gets them while they are scored."""
 
-    file: str
+    file: ClassVar[str]
+    needed: ClassVar[bool] = False  # an evaluation without the file fails; else it counts as incomplete
+    folder: Path
 
     def begin(self, folder: Path) -> None:
-        """Begin a file in ``folder``."""
+        """Begin the file in ``folder``."""
+        self.folder = folder
 
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
         """Begin a scene, to which the maps that follow belong; ``truth`` is what ``protocol.truth(scene)`` returned."""
@@ -92,11 +93,11 @@ def evaluate_runs(
     output: Path | str | None,
     choices: Choices | None = None,
 ) -> EvaluationReport:
-    """Evaluate runs side by side and write scores, pictures, curves and a report.
+    """Evaluate runs side by side and write scores, pictures and a report.
 
-    Written to ``output``, all at the end: ``scores.csv``, ``scores.json``, ``report.md``, ``errors`` and
-    ``bounds/<run>/<scene>.png``, ``curves/<run>/<scene>_<region>_<kind>.svg``, ``points/<run>/<scene>.csv``, the files
-    of ``viewers``, and ``record.json``, by which the next evaluation knows which files it may replace.
+    Written to ``output``, all at the end: ``scores.csv``, ``scores.json``, ``errors`` and
+    ``bounds/<run>/<scene>.png``, ``points/<run>/<scene>.csv``, the files of ``viewers``, and ``record.json``, by which
+    the next evaluation knows which files it may replace.
 
     Parameters
     ----------
@@ -132,7 +133,6 @@ def evaluate_runs(
             scores = to_json(report.to_dict())
             write_text(folder / "scores.csv", to_csv(report.records()))
             write_text(folder / "scores.json", scores)
-            write_text(folder / "report.md", report_markdown(report))
             configs = {run: saved_config(place) for run, place in places.items()}
             scoring.show(lambda viewer: viewer.write(report, scores, configs))
     for line in report.warning_lines(with_reports=rows is None):  # else the run has just printed its own
@@ -196,8 +196,9 @@ class _Scoring:
     def show(self, step: Callable[[Viewer], None]) -> None:
         """Let every viewer take a step, but for those that could not be written before."""
         for viewer in self.choices.viewers:
+            missed = can_be_missed(viewer.file, self.unwritten, self.choices.reporter)
             if viewer.file not in self.unwritten:
-                with can_be_missed(viewer.file, self.unwritten, self.choices.reporter):
+                with contextlib.nullcontext() if viewer.needed else missed:
                     step(viewer)
 
     def all_results(self, scenes: Sequence[Scene]) -> list[MapResult]:
@@ -357,9 +358,6 @@ class _Scoring:
                 write_png(self.output / result.picture, drawn)
             if outside is not None and (drawn := picture(protocol, estimate, truth, outside)) is not None:
                 write_png(self.output / result.bound_picture, drawn)
-            for (region, of), plot in result.plots.items():
-                lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
-                write_text(self.output / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))
         self.show(lambda viewer: viewer.add_map(result, path, estimate, truth, confidences, bound))
         return result
 

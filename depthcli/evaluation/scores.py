@@ -220,6 +220,12 @@ class MapResult:
     pooling_data: Any = field(default=None, repr=False, compare=False)  # data by which the protocol pools scenes
 
     @property
+    def times(self) -> dict[str, float]:
+        """Seconds of the scene, of a megapixel, and of 10^9 pixels x disparities; NaN where unknown."""
+        work = {"seconds": (1.0, 1), "s/MP": (1e6, self.size), "s/GD": (1e9, self.size * self.n_disparities)}
+        return {heading: unit * self.seconds / n if n else math.nan for heading, (unit, n) in work.items()}
+
+    @property
     def picture(self) -> str:
         """Path of its error picture in the output folder."""
         return short_path(f"errors/{self.run}/{self.scene}.png")

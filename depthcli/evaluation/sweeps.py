@@ -15,9 +15,9 @@ from typing import Any, TypeAlias
 
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import Section
-from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.run.json_csv import Row
+from depthcli.show.table import Number, Table
 
 Axes: TypeAlias = Mapping[str, Sequence[str]]
 """Config key -> its values, as texts for ``--set``."""
@@ -183,7 +183,7 @@ def text_of(section: Section, comparison: Row) -> str:
         if place < _MAX_SHOWN or row["own_values"]
     )
     note = "*: the config's own values" if any(row["own_values"] for row in rows) else ""
-    runs = Table(f"{title}: the best first{more}", ("run", headline.heading_with_unit, "seconds"), best, note)
+    runs = Table.of_cells(f"{title}: the best first{more}", ("run", headline.heading_with_unit, "seconds"), best, note)
     lines: list[tuple[str, ...]] = []
     for effect in comparison["sensitivity"]:
         of_key = effect["key"], Number(effect["spread"]), Number(100 * effect["share_of_variance"], 0)
@@ -192,5 +192,5 @@ def text_of(section: Section, comparison: Row) -> str:
             lines.append((key, row["value"], str(row["runs"]), Number(row["mean"]), Number(row["best"]), *spread))
     header = ("key", "value", "runs", f"mean {headline.heading_with_unit}", "best", "spread of means", "% of variance")
     note = "spread: largest difference of the means; % of variance: the share that the key explains alone"
-    keys = Table("Sensitivity, the strongest first", header, tuple(lines), note)
+    keys = Table.of_cells("Sensitivity, the strongest first", header, tuple(lines), note)
     return f"{runs.text()}\n{keys.text()}"

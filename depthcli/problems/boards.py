@@ -37,9 +37,10 @@ from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import UNITS, write_calibration
 from depthcli.io.formats.files import collected_warnings, remove_temporaries, write_text
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.pictures import draw_text
-from depthcli.run.console import Reporter, aligned
+from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row, to_json
+from depthcli.show.draw import draw_text
+from depthcli.show.table import aligned
 
 _NOT_FOUND, _OUTLIER = "board not found", "outlier"  # why a photo does not count
 _LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|m)\s*")

@@ -22,19 +22,20 @@ from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.files import naming, shown
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
+from depthcli.io.formats.status import read_status
 from depthcli.io.inputs import local
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
 from depthcli.io.walk import matches_any, scenes_with_files
 from depthcli.problems.problem import SceneJob, Shown
 from depthcli.problems.results import PointCloud, check_limits, chosen_pixels, depth_of, empty_cloud, parse_mask
-from depthcli.run.console import SIZE, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
 from depthcli.run.json_csv import median as median_of
 from depthcli.run.records import is_inside, read_json
 from depthcli.run.report import read_report
+from depthcli.show.table import SIZE, number, percent
+from depthcli.show.view import STATUS_PALETTE
 
 _MAP = "disp_left.pfm"
 

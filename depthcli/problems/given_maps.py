@@ -36,7 +36,7 @@ from depthcli.io.formats.disparity import lone_constant, read_disparity, read_pl
 from depthcli.io.formats.files import collected_warnings, shown, warn
 from depthcli.io.formats.images import image_size, png_bytes, read_image, write_png
 from depthcli.io.formats.networks import network_path, read_errors, read_network
-from depthcli.io.formats.pictures import STATUS_PALETTE, preview, read_status
+from depthcli.io.formats.status import read_status
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene, check_same_size
 from depthcli.io.stereo_pairs import load_pair
@@ -48,11 +48,13 @@ from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.inputs import as_image, as_map, as_pair
 from depthcli.problems.problem import Problem, ResultT, Shown
 from depthcli.problems.results import Disparity, made, write_details, write_disparity
-from depthcli.run.console import SIZE, Reporter, number, percent
+from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row, median, share
 from depthcli.run.records import RECORD_FILE
 from depthcli.run.report import read_report
 from depthcli.run.resources import available_memory, check_memory
+from depthcli.show.table import SIZE, number, percent
+from depthcli.show.view import STATUS_PALETTE, View
 
 _TOP_SHARE = 0.999  # of the values; larger ones do not widen the range of the costs
 _MAX_OUTSIDE = 0.5  # share of a map's values that may lie outside of the range
@@ -107,8 +109,8 @@ class MapConfidence:
         """Write what ``depthcli confidence`` writes, the map as :meth:`kept` returns it, into a folder old or new."""
         kept, files = self.kept(share, threshold), made(folder)
         write_png(files / "probability.png", self._picture())
-        picture = preview(kept, self.max_disparity)
-        write_disparity(kept, self.status, picture, files, self.bound, self.probability)
+        view = View(kept, "px", (0, self.max_disparity), bound=self.bound)
+        write_disparity(view, self.status, files, self.probability)
         write_details(Result(confidence=dict(self.measures)), files)
 
     def _picture(self) -> NDArray[np.uint8]:

@@ -25,7 +25,6 @@ from depthcli.io.formats.depth import MILLIMETERS, sensor_warning
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import collected_warnings, naming
 from depthcli.io.formats.images import IMAGE_SUFFIXES
-from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.formats.plain_text import numbers
 from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import frame_size, load_frame
@@ -37,10 +36,12 @@ from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typ
 from depthcli.problems.inputs import Overrides, as_depth, as_image, load_config
 from depthcli.problems.problem import Problem, Shown
 from depthcli.problems.results import check_limits, empty_cloud, parse_mask
-from depthcli.run.console import SIZE, Reporter, number, percent
+from depthcli.run.console import Reporter
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, median, share
 from depthcli.run.resources import available_memory, check_memory
+from depthcli.show.table import SIZE, number, percent
+from depthcli.show.view import DEPTH_STATUS_PALETTE
 
 Image = NDArray[Any]
 FrameOrSequence: TypeAlias = RgbdScene | SequenceScene

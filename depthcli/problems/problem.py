@@ -10,12 +10,13 @@ from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from depthcli.core.context import Context
 from depthcli.core.root_config import RootConfig
-from depthcli.io.formats.pictures import Palette
 from depthcli.io.layouts import Layouts
 from depthcli.io.scenes import Scene
-from depthcli.run.console import Column, Reporter
+from depthcli.run.console import Reporter
 from depthcli.run.job import Job, Outcome, SceneT
 from depthcli.run.json_csv import Row
+from depthcli.show.table import Column
+from depthcli.show.view import Palette
 
 
 class Shown(NamedTuple):

@@ -34,9 +34,9 @@ from depthcli.problems.rectified import (
     row_errors,
     sequence_range,
 )
-from depthcli.run.console import SIZE, number, percent
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
+from depthcli.show.table import SIZE, number, percent
 
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
 

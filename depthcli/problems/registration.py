@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy import ndimage
 
-from depthcli.algorithms.body import body_of_volume
+from depthcli.algorithms.body import body, body_of_volume
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.bound import VolumeBound
@@ -44,11 +44,11 @@ from depthcli.methods.registration.pipeline import Pipeline, RegistrationResult,
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.problems.inputs import Overrides, as_volume, load_config
 from depthcli.problems.problem import Problem, Shown
-from depthcli.problems.registration_preview import registration_preview
 from depthcli.problems.results import made
-from depthcli.run.console import Column, number, percent
-from depthcli.run.json_csv import Row, to_csv
+from depthcli.run.json_csv import Row
 from depthcli.run.resources import available_memory, check_memory
+from depthcli.show.table import Column, number, percent, to_csv
+from depthcli.show.volumes import draw_volumes
 
 _USUAL = VolumeBound()
 _MAX_BORDER_SHARE = 0.2  # of best matches on the border of the search; above it, errors exceed the search range
@@ -191,7 +191,14 @@ class RegistrationConfidence:
         return np.asarray(np.stack(parts, axis=-1) @ self.grid.axes.T, np.float32)
 
     def _preview(self) -> NDArray[np.uint8]:
-        return registration_preview(self.details, self.loaded, self.neurological, self.bounds.get("bound"))
+        result, pair = self.details, self.loaded.pair
+        volumes = {"fixed": pair.fixed, "moving, registered": pair.warped}
+        errors = {"expected error": result.expected_error}
+        if "bound" in self.bounds:
+            errors["bound of the error"] = self.bounds["bound"]
+        maps = {title: partial(at_voxels, values, result.start, result.step) for title, values in errors.items()}
+        inside = body if pair.mask is None else pair.mask
+        return draw_volumes(volumes, self.grid, self.loaded.blocks, maps, inside, self.neurological)
 
     def __repr__(self) -> str:
         error, size = self.details.figures["mean_error"], " x ".join(map(str, self.grid.size))
@@ -214,12 +221,12 @@ def _center(row: Row) -> str:
 def _error(key: str, form: str, title: str) -> Column:
     """Return the column of an expected error, as ``> 14`` where it stops at the border of the search."""
     plain = number(key, form, title)
-    return Column(title, lambda row: "> " * (key in row and _beyond_search(row)) + plain.text(row))
+    return Column(title, lambda row: "> " * (key in row and _beyond_search(row)) + plain.cell(row))
 
 
 def _bound(row: Row) -> str:
     lower: bool = row.get("at_reach", 0) >= 0.5  # the figure is a median
-    return "> " * lower + number("inside_bound", "{:.1f}").text(row)
+    return "> " * lower + str(number("inside_bound", "{:.1f}").cell(row))
 
 
 _COLUMNS = (

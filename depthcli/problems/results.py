@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,19 +21,13 @@ from depthcli.io.formats.depth import MILLIMETERS, write_depth_png, write_points
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png
-from depthcli.io.formats.pictures import (
-    DEPTH_STATUS_PALETTE,
-    STATUS_PALETTE,
-    confidence_picture,
-    preview,
-    preview_depth,
-    with_bound,
-    write_status,
-)
+from depthcli.io.formats.status import write_status
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.problems.rectified import Rectified
-from depthcli.run.json_csv import to_csv
+from depthcli.show.draw import draw
+from depthcli.show.table import to_csv
+from depthcli.show.view import DEPTH_STATUS_PALETTE, STATUS_PALETTE, View
 
 Pixels = str | NDArray[np.bool_]
 """Name of a choice of pixels, or (H, W) bool."""
@@ -60,42 +54,36 @@ def write_depth(
     write_depth_png(folder / "depth.png", depth.values, scale, rotate)
     palette = DEPTH_STATUS_PALETTE if isinstance(depth, DepthMap) else STATUS_PALETTE
     write_status(folder / "status.png", depth.status, palette)
-    _write_preview(folder, preview_depth(depth.values), bound, "m")
+    _write_preview(folder, View.of_depth(depth.values, bound))
 
 
 def write_disparity(
-    values: NDArray[np.float32],
-    status: NDArray[np.uint8],
-    picture: NDArray[np.uint8],
-    folder: Path,
-    bound: NDArray[np.float32] | None = None,
-    probability: NDArray[np.float32] | None = None,
+    view: View, status: NDArray[np.uint8], folder: Path, probability: NDArray[np.float32] | None = None
 ) -> None:
-    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png``, and ``picture`` with the bound as ``preview.png``.
+    """Write ``disp_left.pfm``, ``disp_left.png``, ``status.png`` and ``preview.png``.
 
     And ``bound.pfm`` and ``probability.pfm``, where they are given.
     """
-    write_pfm(folder / "disp_left.pfm", values)
+    write_pfm(folder / "disp_left.pfm", view.values)
     # The PNG has no code for what is negative: those pixels have no value there.
-    write_disparity_png(folder / "disp_left.png", np.where(values < 0, np.float32(np.nan), values))
+    write_disparity_png(folder / "disp_left.png", np.where(view.values < 0, np.float32(np.nan), view.values))
     write_status(folder / "status.png", status, STATUS_PALETTE)
-    _write_preview(folder, picture, bound, "px")
+    _write_preview(folder, view)
     if probability is not None:
         write_pfm(folder / "probability.pfm", probability)
 
 
-def _write_preview(folder: Path, picture: NDArray[np.uint8], bound: NDArray[np.float32] | None, unit: str) -> None:
-    if bound is not None:
-        write_pfm(folder / "bound.pfm", bound)
-        picture = with_bound(picture, bound, unit)
-    write_png(folder / "preview.png", picture)
+def _write_preview(folder: Path, view: View) -> None:
+    if view.bound is not None:
+        write_pfm(folder / "bound.pfm", view.bound)
+    write_png(folder / "preview.png", draw(view, "preview"))
 
 
 def write_details(result: Result, folder: Path) -> None:
     """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV, and pictures."""
     for name, confidence in result.confidence.items():
         write_pfm(folder / f"confidence_{name}.pfm", confidence)
-        write_png(folder / f"confidence_{name}.png", confidence_picture(confidence))
+        write_png(folder / f"confidence_{name}.png", draw(View(confidence), "confidence"))
     for name, rows in result.tables.items():
         write_text(folder / f"{name}.csv", to_csv(rows))
     for name, picture in result.pictures.items():
@@ -198,8 +186,8 @@ class Shown:
 
     values: NDArray[np.float32]
 
-    def _preview(self) -> NDArray[np.uint8]:
-        return preview_depth(self.values)
+    def _view(self) -> View:
+        return View.of_depth(self.values)
 
     def _range(self) -> str:
         known = self.values[~np.isnan(self.values)]
@@ -210,7 +198,7 @@ class Shown:
         return f"{type(self).__name__}({width} x {height}, {self._range()}, {100 * share:.1f} % with a value)"
 
     def _repr_png_(self) -> bytes:
-        return png_bytes(self._preview())
+        return png_bytes(draw(self._view(), "preview"))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -332,14 +320,13 @@ class Disparity(Shown, DisparityMap):
         The folder is created where it is missing.
         """
         files = made(folder)
-        write_disparity(self.values, self.status, self._preview(), files, self.bound, self.probability)
+        write_disparity(replace(self._view(), bound=self.bound), self.status, files, self.probability)
         write_details(self.details, files)
         if self.rectified is not None:
             self.rectified.save(files)
 
-    def _preview(self) -> NDArray[np.uint8]:
-        low, high = self.search.min_disparity, self.search.max_disparity
-        return preview(self.values - np.float32(low), high - low)
+    def _view(self) -> View:
+        return View(self.values, "px", (self.search.min_disparity, self.search.max_disparity))
 
     def _range(self) -> str:
         return f"searched {self.search.min_disparity} to {self.search.max_disparity} px"

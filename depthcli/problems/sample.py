@@ -10,8 +10,8 @@ from typing import Any
 from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError
 from depthcli.problems.problem import SceneJob, Shown
-from depthcli.run.console import SIZE, percent
 from depthcli.run.job import Outcome
+from depthcli.show.table import SIZE, percent
 from depthcli.simulate.samples import SAMPLE_KINDS, SampleScene, sample_scenes
 
 _BY_SCENE = frozenset({"count", "kind", "seed", "from_"})

@@ -26,7 +26,6 @@ from depthcli.core.root_config import RootConfig
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
 from depthcli.io.formats.images import image_size, pair_of
-from depthcli.io.formats.pictures import STATUS_PALETTE
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair
@@ -52,9 +51,10 @@ from depthcli.problems.rectified import (
     sequence_range,
 )
 from depthcli.problems.results import Disparity
-from depthcli.run.console import SIZE, number, percent
 from depthcli.run.json_csv import Row, median, share
 from depthcli.run.resources import available_memory, check_memory
+from depthcli.show.table import SIZE, number, percent
+from depthcli.show.view import STATUS_PALETTE
 
 _MAX_DISPARITY = 16383  # pixels, 14 bits: wider than the images that any method here can match
 _MIN_MEASURED_SHARE = 0.5  # of the pixels; with fewer a map has a warning

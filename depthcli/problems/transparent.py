@@ -21,7 +21,6 @@ from depthcli.core.maps import DepthStatus
 from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import MILLIMETERS
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame, load_masked_frame, load_sparse_frame
 from depthcli.io.scenes import RgbdScene, RgbIrScene
@@ -32,9 +31,11 @@ from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typ
 from depthcli.problems.inputs import Overrides, as_depth, as_image, as_map, load_config
 from depthcli.problems.problem import Problem, Shown
 from depthcli.problems.results import check_limits, empty_cloud, parse_mask
-from depthcli.run.console import SIZE, Reporter, number, percent
+from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row, median, share
 from depthcli.run.resources import available_memory, check_memory
+from depthcli.show.table import SIZE, number, percent
+from depthcli.show.view import DEPTH_STATUS_PALETTE
 
 Image = NDArray[Any]
 

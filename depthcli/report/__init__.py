@@ -1,5 +1,7 @@
-"""``report.html``, the page of an evaluation: one file to look at maps, errors and numbers, readable without a network.
+"""What people read of an evaluation: tables, ``report.md``, the page ``report.html``, the contact sheet.
 
+``tables`` arranges the numbers, ``terms`` explains their headings, ``plots`` draws them, ``document`` writes report.md.
+The page is one file to look at maps, errors and numbers, readable without a network.
 ``page`` collects the scenes while they are evaluated and fills the template ``page.html`` at the end; start there.
 ``scene_view`` chooses the parts of a scene that are shown, its maps (images, or slices of volumes) and small pictures;
 ``without_truth`` shows a run's scenes without ground truth: a table of the run's own figures of its maps,

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.protocols import AnyProtocol, kind_colors, picture
+from depthcli.evaluation.evaluate import Viewer
+from depthcli.evaluation.protocols import AnyProtocol, picture
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.pictures import NO_VALUE, draw_text, map_picture
 from depthcli.io.scenes import Scene
-
-Picture: TypeAlias = NDArray[np.uint8]
+from depthcli.show.draw import draw, draw_text, kind_colors
+from depthcli.show.view import NO_VALUE, Picture, View
 
 _MAX_SCENES = 4  # rows: the sheet fits a screen
 _MAX_RUNS = 4
@@ -34,8 +34,8 @@ class _Row(NamedTuple):
     results: list[MapResult]
 
 
-class ContactSheet:
-    """Small pictures of the scenes of an evaluation whose maps differ most, side by side; a ``Viewer``."""
+class ContactSheet(Viewer):
+    """Small pictures of the scenes of an evaluation whose maps differ most, side by side."""
 
     file = "contact_sheet.png"
 
@@ -44,10 +44,6 @@ class ContactSheet:
         self._rows: list[_Row] = []  # of those that differ most, the scene under way last
         self._scene = ""
         self._runs: set[str] = set()  # that have a map
-
-    def begin(self, folder: Path) -> None:
-        """Begin a sheet in ``folder``."""
-        self._path = folder / self.file
 
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
         """Begin the row of a scene; one without an image, or a volume, has no row."""
@@ -66,7 +62,7 @@ class ContactSheet:
             self._ends = float(known.min()), float(known.max())
             sensor = presentation.sensor(scene)
             maps = [values] if sensor is None or sensor.shape != values.shape else [values, sensor]
-            own += [*(_small(map_picture(each, *self._ends)) for each in maps), _bar(*self._ends, presentation.unit)]
+            own += [*map(self._map, maps), _bar(*self._ends, presentation.unit)]
         self._rows.append(_Row(scene.name, protocol, {"": own}, []))
 
     def add_map(self, result: MapResult, path: Path, estimate: Any, truth: Any, *_: Any) -> None:
@@ -76,10 +72,14 @@ class ContactSheet:
         row = self._rows[-1]
         row.results.append(result)
         self._runs.add(result.run)
-        maps = [row.protocol.values(estimate, truth)] if len(row.pictures[""]) > 1 else []
-        errors = picture(row.protocol, estimate, truth)
-        row.pictures[result.run] = [_small(map_picture(values, *self._ends)) for values in maps]
-        row.pictures[result.run] += [] if errors is None else [_small(errors)]
+        pictures = row.pictures[result.run] = []
+        if len(row.pictures[""]) > 1:
+            pictures.append(self._map(row.protocol.values(estimate, truth)))
+        if (errors := picture(row.protocol, estimate, truth)) is not None:
+            pictures.append(_small(errors))
+
+    def _map(self, values: NDArray[np.floating[Any]]) -> Picture:
+        return _small(draw(View(values, scale=self._ends), "values"))
 
     def _choose(self) -> None:
         """Keep the scenes that differ most so far, in this order."""
@@ -91,10 +91,11 @@ class ContactSheet:
         """Write the sheet as PNG, if there is something to show."""
         self._choose()
         runs = report.runs[:_MAX_RUNS]
-        rows = [row for row in self._rows if any(run in row.pictures for run in runs)]
+        rows = [row for row in self._rows if row.pictures.keys() & runs]
         if not rows:
             return
-        columns = ["", *(run for run in runs if any(run in row.pictures for row in rows))]
+        present = set[str]().union(*(row.pictures for row in rows))
+        columns = [run for run in ("", *runs) if run in present]
         heights = [max(sum(len(each) + _GAP for each in row.pictures.get(run, ())) for run in columns) for row in rows]
         width = _GAP + len(columns) * (_WIDTH + _GAP)
         words = rows[0].protocol.presentation
@@ -119,13 +120,13 @@ class ContactSheet:
         for text, color in kinds:
             _swatch(sheet, text, (_GAP, top), color)
             top += _LINE
-        write_png(self._path, sheet)
+        write_png(self.folder / self.file, sheet)
 
 
 def _bar(low: float, high: float, unit: str) -> Picture:
     """Return the scale of the maps' colors with its ends, and the color of no value."""
     bar = np.full((2 * _LINE, _WIDTH, 3), 255, np.uint8)
-    bar[2:12] = map_picture(np.linspace(low, high, _WIDTH)[None], low, high)
+    bar[2:12] = draw(View(np.linspace(low, high, _WIDTH)[None], scale=(low, high)), "values")
     draw_text(bar, f"{low:.4g} to {high:.4g} {unit}", (0, _LINE), _INK)
     _swatch(bar, "no value", (_WIDTH - 100, _LINE // 2), NO_VALUE)
     return bar

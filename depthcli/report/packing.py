@@ -104,8 +104,8 @@ def jpeg(picture: NDArray[np.uint8]) -> str:
 
 
 def png(picture: NDArray[np.uint8]) -> str:
-    """Return an (H, W, 3) RGB picture as the data URI of a PNG."""
-    code = cv2.imencode(".png", picture[..., ::-1])[1]
+    """Return an (H, W, 3) RGB picture, or (H, W) grey levels, as the data URI of a PNG of three channels."""
+    code = cv2.imencode(".png", picture[..., ::-1] if picture.ndim == 3 else np.dstack([picture] * 3))[1]
     return f"data:image/png;base64,{base64.b64encode(code.tobytes()).decode('ascii')}"
 
 

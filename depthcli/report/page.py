@@ -16,21 +16,23 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.text import printable, without_secrets
-from depthcli.evaluation import tables
 from depthcli.evaluation.bounds import COVERAGE
-from depthcli.evaluation.columns import heading_help
 from depthcli.evaluation.comparison import EvaluationReport, Section
-from depthcli.evaluation.plots import plots
-from depthcli.evaluation.protocols import AnyProtocol, error_scales
-from depthcli.evaluation.render import Number
+from depthcli.evaluation.evaluate import Viewer
+from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.files import write_text
-from depthcli.io.formats.pictures import NO_VALUE, map_colors
 from depthcli.io.scenes import Scene
+from depthcli.report import tables
 from depthcli.report.packing import script_json
+from depthcli.report.plots import plots
 from depthcli.report.scene_view import SceneView, view_with_truth
+from depthcli.report.terms import heading_help
 from depthcli.report.without_truth import RunWithoutTruth, scenes_without_truth
 from depthcli.run.flags import Flags
+from depthcli.show.draw import error_scales, map_colors
+from depthcli.show.table import Number
+from depthcli.show.view import NO_VALUE
 
 _ASSETS = "assets"  # folder of the pictures that do not fit into the page
 _BUDGET = 50_000_000  # size of the scenes' pictures in the page, bytes: browsers open such a file within seconds
@@ -38,8 +40,8 @@ _MAX_CONFIG = 100_000  # characters of a config that are shown
 _MAX_CELLS = 40_000  # of the tables of one section; more make the page slow
 
 
-class Page:
-    """``report.html``: a ``Viewer`` of the scenes of an evaluation, and of a run's scenes without truth.
+class Page(Viewer):
+    """``report.html``: the scenes of an evaluation, and of a run's scenes without truth.
 
     The pictures of every scene are written to the folder ``assets`` when it is complete, so that few are in memory at a
     time, and embedded at the end; the folder stays where the page would become larger than ``budget``.
@@ -56,10 +58,6 @@ class Page:
         self.command, self.budget, self.run = command, budget, run
         self._views: list[SceneView] = []  # of complete scenes
         self._scene: SceneView | None = None
-
-    def begin(self, folder: Path) -> None:
-        """Begin a page in ``folder``."""
-        self.folder = folder
 
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
         """Begin a scene, to which the maps that follow belong."""

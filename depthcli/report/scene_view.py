@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,30 +19,23 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.text import side_and_distance
 from depthcli.evaluation.map_files import PROBABILITY
-from depthcli.evaluation.protocols import (
-    UNKNOWN,
-    AnyProtocol,
-    ShownMap,
-    SliceAxis,
-    error_scales,
-    pixel_kinds,
-    shown_pixels,
-)
+from depthcli.evaluation.protocols import AnyProtocol, ShownMap, shown_pixels
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.pictures import (
-    NO_VALUE,
-    Palette,
-    bound_picture,
-    bound_range,
-    confidence_picture,
-    map_picture,
-    read_status,
-    status_color,
-    status_words,
-    step_of,
-)
+from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import Scene
 from depthcli.report.packing import PackedScene, jpeg, pack, pack_bytes, png
+from depthcli.show.draw import draw
+from depthcli.show.view import (
+    HIDDEN_RIGHT,
+    Palette,
+    Picture,
+    Range,
+    View,
+    bound_range,
+    pixel_kinds,
+    status_colors,
+    status_words,
+)
 
 _CONFIDENCE_LEVELS = 4096  # of a packed confidence; noise below them would only fill the page
 _MAX_THUMB = 240  # pixels of a small picture's longer side
@@ -55,9 +48,7 @@ _MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps
 
 _EXPECTED_WRONG = "expected wrong: mean probability of an error above the run's limit (--within)"
 
-Picture = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
-Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -89,24 +80,6 @@ def slices(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Slice]
     return made
 
 
-class _Errors(NamedTuple):
-    """Data of the small picture of a run's errors, which is drawn once their scale is known."""
-
-    kind: Picture  # of pixel
-    error: NDArray[np.floating[Any]]
-    high: float  # 90 % quantile over wrong pixels, NaN: there are none
-
-
-class ShownTruth(NamedTuple):
-    """What is known of a scene, in the shape of its maps, and the scale of their colors."""
-
-    known: Mask  # pixels with known truth
-    hidden: Mask  # the occluded ones among them
-    values: NDArray[Any] | None  # NaN where the truth is not known; None: everywhere
-    axes: tuple[SliceAxis, ...]  # of a volume
-    scale: Range  # lowest and highest value of the colors
-
-
 class SceneView:
     """One scene, filled run by run.
 
@@ -135,14 +108,13 @@ class SceneView:
     packed : the data in a file, where they are once the view is closed
     """
 
-    def __init__(self, scene: Scene, protocol: AnyProtocol, truth: ShownTruth, palette: Palette | None = None) -> None:
-        known, hidden, true, axes, (low, high) = truth
-        self.scene, self.protocol, self.known, self.hidden = scene, protocol, known, hidden
-        self.name, shown = scene.name, protocol.presentation
-        self.palette = shown.palette if palette is None else palette
-        self.image = shown.image(scene)  # (H, W, 3) RGB or (Z, Y, X) grey levels, or None
-        sensor = shown.sensor(scene)  # a map of the scene's shape, or None
-        sensor = None if sensor is None or sensor.shape != known.shape else sensor
+    def __init__(self, scene: Scene, protocol: AnyProtocol, base: View, palette: Palette | None = None) -> None:
+        self.scene, self.protocol, self.base = scene, protocol, base
+        self.name, words, (low, high) = scene.name, protocol.presentation, base.scale
+        self.palette = words.palette if palette is None else palette
+        self.image = words.image(scene)  # (H, W, 3) RGB or (Z, Y, X) grey levels, or None
+        sensor = words.sensor(scene)  # a map of the scene's shape, or None
+        sensor = None if sensor is None or sensor.shape != base.values.shape else sensor
         self.thumbs: dict[str, dict[str, str]] = {}
         self.figures: dict[str, float] = {}
         self.mean_confidence: dict[str, float] = {}
@@ -151,48 +123,54 @@ class SceneView:
         self.sheet: str | None = None
         self.packed: PackedScene
         self.bound: Range | None = None
-        self._errors: dict[str, _Errors] = {}
-        self._bounds: dict[str, NDArray[np.floating[Any]]] = {}  # run -> small one, drawn once their scale is known
-        self._cuts = slices(known.shape)
+        self._drawn: dict[str, dict[str, tuple[str, View]]] = {}  # run -> title of a small picture -> of which view
+        self._highs: list[float] = []  # 90 % quantiles of the errors of wrong pixels
+        self._cuts = slices(base.values.shape)
         # The first view is of the first axis the slice with most known pixels, of such ones the most central.
         first = [number for number, cut in enumerate(self._cuts) if cut.axis == self._cuts[0].axis]
-        n_known = {n: int(np.count_nonzero(known[self._cuts[n].index])) for n in first}
+        region = np.zeros(base.values.shape, np.uint8) if base.kinds is None else base.kinds
+        n_known = {n: int(np.count_nonzero(region[self._cuts[n].index])) for n in first}
         middle = self._cuts[0].n_places // 2
         start = max(first, key=lambda n: (n_known[n], -abs(self._cuts[n].place - middle)))
         self._start = self._cuts[start]
         self.scale, self.top = (f"{low:.4g}", f"{high:.4g}"), ""
         self.data: dict[str, Any] = {
-            "name": self.name, "protocol": protocol.name, "quantity": shown.quantity, "unit": shown.unit, "low": low,
-            "high": high, "hidden": bool(hidden.any()), "status": {}, "views": [], "words": shown.pixel_kind_names,
-            "opacity": shown.opacity, "start": start,
+            "name": self.name, "protocol": protocol.name, "quantity": words.quantity, "unit": words.unit, "low": low,
+            "high": high, "hidden": bool((region == HIDDEN_RIGHT).any()), "status": {}, "views": [],
+            "words": words.pixel_kind_names, "opacity": words.opacity, "start": start,
         }  # fmt: skip
+        true = None if base.kinds is None else base.values
         for cut in self._cuts:
-            plane = known[cut.index]
-            name = plane_name = ""
-            rows, columns = [axis for k, axis in enumerate(axes) if k != cut.axis] or (None, None)
-            if cut.axis >= 0:
-                plane_name, name = f"axis {cut.axis}", f"{cut.place + 1} of {cut.n_places}"
-            if axes:
-                axis = axes[cut.axis]
-                place = side_and_distance(axis.ends, axis.first + axis.step * cut.place)
-                plane_name, name = axis.plane, f"{axis.plane}, {place}, {name}"
+            plane = region[cut.index]
             picture = self._image_of(cut)
             self.data["views"].append({
-                "name": name, "axis": cut.axis, "plane": plane_name, "axes": [columns, rows],
-                "tall": abs(rows.step / columns.step) if rows and columns else 1.0,
-                "width": plane.shape[1], "height": plane.shape[0], "factor": 1,
+                **self._place(cut), "width": plane.shape[1], "height": plane.shape[0], "factor": 1,
                 "image": None if picture is None else jpeg(picture),
                 "sensor": None if sensor is None else pack(sensor[cut.index], *range_of(sensor)),
                 "truth": None if true is None else pack(true[cut.index], *_with_margin(low, high)),
-                "region": pack_bytes(plane + 2 * hidden[cut.index].astype(np.uint8)), "runs": {},
+                "region": None if true is None else pack_bytes(plane), "runs": {},
             })  # fmt: skip
         if self.image is not None:
             flat = self.image if self._start.axis < 0 else np.stack([self.image[self._start.index]] * 3, axis=-1)
-            step = _step(flat.shape[:2])
-            self.thumbs[""] = {"image": jpeg(_shrunk(flat, flat.shape[1] // step, flat.shape[0] // step))}
-        for kind, plane in (("sensor", sensor), ("truth", true)):
-            if plane is not None:
-                self.thumbs.setdefault("", {})[kind] = self._map_thumb(plane[self._start.index])
+            height, width = flat.shape[:2]
+            step = _step(width, height)
+            self.thumbs[""] = {"image": jpeg(_shrunk(flat, width // step, height // step))}
+        for kind, values in (("sensor", sensor), ("truth", true)):
+            if values is not None:
+                self.thumbs.setdefault("", {})[kind] = png(draw(self._small(View(values)), "values"))
+
+    def _place(self, cut: Slice) -> dict[str, Any]:
+        """Return the names of a cut, of its axes, and how tall its pixels are."""
+        axes = self.base.axes
+        rows, columns = [axis for k, axis in enumerate(axes) if k != cut.axis] or (None, None)
+        plane = f"axis {cut.axis}" if cut.axis >= 0 else ""
+        name = f"{cut.place + 1} of {cut.n_places}" if cut.axis >= 0 else ""
+        if axes:
+            axis = axes[cut.axis]
+            plane, place = axis.plane, side_and_distance(axis.ends, axis.first + axis.step * cut.place)
+            name = f"{plane}, {place}, {name}"
+        tall = abs(rows.step / columns.step) if rows and columns else 1.0
+        return {"name": name, "axis": cut.axis, "plane": plane, "axes": [columns, rows], "tall": tall}
 
     def add(
         self,
@@ -205,27 +183,30 @@ class SceneView:
         bound: NDArray[Any] | None = None,
     ) -> None:
         """Add one run's map, with its status, confidences and bound; ``dense``: shown instead of few points."""
-        protocol, known, cut = self.protocol, self.known, self._start.index
+        protocol, base = self.protocol, self.base
+        assert base.kinds is not None
+        known, hidden = base.kinds > 0, base.kinds == HIDDEN_RIGHT
         on_grid: Any = protocol.presentation.on_grid
         error = np.where(known, on_grid(protocol.error(estimate, truth), truth), np.nan)
         wrong = on_grid(protocol.wrong(estimate, truth), truth) & known
         values, true = (on_grid(each, truth) for each in (protocol.values(estimate, truth), truth.values))
         planes: dict[str, Any] = {name: on_grid(plane, truth) for name, plane in confidences.items()}
-        limits = _with_margin(self.data["low"], self.data["high"])
+        limits = _with_margin(*base.scale)
         if dense is not None and dense.values.shape == known.shape:
-            values, planes, limits = dense.values, dense.confidence, range_of(dense.values)
-            bound = dense.bound
+            values, planes, bound, limits = dense.values, dict(dense.confidence), dense.bound, range_of(dense.values)
         elif bound is not None:
             bound = on_grid(protocol.map_unit * bound.astype(np.float64), truth)
+        bound = bound if bound is not None and bound.shape == known.shape else None
+        shown = View(values, status=self._status(path), confidence=planes, bound=bound, error=error)
         # The script takes the difference of values and truth where that is the error.
         is_difference = np.allclose(error[known], np.abs(values - true)[known], rtol=1e-4, atol=1e-4, equal_nan=True)
-        shown, stored = ShownMap(values, planes, bound), None if is_difference else error
-        self._pack(run, shown, limits, self._status(path), stored, wrong)
-        kind = pixel_kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
+        self._pack(run, shown if not is_difference else replace(shown, error=None), limits, wrong)
+        small = self._small(replace(shown, confidence={}, kinds=pixel_kinds(known, hidden, wrong, np.isnan(error))))
+        self._drawn[run] = {"map": ("values", small), "error": ("error", small)}
+        if bound is not None:
+            self._drawn[run]["bound"] = "bound", small
         worst = error[wrong & ~np.isnan(error)]
-        high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
-        self._errors[run] = _Errors(_small(kind), _small(error[cut]), high)
-        self.thumbs.setdefault(run, {})["map"] = self._map_thumb(values[cut])
+        self._highs.append(float(np.quantile(worst, 0.9)) if worst.size else math.nan)
 
     def add_picture(self, run: str, kind: str, file: Path) -> None:
         """Add a picture of a run's map that is a file, if it can be read."""
@@ -234,110 +215,86 @@ class SceneView:
 
     def add_shown(self, run: str, path: Path, shown: ShownMap) -> None:
         """Add the map of a run without truth: map, status, confidences and bound."""
-        status, words, cut = self._status(path), self.protocol.presentation, self._start.index
-        known = np.isfinite(shown.values)
+        words, known = self.protocol.presentation, np.isfinite(shown.values)
         confidence = {n: plane for n, plane in shown.confidence.items() if plane.shape == known.shape}
-        self._pack(run, replace(shown, confidence=confidence), range_of(shown.values), status)
-        for view in self.data["views"]:
-            view["region"] = None
+        bound = shown.bound if shown.bound is not None and shown.bound.shape == known.shape else None
+        status = self._status(path)
+        view = View(shown.values, status=status, palette=self.palette, confidence=confidence, bound=bound)
+        self._pack(run, view, range_of(shown.values))
         self.note = shown.note
         if PROBABILITY in confidence and known.any():
             self.figures["expected wrong, %"] = 100 * (1 - float(confidence[PROBABILITY][known].mean()))
             self.note = "; ".join(filter(None, (_EXPECTED_WRONG, self.note)))
         self.figures |= shown.figures
         titles = {"confidence": "confidence", PROBABILITY: "probability"}
-        chosen = {titles.get(n, f"confidence {n}"): plane for n, plane in [*confidence.items()][:_MAX_CONFIDENCES]}
-        for said, plane in chosen.items():
-            finite = plane[np.isfinite(plane)]
+        chosen = {titles.get(name, f"confidence {name}"): name for name in [*confidence][:_MAX_CONFIDENCES]}
+        for said, name in chosen.items():
+            finite = confidence[name][np.isfinite(confidence[name])]
             self.mean_confidence[f"{said}, mean"] = float(finite.mean()) if finite.size else np.nan
         self.mean_confidence.pop("probability, mean", None)  # the figure "expected wrong" shows it
         if shown.axes and (preview := _preview(path.with_name("preview.png"))):  # three slices show more than one
             self.sheet, self.thumbs = preview, {}
             return
-        low, high = (_significant(self.data[end], 4) for end in ("low", "high"))
-        thumbs = {f"{words.quantity}, {low:g} to {high:g} {words.unit}": self._map_thumb(shown.values[cut])}
-        if status is not None:
-            table = np.full((256, 3), NO_VALUE, np.uint8)
-            for value, entry in self.data["status"].items():
-                table[int(value)] = entry["color"]
+        low, high = (_significant(end, 4) for end in self.base.scale)
+        small = self._small(view)
+        drawn = {f"{words.quantity}, {low:g} to {high:g} {words.unit}": ("values", small)}
+        if small.bound is not None:
+            drawn["bound"] = "bound", small
+        if small.status is not None:
+            drawn["status"] = "status", small
+            for entry in self.data["status"].values():
                 color = "rgb({},{},{})".format(*entry["color"])
                 if color not in self.legend.values():
                     self.legend[entry["words"].removesuffix(", smoothed")] = color
-            thumbs["status"] = png(table[_small(status[cut])])
-        for said, plane in chosen.items():
-            grey = confidence_picture(_small(plane[cut]))
-            thumbs[f"{said}, dark: unsure"] = png(np.repeat(grey[..., None], 3, axis=2))
-        self.thumbs[run] = thumbs
+        self._drawn[run] = drawn | {f"{said}, dark: unsure": (f"confidence:{n}", small) for said, n in chosen.items()}
 
     def close(self, file: Path) -> None:
-        """Draw the pictures of errors, and move the data from memory to ``file``.
+        """Draw the pictures of the runs, and move the data from memory to ``file``.
 
         The scale of the errors ends at the median of the runs' 90 % quantiles over wrong pixels.
         """
-        highs = [each.high for each in self._errors.values() if not math.isnan(each.high)]
-        self.data["top"] = _significant(float(np.median(highs)) if highs else 1.0, 2) or 1.0
-        self.top = f"{self.data['top']:g}" if self._errors else ""
-        for run, thumbs in self.thumbs.items():
-            first = dict([*thumbs.items()][:1])
-            if run in self._errors:
-                kind, error, _ = self._errors[run]
-                shaded = error_scales()[kind, step_of(error, 0.0, self.data["top"], 64)]
-                first["error"] = self._blended(shaded, kind == UNKNOWN)
-            if run in self._bounds and self.bound is not None:
-                first["bound"] = png(bound_picture(self._bounds[run], *self.bound))
-            self.thumbs[run] = {**first, **thumbs}
+        highs = [high for high in self._highs if not math.isnan(high)]
+        top = self.data["top"] = _significant(float(np.median(highs)) if highs else 1.0, 2) or 1.0
+        self.top = f"{top:g}" if self._highs else ""
+        scales = {"error": (0.0, top), "bound": self.bound}
+        for run, drawn in self._drawn.items():
+            thumbs = {title: png(draw(small, what, scales.get(what))) for title, (what, small) in drawn.items()}
+            self.thumbs[run] = thumbs | self.thumbs.get(run, {})
         self.packed = PackedScene.write(file, self.data | {"bound": self.bound})
-        self._errors, self._bounds, self.image, self.data = {}, {}, None, {}
+        self._drawn, self.image, self.data = {}, None, {}
 
-    def _pack(
-        self,
-        run: str,
-        shown: ShownMap,
-        limits: Range,
-        status: Picture | None,
-        error: NDArray[np.floating[Any]] | None = None,
-        wrong: Mask | None = None,
-    ) -> None:
+    def _pack(self, run: str, view: View, limits: Range, wrong: Mask | None = None) -> None:
         """Pack the maps of a run, cut by cut: values between ``limits``; without truth there is no ``wrong``."""
-        bound, top, wide = shown.bound, range_of(error)[1], 0.0
-        if bound is not None and bound.shape != self.known.shape:
-            bound = None
-        if bound is not None:
-            low, wide = bound_range(bound)
+        top, wide = range_of(view.error)[1], 0.0
+        if view.bound is not None:
+            low, wide = bound_range(view.bound)
             self.bound = (low, wide) if self.bound is None else (min(low, self.bound[0]), max(wide, self.bound[1]))
-            self._bounds[run] = _small(bound[self._start.index])
-        for view, cut in zip(self.data["views"], (each.index for each in self._cuts), strict=True):
-            planes = {}
-            for name, plane in shown.confidence.items():
-                numbers = plane[cut].astype(np.float64)
+        for place, cut in zip(self.data["views"], self._cuts, strict=True):
+            part, planes = view.part(cut.index), {}
+            for name, plane in part.confidence.items():
+                numbers = plane.astype(np.float64)
                 finite = numbers[np.isfinite(numbers)]
                 ends = np.percentile(finite, _QUANTILES).tolist() if finite.size else [0.0, 1.0]
                 planes[name] = {**pack(numbers, *range_of(numbers), _CONFIDENCE_LEVELS), "shown": ends}
-            view["runs"][run] = {
-                "values": pack(shown.values[cut], *limits),
-                "error": None if error is None else pack(error[cut], 0.0, top),
-                "wrong": None if wrong is None else pack_bytes(wrong[cut]),
-                "bound": None if bound is None else pack(bound[cut], 0.0, wide, _CONFIDENCE_LEVELS),
-                "status": None if status is None else pack_bytes(status[cut]),
+            place["runs"][run] = {
+                "values": pack(part.values, *limits),
+                "error": None if part.error is None else pack(part.error, 0.0, top),
+                "wrong": None if wrong is None else pack_bytes(wrong[cut.index]),
+                "bound": None if part.bound is None else pack(part.bound, 0.0, wide, _CONFIDENCE_LEVELS),
+                "status": None if part.status is None else pack_bytes(part.status),
                 "confidence": planes,
             }
 
-    def _map_thumb(self, plane: NDArray[np.floating[Any]]) -> str:
-        small = _small(plane)
-        return self._blended(map_picture(small, self.data["low"], self.data["high"]), np.isnan(small))
-
-    def _blended(self, small: Picture, nothing: Mask) -> str:
-        """Return a small picture over the image of the first cut, which is alone at ``nothing``."""
-        image, opacity = self._image_of(self._start), self.protocol.presentation.opacity
-        if image is not None and opacity < 1:
-            beneath = _small(image)
-            mixed = np.rint(opacity * small + (1 - opacity) * beneath).astype(np.uint8)
-            small = np.where(nothing[..., None], beneath, mixed)
-        return png(small)
+    def _small(self, view: View) -> View:
+        """Return the first cut of a view as its small pictures show it, over the image."""
+        image, step = self._image_of(self._start), _step(*view.values[self._start.index].shape)
+        small = view.part(self._start.index, step)
+        image = None if image is None else image[::step, ::step]
+        return replace(small, scale=self.base.scale, image=image, opacity=self.protocol.presentation.opacity)
 
     def _image_of(self, cut: Slice) -> Picture | None:
         """Return the (H, W, 3) RGB image beneath a cut of the maps, at their size; None if its shape does not fit."""
-        shape = self.known.shape
+        shape = self.base.values.shape
         if self.image is None:
             return None
         if cut.axis >= 0:
@@ -353,24 +310,25 @@ class SceneView:
             status = None if file is None else read_status(file)
         except InputError:  # the map counts, its status is an extra
             return None
-        if status is None or status.shape != self.known.shape:
+        if status is None or status.shape != self.base.values.shape:
             return None
         for value in np.unique(status).tolist():
-            words, color = status_words(value, self.palette), status_color(value, self.palette)
+            words, color = status_words(value, self.palette), status_colors(self.palette)[value].tolist()
             self.data["status"][str(value)] = {"words": words, "color": color}
         return status
 
 
 def view_with_truth(protocol: AnyProtocol, scene: Scene, truth: Any) -> SceneView | None:
     """Return the view of a scene without runs; None if its points are on no grid."""
-    shown = protocol.presentation
-    known, hidden = (shown.on_grid(pixels, truth) for pixels in shown_pixels(protocol, truth))
-    if known is None or hidden is None:
+    words = protocol.presentation
+    known, hidden = (words.on_grid(pixels, truth) for pixels in shown_pixels(protocol, truth))
+    true = words.on_grid(truth.values, truth)
+    if known is None or hidden is None or true is None:
         return None
-    true = shown.on_grid(truth.values, truth)
-    scale = range_of(None if true is None else true[known])
-    true = None if true is None else np.where(known, true, np.nan)
-    return SceneView(scene, protocol, ShownTruth(known, hidden, true, shown.axes(truth), scale))
+    nothing = np.zeros(known.shape, np.bool_)
+    kinds, scale = pixel_kinds(known, hidden, nothing, nothing), range_of(true[known])
+    base = View(np.where(known, true, np.nan), words.unit, scale, axes=words.axes(truth), kinds=kinds)
+    return SceneView(scene, protocol, base)
 
 
 def _with_margin(low: float, high: float) -> Range:
@@ -397,13 +355,9 @@ def _significant(value: float, digits: int) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def _step(shape: tuple[int, ...]) -> int:
-    return max(1, -(-max(shape[:2]) // _MAX_THUMB))
-
-
-def _small(plane: NDArray[Any]) -> NDArray[Any]:
-    step = _step(plane.shape)
-    return plane[::step, ::step]
+def _step(width: int, height: int) -> int:
+    """Return how many pixels of an image one of its small picture stands for."""
+    return max(1, -(-max(width, height) // _MAX_THUMB))
 
 
 def _shrunk(picture: Picture, width: int, height: int) -> Picture:

@@ -8,17 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from depthcli.core.errors import InputError
 from depthcli.evaluation.protocols import AnyProtocol
-from depthcli.evaluation.render import Number, Table, TableColumn
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.formats.pictures import Palette
 from depthcli.io.scenes import Scene
-from depthcli.report.scene_view import SceneView, ShownTruth, scale_of
-from depthcli.run.console import SECONDS, Column
+from depthcli.report.scene_view import SceneView, scale_of
 from depthcli.run.json_csv import Row
+from depthcli.show.table import SECONDS, Column, Number, Table
+from depthcli.show.view import Palette, View
 
 _MAX_SHOWN = 300  # scenes without truth with pictures; more would make the page slow
 _DOUBTS = {"expected_right": -1, "inside_mean": 1, "mean_error": 1, "measured": -1, "density": -1}
@@ -66,33 +63,38 @@ def scenes_without_truth(run: RunWithoutTruth, save: Callable[[SceneView], None]
             reasons[scene.name] = str(error)
         else:
             save(views[scene.name])
-    figures = {name: view.figures | view.mean_confidence for name, view in views.items()}
-    keys = list(dict.fromkeys(key for each in figures.values() for key in each))
+    keys = list(dict.fromkeys(key for view in views.values() for key in view.figures | view.mean_confidence))
     worst = {name: [math.inf if math.isnan(v) else -v for v in view.figures.values()] for name, view in views.items()}
     ordered, left_out = sorted(views, key=lambda name: (worst[name], name)), [scene.name for scene in done[_MAX_SHOWN:]]
     names = [*sorted(reasons), *ordered, *left_out]
     columns = [
-        TableColumn("scene", names),
-        TableColumn("status", [reasons.get(name) or str(rows[name].get("status") or "done") for name in names]),
+        Column("scene", str),
+        Column("status", lambda name: reasons.get(name) or str(rows[name].get("status") or "done")),
     ]
     for key in keys:
-        above = {name: view.above for name, view in views.items() if key in view.figures}
-        cells = [above.get(name, "") + Number(figures.get(name, {}).get(key, math.nan)) for name in names]
-        columns.append(TableColumn(key, cells))
+        columns.append(Column(key, {name: _figure(views.get(name), key) for name in names}.__getitem__))
     for column in (*run.columns, SECONDS):
-        cells = ["-" if name in reasons or not rows[name] else column.text(rows[name]) for name in names]
-        columns.append(TableColumn(column.title, cells))
-    columns = [column for column in columns if any(cell != "-" for cell in column.cells)]
+        cells = {name: "-" if name in reasons or not row else column.cell(row) for name, row in rows.items()}
+        columns.append(Column(column.heading, cells.__getitem__))
+    columns = [column for column in columns if any(column.cell(name) != "-" for name in names)]
     note = "; ".join(dict.fromkeys(view.note for view in views.values() if view.note))
     return ScenesWithoutTruth(
         run.name,
         run.warnings,
-        Table.of_columns("", columns, note),
+        Table("", columns, names, note),
         by=keys[0] if keys else "",
         n_failed=len(reasons),
         n_left_out=len(left_out),
         views=[views[name] for name in ordered],
     )
+
+
+def _figure(view: SceneView | None, key: str) -> str:
+    """Return a figure of a view, or the mean of a confidence; ``-`` if there is none."""
+    if view is None:
+        return "-"
+    figures = view.figures | view.mean_confidence
+    return (view.above if key in view.figures else "") + Number(figures.get(key, math.nan))
 
 
 def _view(run: RunWithoutTruth, scene: Scene) -> SceneView:
@@ -103,8 +105,8 @@ def _view(run: RunWithoutTruth, scene: Scene) -> SceneView:
         raise InputError(f"no map there{protocol.files.searched([scene.name])}")
     with collected_warnings():
         shown = presentation.show(path, scene, protocol.files)
-        nothing, scale = np.zeros(shown.values.shape, np.bool_), presentation.scale or scale_of(shown.values)
-        view = SceneView(scene, protocol, ShownTruth(nothing, nothing, None, shown.axes, scale), run.palette)
+        base = View(shown.values, presentation.unit, presentation.scale or scale_of(shown.values), axes=shown.axes)
+        view = SceneView(scene, protocol, base, run.palette)
         view.add_shown(run.name, path, shown)
         view.above = "> " * (scene.name in run.lower_bounds)
     return view

@@ -1,25 +1,21 @@
-"""Output on the terminal: messages, progress and tables. Data go to stdout, everything else to stderr."""
+"""Output on the terminal: messages and progress. Data go to stdout, everything else to stderr."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import math
 import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any, ClassVar, TextIO
 
 from depthcli.core.errors import IncompleteError
 from depthcli.core.registry import PluginWarning
-from depthcli.core.text import kind_of_warning, one_line, printable, without_file
-from depthcli.run.json_csv import Row
+from depthcli.core.text import kind_of_warning, printable, without_file
 
 _HEARTBEAT = 30.0  # seconds between lines without a terminal
-_MAX_ROWS = 50  # of a table; of longer ones only the failed scenes and a summary are shown
 
 
 def silence_warnings() -> None:
@@ -156,57 +152,3 @@ class WarningCounts:
         for text, count in self._kinds.values():
             if count > 1:
                 self._reporter.info(f"warning: {text} ({count} scenes; -v names each)")
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a command's table: its title, and the function that gives its text for a finished row."""
-
-    title: str
-    text: Callable[[Row], str]
-
-
-def percent(key: str, title: str = "") -> Column:
-    """Return the column of a share, as a percentage, under the name of its key or ``title``."""
-
-    def text(row: Row) -> str:
-        return f"{100 * row[key]:.1f} %" if isinstance(row.get(key), int | float) else "-"
-
-    return Column(title or key.replace("_", " "), text)
-
-
-def number(key: str, form: str, title: str = "") -> Column:
-    """Return the column of a number in a format such as ``{:.2f} px``; its title is the key's, or ``title``."""
-    return Column(title or key.replace("_", " "), lambda row: "-" if row.get(key) is None else form.format(row[key]))
-
-
-SECONDS = Column("seconds", lambda row: f"{s:.2f}" if (s := math.fsum(row.get("seconds", {}).values())) else "-")
-SIZE = Column("size", lambda row: f"{row['width']}x{row['height']}" if "width" in row else "-")
-
-
-def run_table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
-    """Return the table of a run: one line per scene, or for a long run its failed scenes and a summary.
-
-    Columns without a value in any finished scene are left out.
-    """
-    done = [row for row in rows if row["status"] == "done"]
-    columns = [column for column in columns if not done or any(column.text(row) != "-" for row in done)]
-    shown = [row for row in rows if len(rows) <= _MAX_ROWS or row["status"] != "done"]
-    lines = [("scene", "status", *(column.title for column in (*columns, SECONDS)), "memory")]
-    for row in shown:
-        cells = (column.text(row) if row["status"] == "done" else "-" for column in columns)
-        memory = f"{row['peak_memory'] / 2**20:.0f} MiB" if row["peak_memory"] else "-"
-        lines.append((str(row["scene"]), str(row["status"]), *cells, SECONDS.text(row), memory))
-    if len(shown) < len(rows):
-        seconds = sum(sum(row["seconds"].values()) for row in rows)
-        blank = ("-",) * len(columns)
-        lines.append((f"all {len(rows)}", f"{len(rows) - len(shown)} done", *blank, f"{seconds:.2f}", "-"))
-    return aligned(lines)
-
-
-def aligned(lines: Sequence[tuple[str, ...]], n_left: int = 2) -> str:
-    """Return rows of cells as a table whose first columns are aligned left and the others right."""
-    lines = [tuple(map(one_line, line)) for line in lines]
-    sizes = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    rows = ([f"{cell:{'<' if k < n_left else '>'}{sizes[k]}}" for k, cell in enumerate(line)] for line in lines)
-    return "\n".join("  ".join(row).rstrip() for row in rows)

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 from depthcli.core.errors import FLAGGED, SOME_FAILED, ConfigError
 from depthcli.core.text import did_you_mean
-from depthcli.run.console import Reporter, aligned
+from depthcli.run.console import Reporter
+from depthcli.show.table import aligned
 
 _COMPARISONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 _COMPARISONS |= {"=": operator.eq, "!=": operator.ne}
@@ -72,7 +73,7 @@ class Flags(NamedTuple):
         """Return the number of flagged rows and a table of them, for a terminal."""
         names = [name for name in ("scene", "run") if any(getattr(each, name) for each in self.flagged)]
         rows = [(*(getattr(each, name) for name in names), "; ".join(each.reasons)) for each in self.flagged]
-        table = [aligned([(*names, "why"), *rows], n_left=3)] if rows else []
+        table = [aligned([(*names, "why"), *rows], [False] * (len(names) + 1))] if rows else []
         return "\n".join(["", f"flagged: {len(rows) or 'none'} of {self.n_rows}", *table, ""])
 
     def exit_code(self, failed: bool, fail_flagged: bool, all_rows: bool = True) -> int:

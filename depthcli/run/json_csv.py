@@ -1,15 +1,11 @@
-"""Rows and documents as strict JSON and as CSV."""
+"""Rows of reports, and documents as strict JSON."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, TypeAlias
-
-from depthcli.core.text import csv_cell
 
 Row: TypeAlias = dict[str, Any]
 """One row of a report: column -> JSON value."""
@@ -63,25 +59,3 @@ def _finite(value: Any) -> Any:
     if hasattr(value, "item"):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def to_csv(rows: Sequence[Mapping[str, object]]) -> str:
-    """Return rows as CSV with a header; columns are in the order of their first appearance.
-
-    Mappings become ``outer_inner`` columns, lists one text; no text becomes a formula of a spreadsheet.
-    """
-    text, flat = io.StringIO(), [_flat(row) for row in rows]
-    writer = csv.DictWriter(text, list(dict.fromkeys(key for row in flat for key in row)), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({key: csv_cell(value) for key, value in row.items()} for row in flat)
-    return text.getvalue()
-
-
-def _flat(row: Mapping[str, object]) -> dict[str, object]:
-    out: dict[str, object] = {}
-    for key, value in row.items():
-        if isinstance(value, Mapping):
-            out.update({f"{key}_{k}": v for k, v in value.items()})
-        else:
-            out[key] = "; ".join(map(str, value)) if isinstance(value, list) else value
-    return out

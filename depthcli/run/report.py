@@ -9,8 +9,9 @@ from typing import Any
 
 from depthcli.io.formats.files import write_text
 from depthcli.run.folder import REPORT_FILES
-from depthcli.run.json_csv import Row, to_csv, to_json, to_json_line
+from depthcli.run.json_csv import Row, to_json, to_json_line
 from depthcli.run.records import read_json, records_below
+from depthcli.show.table import to_csv
 
 
 def write_report(folder: Path, command: str, run: str) -> list[Row]:

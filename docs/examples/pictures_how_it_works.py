@@ -11,7 +11,8 @@ import SimpleITK
 from pictures import command, maps, panels, picture, read, sample, scene
 
 import depthcli
-from depthcli.io.formats.pictures import bound_picture, bound_range, draw_text, preview, with_bound
+from depthcli.show.draw import draw, draw_text
+from depthcli.show.view import View, bound_range
 
 PLANES, FOREGROUND = ("--kind", "planes"), ("--kind", "foreground")
 OTHER_LIGHT = (*PLANES, "--radiometric", "0.3")
@@ -181,9 +182,10 @@ def bound() -> Any:
     """A map and its bound, as in preview.png, and the true error in the bound's colors."""
     left, right, truth, _ = scene("--kind", "repetitive")
     found = depthcli.stereo(left, right, N_DISPARITIES, "accurate", bound=True)
-    sheet = with_bound(preview(found.values, N_DISPARITIES), found.bound, "px")
+    sheet = draw(View(found.values, "px", (0, N_DISPARITIES), bound=found.bound), "preview")
     error = np.full((len(sheet), truth.shape[1] + 8, 3), 255, np.uint8)
-    error[: len(truth), 8:] = bound_picture(np.abs(found.values - truth), *bound_range(found.bound))
+    errors = np.abs(found.values - truth)
+    error[: len(truth), 8:] = draw(View(errors, bound=errors), "bound", bound_range(found.bound))
     draw_text(sheet, "map", (0, len(truth) + 10), (0, 0, 0))
     draw_text(error, "true error, same colors", (8, len(truth) + 10), (0, 0, 0))
     return np.concatenate([sheet, error], axis=1)

@@ -28,7 +28,7 @@ from depthcli.core.config_file import load_config
 from depthcli.evaluation.sweeps import parse_axes
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.pictures import read_status
+from depthcli.io.formats.status import read_status
 from depthcli.run.presets import find_config
 from tests.command_line import run, wait_for
 

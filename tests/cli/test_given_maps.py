@@ -10,7 +10,7 @@ import depthcli
 from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.pictures import read_status
+from depthcli.io.formats.status import read_status
 from tests.command_line import contents, refused, rows, run
 
 NAMES = ["foreground_0", "planes_0"]

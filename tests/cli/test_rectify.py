@@ -16,7 +16,7 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.calibrations import read_geometry, read_rig
 from depthcli.io.formats.disparity import read_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.pictures import read_status
+from depthcli.io.formats.status import read_status
 from depthcli.methods.stereo.rectification import rectify_uncalibrated
 from depthcli.methods.stereo.view_matching import row_error
 from depthcli.problems import rectified

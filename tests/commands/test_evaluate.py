@@ -19,17 +19,19 @@ from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import Choices, evaluate_runs
-from depthcli.evaluation.protocols import EMPTY, RIGHT, WRONG, Settings, kind_colors
+from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.scores import MapResult, find_score
-from depthcli.evaluation.tables import chosen_text, headline_text, report_tables
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.formats.pictures import NO_VALUE, map_picture
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
+from depthcli.report.document import Document
+from depthcli.report.tables import chosen_text, headline_text, report_tables
 from depthcli.run.records import Record, write_record
+from depthcli.show.draw import draw, kind_colors
+from depthcli.show.view import EMPTY, NO_VALUE, RIGHT, WRONG, View
 from tests.command_line import contents, refused
 from tests.command_line import run as run_command
 from tests.scenes import true
@@ -47,7 +49,7 @@ def evaluated(
 ) -> EvaluationReport:
     scored_by = None if protocol is None else protocols.load(protocol)(settings or Settings())
     found = scenes_with_truth(truth, protocol=scored_by, settings=settings)
-    return evaluate_runs(runs, found, truth, output, Choices(scored_by, settings or Settings()))
+    return evaluate_runs(runs, found, truth, output, Choices(scored_by, settings or Settings(), viewers=[Document()]))
 
 
 @pytest.fixture
@@ -124,7 +126,7 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     colors = kind_colors()
     assert tuple(picture[0, 10]) == tuple(colors[WRONG])
     assert tuple(picture[20, 10]) == tuple(colors[RIGHT])
-    assert tuple(colors[EMPTY]) == NO_VALUE == tuple(map_picture(np.full((1, 1), np.nan), 0, 1)[0, 0])
+    assert tuple(colors[EMPTY]) == NO_VALUE == tuple(draw(View(np.full((1, 1), np.nan)), "values")[0, 0])
 
 
 def test_maps_of_other_programs(tmp_path: Path, truth: Path):
@@ -345,7 +347,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     # Ranks and comparisons are over what both have: a tie.
     (summary, *_) = report_tables(report)
     column = summary.header.index("avg rank")
-    assert [row[column] for row in summary.rows] == ["", "1.5", "", "1.5"]
+    assert [row[column] for row in summary.lines[1:]] == ["", "1.5", "", "1.5"]
     (comparison,) = report.sections[0].ranking.tests.values()
     assert (comparison.scenes, comparison.wins, comparison.losses, comparison.ties) == (1, 0, 0, 1)
 
@@ -536,7 +538,7 @@ def test_no_mean_is_over_several_data_sets(tmp_path: Path, truth: Path):
     runs = [run_of(tmp_path / "x", maps), run_of(tmp_path / "y", {**maps, "two/a": good})]
     report = evaluated(runs, tmp_path / "all", tmp_path / "out")
     (overview,) = [table for table in report_tables(report) if table.name == "overview"]
-    assert [(row[0], *row[4:7], row[-1]) for row in overview.rows] == [
+    assert [(row[0], *row[4:7], row[-1]) for row in overview.lines[1:]] == [
         ("one", "x", "2", "50.00", "best"), ("one", "y", "2", "50.00", "too few scenes"),
         ("two", "y", "1", "0.00", "best"), ("two", "x", "1", "100.00", "too few scenes"),
     ]  # fmt: skip

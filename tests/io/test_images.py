@@ -18,22 +18,8 @@ from depthcli.io.formats import images
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import PARTIAL_SUFFIX, atomic_path, collected_warnings, write_text
 from depthcli.io.formats.images import image_size, read_grey, read_image, read_pair, sample_bits, write_png
-from depthcli.io.formats.pictures import (
-    DEPTH_STATUS_PALETTE,
-    NO_VALUE,
-    STATUS_PALETTE,
-    bound_range,
-    confidence_picture,
-    map_colors,
-    preview,
-    preview_depth,
-    read_status,
-    status_color,
-    status_words,
-    with_bound,
-    write_legend,
-    write_status,
-)
+from depthcli.io.formats.status import read_status, write_legend, write_status
+from depthcli.show.view import DEPTH_STATUS_PALETTE, STATUS_PALETTE, status_colors, status_words
 from tests.command_line import refused
 
 
@@ -284,7 +270,7 @@ def test_bits_survive_and_are_in_color(tmp_path: Path, palette, flag):
     np.testing.assert_array_equal(read_status(tmp_path / "status.png"), bits)
     seen = read_image(tmp_path / "status.png")
     np.testing.assert_array_equal(seen[bits == 0][0], palette[0][1])
-    np.testing.assert_array_equal(seen[bits == 17][0], status_color(17, palette))
+    np.testing.assert_array_equal(seen[bits == 17][0], status_colors(palette)[17])
     assert all(bit in palette for bit in [0, *map(int, flag)])
     with pytest.raises(ValueError, match="uint8"):
         write_status(tmp_path / "status.png", bits.astype(int), palette)
@@ -305,11 +291,11 @@ def test_few_and_many_values_keep_their_numbers(tmp_path: Path):
 
 @PALETTES
 def test_single_bits_differ_clearly_and_combinations_at_all(palette, flag):
-    one = [np.array(status_color(int(bit), palette), float) for bit in [0, *flag]]
+    one = [status_colors(palette)[int(bit)].astype(float) for bit in [0, *flag]]
     assert min(np.abs(a - b).sum() for a, b in itertools.combinations(one, 2)) > 60
     # That a value was smoothed as well is not shown beside anything else.
     told_apart = {value if value == int(Status.SMOOTHED) else value & ~int(Status.SMOOTHED) for value in OCCURRING}
-    assert len({status_color(value, palette) for value in OCCURRING}) >= len(told_apart) - 2
+    assert len({tuple(status_colors(palette)[value]) for value in OCCURRING}) >= len(told_apart) - 2
 
 
 def test_words(tmp_path: Path):
@@ -321,42 +307,5 @@ def test_words(tmp_path: Path):
     legend = read_image(tmp_path / "legend.png")
     assert legend.shape[0] < read_image(tmp_path / "all.png").shape[0]
     for row, value in enumerate((0, 17)):
-        np.testing.assert_array_equal(legend[8 + 26 * row + 12, 20], status_color(value, STATUS_PALETTE))
+        np.testing.assert_array_equal(legend[8 + 26 * row + 12, 20], status_colors(STATUS_PALETTE)[value])
     assert (legend[:, 60:] < 100).any()  # words
-
-
-def test_confidence_is_spread_robustly():
-    values = np.linspace(-2, 3, 1000, dtype=np.float32).reshape(20, 50)
-    values[0, 0], values[0, 1], values[0, 2] = np.nan, np.inf, -np.inf
-    picture = confidence_picture(values)
-    assert picture[0, 0] == 0 and picture[0, 1] == 255 and picture[0, 2] == 0
-    assert picture[10, 0] in (127, 128)
-    assert np.all(np.diff(picture.ravel()[3:].astype(int)) >= 0)
-    assert confidence_picture(np.full((2, 2), 7.0)).tolist() == [[255, 255]] * 2
-    assert confidence_picture(np.full((2, 2), np.nan)).tolist() == [[0, 0]] * 2
-
-
-def test_previews():
-    near, far = preview_depth(np.array([[1, 2, 4, np.nan, 0]], np.float32))[0, [0, 2]].astype(int)
-    assert near[0] > near[2] and far[2] > far[0]
-    assert preview_depth(np.full((1, 2), np.nan, np.float32)).max() == 0
-    picture = preview(np.array([[0, 5, 10, np.nan]], np.float32), 10)
-    assert picture.dtype == np.uint8 and picture.shape == (1, 4, 3)
-    assert picture[0, 3].tolist() == [0, 0, 0]
-    assert len({tuple(color) for color in picture[0].tolist()}) == 4
-
-
-def test_bounds_lie_beside_their_map_over_a_bar_of_their_colors():
-    shown = np.zeros((30, 200, 3), np.uint8)
-    bound = np.geomspace(0.1, 10, shown[..., 0].size).reshape(shown.shape[:2])
-    bound[0, 0], bound[0, 1], bound[0, 2] = np.nan, np.inf, 0
-    picture = with_bound(shown, bound, "px")
-    assert (picture[:30, :200] == 0).all() and picture[:30, 208:].any()
-    assert [tuple(picture[0, 208 + x]) for x in range(3)] == [NO_VALUE, *map(tuple, map_colors()[[-1, 0]])]
-    bar = [row for row in picture[30:, 208:] if np.array_equal(row[[0, -1]], map_colors()[[0, -1]])]
-    assert len(bar) > 8
-    low, high = bound_range(bound)
-    assert 0.1 <= low < 0.2 and 8 < high <= 10
-    for unusual in ([np.nan, np.nan], [np.inf, 0], [3, 3]):
-        assert 0 < bound_range(np.array(unusual))[0] < bound_range(np.array(unusual))[1]
-        assert with_bound(shown[:1, :2], np.array([unusual]), "m").shape[1:] == (12, 3)

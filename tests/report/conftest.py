@@ -10,7 +10,8 @@ from depthcli.cli import main
 from depthcli.core.maps import Status
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.formats.pictures import STATUS_PALETTE, write_status
+from depthcli.io.formats.status import write_status
+from depthcli.show.view import STATUS_PALETTE
 
 SHAPE = (36, 48)
 ODD = """<script>alert("1")<&'x"""

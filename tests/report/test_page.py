@@ -19,7 +19,6 @@ from depthcli.cli import main
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import Choices, evaluate_runs
-from depthcli.evaluation.protocols import WRONG, kind_colors
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
@@ -27,7 +26,6 @@ from depthcli.evaluation.scores import MapResult
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.pictures import map_colors
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.volume_pairs import RegistrationTruth
@@ -35,6 +33,8 @@ from depthcli.report.contact_sheet import ContactSheet
 from depthcli.report.packing import pack, pack_bytes, thinned, unpack
 from depthcli.report.page import Page
 from depthcli.report.scene_view import slices
+from depthcli.show.draw import kind_colors, map_colors
+from depthcli.show.view import WRONG
 from tests.report.conftest import ODD, SHAPE
 
 

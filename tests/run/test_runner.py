@@ -24,12 +24,13 @@ from depthcli.core.result import Clock
 from depthcli.io.formats.files import atomic_path
 from depthcli.io.scenes import Scene
 from depthcli.run import records, workers
-from depthcli.run.console import Column, Reporter, run_table
+from depthcli.run.console import Reporter
 from depthcli.run.job import Execution, Job, Outcome
 from depthcli.run.records import RECORD_FILE, discard, hidden_folder
 from depthcli.run.report import read_report
 from depthcli.run.runner import run_scenes
 from depthcli.run.workers import Task, Work, compute_scene
+from depthcli.show.table import Column, run_table
 from tests.command_line import refused
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,78 +26,37 @@ from depthcli.core.frames import color8
 from depthcli.core.registry import Registry, registered_name
 from depthcli.evaluation.curves import ConfidenceCurve, is_probability, reliability, sparsifications
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.render import Table
 from depthcli.evaluation.scores import MapResult, Metric, Score, mean_of_scenes, pooled
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.pictures import Palette
 from depthcli.io.scenes import Scene
-
-UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
-"""Kinds of pixel; ``HIDDEN``: occluded in the other view, ``EMPTY``: without a value."""
-
-# Name of every kind's color, and the colors of a small and of a large error; the darker, the worse. Blue and orange
-# stay apart for every kind of color blindness, purple is apart from both by lightness, too.
-_COLORS = (
-    ("white", "#ffffff", "#ffffff"), ("blue", "#c6dff2", "#2f7ab8"), ("orange", "#f5b13d", "#8a3000"),
-    ("grey", "#dcdcdc", "#9b9b9b"), ("purple", "#dba2cf", "#5c1f57"), ("black", "#000000", "#000000"),
-)  # fmt: skip
-_N_SHADES = 64
-_SHADE = 16  # of these, that stands for a kind of pixel whatever its error
+from depthcli.show.draw import KIND_COLORS, draw
+from depthcli.show.table import Table
+from depthcli.show.view import Palette, Picture, SliceAxis, View, pixel_kinds
 
 
-@cache
-def error_scales() -> NDArray[np.uint8]:
-    """Return (6, 64, 3) RGB by kind of pixel and size of the error, as the page's script indexes them, too."""
-    share = np.linspace(0, 1, _N_SHADES)[:, None]
-    ends = [[np.array([int(end[k : k + 2], 16) for k in (1, 3, 5)]) for end in ends] for _, *ends in _COLORS]
-    return np.stack([np.rint(first + share * (last - first)) for first, last in ends]).astype(np.uint8)
-
-
-def kind_colors() -> NDArray[np.uint8]:
-    """Return (6, 3) RGB of the kinds of pixel in pictures that do not show how large an error is."""
-    return error_scales()[:, _SHADE]
-
-
-class SliceAxis(NamedTuple):
-    """An axis of a volume that is shown."""
-
-    plane: str  # name of the slices across it
-    ends: str  # letters of the sides where its first and its last voxel is
-    first: float  # where the first voxel is, mm; positive towards the first side
-    step: float  # how much further the next one is, mm
-
-
-@dataclass(frozen=True)
-class ShownMap:
+@dataclass(frozen=True, eq=False)
+class ShownMap(View):
     """A run's map as it is shown, read without a look at any truth."""
 
-    values: NDArray[np.floating[Any]]  # (H, W), or (Z, Y, X) of a volume, in the presentation's unit; NaN = none
-    confidence: dict[str, NDArray[Any]] = field(default_factory=dict)  # name -> array of that shape, higher is surer
-    bound: NDArray[np.floating[Any]] | None = None  # of the error, of that shape and unit, NaN = none; or None
-    axes: tuple[SliceAxis, ...] = ()  # of a volume; empty: it is an image
     # Heading with unit -> number, by which scenes are ordered: larger is worse, the first counts most.
     figures: dict[str, float] = field(default_factory=dict)
     note: str = ""  # explanation of the figures
 
 
-def planes_beside(path: Path, files: MapFiles) -> dict[str, NDArray[Any]]:
-    """Return name -> confidence or probability in the folder of a map, without those that cannot be read."""
-    found = {}
+def beside(
+    path: Path, files: MapFiles, unit: float = 1.0, read: Callable[[Path], NDArray[Any]] = read_plane
+) -> dict[str, Any]:
+    """Return ``confidence`` and ``bound``, times ``unit``, in the folder of a map, as far as they can be read."""
+    confidence: dict[str, NDArray[Any]] = {}
     for name, file in files.planes(path).items():
         with contextlib.suppress(InputError):
-            found[name] = read_plane(file)
-    return found
-
-
-def bound_beside(
-    path: Path, files: MapFiles, unit: float = 1.0, read: Callable[[Path], NDArray[Any]] = read_plane
-) -> NDArray[np.float64] | None:
-    """Return the bound in the folder of a map, times ``unit``; None if there is none, or it cannot be read."""
-    file = files.companion(path, "bound")
+            confidence[name] = read(file)
+    bound = None
     with contextlib.suppress(InputError):
-        return None if file is None else unit * read(file).astype(np.float64)
-    return None
+        if (file_of_bound := files.companion(path, "bound")) is not None:
+            bound = unit * read(file_of_bound).astype(np.float64)
+    return {"confidence": confidence, "bound": bound}
 
 
 def _first_image(scene: Scene) -> NDArray[np.uint8] | None:
@@ -129,7 +88,7 @@ class Presentation:
     scale: tuple[float, float] | None = None  # of the colors if no truth is known; None: by the map
     # Returns one run's map as it is shown if no truth is known; InputError if it cannot be read.
     show: Callable[[Path, Scene, MapFiles], ShownMap] = lambda path, _, files: ShownMap(
-        read_plane(path), planes_beside(path, files), bound_beside(path, files)
+        read_plane(path), **beside(path, files)
     )
     # Returns the picture beneath maps: (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey levels of a volume; or None.
     image: Callable[[Scene], NDArray[np.uint8] | None] = _first_image
@@ -152,7 +111,7 @@ class Presentation:
     @property
     def legend(self) -> str:
         """Colors of the error pictures in words."""
-        words = [f"{color}: {kind}" for (color, *_), kind in zip(_COLORS, self.pixel_kind_names, strict=True)]
+        words = [f"{color}: {kind}" for (color, *_), kind in zip(KIND_COLORS, self.pixel_kind_names, strict=True)]
         return "; ".join(words[1:] + words[:1])
 
 
@@ -329,30 +288,18 @@ def shown_pixels(protocol: AnyProtocol, truth: Truth) -> tuple[NDArray[np.bool_]
     return known, np.zeros_like(known) if visible is None else known & ~visible
 
 
-def pixel_kinds(
-    known: NDArray[np.bool_], hidden: NDArray[np.bool_], wrong: NDArray[np.bool_], missing: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
-    """Return the kind of every pixel, ``UNKNOWN`` to ``EMPTY``, as uint8.
-
-    ``known`` are those whose truth is known and counts, ``hidden`` those occluded in the other view.
-    """
-    kind = np.where(wrong, np.where(hidden, HIDDEN_WRONG, WRONG), np.where(hidden, HIDDEN_RIGHT, RIGHT))
-    return np.where(known, np.where(missing, EMPTY, kind), UNKNOWN).astype(np.uint8)
-
-
 def picture(
     protocol: AnyProtocol, estimate: Any, truth: Truth, wrong: NDArray[np.bool_] | None = None
-) -> NDArray[np.uint8] | None:
+) -> Picture | None:
     """Return the (H, W, 3) RGB error picture, in the colors of the legend; None if the presentation has none.
 
     ``wrong``: the wrong pixels; None: by the headline.
     """
     if not protocol.presentation.error_pictures:
         return None
-    missing = np.isnan(protocol.error(estimate, truth))
+    error = protocol.error(estimate, truth)
     wrong = protocol.wrong(estimate, truth) if wrong is None else wrong
-    kinds = pixel_kinds(*shown_pixels(protocol, truth), wrong, missing)
-    return kind_colors()[kinds]
+    return draw(View(error, kinds=pixel_kinds(*shown_pixels(protocol, truth), wrong, np.isnan(error))), "error")
 
 
 _REGISTRY = Registry[AnyProtocol](__name__)

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
 from depthcli.evaluation.map_files import DisparityFiles, MapFiles
-from depthcli.evaluation.protocols import Presentation, Protocol, Settings, ShownMap, bound_beside, planes_beside
+from depthcli.evaluation.protocols import Presentation, Protocol, Settings, ShownMap, beside
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally, in_order
 from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
 from depthcli.io.formats.files import shown, warn
-from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
+from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.stereo_pairs import StereoTruth, true_disparity
+from depthcli.show.view import STATUS_PALETTE
 
 Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]
@@ -41,7 +42,7 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     if file is not None:
         rejected = (read_status(file) & int(Status.OCCLUDED | Status.MISMATCH)) != 0
         figures["left-right inconsistent, %"] = 100.0 * float(rejected.mean())
-    return ShownMap(values, planes_beside(path, files), bound_beside(path, files), figures=figures, note=_INCONSISTENT)
+    return ShownMap(values, figures=figures, note=_INCONSISTENT, **beside(path, files))
 
 
 PRESENTATION = Presentation(

@@ -15,15 +15,15 @@ from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.core.maps import DepthStatus
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, bound_beside, planes_beside
+from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, beside
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import collected_warnings, warn
 from depthcli.io.formats.map_format import map_formats
-from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes import RgbdScene, Scene
+from depthcli.show.view import DEPTH_STATUS_PALETTE
 
 Depth = NDArray[np.float32]
 
@@ -60,7 +60,7 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
     values = 1000.0 * read_depth(path, scale).astype(np.float64)
     figures = {"no value, %": 100.0 * float(np.isnan(values).mean())}
-    return ShownMap(values, planes_beside(path, files), bound_beside(path, files, 1000.0), figures=figures)
+    return ShownMap(values, figures=figures, **beside(path, files, 1000.0))
 
 
 def _sensor(scene: Scene) -> NDArray[np.float64] | None:

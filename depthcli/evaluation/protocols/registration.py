@@ -17,13 +17,14 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import ENDS, PLANES, Grid
 from depthcli.evaluation.curves import ConfidenceCurve, sparsification
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, SliceAxis, bound_beside
-from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, beside
 from depthcli.evaluation.scores import MapResult, Metric, Score, percent
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import Scene, VolumePairScene
 from depthcli.io.volume_pairs import RegistrationTruth, true_errors
+from depthcli.show.table import Number, Table
+from depthcli.show.view import SliceAxis
 
 Errors = NDArray[np.float32]
 
@@ -122,12 +123,11 @@ def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     values = np.where(inside, grid.turned(volume.values), np.float32(np.nan))
     known = values[np.isfinite(values)]
     mean, high = (float(known.mean()), float(np.quantile(known, 0.95))) if known.size else (math.nan, math.nan)
-    confidence = {name: _turned(file) for name, file in files.planes(path).items()}
     note = (
         f"{_CAUTION}; in the body: mean over the mask, or over tissue and all that it encloses, and its 95 % quantile"
     )
     figures = {"expected error in the body, mm": mean, "95 % quantile, mm": high}
-    return ShownMap(values, confidence, bound_beside(path, files, read=_turned), _axes(grid), figures, note)
+    return ShownMap(values, axes=_axes(grid), figures=figures, note=note, **beside(path, files, read=_turned))
 
 
 def _tables(run: str, kept: Sequence[tuple[Errors, Errors]]) -> list[Table]:
@@ -145,8 +145,8 @@ def _tables(run: str, kept: Sequence[tuple[Errors, Errors]]) -> list[Table]:
     title = f"{run}: number of points by true class (rows) and expected class (columns)"
     header = ("mean expected error, mm", "mean true error, mm", "points")
     return [
-        Table(title, ("true class", *names), tuple(counts)),
-        Table(f"{run}: expected against true error, in bins of equal size", header, tuple(bins)),
+        Table.of_cells(title, ("true class", *names), tuple(counts)),
+        Table.of_cells(f"{run}: expected against true error, in bins of equal size", header, tuple(bins)),
     ]
 
 

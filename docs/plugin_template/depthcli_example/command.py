@@ -25,8 +25,8 @@ from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.problems.inputs import config_with_options
 from depthcli.problems.problem import SceneJob, Shown
-from depthcli.run.console import SIZE
 from depthcli.run.job import Outcome
+from depthcli.show.table import SIZE
 
 
 class ConstantConfig(RootConfig):

@@ -4,17 +4,17 @@ import csv
 import io
 import math
 import re
+from operator import itemgetter
 
 import pytest
 
-from depthcli.evaluation.render import Number, Table, csv_text
-from depthcli.run.json_csv import to_csv
+from depthcli.show.table import FORMATS, Column, Number, Table, to_csv
 
 NAN = math.nan
 
 
 def column(values: tuple[float, ...], larger: bool | None = False) -> Table:
-    return Table("t", ("c",), tuple((Number(v),) for v in values), better=(larger,))
+    return Table("t", [Column("c", Number, larger)], values)
 
 
 @pytest.mark.parametrize(
@@ -41,10 +41,9 @@ def test_a_number_keeps_its_value():
 
 WIDE = Table(
     "A_b, 50 %",
-    ("run", "s & t", "up"),
+    [Column("run", itemgetter(0)), Column("s & t", itemgetter(1), False), Column("up", itemgetter(2), True)],
     (("x|y_1", Number(1.234), Number(0.5, 1)), ("two", Number(2.0, mark="*"), Number(NAN, 1))),
     "a note",
-    (None, False, True),
 )
 
 
@@ -71,7 +70,7 @@ def test_latex():
 
 
 def test_csv_has_all_digits_and_no_marks():
-    rows = list(csv.reader(io.StringIO(csv_text([WIDE]))))
+    rows = list(csv.reader(io.StringIO(FORMATS["csv"]([WIDE]))))
     assert rows == [
         ["table", "run", "s & t", "up"],
         ["A_b, 50 %", "x|y_1", "1.234", "0.5"],
@@ -80,9 +79,9 @@ def test_csv_has_all_digits_and_no_marks():
 
 
 def test_csv_of_several_tables_has_one_header():
-    first = Table("t1", ("run", "a", "a"), (("x", Number(1.0), Number(2.0)),))
-    second = Table("t2", ("run", "b", "a"), (("y", Number(3.0), Number(4.0)),))
-    assert list(csv.reader(io.StringIO(csv_text([first, second])))) == [
+    first = Table.of_cells("t1", ("run", "a", "a"), (("x", Number(1.0), Number(2.0)),))
+    second = Table.of_cells("t2", ("run", "b", "a"), (("y", Number(3.0), Number(4.0)),))
+    assert list(csv.reader(io.StringIO(FORMATS["csv"]([first, second])))) == [
         ["table", "run", "a", "a", "b"],
         ["t1", "x", "1.0", "2.0", ""],
         ["t2", "y", "4.0", "", "3.0"],
@@ -98,7 +97,9 @@ HOSTILE = (
 @pytest.mark.parametrize("name", HOSTILE)
 def test_names_are_written_as_plain_text(name: str):
     """A name changes neither the number of lines nor of columns, and is no HTML, link, code, command or escape."""
-    plain, odd = (Table(each, ("run", each), ((each, Number(1.0)), ("b", Number(2.0))), each) for each in ("x", name))
+    plain, odd = (
+        Table.of_cells(each, ("run", each), ((each, Number(1.0)), ("b", Number(2.0))), each) for each in ("x", name)
+    )
     for write in (Table.text, Table.markdown, Table.latex):
         text = write(odd)
         assert text.count("\n") == write(plain).count("\n")
@@ -110,15 +111,15 @@ def test_names_are_written_as_plain_text(name: str):
     assert {len(re.findall(r"(?<!\\)&", row)) for row in latex if row.endswith("\\\\")} == {1}
     assert not any(line.startswith("[") for line in latex)
     assert re.findall(r"\\[a-z]+", odd.latex().replace(r"\begin", "").replace(r"\end", "")).count(r"\input") == 0
-    cells = [cell for row in csv.reader(io.StringIO(csv_text([odd]))) for cell in row]
+    cells = [cell for row in csv.reader(io.StringIO(FORMATS["csv"]([odd]))) for cell in row]
     assert all(cell.isprintable() for cell in cells)
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+1+1", "-1+1", "@SUM(A1)", " =1+1", "\t=1+1", '=HYPERLINK("x")'])
 def test_no_cell_is_a_formula(name: str):
-    table = Table(name, ("run", name), ((name, Number(-1.5)), ("-", "-3")))
+    table = Table.of_cells(name, ("run", name), ((name, Number(-1.5)), ("-", "-3")))
     ours = to_csv([{"scene": name, "value": -1.5, "text": "-3", "none": "-"}])
-    for text in (csv_text([table]), ours):
+    for text in (FORMATS["csv"]([table]), ours):
         cells = [cell for row in csv.reader(io.StringIO(text)) for cell in row]
         assert not any(cell.strip().startswith(tuple("=+@")) for cell in cells)
         assert {cell for cell in cells if cell.startswith("-")} == {"-1.5", "-3", "-"}

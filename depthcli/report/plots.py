@@ -54,14 +54,13 @@ def _boxes(section: Section, what: str) -> str:
     key = (section.protocol.headline, section.regions[0])
     values = {run: [section.score(run, scene, key).value for scene in section.scenes] for run in section.runs}
     rows = {run: known for run, row in values.items() if (known := [v for v in row if not math.isnan(v)])}
-    with _figure(height=1.2 + 0.32 * len(rows)) as (axes, out):
+    with _figure(what, height=1.2 + 0.32 * len(rows)) as (axes, out):
         places = range(len(rows), 0, -1)
         style: dict[str, Any] = {"widths": 0.55, "showfliers": False, "medianprops": {"color": "black"}}
         axes.boxplot(list(rows.values()), positions=list(places), orientation="horizontal", **style)
         for i, (place, row) in enumerate(zip(places, rows.values(), strict=True)):
             axes.plot(row, [place] * len(row), **_dot(i, 4) | {"marker": "o"}, alpha=0.7)
         axes.set_yticks(list(places), [_plain(run) for run in rows])
-        axes.set_xlabel(_plain(what))
         axes.set_xlim(left=0)
     return out[0]
 
@@ -71,25 +70,23 @@ def _by_threshold(section: Section, lines: Mapping[str, Sequence[Score]]) -> str
     some = next(iter(lines.values()))[0]
     keys = [(m, region) for m, region in section.keys if m.threshold is not None and region == some.region]
     keys = [key for key in keys if key[0] == replace(some.metric, threshold=key[0].threshold)]
-    with _figure() as (axes, out):
+    y_label = f"{some.metric.name}, {some.metric.unit}, {some.region}"
+    with _figure(section.protocol.presentation.threshold_axis, y_label, len(section.runs)) as (axes, out):
         for i, run in ((i, run) for i, run in enumerate(section.runs) if run in lines):
             points = [(s.metric.threshold, s.value) for s in lines[run] if s.metric.threshold is not None]
             _line(axes, i, run, points, marker="")
             shown = [(key[0].threshold or 0.0, section.score(run, MEAN, key).value) for key in keys]
             dots = [(x, y) for x, y in shown if points and x <= points[-1][0]]
             axes.plot([x for x, _ in dots], [y for _, y in dots], **_dot(i, 4))
-        axes.set_xlabel(_plain(section.protocol.presentation.threshold_axis))
-        axes.set_ylabel(_plain(f"{some.metric.name}, {some.metric.unit}, {some.region}"))
         if not some.metric.larger_is_better:
             axes.set_ylim(bottom=0)
-        _legend(axes, len(section.runs))
     return out[0]
 
 
 def _times(section: Section, what: str) -> str:
     from matplotlib.ticker import LogLocator
 
-    with _figure() as (axes, out):
+    with _figure("seconds a scene", what, len(section.runs)) as (axes, out):
         for i, run in enumerate(section.runs):
             score, seconds = section.overall(run), mean_of_known(r.seconds for r in section.results_of(run))
             if not math.isnan(score.value + seconds):
@@ -101,10 +98,7 @@ def _times(section: Section, what: str) -> str:
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("")
-        axes.set_xlabel("seconds a scene")
-        axes.set_ylabel(_plain(what))
         axes.set_ylim(0, 1.08 * axes.dataLim.ymax if axes.dataLim.ymax > 0 else 1)
-        _legend(axes, len(section.runs))
     return out[0]
 
 
@@ -173,7 +167,7 @@ def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str, any
     title, x_label, y_label : plain text
     any_names : fit the margins to names of any length, which takes twice the time
     """
-    with _figure(fixed=not any_names) as (axes, out):
+    with _figure(x_label, y_label, len(lines), fixed=not any_names) as (axes, out):
         for i, line in enumerate(lines):
             points = list(zip(line.x, line.y, strict=True))
             if line.bound:
@@ -181,10 +175,7 @@ def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str, any
             else:
                 _line(axes, i, line.name, points)
         axes.set_title(_plain(title, 70), fontsize=10, loc="left")
-        axes.set_xlabel(_plain(x_label))
-        axes.set_ylabel(_plain(y_label))
         axes.set_ylim(bottom=0)
-        _legend(axes, len(lines))
     return out[0]
 
 
@@ -205,8 +196,10 @@ def _best(n_curves: int) -> str:
 
 
 @contextmanager
-def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, list[str]]]:
-    """Axes to draw in, and a list that receives the SVG's text; ``fixed``: the margins are."""
+def _figure(
+    x_label: str, y_label: str = "", lines: int = 0, height: float = 3.4, fixed: bool = False
+) -> Iterator[tuple[Axes, list[str]]]:
+    """Axes to draw so many lines in, and a list that receives the SVG's text; ``fixed``: the margins are."""
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -222,7 +215,12 @@ def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, li
         axes = figure.add_subplot()
         axes.grid(color="#e4e4e4")
         axes.set_axisbelow(True)
+        axes.set_xlabel(_plain(x_label))
+        axes.set_ylabel(_plain(y_label))
         yield axes, out
+        if axes.get_legend_handles_labels()[0]:
+            place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}
+            axes.legend(**place, frameon=False, fontsize=9 if lines < 14 else 6)
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     out.append(text.getvalue())
@@ -232,11 +230,6 @@ def _line(axes: Axes, i: int, name: str, points: Sequence[tuple[float, float]], 
     x, y = zip(*points, strict=True) if points else ((), ())
     style = _dot(i, 4) | {"linestyle": "-" if i < len(_COLORS) else "--"}
     axes.plot(x, y, **(style if marker is None else style | {"marker": marker}), lw=1.4, label=_plain(name))
-
-
-def _legend(axes: Axes, lines: int) -> None:
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9 if lines < 14 else 6)
 
 
 def _dot(i: int, size: float) -> dict[str, Any]:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from depthcli.evaluation.curves import sparsification
-from depthcli.evaluation.plots import Line, curve_plot, line_plot
 from depthcli.evaluation.protocols import Settings, load, missing_scores, names
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
 from depthcli.evaluation.scores import in_order
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import StereoTruth
+from depthcli.report.plots import Line, curve_plot, line_plot
 
 
 def test_a_plot_is_well_formed_and_escapes():

@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from operator import itemgetter
 
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.bounds import BAD, COVERAGE, COVERING, WORST
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.curves import ConfidenceCurve, HiddenPixels, Reliability
-from depthcli.evaluation.render import FORMATS, Number, Table, TableColumn, markdown_code, markdown_link, markdown_text
 from depthcli.evaluation.scores import COMMON_MEAN, ESTIMATED_ONLY, MEAN, Key
 from depthcli.evaluation.statistics import mean_of_known
+from depthcli.show.table import FORMATS, Column, Number, Table
 
 NAMES = ("headline", "overview", "metrics", "scenes", "further", "bounds", "confidence", "hidden", "missing")
 """Names of tables, which a region or run and a data set may follow, as in ``metrics-nonocc``."""
@@ -63,7 +65,7 @@ def section_tables(section: Section) -> list[Table]:
         ]  # fmt: skip
         header = ("run", "scene" if scene_rows else "scenes", *(metric.heading for metric, _ in keys))
         title = f"{section.data_set} - {section.protocol.name}, every metric, {region}"
-        made.append(Table(title, header, rows, name=f"metrics-{region}"))
+        made.append(Table.of_cells(title, header, rows, name=f"metrics-{region}"))
     if len(scenes) > 1 and (len(section.runs) > 1 or not scene_rows):
         rows = [
             (short(scene), run, *(_cell(section, run, scene, (headline, region)) for region in section.regions))
@@ -71,7 +73,7 @@ def section_tables(section: Section) -> list[Table]:
             for run in section.runs
         ]
         title = f"{section.data_set} - {headline.heading} by scene"
-        made.append(Table(title, ("scene", "run", *section.regions), rows, name="scenes"))
+        made.append(Table.of_cells(title, ("scene", "run", *section.regions), rows, name="scenes"))
     made += bound_tables(section)
     for run in section.runs:
         kept = [result.pooling_data for result in section.results_of(run) if result.pooling_data is not None]
@@ -91,30 +93,31 @@ def summary(section: Section) -> Table:
     rows = [(run, place) for run in section.ranking.runs for place in places]
     complete, with_tests = len(places) == 1, len(section.runs) > 1
     better = headline.larger_is_better if complete else None
-    columns = [TableColumn("run", [run for run, _ in rows])]
-    columns.append(TableColumn("scenes", [_n_scenes(section, *row) for row in rows]))
+    columns = [Column("run", itemgetter(0))]
+    columns.append(Column("scenes", {row: _n_scenes(section, *row) for row in rows}.__getitem__))
     for region in section.regions:
-        cells = [_cell(section, *row, (headline, region)) for row in rows]
-        columns.append(TableColumn(_region_heading(section, region), cells, better))
+        cells = {row: _cell(section, *row, (headline, region)) for row in rows}
+        columns.append(Column(_region_heading(section, region), cells.__getitem__, better))
     if len(figures) > 1:
-        cells = [_number(section, *row, section.overall(*row).value) for row in rows]
-        columns.append(TableColumn(f"mean of {len(section.scenes) * len(figures)}", cells, better))
+        cells = {row: _number(section, *row, section.overall(*row).value) for row in rows}
+        columns.append(Column(f"mean of {len(section.scenes) * len(figures)}", cells.__getitem__, better))
     if with_tests:  # of the last mean of a run
         ranks = section.average_rank(section.figure_keys)
-        tests = {run: (Number(ranks[run], 1), *_test(section, run)) for run in section.runs}
-        cells_of_rows = [tests[run] if place == places[-1] else [""] * len(tests[run]) for run, place in rows]
-        columns += map(TableColumn, ("avg rank", *TEST_COLUMNS), zip(*cells_of_rows, strict=True))
-    cells = [Number(section.score(*row, (headline, main)).density, 1) for row in rows]
-    columns.append(TableColumn(f"density {main} %", cells))
+        tests = {(run, places[-1]): (Number(ranks[run], 1), *_test(section, run)) for run in section.runs}
+        blank = ("",) * (1 + len(TEST_COLUMNS))
+        for j, heading in enumerate(("avg rank", *TEST_COLUMNS)):
+            columns.append(Column(heading, {row: tests.get(row, blank)[j] for row in rows}.__getitem__))
+    cells = {row: Number(section.score(*row, (headline, main)).density, 1) for row in rows}
+    columns.append(Column(f"density {main} %", cells.__getitem__))
     if any(not math.isnan(result.seconds) for result in section.results):
-        cells = [Number(mean_of_known(r.seconds for r in section.results_of(*row))) for row in rows]
-        columns.append(TableColumn("seconds", cells, False if complete else None))
+        cells = {row: Number(mean_of_known(result.seconds for result in section.results_of(*row))) for row in rows}
+        columns.append(Column("seconds", cells.__getitem__, False if complete else None))
     title = f"{section.data_set} - {protocol.presentation.title} ({headline.heading})"
     if len(section.regions) > 1 and with_tests:
         title += f", ranked by {'the mean of ' * (len(figures) > 1)}{', '.join(figures)}"
     note = "; ".join(filter(None, [protocol.presentation.note, "" if complete else MISSING]))
     note = ". ".join(filter(None, [note, _gaps_note(section), _tests_note(section)]))
-    return Table.of_columns(title, columns, note, "headline")
+    return Table(title, columns, rows, note, "headline")
 
 
 def bound_tables(section: Section) -> list[Table]:
@@ -150,9 +153,11 @@ def bound_tables(section: Section) -> list[Table]:
     )
     regions = list(dict.fromkeys(region for *_, shares in covered for region in shares))
     by_scene = [(run, scene, *(Number(of.get(name, math.nan), 1) for name in regions)) for run, scene, of in covered]
-    made = [Table(title, ("run", "maps", "mask", "level %", *columns, *surest), rows, note, name="bounds")]
+    header = ("run", "maps", "mask", "level %", *columns, *surest)
+    made = [Table.of_cells(title, header, rows, note, "bounds")]
     if len(section.scenes) > 1:
-        made.append(Table(f"{title}, coverage % by scene", ("run", "scene", *regions), by_scene, name="bounds-scenes"))
+        title = f"{title}, coverage % by scene"
+        made.append(Table.of_cells(title, ("run", "scene", *regions), by_scene, name="bounds-scenes"))
     return made
 
 
@@ -201,24 +206,29 @@ def overview(report: EvaluationReport) -> list[Table]:
     """Return the single figure of every run in every data set, where there are several; none is over all of them."""
     if len(report.sections) < 2:
         return []
-    rows = [(section, run) for section in report.sections for run in section.ranking.runs]
-    columns = [
-        TableColumn("data set", [section.data_set for section, _ in rows]),
-        TableColumn("protocol", [section.protocol.name for section, _ in rows]),
-        TableColumn("metric", [section.protocol.headline.heading_with_unit for section, _ in rows]),
-        TableColumn("mean of", [", ".join(section.figure_regions) for section, _ in rows]),
-        TableColumn("run", [run for _, run in rows]),
-        TableColumn("scenes", [_n_scenes(section, run, MEAN, section.figure_regions[0]) for section, run in rows]),
-        TableColumn("figure", [_number(section, run, MEAN, section.overall(run).value) for section, run in rows]),
+    header = ["data set", "protocol", "metric", "mean of", "run", "scenes", "figure"]
+    cells = [
+        (
+            section.data_set,
+            section.protocol.name,
+            section.protocol.headline.heading_with_unit,
+            ", ".join(section.figure_regions),
+            run,
+            _n_scenes(section, run, MEAN, section.figure_regions[0]),
+            _number(section, run, MEAN, section.overall(run).value),
+            *_test(section, run),
+        )
+        for section in report.sections
+        for run in section.ranking.runs
     ]
     note = [MISSING] * any(len(section.places) > 1 for section in report.sections)
     if len(report.runs) > 1:
-        columns += map(TableColumn, TEST_COLUMNS, zip(*(_test(*row) for row in rows), strict=True))
+        header += TEST_COLUMNS
         note.append(
             f"{_TESTS_NOTE} the run's figure is better or worse than the figure of the data set's first, the "
             "best; p: Wilcoxon signed-rank test over the scenes, Holm-corrected within a data set"
         )
-    return [Table.of_columns("Headline by data set", columns, ". ".join(note), "overview")]
+    return [Table.of_cells("Headline by data set", header, cells, ". ".join(note), "overview")]
 
 
 def further_tables(report: EvaluationReport) -> list[Table]:
@@ -255,11 +265,10 @@ def further_tables(report: EvaluationReport) -> list[Table]:
     )
     shares_of = ("precision", "recall", "F1", "said hidden %", "truly hidden %")
     failed = [(r.run, r.scene, r.error) for r in report.failed]
-    curve_columns = ("run", "scene", "mask", "confidence", "of", *areas)
     made = [
-        Table("Confidence", curve_columns, rows, note, name="confidence"),
-        Table("Hidden pixels", ("run", "scene", *shares_of), hidden, hidden_note, name="hidden"),
-        Table("Not evaluated", ("run", "scene", "reason"), failed, name="missing"),
+        Table.of_cells("Confidence", ("run", "scene", "mask", "confidence", "of", *areas), rows, note, "confidence"),
+        Table.of_cells("Hidden pixels", ("run", "scene", *shares_of), hidden, hidden_note, "hidden"),
+        Table.of_cells("Not evaluated", ("run", "scene", "reason"), failed, name="missing"),
     ]
     return [table for table in made if table.rows]
 
@@ -306,9 +315,8 @@ def wide_by_scene(section: Section, key: Key) -> Table:
                 n_scenes, kind = len(section.scenes_of(place, region)), " common" * (place == COMMON_MEAN)
                 columns.append((f"{heading} of {n_scenes}{kind}", place, key))
     ranked = len(section.scenes) > 1 and metric == section.protocol.headline and len(section.runs) > 1
-    ranks = {"avg rank": list(section.average_rank([key]).values())} if ranked else {}
     title = f"{section.data_set}: {metric.heading_with_unit}, {region}"
-    return _wide(section, title, f"scenes-{region}", columns, ranks)
+    return _wide(section, title, f"scenes-{region}", columns, ranked)
 
 
 def _wide_by_metric(section: Section, region: str) -> Table:
@@ -316,7 +324,7 @@ def _wide_by_metric(section: Section, region: str) -> Table:
     columns = [(key[0].heading, MEAN, key) for key in section.keys if key[1] == region]
     known = section.known[region]
     over = f"means over {len(known)} scenes" if len(known) > 1 else ", ".join(map(short, known))
-    return _wide(section, f"{section.data_set}: {over}, {region}", f"metrics-{region}", columns, {})
+    return _wide(section, f"{section.data_set}: {over}, {region}", f"metrics-{region}", columns)
 
 
 def _wide(
@@ -324,30 +332,26 @@ def _wide(
     title: str,
     name: str,
     columns: Sequence[tuple[str, str, Key]],
-    ranks: dict[str, list[float]],
+    ranked: bool = False,
 ) -> Table:
-    """Return scores by run, the columns being (heading, scene or mean, key), with ranks and times.
+    """Return scores by run, the columns being (heading, scene or mean, key), with times, and ranks of the first key.
 
     Times are the mean seconds of a scene, of a megapixel, and of 10^9 pixels x disparities.
     """
-    runs = [section.results_of(run) for run in section.runs]
-    times = {
-        "seconds": [mean_of_known(r.seconds for r in results) for results in runs],
-        "s/MP": [mean_of_known(1e6 * r.seconds / r.size for r in results if r.size) for results in runs],
-        "s/GD": [
-            mean_of_known(1e9 * r.seconds / (r.size * r.n_disparities) for r in results if r.size and r.n_disparities)
-            for results in runs
-        ],
-    }
-    known = {heading: values for heading, values in times.items() if not all(map(math.isnan, values))}
-    made = [TableColumn("run", section.runs)]
+    made = [Column("run", str)]
     for heading, place, key in columns:
-        cells = [_cell(section, run, place, key) for run in section.runs]
-        made.append(TableColumn(heading, cells, key[0].larger_is_better, place if place in section.scenes else ""))
-    made += [TableColumn(heading, [Number(value, 1) for value in values], False) for heading, values in ranks.items()]
-    made += [TableColumn(heading, list(map(Number, values)), False) for heading, values in known.items()]
+        scene = place if place in section.scenes else ""
+        cell = partial(_cell, section, place=place, key=key)
+        made.append(Column(heading, cell, key[0].larger_is_better, scene))
+    if ranked:
+        ranks = section.average_rank([columns[0][2]])
+        made.append(Column("avg rank", lambda run: Number(ranks[run], 1), False))
+    for heading in ("seconds", "s/MP", "s/GD"):
+        cells = {run: Number(mean_of_known(r.times[heading] for r in section.results_of(run))) for run in section.runs}
+        if any(cell != "-" for cell in cells.values()):
+            made.append(Column(heading, cells.__getitem__, False))
     note = "*: no map, counted as wholly wrong; see the means over scenes that all runs have"
-    return Table.of_columns(title, made, note * (len(section.places) > 1), name)
+    return Table(title, made, section.runs, note * (len(section.places) > 1), name)
 
 
 def headline_text(report: EvaluationReport) -> str:
@@ -418,27 +422,3 @@ def check_names(names: Sequence[str]) -> None:
     wrong = [name for name in names if name.partition("-")[0] not in (*NAMES, "all")]
     if wrong:
         raise ConfigError(f"--tables: expected all, {', '.join(NAMES)} (got {', '.join(wrong)})")
-
-
-def report_markdown(report: EvaluationReport) -> str:
-    """Return ``report.md``: all tables and warnings, with links to error pictures and plots."""
-    runs = ", ".join(map(markdown_code, report.runs))
-    out = ["# Evaluation", "", f"Ground truth: {markdown_code(report.truth)}. Runs: {runs}.", ""]
-    if report.plugins:
-        used = ", ".join(f"{package} {version}" for package, version in report.plugins.items())
-        out += [f"Plug-ins: {markdown_code(used)}.", ""]
-    out += [f"**Warning:** {markdown_text(line)}\n" for line in report.warnings]
-    out += [table.markdown() for table in report_tables(report)]
-    drawn = {p.name: p.presentation.legend for p in report.protocols.values() if p.presentation.error_pictures}
-    out += ["## Error pictures" if drawn else "## Curves", ""]
-    out += [f"{name}: {legend}.\n" for name, legend in drawn.items()]
-    if drawn and any(r.bounds for r in report.results):
-        out += ["Below, where the truth lies outside the bound: the colors of wrong pixels.\n"]
-    for r in report.results:
-        if not r.error:
-            scene = markdown_text(r.scene)
-            out += [f"{markdown_text(r.run)}, {scene}:", ""]
-            out += [f"![{scene}]({markdown_link(r.picture)})", ""] if r.protocol in drawn else []
-            out += [f"![bound]({markdown_link(r.bound_picture)})", ""] if r.protocol in drawn and r.bounds else []
-            out += [f"![{of}, {region}]({markdown_link(path)})\n" for (region, of), path in r.plots.items()]
-    return "\n".join(out)

@@ -1,0 +1,114 @@
+"""The picture of two volumes and of maps on their grid: three slices as radiologists hang them, with a scale."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.text import side_and_distance
+from depthcli.core.volumes import ENDS, PLANES, Grid
+from depthcli.show.draw import draw, draw_text
+from depthcli.show.view import Picture, View
+
+_MAX_SHOWN_ERROR = 10.0  # mm; this and more is dark red
+_SIDE, _MARGIN, _LINE = 300, 24, 22  # pixels: longest side of a slice, space around it for letters, line of text
+_SCALE_WIDTH = 90  # pixels, of the scale with its numbers
+_PAPER, _INK = 24, (225, 225, 225)
+
+
+def draw_volumes(
+    volumes: Mapping[str, NDArray[Any]],
+    grid: Grid,
+    blocks: Sequence[int],
+    maps: Mapping[str, Callable[[Sequence[int], Sequence[int]], NDArray[np.float32]]],
+    inside: NDArray[np.bool_] | Callable[[Picture], NDArray[np.bool_]],
+    neurological: bool,
+) -> Picture:
+    """Return (H, W, 3) RGB, at least 900 wide: a row for the middle slice across each axis of the body.
+
+    Columns: the volumes, and the maps over the first one. Sides are true in mm; anterior and superior are up; the
+    patient's right is on the left, or, in neurological pictures, on the right.
+
+    Parameters
+    ----------
+    volumes : title -> (Z, Y, X) as stored, all in the grey levels of the first
+    grid, blocks : the grid of the volumes, and how many of its voxels (z, y, x) one of theirs is the mean of
+    maps : title -> function of a shape and of a corner, in voxels of the volumes, that returns the values there, mm
+    inside : voxels that the maps are shown at, or a function that finds these in grey levels of a slice
+    """
+    fixed = next(iter(volumes.values()))
+    low, high = (float(v) for v in np.percentile(fixed[:: max(1, len(fixed) // 16)], [1, 99]))
+    scaling = 255 / max(high - low, 1e-6)
+    order, flipped = grid.anatomical_axes()
+    shape = [fixed.shape[axis] for axis in order]
+    lengths = [shape[k] * grid.spacing[2 - axis] * blocks[axis] for k, axis in enumerate(order)]  # mm
+    rows = []
+    for axis, plane in enumerate(PLANES):
+        across = [k for k in range(3) if k != axis]
+        if min(shape[k] for k in across) == 1:
+            continue  # of a single slice
+        middle = shape[axis] // 2
+        stored = shape[axis] - 1 - middle if axis in flipped else middle
+        cuts = [grid.turned(np.take(volume, [stored], order[axis])).squeeze(axis) for volume in volumes.values()]
+        greys = [((np.clip(cut, low, high) - low) * scaling).astype(np.uint8) for cut in cuts]
+        if callable(inside):
+            seen = inside(greys[0])
+        else:
+            seen = grid.turned(np.take(inside, [stored], order[axis])).squeeze(axis)
+        pictures = [np.repeat(grey[..., None], 3, axis=2) for grey in greys]
+        corner, size = [0, 0, 0], list(fixed.shape)
+        corner[order[axis]], size[order[axis]] = stored, 1
+        beneath = pictures[0]
+        for values in maps.values():
+            view = View(grid.turned(values(size, corner)).squeeze(axis), "mm", (0.0, _MAX_SHOWN_ERROR))
+            colored = (0.5 * beneath + 0.5 * draw(view, "preview")).astype(np.uint8)
+            pictures.append(np.where(seen[..., None], colored, beneath))
+        longest = max(lengths[k] for k in across)
+        height, width = (max(1, round(_SIDE * lengths[k] / longest)) for k in across)
+        pictures = [np.asarray(cv2.resize(picture, (width, height)), np.uint8) for picture in pictures]
+        ends = "".join(ENDS[k] for k in across)  # top, bottom, left, right
+        if neurological and axis < 2:
+            pictures = [picture[:, ::-1] for picture in pictures]
+            ends = ends[:2] + ends[:1:-1]
+        first, step = grid.slice_positions(axis)
+        place = side_and_distance(ENDS[axis], first + step * ((middle + 0.5) * blocks[order[axis]] - 0.5))
+        titles = (f"{plane}, {place}", *[""] * (len(pictures) - 1))
+        framed = [_framed(picture, ends, title) for picture, title in zip(pictures, titles, strict=True)]
+        rows.append(np.concatenate(framed, axis=1))
+    side = _SIDE + 2 * _MARGIN
+    heading = np.full((_LINE + 6, (len(volumes) + len(maps)) * side, 3), _PAPER, np.uint8)
+    for k, title in enumerate((*volumes, *maps)):
+        draw_text(heading, title, (k * side + side // 2, _LINE // 2 + 4), _INK, centered=True)
+    sheet = np.concatenate([heading, *rows])
+    return np.concatenate([sheet, _scale(len(sheet))], axis=1)
+
+
+def _framed(picture: Picture, ends: str, title: str) -> Picture:
+    """Return the picture with the letters of its sides around it and a title below, all of one width."""
+    height, width = picture.shape[:2]
+    frame = np.full((height + 2 * _MARGIN + _LINE, _SIDE + 2 * _MARGIN, 3), _PAPER, np.uint8)
+    left, middle = (frame.shape[1] - width) // 2, frame.shape[1] // 2
+    frame[_MARGIN : _MARGIN + height, left : left + width] = picture
+    half = _MARGIN // 2
+    beside = _MARGIN + height // 2
+    places = ((middle, half), (middle, _MARGIN + height + half), (left - half, beside), (left + width + half, beside))
+    for letter, place in zip(ends, places, strict=True):
+        draw_text(frame, letter, place, _INK, centered=True)
+    draw_text(frame, title, (_MARGIN, len(frame) - _LINE // 2), _INK)
+    return frame
+
+
+def _scale(height: int) -> Picture:
+    """Return the colors of the maps with their numbers."""
+    scale = np.full((height, _SCALE_WIDTH, 3), _PAPER, np.uint8)
+    top, length = _LINE + 6 + _MARGIN, _SIDE
+    ramp = np.linspace(255, 0, length).astype(np.uint8)[:, None]
+    scale[top : top + length, 8:24] = draw(View(ramp.astype(np.float32), scale=(0.0, 255.0)), "preview")
+    for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+        number = f"{share * _MAX_SHOWN_ERROR:g}" + ("+ mm" if share == 1 else "")
+        draw_text(scale, number, (30, top + round((1 - share) * length)), _INK)
+    return scale

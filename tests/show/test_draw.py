@@ -1,0 +1,47 @@
+"""Pictures of maps: values, confidence, bounds."""
+
+import numpy as np
+
+from depthcli.show.draw import draw, map_colors
+from depthcli.show.view import NO_VALUE, View, bound_range
+
+
+def confidence(values: np.ndarray) -> np.ndarray:
+    return draw(View(values), "confidence")
+
+
+def test_confidence_is_spread_robustly():
+    values = np.linspace(-2, 3, 1000, dtype=np.float32).reshape(20, 50)
+    values[0, 0], values[0, 1], values[0, 2] = np.nan, np.inf, -np.inf
+    picture = confidence(values)
+    assert picture[0, 0] == 0 and picture[0, 1] == 255 and picture[0, 2] == 0
+    assert picture[10, 0] in (127, 128)
+    assert np.all(np.diff(picture.ravel()[3:].astype(int)) >= 0)
+    assert confidence(np.full((2, 2), 7.0)).tolist() == [[255, 255]] * 2
+    assert confidence(np.full((2, 2), np.nan)).tolist() == [[0, 0]] * 2
+
+
+def test_previews():
+    near, far = draw(View.of_depth(np.array([[1, 2, 4, np.nan, 0]], np.float32)), "preview")[0, [0, 2]].astype(int)
+    assert near[0] > near[2] and far[2] > far[0]
+    assert draw(View.of_depth(np.full((1, 2), np.nan, np.float32)), "preview").max() == 0
+    picture = draw(View(np.array([[0, 5, 10, np.nan]], np.float32), scale=(0, 10)), "preview")
+    assert picture.dtype == np.uint8 and picture.shape == (1, 4, 3)
+    assert picture[0, 3].tolist() == [0, 0, 0]
+    assert len({tuple(color) for color in picture[0].tolist()}) == 4
+
+
+def test_bounds_lie_beside_their_map_over_a_bar_of_their_colors():
+    shown = np.full((30, 200), np.nan, np.float32)
+    bound = np.geomspace(0.1, 10, shown.size).reshape(shown.shape)
+    bound[0, 0], bound[0, 1], bound[0, 2] = np.nan, np.inf, 0
+    picture = draw(View(shown, "px", bound=bound), "preview")
+    assert (picture[:30, :200] == 0).all() and picture[:30, 208:].any()
+    assert [tuple(picture[0, 208 + x]) for x in range(3)] == [NO_VALUE, *map(tuple, map_colors()[[-1, 0]])]
+    bar = [row for row in picture[30:, 208:] if np.array_equal(row[[0, -1]], map_colors()[[0, -1]])]
+    assert len(bar) > 8
+    low, high = bound_range(bound)
+    assert 0.1 <= low < 0.2 and 8 < high <= 10
+    for unusual in ([np.nan, np.nan], [np.inf, 0], [3, 3]):
+        assert 0 < bound_range(np.array(unusual))[0] < bound_range(np.array(unusual))[1]
+        assert draw(View(shown[:1, :2], "m", bound=np.array([unusual])), "preview").shape[1:] == (12, 3)
