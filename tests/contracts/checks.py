@@ -15,10 +15,14 @@ from depthcli.kernels.winners import winners
 from depthcli.methods.registration.search import search
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.stereo.volume import CostVolume
+from depthcli.testing import optimization, refinement
 from depthcli.testing.inputs import TINY, assert_pure, blocky_pair, changed, inside, random_volume, shifted_pair
 from tests.contracts.inputs import blobs, gaps, glass, random_proposals, soft_volume
 
-CHECKS: dict[str, list[Callable[[Any], None]]] = {}
+CHECKS: dict[str, list[Callable[[Any], None]]] = {
+    "methods.stereo.optimization": list(optimization.OPTIMIZER_CHECKS),
+    "methods.stereo.refinement": list(refinement.CHECKS),
+}
 """Package of a family -> what its members promise."""
 
 TYPES = (np.uint8, np.uint16, np.float32)
@@ -35,7 +39,7 @@ def of(*packages: str) -> Callable[[Callable[[Any], None]], Callable[[Any], None
     return add
 
 
-# Cost volumes: aggregations and optimizations.
+# Cost volumes: aggregations.
 
 
 @of("methods.stereo.aggregation")
@@ -96,29 +100,10 @@ def disparities_do_not_mix(aggregate):
     assert np.any(after[:, :, 7][within] != before[:, :, 7][within])
 
 
-@of("methods.stereo.aggregation", "methods.stereo.optimization")
-def same_costs_at_any_number_of_threads(step):
+@of("methods.stereo.aggregation")
+def same_costs_at_any_number_of_threads(aggregate):
     pair, volume = blocky_pair(41, 70), random_volume(41, 70, 37, np.uint16)
-    assert_pure(lambda: step(volume, pair).costs, volume.costs, pair.left, pair.right)
-
-
-@of("methods.stereo.optimization")
-def volumes_of_all_types_and_sizes(optimize):
-    for height, width, disparities in TINY:
-        for dtype in TYPES:
-            result = optimize(random_volume(height, width, disparities, dtype), blocky_pair(height, width))
-            assert result.costs.shape == (height, width, disparities) and result.scale > 0
-            assert np.isfinite(result.costs).all()
-
-
-@of("methods.stereo.optimization")
-def unanimous_costs_keep_their_winner_and_equal_ones_stay_equal(optimize):
-    for scale in (1.0, 85.0, 1360.0):
-        costs = np.full((15, 30, 12), 200, np.uint8)
-        costs[:, :, 5] = 10
-        assert np.all(winners(optimize(CostVolume(costs, scale), blocky_pair(15, 30)).costs)[0][:, 5:] == 5)
-    result = optimize(CostVolume(np.full((9, 20, 8), 40, np.uint8)), blocky_pair(9, 20))
-    np.testing.assert_array_equal(result.costs.min(axis=2), result.costs.max(axis=2))
+    assert_pure(lambda: aggregate(volume, pair).costs, volume.costs, pair.left, pair.right)
 
 
 # Pipelines.

@@ -4,13 +4,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from depthcli.algorithms.regions import region_graph
 from depthcli.commands._options import SampleOptions
 from depthcli.core.method import Family
 from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.walk import discover_scenes
+from depthcli.methods.fusion.choice.energy import neighbor_weights
+from depthcli.methods.stereo.segments.planes import smoothness as smoothness_of_segments
 from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes
+from depthcli.testing.optimization import SMOOTHNESS_CHECKS, Smoothness
 from tests.contracts.checks import CHECKS
 from tests.contracts.layouts import check_layout
 from tests.scenes import load as load_scene
@@ -27,6 +33,24 @@ MEMBERS = [
     if name not in NEED_FILES
     for check in checks
 ]
+
+
+def of_pixels(image: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The smoothness of segments, of which every pixel is one."""
+    height, width = image.shape[:2]
+    labels = np.arange(height * width, dtype=np.int32).reshape(height, width)
+    graph = region_graph(labels, image)
+    costs = smoothness_of_segments(graph, 25.0, 150.0)
+    in_row = np.diff(graph.edges, axis=1)[:, 0] == 1
+    return costs[in_row].reshape(height, width - 1), costs[~in_row].reshape(height - 1, width)
+
+
+@pytest.mark.parametrize(
+    "term", [of_pixels, lambda image: neighbor_weights(image, 4.0, 10.0, 0.1)], ids=["segments", "maps"]
+)
+@pytest.mark.parametrize("check", SMOOTHNESS_CHECKS, ids=lambda check: check.__name__)
+def test_smoothness(term: Smoothness, check: Callable[[Any], None]):
+    check(term)
 
 
 @pytest.mark.parametrize(("package", "name", "check"), MEMBERS)
