@@ -1,5 +1,6 @@
 """What the scripts that measure share: presets, scenes of the groups, times in turns, tables."""
 
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -97,11 +98,25 @@ def kept(folder: Path | None, name: str, make: Callable[[], dict[str, Any]]) -> 
     return arrays
 
 
+def bad(found: np.ndarray, truth: np.ndarray, pixels: np.ndarray, limit: float = 1.0) -> float:
+    """Return the share of pixels that are off by more than a limit, or have no value, %."""
+    return 100 * float(np.mean(~(np.abs(found - truth) <= limit)[pixels]))
+
+
 def mean_known(values: Iterable[float] | np.ndarray) -> float:
     """Return the mean of the numbers that are finite; NaN where there are none."""
     numbers = np.asarray(values if isinstance(values, np.ndarray) else list(values), np.float64)
     known = numbers[np.isfinite(numbers)]
     return float(known.mean()) if known.size else float("nan")
+
+
+def renewed(page: str, made: Mapping[str, str]) -> str:
+    """Return a page with these texts between their markers."""
+    return re.sub(
+        r"(?s)(<!-- begin (\S+) -->\n).*?(<!-- end -->)",
+        lambda found: f"{found[1]}\n{made[found[2]]}\n\n{found[3]}" if found[2] in made else found[0],
+        page,
+    )
 
 
 def show(title: str, header: Sequence[str], rows: Iterable[Sequence[str]], note: str = "") -> None:

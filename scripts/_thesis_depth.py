@@ -12,6 +12,7 @@ from _experiments import (
     THESIS,
     Experiment,
     Rows,
+    bad,
     config_of,
     matcher,
     mean_known,
@@ -76,7 +77,7 @@ def simulated(item: tuple[int, str, Any]) -> Rows:
         error = np.abs(found - made.truth)
         regions = {region: getattr(made, region) for region in REGIONS}
         cells = {region: mean_known(error[mask]) for region, mask in regions.items()}
-        cells["gap bad"] = 100 * float(np.mean(~(error[made.gap] <= 1)))
+        cells["gap bad"] = bad(found, made.truth, made.gap)
         cells["view"], cells["filled"] = virtual_view(color, found, right)
         rows[name] = {f"{folder} {column}": value for column, value in cells.items()}
     return rows
@@ -125,7 +126,11 @@ def real(item: tuple[int, RgbdFrame]) -> Rows:
     for column, patterns in (("blocks", PATTERNS), ("bands", 2)):
         found: dict[str, list[float]] = {}
         for pattern in range(patterns):
-            holes = _bands(frame, pattern) if column == "bands" else _blocks(frame, PATTERNS * count + pattern)
+            if column == "bands":
+                holes = _bands(frame, pattern)
+            else:
+                seed = [PATTERNS * count + pattern, 0xB10C]
+                holes = blocks(np.isfinite(frame.depth), seed, lambda rng: rng.integers(20, 41, 2))
             holed = RgbdFrame(frame.color, np.where(holes, np.float32(np.nan), frame.depth), frame.fb, frame.intrinsics)
             for name, run in methods().items():
                 if run is not None and name not in ("inpaint", "realsense"):
@@ -152,13 +157,11 @@ def _bands(frame: RgbdFrame, side: int) -> NDArray[np.bool_]:
     return out & np.isfinite(frame.depth)
 
 
-def _blocks(frame: RgbdFrame, seed: int) -> NDArray[np.bool_]:
-    """Return known pixels in random blocks of 20 to 40 pixels, 10 % of all known ones."""
-    known = np.isfinite(frame.depth)
-    rng = np.random.Generator(np.random.PCG64([seed, 0xB10C]))
-    taken = np.zeros_like(known)
+def blocks(known: NDArray[np.bool_], seed: Any, size: Callable[[np.random.Generator], Any]) -> NDArray[np.bool_]:
+    """Return known pixels in random blocks of a size (height, width), 10 % of all known ones."""
+    rng, taken = np.random.default_rng(seed), np.zeros_like(known)
     while np.count_nonzero(taken & known) < 0.1 * np.count_nonzero(known):
-        height, width = rng.integers(20, 41, 2)
+        height, width = size(rng)
         y, x = rng.integers(0, known.shape[0] - height), rng.integers(0, known.shape[1] - width)
         taken[y : y + height, x : x + width] = True
     return taken & known
@@ -186,7 +189,7 @@ def sequences(_: Path) -> Iterator[tuple[str, Any]]:
 
 
 def sequence(item: tuple[str, int]) -> Rows:
-    """Return MAE along a sequence of ten frames and frame by frame, temporal noise, and MAE where something just left.
+    """Return MAE along a sequence of ten frames and frame by frame, and temporal noise.
 
     The temporal noise is the standard deviation over the frames of the error at one surface point, mean of the points
     that all frames see.
@@ -195,22 +198,20 @@ def sequence(item: tuple[str, int]) -> Rows:
     samples = make_kinect_sequence(kind.partition(",")[0], 10, seed, 320, 240, 40)  # type: ignore[arg-type]
     pipeline, state = config_of("refine-kinect", "sequence").pipeline, None
     maps: dict[str, list[Map]] = {"along": [], "frame by frame": []}
-    found: dict[str, dict[str, list[float]]] = {way: {"MAE": [], "just left": []} for way in maps}
-    for k, made in enumerate(samples):
+    means: dict[str, list[float]] = {way: [] for way in maps}  # of all frames but the first
+    for made in samples:
         frame = replace(made.frame(), pose=None) if kind == "camera, no poses" else made.frame()
         along, state = pipeline.step(frame, state)
-        left, at = samples[k - 1].truth - made.truth > 3, same_points(samples[0], made)
+        at = same_points(samples[0], made)
         for way, result in {"along": along, "frame by frame": pipeline(frame)}.items():
             error = disparity_of_depth(result.depth.values, RgbdFrame.fb) - made.truth
             maps[way].append(np.where(at >= 0, error.ravel()[np.maximum(at, 0)], np.float32(np.nan)))
-            if k:
-                found[way]["MAE"].append(mean_known(np.abs(error)))
-            if k and made.pose is None and left.any():
-                found[way]["just left"].append(mean_known(np.abs(error[left])))
-    rows = {way: {f"{kind} {column}": mean_known(values) for column, values in cells.items()}
-            for way, cells in found.items()}  # fmt: skip
+            if made is not samples[0]:
+                means[way].append(mean_known(np.abs(error)))
+    rows = {}
     for way, errors in maps.items():
-        rows[way] |= {f"{kind} noise": mean_known(np.std(errors, axis=0)), "MAE": mean_known(found[way]["MAE"])}
+        mean = mean_known(means[way])
+        rows[way] = {f"{kind} MAE": mean, f"{kind} noise": mean_known(np.std(errors, axis=0)), "MAE": mean}
     return rows
 
 
@@ -267,12 +268,9 @@ def glass(files: Any) -> Rows:
             known = np.isfinite(depth) & np.isfinite(estimate)
             inside, outside = known & mask, known & ~mask & np.isfinite(sensor)
             error = 1000 * np.abs(estimate.astype(np.float64) - depth)
-            ratio = np.maximum(estimate / depth, depth / estimate)[inside]
             rows[f"{preset}, {case}"] = {
                 "MAE": float(error[inside].mean()),
-                "RMSE": float(np.sqrt((error[inside] ** 2).mean())),
-                "REL": float((error / 1000 / depth)[inside].mean()),
-                **{f"d{limit:.2f}": float(100 * np.mean(ratio < limit)) for limit in (1.05, 1.10, 1.25)},
+                "d1.05": float(100 * np.mean(np.maximum(estimate / depth, depth / estimate)[inside] < 1.05)),
                 "outside": float(error[outside].mean() / (1000 * np.abs(sensor - depth)[outside].mean())),
                 "outline": float(error[known & _near_outline(mask)].mean()),
             }
@@ -298,30 +296,25 @@ def cross_modal(files: Any) -> Rows:
     scene, visible = infrared(files)
     known = np.isfinite(scene.disparity)
     stereo = config_of("transparent", "kinect").stereo.model_copy(update={"max_disparity": files.max_disparity})
-    rows: Rows = {"matching": {}}
-    single = matcher("fuse/thesis/ch6-equal", "measures=[absolute_difference]")
-    learned = mix_channels(scene.color, learned_weights(scene.color, scene.infrared, scene.sensor))
-    for name, mix in (("AD grey", mix_channels(scene.color, GREY)), ("AD learned", learned)):
-        left = single(StereoPair(mix, scene.infrared), files.max_disparity).disparity.values
-        rows["matching"][name] = 100 * float(np.mean(~(np.abs(left - scene.disparity)[visible] <= 1)))
+    maps, single = {}, matcher("fuse/thesis/ch6-equal", "measures=[absolute_difference]")
+    learned = learned_weights(scene.color, scene.infrared, scene.sensor)
+    for name, weights in (("AD grey", GREY), ("AD learned", learned)):
+        mixed = StereoPair(mix_channels(scene.color, weights), scene.infrared)
+        maps[name] = single(mixed, files.max_disparity).disparity.values
     for name, own in (("grey", stereo.model_copy(update={"channels": "grey"})), ("fused", stereo)):
         matches = own.match(scene.color, scene.infrared, scene.sensor)
-        rows["matching"][name] = 100 * float(np.mean(~(np.abs(matches.dense - scene.disparity)[visible] <= 1)))
+        maps[name] = matches.dense
     kept = np.isfinite(matches.sparse)
+    rows = {"matching": {name: bad(values, scene.disparity, visible) for name, values in maps.items()}}
     rows["matching"]["kept"] = 100 * float(kept.mean())
-    rows["matching"]["kept bad"] = 100 * float(np.mean(np.abs(matches.sparse - scene.disparity)[kept & known] > 1))
+    rows["matching"]["kept bad"] = bad(matches.sparse, scene.disparity, kept & known)
     depth = depth_of_disparity(scene.sensor, _FB)
     frame, _ = stereo(RgbIrFrame(scene.color, scene.infrared, depth, None, _FB), Clock())
-    inside, outside = known & scene.mask, known & ~scene.mask & np.isfinite(scene.sensor)
-    outline = known & _near_outline(scene.mask)
+    regions = {"in": scene.mask, "outline": _near_outline(scene.mask), "out": ~scene.mask & np.isfinite(scene.sensor)}
     results = {name: config_of("transparent", name).pipeline(frame).depth.values for name in MIXED}
     for name, values in {**results, "sensor": depth}.items():
         error = np.abs(disparity_of_depth(values, _FB) - scene.disparity)
-        rows[name] = {
-            "in": mean_known(error[inside]),
-            "outline": mean_known(error[outline]),
-            "out": mean_known(error[outside]),
-        }
+        rows[name] = {region: mean_known(error[known & pixels]) for region, pixels in regions.items()}
     return rows
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _experiments import Experiment, Rows, config_of, matcher, middlebury_scenes, scenes_in, seconds_in_turns
+from _experiments import Experiment, Rows, bad, config_of, matcher, middlebury_scenes, scenes_in, seconds_in_turns
 from _thesis_depth import infrared, infrared_pairs
 
 from depthcli.core.frames import StereoPair
@@ -40,8 +40,7 @@ OTHER = {
     "kitti": {"census": ("thesis/ch6-kitti", "weights=equal", "measures=[census]"),
               "equal": ("thesis/ch6-kitti", "weights=equal"), "fused": ("thesis/ch6-kitti",),
               "accurate": ("accurate",)},
-    "infrared": {**{name: FUSIONS[name] for name in ("AD", "census", "equal")}, "fused": ("thesis/ch6-cross-modal",),
-                 "accurate": ("accurate",)},
+    "infrared": {**{name: FUSIONS[name] for name in ("AD", "census", "equal")}, "fused": ("thesis/ch6-cross-modal",)},
 }  # fmt: skip
 
 
@@ -57,12 +56,12 @@ def scenes(data: Path) -> Iterator[tuple[str, Any]]:
 
 
 def fusions(scene: Any) -> Rows:
-    """Return bad > 1 px, nonocc and all, %, of every way to fuse."""
+    """Return bad > 1 px, nonocc, %, of every way to fuse."""
     pair, judge = load_pair(scene), load("middlebury_v2")()
     truth, rows = judge.truth(scene), {}
     for name, words in FUSIONS.items():
-        found = headlines(judge, fusion(*words)(pair, scene.max_disparity).disparity.values, truth)
-        rows[name] = {mask: found[mask] for mask in ("nonocc", "all")}
+        found = fusion(*words)(pair, scene.max_disparity).disparity.values
+        rows[name] = {"nonocc": headlines(judge, found, truth)["nonocc"]}
     return rows
 
 
@@ -81,7 +80,7 @@ def between_sensors(files: Any) -> Rows:
     pair, rows = StereoPair(mix_channels(scene.color, GREY), scene.infrared), {}
     for name, words in OTHER["infrared"].items():
         found = fusion(*words)(pair, files.max_disparity).disparity.values
-        rows[name] = {"nonocc": 100 * float(np.mean(~(np.abs(found - scene.disparity)[visible] <= 1)))}
+        rows[name] = {"nonocc": bad(found, scene.disparity, visible)}
     return rows
 
 

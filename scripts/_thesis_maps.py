@@ -5,12 +5,11 @@ Bad: more than 1 px of the images' size, missing counts as bad; all and nonocc p
 """
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _experiments import GROUPS, Experiment, Rows, matcher, real_scenes, scenes_in, seconds_in_turns
+from _experiments import GROUPS, Experiment, Rows, bad, matcher, real_scenes
 
 from depthcli.evaluation import protocols
 from depthcli.evaluation.curves import reliability, sparsification
@@ -54,25 +53,9 @@ def given_maps(item: tuple[str, str, Any]) -> Rows:
              "with --surfaces": fuse(networks(), pair, given, largest, surfaces=True)[0].values,
              "SGBM refined": fuse(networks(), pair, given[:1], largest)[0].values}  # fmt: skip
     for name, values in maps.items():
-        bad = {r: 100 * float(np.mean(~(np.abs(values - truth.values) <= 1)[pixels])) for r, pixels in regions.items()}
-        rows.setdefault(name, {}).update({f"{column} {region} bad": rate for region, rate in bad.items()})
+        rates = {f"{column} {region} bad": bad(values, truth.values, pixels) for region, pixels in regions.items()}
+        rows.setdefault(name, {}).update(rates)
     return rows
 
 
-def times(scene: Any) -> Rows:
-    """Return milliseconds, in turn with OpenCV's SGBM."""
-    pair, largest = load_pair(scene), scene.max_disparity
-    four = [matcher(name)(pair, largest).disparity.values for name in FUSED]
-    jobs = {"SGBM": partial(matcher("opencv-sgbm"), pair, largest)}
-    jobs["confidence"] = partial(judge, networks(), pair, four[:1], largest)
-    jobs["fusion"] = partial(fuse, networks(), pair, four, largest)
-    jobs["with --surfaces"] = partial(fuse, networks(), pair, four, largest, surfaces=True)
-    return {name: {"ms": 1e3 * found[3]} for name, found in seconds_in_turns(jobs, 7).items()}
-
-
-EXPERIMENTS = {
-    "given-maps": Experiment("6", scenes, given_maps, on_page=False),
-    "given-maps-times": Experiment(
-        "6", lambda data: ((s.name, s) for s in scenes_in(data / "middlebury_v2", "Teddy")), times, on_page=False
-    ),
-}
+EXPERIMENTS = {"given-maps": Experiment("6", scenes, given_maps, on_page=False)}

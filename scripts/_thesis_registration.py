@@ -8,10 +8,9 @@ the fixed one's spacing.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import _env
 import numpy as np
@@ -28,11 +27,10 @@ from depthcli.io.layouts.registration import VOLUMES
 from depthcli.io.volume_pairs import load_volumes, true_errors
 from depthcli.io.walk import discover_scenes
 from depthcli.methods.registration.feature.mind import Mind
-from depthcli.methods.registration.search import SURER_IF_LARGER, search
+from depthcli.methods.registration.search import search
 from depthcli.simulate.deformed_volumes import smooth_noise
 
 REGISTERED = _env.ROOT / "build" / "thesis" / "registered"
-PRESETS = {"cost0": "cost0", "thesis/ch7": "thesis/ch7", "mind": "mind", "intensity": "intensity", "coarse": "coarse"}
 AMPLITUDES = (3.0, 6.0, 10.0)
 SEED = 11
 LIVER = (("dataset18", "cyc_1_10"), ("dataset18", "cyc_3_10"), ("dataset19", "cyc_1_6"), ("dataset19", "cyc_1_9"))
@@ -42,8 +40,7 @@ EARLY: dict[str, Any] = {"levels": [(60, 4, 2)], "iterations": 6, "samples": 20_
 LATE: dict[str, Any] = {"levels": [(60, 4, 2), (40, 2, 1), (25, 1, 0)], "iterations": 20, "samples": 20_000}
 
 
-@dataclass
-class Pair:
+class Pair(NamedTuple):
     name: str
     fixed: Any
     moving: Any
@@ -58,9 +55,12 @@ def pairs(data: Path) -> Iterator[Pair]:
     def read(file: Path) -> Any:
         return sitk.ReadImage(str(file), sitk.sitkFloat32)
 
+    def landmarks(file: Path) -> np.ndarray:
+        return np.genfromtxt(file, delimiter=",", skip_header=1)
+
     lung = data / "medical" / "lung_ct_pair"
     if lung.is_dir():
-        table = np.genfromtxt(lung / "landmarks_part1.csv", delimiter=",", skip_header=1)
+        table = landmarks(lung / "landmarks_part1.csv")
         masks = tuple(read(lung / f"{name}_mask.mha") > 0 for name in ("baseline", "followup"))
         scans = (read(lung / f"{name}.mha") for name in ("baseline", "followup"))
         fixed, moving = (sitk.Clamp(scan, sitk.sitkFloat32, -1000, 400) for scan in scans)
@@ -72,11 +72,8 @@ def pairs(data: Path) -> Iterator[Pair]:
         fixed, moving = read(folder / "exhale_master.mha"), read(folder / f"{cycle}.mha")
         if moving.GetSize() == fixed.GetSize() and moving.GetSpacing() != fixed.GetSpacing():
             moving.SetSpacing(fixed.GetSpacing())
-        points, matches = (
-            np.genfromtxt(folder / f"{volume}_landmarks_liver.csv", delimiter=",", skip_header=1)
-            for volume in ("exhale_master", cycle)
-        )
-        yield Pair(f"{name}_{cycle}", fixed, moving, None, points, matches)
+        points = (landmarks(folder / f"{volume}_landmarks_liver.csv") for volume in ("exhale_master", cycle))
+        yield Pair(f"{name}_{cycle}", fixed, moving, None, *points)
 
 
 def register(pair: Pair, levels: list[tuple[float, int, float]], iterations: int, samples: int) -> Any:
@@ -162,16 +159,11 @@ def registered(data: Path) -> Iterator[tuple[str, Any]]:
             yield name, scene
 
 
-def scored(score: NDArray[Any], true: NDArray[Any], in_mm: bool = True) -> dict[str, float]:
-    """Return Spearman's and Pearson's correlation, AUC of errors above 3 mm, and means in mm."""
+def scored(score: NDArray[Any], true: NDArray[Any]) -> dict[str, float]:
+    """Return Spearman's correlation, the AUC of errors above 3 mm, the mean error, and that of the score, mm."""
     expected, error = np.asarray(score, np.float64), np.asarray(true, np.float64)
-    cells = {"Spearman": correlation(ranks(expected), ranks(error)), "AUC": roc_area(expected, error > 3),
-             "true": float(error.mean())}  # fmt: skip
-    if in_mm:
-        cells |= {"Pearson": correlation(expected, error), "MAE": float(np.abs(expected - error).mean())}
-        classes = [np.digitize(values, (3, 6)) for values in (expected, error)]
-        cells["class"] = 100 * float(np.mean(classes[0] == classes[1]))
-    return cells
+    cells = {"Spearman": correlation(ranks(expected), ranks(error)), "AUC": roc_area(expected, error > 3)}
+    return cells | {"true": float(error.mean()), "MAE": float(np.abs(expected - error).mean())}
 
 
 def at_points(result: Any, values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[Any]:
@@ -180,28 +172,21 @@ def at_points(result: Any, values: NDArray[np.float32], places: NDArray[np.float
 
 
 def at_landmarks(scene: Any) -> Rows:
-    """Return how presets, single measures and baselines without a search agree with the errors at landmarks."""
+    """Return how presets and baselines without a search agree with the errors at landmarks."""
     loaded, truth = load_volumes(scene), true_errors(scene)
     places = loaded.grid.to_index(truth.points)
     rows = {}
-    for preset, name in PRESETS.items():
-        result = pipeline(name)(loaded.pair)
+    for preset in ("cost0", "thesis/ch7", "mind"):
+        result = pipeline(preset)(loaded.pair)
         rows[preset] = scored(at_points(result, result.expected_error, places), truth.error)
-        rows[preset]["border"] = 100 * result.figures["border"]
-        if preset == "mind":
-            for measure, values in result.measures.items():
-                score = (-1 if measure in SURER_IF_LARGER else 1) * at_points(result, values, places)
-                rows[f"mind {measure}"] = scored(score, truth.error, measure.endswith("shift"))
     fixed = loaded.pair.fixed
     mean = gaussian(fixed, 3.0)
-    rows["minus local variance"] = scored(
-        -trilinear(gaussian(fixed * fixed, 3.0) - mean * mean, places), truth.error, False
-    )
+    rows["minus local variance"] = scored(-trilinear(gaussian(fixed * fixed, 3.0) - mean * mean, places), truth.error)
     field = read_field(scene.displacement, loaded.grid)
     vectors = in_millimeters(field, field.named)
     slopes = [np.stack(np.gradient(vectors[..., c], *loaded.pair.spacing), -1)[..., ::-1] for c in range(3)]
     determinant = np.linalg.det(np.stack(slopes, -2) + np.eye(3)).astype(np.float32)
-    rows["Jacobian"] = scored(trilinear(np.abs(1 - determinant), places), truth.error, False)
+    rows["Jacobian"] = scored(trilinear(np.abs(1 - determinant), places), truth.error)
     return rows
 
 
@@ -255,7 +240,7 @@ def synthetic(scene: Any) -> Rows:
         made, error = misregistered(pair, largest, k)
         true = trilinear(error, places)
         for preset in ("thesis/ch7", "mind", "intensity", "cost0"):
-            result = pipeline(PRESETS[preset])(made)
+            result = pipeline(preset)(made)
             rows[f"{preset}, {largest:g} mm"] = scored(at_points(result, result.expected_error, places), true)
     return rows
 

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import matplotlib
 import numpy as np
-from _experiments import THESIS, Experiment, Rows, matcher, scenes_in
+from _experiments import THESIS, Experiment, Rows, bad, matcher, scenes_in
 from _thesis_times import figure_3_2, frames, local
 from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
@@ -56,7 +56,7 @@ def repetition(made: Any) -> Rows:
     rows = {}
     for name in (*CH2.values(), *OURS):
         found = matcher(name)(StereoPair(made.left, made.right), made.max_disparity).disparity.values
-        rows[name] = {"nonocc": 100 * float(np.mean(~(np.abs(found - made.disparity_left) <= 1)[made.nonocc]))}
+        rows[name] = {"nonocc": bad(found, made.disparity_left, made.nonocc)}
     return rows
 
 

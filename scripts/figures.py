@@ -15,6 +15,7 @@ from typing import Any
 
 import _env  # first: continues in the checkout's environment
 import yaml
+from _experiments import renewed
 
 PAGES = (_env.ROOT / "docs" / "figures.md", _env.ROOT / "README.md")
 SETTINGS = yaml.safe_load((_env.ROOT / "scripts" / "figures.yaml").read_text("utf-8"))
@@ -31,7 +32,7 @@ def main() -> None:
                 table = SETTINGS["tables"][name]
                 run = table["run"]
                 printed[run] = printed.get(run) or output(run, options.data, options.kept)
-                text = with_table(text, name, markdown(selected(tables(printed[run]), table)))
+                text = renewed(text, {name: markdown(selected(tables(printed[run]), table))})
         page.write_text(text, "utf-8")
 
 
@@ -92,14 +93,7 @@ def markdown(rows: Rows) -> str:
     header, *others = rows
     numeric = (all(re.match(r"[-+.\d]", cell) for cell in cells) for cells in zip(*others, strict=True))
     marks = ["---:" if each else "---" for each in numeric]
-    return "".join(f"| {' | '.join(row)} |\n" for row in (header, marks, *others))
-
-
-def with_table(text: str, name: str, table: str) -> str:
-    """Return a page with a table between its markers."""
-    mark = f"<!-- begin {name} -->\n"
-    before, _, rest = text.partition(mark)
-    return f"{before}{mark}\n{table}\n<!-- end -->{rest.partition('<!-- end -->')[2]}"
+    return "\n".join(f"| {' | '.join(row)} |" for row in (header, marks, *others))
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ that all data sets do.
 
 import sys
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -31,6 +31,7 @@ import _env  # first: continues in the checkout's environment
 import cv2
 import numpy as np
 from _experiments import config_of, generated_scenes, kept, real_scenes, scenes_in, show
+from _training import Arrays, Batch, Map, fit, log_odds, new_layers
 from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import discontinuity_mask, local_moments
@@ -54,7 +55,6 @@ LOOKS = ((1, 0, 0), (0.3, 2, 0), (0.1, 1, 0), (1, 2, 1), (0.3, 0, 0.5), (0.05, 2
 """Contrast of the walls, noise and strength of another light of the generated scenes."""
 UNITS, EPOCHS = (32, 16), 6
 """Units of the two hidden layers, and passes over all samples."""
-Map = NDArray[np.float32]
 Loaded = tuple[StereoPair, int, Map, dict[str, NDArray[np.bool_]]]
 """A pair, the largest disparity, true disparities (H, W), and masks by region."""
 
@@ -208,13 +208,13 @@ def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]
     return total
 
 
-Samples = dict[str, NDArray[Any]]
+Samples = Arrays
 """Pixels of a scene: ``inputs`` (P, N, F), ``errors`` (P, N) with sign, pixels, ``weights`` and ``regions`` (P,)."""
 REGIONS = ("bare", "textured", "occluded")
 """Visible pixels whose 13 x 13 window deviates by less than 3 grey levels; other visible ones; all others."""
 
 
-def samples_of(scene: TrainingScene, fusion: Fusion) -> Samples:
+def samples_of(scene: TrainingScene, fusion: Fusion) -> Arrays:
     """Return one pixel of ``pixel_step`` known ones, chosen at random."""
     pair, max_disparity, truth, masks = scene.load()
     proposals, weights = propose(fusion, pair, max_disparity), pixel_weights(truth, masks).ravel()
@@ -228,47 +228,7 @@ def samples_of(scene: TrainingScene, fusion: Fusion) -> Samples:
     return {"inputs": rows, "errors": errors.astype(np.float32)} | {name: a[pixels] for name, a in arrays.items()}
 
 
-Batch = tuple[Map, Map, Map, NDArray[Any]]
-"""Scaled inputs (P * N, F), what the first offsets are chosen by (P * N, K), wanted (P, N), weights (P, 1)."""
-
-
-def new_layers(rng: np.random.Generator, inputs: int, offsets: int, sizes: tuple[int, int]) -> list[Map]:
-    """Return weights and offsets of two hidden layers and the output; the first has several rows of offsets."""
-    shapes = [(inputs, sizes[0]), (offsets, sizes[0]), sizes, (sizes[1],), (sizes[1], 1), (1,)]
-    return [(rng.normal(size=s) * np.sqrt(2 / s[0]) if k % 2 == 0 else np.zeros(s)).astype(np.float32)
-            for k, s in enumerate(shapes)]  # fmt: skip
-
-
-def fit(layers: list[Map], batches: Iterable[Batch], steps: int, ranking: float, decay: float = 1e-3) -> None:
-    """Change layers by Adam, a step a batch, so that they give log odds of what is wanted.
-
-    The loss of a pixel is the mean cross entropy of its N maps, and ``ranking`` times the negative logarithm of the
-    share (softmax) of the wanted ones.
-    """
-    first, second = ([np.zeros_like(one) for one in layers] for _ in range(2))
-    for done, (x, which, wanted, weights) in enumerate(batches, 1):
-        h1 = np.maximum(x @ layers[0] + which @ layers[1], 0)
-        h2 = np.maximum(h1 @ layers[2] + layers[3], 0)
-        odds = (h2 @ layers[4] + layers[5]).reshape(wanted.shape)
-        chance = 1 / (1 + np.exp(-np.clip(odds, -30, 30)))
-        shares = np.exp(odds - odds.max(1, keepdims=True))
-        shares /= shares.sum(1, keepdims=True)
-        hit = (shares * wanted).sum(1, keepdims=True)
-        pull = np.where(hit > 1e-4, shares - shares * wanted / np.maximum(hit, 1e-4), 0)
-        gradient = (((chance - wanted) / wanted.shape[1] + ranking * pull) * weights / len(wanted)).reshape(-1, 1)
-        back2 = (gradient @ layers[4].T) * (h2 > 0)
-        back1 = (back2 @ layers[2].T) * (h1 > 0)
-        slopes = [x.T @ back1, which.T @ back1, h1.T @ back2, back2.sum(0), h2.T @ gradient, gradient.sum(0)]
-        speed = 3e-3 * 0.5 * (1 + np.cos(np.pi * done / steps))
-        for j, slope in enumerate(slopes):
-            slope = slope + (decay * layers[j] if j % 2 == 0 else 0)
-            first[j] = 0.9 * first[j] + 0.1 * slope
-            second[j] = 0.999 * second[j] + 0.001 * slope**2
-            step = first[j] / (1 - 0.9**done) / (np.sqrt(second[j] / (1 - 0.999**done)) + 1e-8)
-            layers[j] -= (speed * step).astype(np.float32)
-
-
-def train(samples: list[tuple[float, Samples]], maps: tuple[str, ...], trained_on: list[str]) -> TrainedNetwork:
+def train(samples: list[tuple[float, Arrays]], maps: tuple[str, ...], trained_on: list[str]) -> TrainedNetwork:
     """Fit a network to samples of scenes, each with its weight."""
     inputs, errors = (np.concatenate([one[key] for _, one in samples]) for key in ("inputs", "errors"))
     errors = np.abs(errors)
@@ -296,15 +256,7 @@ def train(samples: list[tuple[float, Samples]], maps: tuple[str, ...], trained_o
     return TrainedNetwork(maps, input_names(maps), mean, scale, fitted, tuple(trained_on))
 
 
-def log_odds(network: TrainedNetwork, inputs: NDArray[Any], row: int | slice = slice(None)) -> Map:
-    """Return the log odds that a network gives for inputs (..., F), without the kernel; ``row``: which offsets."""
-    (w1, b1), (w2, b2), (w3, b3) = network.layers
-    scaled = np.clip((inputs.astype(np.float32) - network.mean) * network.scale, -4, 4)
-    hidden = np.maximum(scaled @ w1 + b1[row], 0)
-    return np.asarray((np.maximum(hidden @ w2 + b2, 0) @ w3 + b3)[..., 0])
-
-
-def left_out(both: list[tuple[TrainingScene, Samples]], data_set: str, trained: TrainedNetwork) -> list[str]:
+def left_out(both: list[tuple[TrainingScene, Arrays]], data_set: str, trained: TrainedNetwork) -> list[str]:
     """Return a row of how a network does on a set: mean and median scene, and regions; choice, own map, best map.
 
     The choice is made as :class:`NetworkChoice` does it, without the averaging over neighbors.

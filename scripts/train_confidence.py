@@ -12,7 +12,6 @@ in groups of two to five.
 """
 
 import zlib
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -23,8 +22,9 @@ import _env  # first: continues in the checkout's environment
 import cv2
 import numpy as np
 from _experiments import kept, matcher
+from _training import Arrays, Map, Pixels, network
 from numpy.typing import NDArray
-from train_choice import Batch, Loaded, Map, Samples, TrainingScene, fit, new_layers, scenes
+from train_choice import Loaded, TrainingScene, scenes
 
 from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
@@ -34,9 +34,8 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.io.formats.networks import write_network
-from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, Judged, judged_maps
+from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, Judged, judged_maps, without_gaps
 from depthcli.methods.given_maps._planes import ALONE, INPUTS, ONE_VIEW, OTHERS, Evidence
-from depthcli.methods.stereo.refinement.background_fill import fill_background
 
 METHODS = (
     "opencv-sgbm", "ad-census", "opencv-bm", "cross", "opencv-sgbm-wls", "fast", "accurate", "fuse/accurate",
@@ -44,8 +43,6 @@ METHODS = (
 GROUPS = ((2, False), (3, False), (4, False), (1, True), (2, True), (4, True), (4, True))
 """Sizes of the groups that are judged, and whether the map of stereo fast and the median are added, as in a fusion."""
 ZOOM = 1.5
-EPOCHS = 4
-_RANKING = 0.5  # weight of the order of maps beside their chances
 _NO_VALUE = 1000.0  # error of a pixel without a value, pixels
 
 
@@ -80,11 +77,6 @@ def noise(rng: np.random.Generator, shape: tuple[int, ...], sigma: float) -> Map
     return np.asarray(field / field.std(), np.float32)
 
 
-def without_gaps(values: Map, largest: int) -> Map:
-    holed = DisparityMap(np.where(np.isfinite(values), values, np.float32(np.nan)), np.zeros(values.shape, np.uint8))
-    return np.nan_to_num(fill_background(holed).values).clip(0, largest)
-
-
 def made_wrong(
     pair: StereoPair, largest: int, truth: Map, maps: dict[str, DisparityMap], rng: np.random.Generator
 ) -> dict[str, Map]:
@@ -108,7 +100,7 @@ def made_wrong(
     small = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in pair.color8)
     half = matcher("fast")(StereoPair(*small), max(largest // 2 + 1, 8)).disparity.values
     made["half"] = cv2.resize(np.nan_to_num(half) * 2, (width, height), interpolation=cv2.INTER_LINEAR)
-    changed = without_gaps(np.where(truth > 0, truth, np.float32(np.nan)), largest)
+    changed, _ = without_gaps(np.where(truth > 0, truth, np.float32(np.nan)), largest)
     blur = rng.uniform(0, 3)
     if blur > 0.5:
         changed = cv2.GaussianBlur(changed, (0, 0), blur)
@@ -125,7 +117,7 @@ def made_wrong(
     return {name: values.astype(np.float32) for name, values in made.items()}
 
 
-def samples_of(scene: TrainingScene) -> Samples:
+def samples_of(scene: TrainingScene) -> Arrays:
     """Match the pair of a scene in all ways, and take one of ``2 pixel_step`` pixels.
 
     ``alone`` (M, P, len(ALONE)) of M maps, ``errors`` (M, P), pixels, of these maps, ``hidden`` (P,) in the right view;
@@ -139,7 +131,7 @@ def samples_of(scene: TrainingScene) -> Samples:
     pixels = np.sort(rng.choice(known, known.size // (2 * scene.pixel_step), replace=False))
     evidence = Evidence.of(pair, largest, Clock())
     names, alone, errors = list(values), [], []
-    found: Samples = {"hidden": (masks["all"] & ~masks["nonocc"]).ravel()[pixels]}
+    found: Arrays = {"hidden": (masks["all"] & ~masks["nonocc"]).ravel()[pixels]}
 
     def keep(judged: Judged) -> int:
         alone.append(judged.alone.reshape(len(ALONE), -1)[:, pixels].T.astype(np.float16))
@@ -157,7 +149,7 @@ def samples_of(scene: TrainingScene) -> Samples:
             members.append(len(names))
         count = len(given)
         if completed and count > 2:  # one more that agrees with most: of an even number the lower one in the middle
-            whole = np.stack([without_gaps(one, largest) for one in given])
+            whole = np.stack([without_gaps(one, largest)[0] for one in given])
             given.append(np.partition(whole, (count - 1) // 2, axis=0)[(count - 1) // 2])
         judged = judged_maps(evidence, given)
         others = np.stack([one.others.reshape(len(OTHERS), -1)[:, pixels].T for one in judged])
@@ -166,11 +158,7 @@ def samples_of(scene: TrainingScene) -> Samples:
     return {**found, "alone": np.stack(alone), "errors": np.stack(errors)}
 
 
-Pixels = tuple[NDArray[np.float16], NDArray[np.float16], Map]
-"""Inputs (P, N, F), errors (P, N) pixels, weights (P,)."""
-
-
-def pixels_of(samples: list[tuple[float, Samples]]) -> dict[int, Pixels]:
+def pixels_of(samples: list[tuple[float, Arrays]]) -> dict[int, Pixels]:
     """Return number of maps in a group -> all its pixels; 1: maps that are judged alone."""
     parts: dict[int, list[Pixels]] = {}
     for weight, one in samples:
@@ -188,42 +176,7 @@ def pixels_of(samples: list[tuple[float, Samples]]) -> dict[int, Pixels]:
     return {n: tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True)) for n, found in parts.items()}
 
 
-def network(
-    groups: dict[int, Pixels], thresholds: tuple[float, ...], maps: tuple[str, ...], inputs: tuple[str, ...],
-    sizes: tuple[int, int], names: list[str],
-) -> TrainedNetwork:  # fmt: skip
-    """Return a network of the chance of each map to be right within a threshold, chosen at random at every pixel.
-
-    In groups it also learns that the likeliest map is right.
-    """
-    rng = np.random.default_rng(0)
-    some = [x.reshape(-1, x.shape[2])[:: max(1, x.shape[0] * n // 100_000)] for n, (x, *_) in groups.items()]
-    spread = np.concatenate(some).astype(np.float32)
-    mean, scale = spread.mean(0), 1 / (spread.std(0) + 1e-3)
-    average = {n: float(w.mean()) for n, (_, _, w) in groups.items()}
-    layers = new_layers(rng, mean.size, len(thresholds), sizes)
-    parts = {n: len(x) * n // 2048 for n, (x, *_) in groups.items()}
-    order = [n for n, count in parts.items() for _ in range(count)]
-
-    def batches() -> Iterator[Batch]:
-        for _ in range(EPOCHS):
-            shuffled = {n: iter(np.array_split(rng.permutation(len(x)), max(1, parts[n])))
-                        for n, (x, *_) in groups.items()}  # fmt: skip
-            for n in rng.permutation(order):
-                chosen = np.sort(next(shuffled[n]))
-                x, errors, weights = (array[chosen] for array in groups[n])
-                k = rng.integers(0, len(thresholds), len(chosen))
-                wanted = errors.astype(np.float32) <= np.array(thresholds, np.float32)[k][:, None]
-                scaled = np.clip((x.astype(np.float32) - mean) * scale, -4, 4).reshape(-1, mean.size)
-                which = np.repeat(np.eye(len(thresholds), dtype=np.float32)[k], n, axis=0)
-                yield scaled, which, wanted.astype(np.float32), np.minimum(weights / average[n], 8)[:, None]
-
-    fit(layers, batches(), EPOCHS * len(order), _RANKING)
-    w1, b1, w2, b2, w3, b3 = layers
-    return TrainedNetwork(maps, inputs, mean, scale, ((w1, b1), (w2, b2), (w3, b3)), tuple(names))
-
-
-def trained(samples: list[tuple[float, Samples]], names: list[str]) -> dict[str, TrainedNetwork]:
+def trained(samples: list[tuple[float, Arrays]], names: list[str]) -> dict[str, TrainedNetwork]:
     """Return the networks ``map_right``, ``map_hidden`` and ``map_one_view``."""
     groups = pixels_of(samples)
     right = network(groups, THRESHOLDS, RIGHT_NAMES, INPUTS, (64, 32), names)
@@ -249,7 +202,7 @@ def main() -> None:
         write_network(options.out / f"{name}.json", one)
 
 
-def _collect(data: Path, folder: Path | None, number: int) -> Samples:
+def _collect(data: Path, folder: Path | None, number: int) -> Arrays:
     scene = training_scenes(data)[number]
     return kept(folder, scene.name, lambda: samples_of(scene))
 

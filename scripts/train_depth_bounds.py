@@ -18,11 +18,9 @@ import _env  # first: continues in the checkout's environment
 import cv2
 import numpy as np
 from _experiments import THESIS, config_of, kept, middlebury_scenes, show
-from _thesis_depth import CHOSEN_ON, KINECT, real_frames
+from _thesis_depth import CHOSEN_ON, KINECT, blocks, real_frames
+from _training import Arrays, held, log_odds, network, some_pixels, table, write
 from numpy.typing import NDArray
-from train_bounds import table, write
-from train_choice import log_odds
-from train_confidence import network
 
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.core.frames import RgbdFrame, color8
@@ -43,7 +41,6 @@ STATUS = ("kept", "corrected", "filled")
 WEIGHTS = {"accurate": 3.0, "dsrm": 1.5, "fast": 1.5}  # of presets, as far as they are used more; others 1
 REAL_WEIGHT = 4.0  # of a real frame, of which there are few
 PIXELS = 400  # of a map and status
-Arrays = dict[str, NDArray[Any]]
 Truth = tuple[RgbdFrame, NDArray[np.float32], NDArray[np.bool_]]
 """A frame, its true disparity, and where that counts."""
 
@@ -115,13 +112,9 @@ def measured(load: Callable[[], Any], seed: int, sensor: dict[str, Any]) -> Trut
 
 def cut_out(frame: RgbdFrame, size: int, seed: int) -> Truth:
     """Return a frame without random blocks of a size, a tenth of its known pixels."""
-    known, rng = np.isfinite(frame.depth), np.random.default_rng(seed)
-    taken = np.zeros_like(known)
-    while np.count_nonzero(taken & known) < 0.1 * np.count_nonzero(known):
-        y, x = rng.integers(0, known.shape[0] - size), rng.integers(0, known.shape[1] - size)
-        taken[y : y + size, x : x + size] = True
+    taken = blocks(np.isfinite(frame.depth), seed, lambda _: (size, size))
     holed = replace(frame, depth=np.where(taken, np.float32(np.nan), frame.depth))
-    return holed, frame.disparity, taken & known
+    return holed, frame.disparity, taken
 
 
 def sampled(item: Item) -> Arrays:
@@ -135,9 +128,9 @@ def sampled(item: Item) -> Arrays:
         status = np.where(planes[1] > 0, 2, planes[0]).astype(int)
         rng = np.random.default_rng(zlib.crc32(f"{item.name} {preset}".encode()))
         for k, name in enumerate(STATUS):
-            pixels = np.flatnonzero((counts & np.isfinite(error) & (status == k)).ravel())
-            if pixels.size >= 30:
-                chosen = rng.choice(pixels, min(pixels.size, PIXELS), replace=False)
+            pixels = counts & np.isfinite(error) & (status == k)
+            if pixels.sum() >= 30:
+                chosen = some_pixels(rng, pixels, PIXELS)
                 found[f"{preset}|{name}|planes"] = planes.reshape(len(planes), -1)[:, chosen].T.astype(np.float16)
                 found[f"{preset}|{name}|error"] = error.ravel()[chosen].astype(np.float32)
     return found
@@ -149,14 +142,11 @@ def figures(maps: list[tuple[str, Arrays]], errors: ErrorTable) -> list[str]:
     covered: dict[str, list[float]] = {}
     for (family, one), bound in zip(maps, bounds, strict=True):
         covered.setdefault(family, []).append(100 * float(np.mean(one["error"] <= bound)))
-    error, bound = np.concatenate([one["error"] for _, one in maps]), np.concatenate(bounds)
-    constant = np.quantile(error, np.mean(error <= bound))
-    surest = np.argsort(bound, kind="stable")[: round(0.8 * bound.size)]
-    over = np.median(bound) / max(np.median(error), 0.01)
-    numbers = np.mean([np.mean(x) for x in covered.values()]), min(np.mean(x) for x in covered.values())
-    wrong = 100 * np.mean(error > 6), 100 * np.mean(error[surest] > 6)
-    return [*(f"{x:.1f}" for x in (*numbers, np.median(bound), over)), f"{bound.mean() / constant:.2f}",
-            *(f"{x:.1f}" for x in wrong)]  # fmt: skip
+    error = np.concatenate([one["error"] for _, one in maps])
+    whole, means = held(error, np.concatenate(bounds), least=0.01), [np.mean(x) for x in covered.values()]
+    numbers = np.mean(means), min(means), whole.median, whole.over_error
+    wrong = 100 * np.mean(error > 6), 100 * np.mean(whole.surest > 6)
+    return [*(f"{x:.1f}" for x in numbers), f"{whole.over_constant:.2f}", *(f"{x:.1f}" for x in wrong)]
 
 
 def main() -> None:
@@ -177,9 +167,8 @@ def main() -> None:
     for *_, one in maps:
         one["odds"] = log_odds(trained, one["planes"], THRESHOLDS.index(2.0))
     made = table([(item.family, one) for item, one in taught], "odds", worst_share=0.0)
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_network(options.out / "depth_error.json", trained)
     write(options.out / "depth_errors.csv", made, unit="multiples of the noise")
+    write_network(options.out / "depth_error.json", trained)
     for real, title in ((False, "Sensors and scenes not taught"), (True, "Blocks cut out of frames not taught")):
         groups: dict[tuple[str, str], list[tuple[str, Arrays]]] = {}
         for item, preset, status, one in maps:

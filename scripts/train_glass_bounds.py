@@ -18,8 +18,8 @@ import _env  # first: continues in the checkout's environment
 import numpy as np
 from _experiments import config_of, kept, middlebury_scenes, scenes_in, show
 from _thesis_depth import glass_frames, halved
+from _training import Arrays, held, some_pixels, table, write
 from numpy.typing import NDArray
-from train_bounds import table, write
 
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.color_and_infrared import RgbIrFrame
@@ -60,7 +60,6 @@ POINTS = {
 }  # fmt: skip
 """Of the curves."""
 Frame = tuple[Any, ...]  # color, infrared or None, sensor, truth, mask, largest disparity; (H, W), meters
-Arrays = dict[str, NDArray[Any]]
 
 
 def frames(data: Path) -> Iterator[tuple[str, str, Callable[[], Frame]]]:
@@ -145,8 +144,7 @@ def sampled(number: int, name: str, given: Frame) -> Arrays:
         kinds, unit = kinds_of(frame, depth), units(planes, depth)
         rng = np.random.default_rng(zlib.crc32(f"{name} {key}".encode()))
         for place, where in (("inside", mask), ("outside", ~mask)):
-            known = np.flatnonzero((where & np.isfinite(error)).ravel())
-            pixels = rng.choice(known, min(known.size, PIXELS), replace=False)
+            pixels = some_pixels(rng, where & np.isfinite(error), PIXELS)
             found[f"{key}|{place}|planes"] = planes.reshape(len(planes), -1)[:, pixels].astype(np.float16)
             for plane, values in (("error", error / unit), ("unit", unit), ("kind", kinds)):
                 found[f"{key}|{place}|{plane}"] = values.ravel()[pixels].astype(np.float32)
@@ -215,11 +213,10 @@ def figures(maps: list[tuple[str, Arrays, NDArray[np.float64]]]) -> list[str]:
     """Return coverage, that of the worst map, and how wide bounds are; means over maps."""
     rows = []
     for _, one, bound in maps:
-        error, bound = one["error"] * one["unit"], bound * one["unit"]
-        constant = np.quantile(error, np.mean(error <= bound))
-        surest = np.argsort(bound, kind="stable")[: round(0.8 * bound.size)]
-        rows.append((np.mean(error <= bound), 1000 * np.median(bound), np.median(bound) / np.median(error),
-                     bound.mean() / max(constant, 1e-6), error[surest].mean() / error.mean()))  # fmt: skip
+        error = one["error"] * one["unit"]
+        holds = held(error, bound * one["unit"])
+        share = holds.surest.mean() / error.mean()
+        rows.append((holds.covered, 1000 * holds.median, holds.over_error, holds.over_constant, share))
     found = np.array(rows)
     middle = np.median(found, axis=0)
     return [f"{100 * found[:, 0].mean():.1f}", f"{100 * found[:, 0].min():.1f}", f"{middle[1]:.0f}",
@@ -237,13 +234,12 @@ def main() -> None:
             if one["error"].size >= 100:
                 maps.append((family, tuple(key.split("|")), one | {"inside": np.array(key.endswith("|inside"))}))
     taught = [(family, one) for family, (preset, *_), one in maps if preset in TAUGHT]
-    options.out.mkdir(parents=True, exist_ok=True)
     made = fitted(taught)
-    header = f"number of the plane, its value, what it adds to kinds of pixels: {', '.join(KINDS)}"
-    np.savetxt(options.out / "glass_curves.csv", made.curves, "%.4g", ",", header=header)
     for kind, errors in zip(KINDS, made.tables, strict=True):
         unit = "noise of the sensor" if kind == "kept" else "2**-10 of the depth"
         write(options.out / f"glass_{kind}.csv", errors, "score", unit)
+    header = f"number of the plane, its value, what it adds to kinds of pixels: {', '.join(KINDS)}"
+    np.savetxt(options.out / "glass_curves.csv", made.curves, "%.4g", ",", header=header)
     groups: dict[tuple[str, ...], list[tuple[str, Arrays, NDArray[np.float64]]]] = {}
     for left_out in sorted({family for family, *_ in maps}):
         others = fitted([(family, one) for family, one in taught if family != left_out])

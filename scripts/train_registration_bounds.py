@@ -18,8 +18,8 @@ import _env  # first: continues in the checkout's environment
 import numpy as np
 from _experiments import kept, show
 from _thesis_registration import at_points, pipeline, registered, spline_error
+from _training import Arrays, table, write
 from numpy.typing import NDArray
-from train_bounds import Map, table, write
 
 from depthcli.algorithms.error_table import ErrorTable
 from depthcli.algorithms.resampling import trilinear
@@ -66,7 +66,7 @@ def spoiled(scene: Any, state: str) -> tuple[RegisteredPair, NDArray[Any], NDArr
     )  # fmt: skip
 
 
-def sampled(scene: Any, state: str, preset: str) -> Map:
+def sampled(scene: Any, state: str, preset: str) -> Arrays:
     """Return scores, expected and true errors at the landmarks."""
     pair, places, true = spoiled(scene, state)
     result = pipeline(preset)(pair)
@@ -76,7 +76,7 @@ def sampled(scene: Any, state: str, preset: str) -> Map:
     return found | figures | {"true": true, "error": true / figures["iso"], "expected": expected}
 
 
-def measured(of: Map, by: ErrorTable) -> tuple[float, ...]:
+def measured(of: Arrays, by: ErrorTable) -> tuple[float, ...]:
     """Return coverage, median bound, median error, mean bound / constant, share of bounds that end with the search."""
     scores, reach = [of[name] for name in sorted(of) if name.startswith("score")], float(of["reach"])
     bound = bounds_of(scores, float(of["iso"]), reach, by, VolumeBound())["bound"].astype(np.float64)
@@ -89,7 +89,7 @@ def measured(of: Map, by: ErrorTable) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-def registrations(options: Any) -> Iterator[tuple[str, str, str, str, Map]]:
+def registrations(options: Any) -> Iterator[tuple[str, str, str, str, Arrays]]:
     """Yield data set, pair, state, preset, and what was found at the landmarks."""
     for name, scene in registered(options.data):
         for state in STATES if name.endswith("_b") else [""]:
@@ -103,7 +103,6 @@ def registrations(options: Any) -> Iterator[tuple[str, str, str, str, Map]]:
 def main() -> None:
     options = _env.options(__doc__, "data", "out", samples=None)
     found = list(registrations(options))
-    options.out.mkdir(parents=True, exist_ok=True)
     families = sorted({family for family, *_ in found})
 
     def made(preset: str, *left_out: str) -> ErrorTable:

@@ -150,9 +150,9 @@ def test_a_table_is_taken_from_the_output_of_a_script():
     settings = {"title": "Some", "columns": {"method": "name", "a / b": "a & b"}, "rows": {"y": "Y", "x": "X"}}
     settings |= {"digits": 1, "fixed": [["Z", 9]]}
     table = figures.markdown(figures.selected(figures.tables(text), settings))
-    assert table == "| method | a / b |\n| --- | ---: |\n| Y | 3 / 4.5 |\n| X | 1.2 / 2 |\n| Z | 9 |\n"
-    page = figures.with_table("a\n<!-- begin t -->\nold\n<!-- end -->\nb\n", "t", table)
-    assert page == f"a\n<!-- begin t -->\n\n{table}\n<!-- end -->\nb\n"
+    assert table == "| method | a / b |\n| --- | ---: |\n| Y | 3 / 4.5 |\n| X | 1.2 / 2 |\n| Z | 9 |"
+    page = figures.renewed("a\n<!-- begin t -->\nold\n<!-- end -->\nb\n", {"t": table})
+    assert page == f"a\n<!-- begin t -->\n\n{table}\n\n<!-- end -->\nb\n"
 
 
 @pytest.fixture

@@ -1,39 +1,125 @@
-"""Costs of a map at every pixel: matching, disagreement of other maps, contradiction by the right view, misfits."""
+"""What a pair, and other maps, show of a map of its left view at every pixel: the planes that maps are judged by.
+
+Given maps (``methods.given_maps``) and both ways to choose among maps (``fusion.choice``) take their planes from here.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable, Mapping
+from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.filters import CORRELATED, correlation, local_moments
+from depthcli.core.frames import StereoPair
 from depthcli.kernels.color_steps import BEFORE, color_steps
 from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.fusion.votes import ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
 
 _ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
 NEIGHBORS = (((_ALL, _BUT_LAST), (_ALL, _BUT_FIRST)), ((_BUT_LAST, _ALL), (_BUT_FIRST, _ALL)))
 """Pixels and the next ones in their rows; pixels and the next ones in their columns."""
+MAX_COLOR = np.float32(40.0)
+"""Largest color difference and deviation in the planes, grey levels; networks are trained with it."""
+VIEW_PLANES = (
+    *("cost", "uncut_cost", "excess_cost", "contradiction", "hidden", "right_view_difference"),
+    *("match_column", "self_occlusion", "warped", "color_difference"),
+)
+"""Planes of :meth:`Views.compare`, one value per pixel of every map.
 
-
+| plane | what it measures |
+|---|---|
+| ``cost``, ``uncut_cost`` | matching cost along the map, two limits of it, which count outside the right image, too |
+| ``excess_cost`` | cost above the pixel's smallest one |
+| ``contradiction`` | how far the map is in front of what the right view sees: 0 to 1 between one and two pixels |
+| ``hidden`` | 1 where the map is more than a pixel behind what the right view sees, or outside |
+| ``right_view_difference`` | to the disparity of the match in the right view, at most 5 pixels; -6 outside |
+| ``match_column`` | column of the match in the right image, at most 20 from its border, pixels |
+| ``self_occlusion`` | by how much a nearer pixel of the map covers the match, pixels |
+| ``warped`` | grey level of the right image at the match |
+| ``color_difference`` | largest channel difference to the match, grey levels |
+"""
 Map = NDArray[np.float32]
+_SOFTNESS = 15.0  # of the supports, grey levels
 
 
-def misfit(here: Map, there: Map, slope_here: Map, slope_there: Map, truncation: float) -> Map:
+class Views:
+    """A pair, its costs and the disparities of its right view, by which maps of the left view are judged."""
+
+    pair: StereoPair
+    volume: CostVolume  # (H, W, D) matching costs
+    right: NDArray[np.uint16]  # (H, W) disparities of the right view
+
+    @cached_property
+    def wide(self) -> ColorSupport:
+        """The wide support that costs are averaged over; networks are trained with the supports."""
+        return ColorSupport(self.pair.color8[0], 8.0, _SOFTNESS)
+
+    @cached_property
+    def narrow(self) -> ColorSupport:
+        """The narrow support that is used where outlines matter."""
+        return ColorSupport(self.pair.color8[0], 2.0, _SOFTNESS)
+
+    @cached_property
+    def region(self) -> ColorSupport:
+        """The support of a whole surface of one color."""
+        return ColorSupport(self.pair.color8[0], 40.0, 8.0)
+
+    @cached_property
+    def grey(self) -> tuple[Map, Map]:
+        """Both images, grey levels 0 .. 255 as float32."""
+        left, right = (image.astype(np.float32) for image in self.pair.grey8)
+        return left, right
+
+    @property
+    def light_trust(self) -> Map | np.float32:
+        """How far the light of every pixel is trusted, 0 .. 1."""
+        trust = self.pair.light_trust
+        return np.float32(1) if trust is None else np.asarray(trust / np.float32(255), np.float32)
+
+    def compare(self, maps: Map, plane: Mapping[str, Map], max_costs: tuple[float, float]) -> Map:
+        """Write the planes ``VIEW_PLANES``, (N, H, W) each, of maps of that shape; return the smallest cost (H, W).
+
+        Costs are in units of the measure; ``max_costs`` are the limits of ``cost`` and ``uncut_cost``.
+        """
+        lowest = np.empty(maps.shape[1:], np.float32)
+        left, right = self.pair.color8
+        views = self.volume.costs, np.float32(1 / self.volume.scale), self.right, left, right, self.grey[1]
+        max_cost, max_uncut = map(np.float32, max_costs)
+        _compare(maps, *views, max_cost, max_uncut, lowest, *(plane[name] for name in VIEW_PLANES))
+        return lowest
+
+    def decorrelation(self, warped: Map, out: Map) -> None:
+        """Write 1 - correlation of the left image and (N, H, W) right ones, warped by maps, in windows."""
+        left = self.grey[0]
+        np.subtract(1, correlation(left, local_moments(left, CORRELATED), warped), out=out)
+
+
+def image_planes(grey: Map, sides: Iterable[int], plane: Mapping[str, Map]) -> None:
+    """Write ``deviation_SIDE`` of windows and ``gradient`` of an image, grey levels."""
+    for side in sides:
+        deviation(grey, side, float(MAX_COLOR), plane[f"deviation_{side}"])
+    np.minimum(np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0)) / 8, 30, out=plane["gradient"])
+
+
+def deviation(values: Map, side: int, most: float, out: Map) -> None:
+    """Write the standard deviation of square windows of ``side`` pixels, at most ``most``."""
+    np.sqrt(local_moments(values, side)[1], out=out)
+    np.minimum(out, most, out=out)
+
+
+def misfit(here: Map, there: Map, slope_here: Map, slope_there: Map) -> Map:
     """Return the mean difference of two neighbors from the disparity that the slope of the other predicts, pixels."""
     step = there - here
-    mean = np.float32(0.5) * (np.abs(step - slope_here) + np.abs(step - slope_there))
-    return np.asarray(np.minimum(np.float32(truncation), mean))
+    mean: Map = np.float32(0.5) * (abs(step - slope_here) + abs(step - slope_there))
+    return mean
 
 
-def matching_costs(maps: Map, volume: CostVolume, truncation: float) -> Map:
-    """Compute the cost along every map (N, H, W), in units of the measure.
-
-    A pixel costs ``truncation`` at most, and if its match lies outside the right image.
-    """
-    out = np.empty(maps.shape, np.float32)
-    _along(maps, volume.costs, np.float32(1.0 / volume.scale), np.float32(truncation), out)
-    return out
+misfit_of_pixels = jit(misfit)
+"""The same of single pixels, for kernels."""
 
 
 def disagreements(maps: Map, weights: NDArray[np.float32], out: Map | None = None) -> Map:
@@ -52,17 +138,6 @@ def agreement(values: Map, maps: Map, weights: NDArray[np.float32]) -> Map:
     for one, weight in zip(maps, weights, strict=True):
         total += weight * np.clip(np.float32(1.5) - np.abs(one - values), 0, 1)
     return total / np.float32(weights.sum())
-
-
-def contradictions(maps: Map, right: NDArray[Any], hidden: float) -> Map:
-    """Compute how far the right view contradicts every map; (N, H, W) in [0, 1], or ``hidden``.
-
-    A disparity larger than that of its match in the right view is a contradiction, since the right view could not have
-    missed the nearer point: 1, fading between one and two pixels. A smaller one, or a match outside, is ``hidden``.
-    """
-    out = np.empty(maps.shape, np.float32)
-    _contradict(maps, right, np.float32(hidden), out)
-    return out
 
 
 def hidden_jumps(maps: Map, image: NDArray[np.uint8], out: Map | None = None) -> Map:
@@ -98,13 +173,25 @@ def nearest_matches(row):
 
 
 @jit
-def match_in_right(x, value, right):
-    """Return the column of pixel ``x``'s match, below 0 outside, and by how much it is nearer than ``right`` there.
+def match_in_right(x, value, right, nearest):
+    """Return what the right view says of pixel ``x`` of a map: some of ``VIEW_PLANES``, and the distance from it.
 
-    ``right`` are the disparities of a row of the right view.
+    These are ``contradiction``, ``hidden``, ``right_view_difference``, ``match_column``, ``self_occlusion``, and how
+    far the disparity of the match is away, at most 8 pixels. ``right`` are the disparities of a row of the right view,
+    ``nearest`` the :func:`nearest_matches` of a row of the map.
     """
-    u = int(np.floor(np.float32(x) - value + np.float32(0.5)))
-    return u, value - np.float32(right[max(u, 0)])
+    zero, one = np.float32(0), np.float32(1)
+    column = np.float32(x) - value
+    u = int(np.floor(column + np.float32(0.5)))
+    column = min(max(column, np.float32(-20)), np.float32(20))
+    if u < 0:
+        return zero, one, np.float32(-6), column, zero, np.float32(8)
+    nearer = value - np.float32(right[u])
+    hidden = one if nearer < -one else zero
+    contradiction = min(max(nearer - one, zero), one)
+    difference = min(max(nearer, np.float32(-5)), np.float32(5))
+    covered = min(nearest[u] - value, np.float32(6))
+    return contradiction, hidden, difference, column, covered, min(abs(nearer), np.float32(8))
 
 
 @jit
@@ -121,18 +208,34 @@ def warped_right(x, value, image, other, grey):
     for c in range(3):
         a, b = np.float32(other[low, c]), np.float32(other[high, c])
         largest = max(largest, abs(np.float32(image[x, c]) - (a + rest * (b - a))))
-    return grey[low] + rest * (grey[high] - grey[low]), largest
+    return grey[low] + rest * (grey[high] - grey[low]), min(largest, MAX_COLOR)
 
 
 @parallel_jit
-def _along(maps, costs, unit, truncation, out):
+def _compare(
+    maps, costs, unit, right, image, other, grey, max_cost, max_uncut, lowest,
+    cost, uncut, excess, contradiction, hidden, difference, column, occlusion, warped, color,
+):  # fmt: skip
     count, height, width = maps.shape
     for y in prange(height):
-        for k in range(count):
-            row = maps[k, y]
+        along = np.empty(width, np.float32)
+        for x in range(width):
+            lowest[y, x] = np.float32(costs[y, x].min()) * unit
+        for n in range(count):
+            row = maps[n, y]
+            nearest = nearest_matches(row)
             for x in range(width):
-                d = min(int(row[x]), costs.shape[2] - 1)
-                out[k, y, x] = truncation if d > x else min(cost_between(costs[y, x], row[x]) * unit, truncation)
+                value = row[x]
+                along[x] = cost_between(costs[y, x], value)
+                outside = min(int(value), costs.shape[2] - 1) > x
+                uncut[n, y, x] = max_uncut if outside else min(along[x] * unit, max_uncut)
+                contradicted, behind, nearer, at, covered, _ = match_in_right(x, value, right[y], nearest)
+                contradiction[n, y, x], hidden[n, y, x], difference[n, y, x] = contradicted, behind, nearer
+                column[n, y, x], occlusion[n, y, x] = at, covered
+                warped[n, y, x], color[n, y, x] = warped_right(x, value, image[y], other[y], grey[y])
+            for x in range(width):
+                cost[n, y, x] = min(uncut[n, y, x], max_cost)
+                excess[n, y, x] = along[x] * unit - lowest[y, x]
 
 
 @parallel_jit
@@ -152,18 +255,6 @@ def _disagree(maps, weights, others, out):
                     agreement[x] += weight * min(max(no_agreement - abs(own[x] - other[x]), zero), one)
             for x in range(width):
                 out[k, y, x] = one - agreement[x] / others[k] if others[k] > 0 else zero
-
-
-@parallel_jit
-def _contradict(maps, right, hidden, out):
-    count, height, width = maps.shape
-    zero, one = np.float32(0), np.float32(1)
-    for y in prange(height):
-        for k in range(count):
-            row = maps[k, y]
-            for x in range(width):
-                u, nearer = match_in_right(x, row[x], right[y])
-                out[k, y, x] = hidden if u < 0 or nearer < -one else min(max(nearer - one, zero), one)
 
 
 @parallel_jit

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
-from depthcli.core.frames import StereoPair
 from depthcli.core.method import ConfigModel, Odd
 from depthcli.kernels.color_steps import BEFORE, color_steps
 from depthcli.kernels.jit import parallel_jit, prange
@@ -29,8 +28,6 @@ BLOCK_DEPTH = LANES
 """Disparities, or maps, that a support sums at a time: 16."""
 _STRIP = 8  # columns
 NO_VOTE = np.float32(1e-20)  # instead of 0: what is left of far votes must not become denormal, which is slow
-
-_SOFTNESS = 15.0  # of the supports by which maps are judged, grey levels
 
 
 class Support(ABC):
@@ -80,27 +77,6 @@ class ColorSupport(Support):
     def sum(self, block: NDArray[np.float32]) -> None:
         _recurse_rows(block, self._across, self._decay)
         _recurse_columns(block, self._down, self._decay)
-
-
-class PairSupports:
-    """The supports by which maps of ``pair`` are judged; networks are trained with them."""
-
-    pair: StereoPair
-
-    @cached_property
-    def wide(self) -> ColorSupport:
-        """The wide support that costs are averaged over."""
-        return ColorSupport(self.pair.color8[0], 8.0, _SOFTNESS)
-
-    @cached_property
-    def narrow(self) -> ColorSupport:
-        """The narrow support that is used where outlines matter."""
-        return ColorSupport(self.pair.color8[0], 2.0, _SOFTNESS)
-
-    @cached_property
-    def region(self) -> ColorSupport:
-        """The support of a whole surface of one color."""
-        return ColorSupport(self.pair.color8[0], 40.0, 8.0)
 
 
 class WindowSupport(Support):

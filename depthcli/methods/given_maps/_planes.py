@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.filters import CORRELATED, correlation, local_moments
 from depthcli.core import memory
 from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
@@ -18,8 +16,17 @@ from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import winners
-from depthcli.methods.fusion.map_costs import cost_between, disagreements, match_in_right, nearest_matches, warped_right
-from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, PairSupports
+from depthcli.methods.fusion.map_costs import (
+    Views,
+    cost_between,
+    deviation,
+    disagreements,
+    image_planes,
+    match_in_right,
+    nearest_matches,
+    warped_right,
+)
+from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE
 from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.optimization.scanline import Scanline
@@ -46,7 +53,7 @@ _REFINEMENT = (
 
 
 @dataclass(frozen=True)
-class Evidence(PairSupports):
+class Evidence(Views):
     """Costs of a pair, by which its maps are judged."""
 
     pair: StereoPair  # the images, the right one in the light of the left one
@@ -70,12 +77,6 @@ class Evidence(PairSupports):
         raw = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
         reference = refined(raw, _REFINEMENT, RefinementContext(pair, optimized, right))
         return cls(pair, volume, optimized, left, right, reference)
-
-    @cached_property
-    def grey(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Both images, grey levels 0 .. 255 as float32."""
-        left, right = (image.astype(np.float32) for image in self.pair.grey8)
-        return left, right
 
 
 SHAPE = (
@@ -135,13 +136,12 @@ INPUTS = (*ALONE, *OTHERS)
 
 Planes = dict[str, NDArray[np.float32]]
 """By name, (H, W) each."""
-_MAX_DEVIATION = 40.0  # grey levels
 
 
 def shape_planes(values: NDArray[np.float32], max_disparity: int, plane: Planes) -> None:
     """Write the planes ``SHAPE`` of a map without gaps."""
     for side in (5, 11, 21, 41):
-        _deviation(values, side, 10, plane[f"deviation_of_map_{side}"])
+        deviation(values, side, 10, plane[f"deviation_of_map_{side}"])
     top = np.float32(max(max_disparity, 1))
     coarse = cv2.medianBlur((values * (255 / top)).astype(np.uint8), 21).astype(np.float32) * (top / 255)
     middles = {f"mean_{side}": cv2.blur(values, (side, side)) for side in (11, 25)}
@@ -162,20 +162,13 @@ def shape_planes(values: NDArray[np.float32], max_disparity: int, plane: Planes)
     np.divide(values, top, out=plane["relative"])
 
 
-def image_planes(grey: NDArray[np.float32], plane: Planes) -> None:
+def _left_planes(grey: NDArray[np.float32], plane: Planes) -> None:
     """Write the planes ``IMAGE`` of the left image, grey levels 0 .. 255."""
     height, width = grey.shape
-    for side in (5, 13, 31):
-        _deviation(grey, side, _MAX_DEVIATION, plane[f"deviation_{side}"])
-    np.minimum(np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0)) / 8, 30, out=plane["gradient"])
+    image_planes(grey, (5, 13, 31), plane)
     columns, rows = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
     beside, above = np.minimum(columns, width - 1 - columns), np.minimum(rows, height - 1 - rows)
     np.minimum(np.minimum(beside, above), 20, out=plane["border_distance"])
-
-
-def _deviation(image: NDArray[np.float32], side: int, most: float, out: NDArray[np.float32]) -> None:
-    np.sqrt(local_moments(image, side)[1], out=out)
-    np.minimum(out, most, out=out)
 
 
 def one_view_planes(values: NDArray[np.float32], grey: NDArray[np.float32], max_disparity: int) -> NDArray[np.float32]:
@@ -183,16 +176,16 @@ def one_view_planes(values: NDArray[np.float32], grey: NDArray[np.float32], max_
     out = np.empty((len(ONE_VIEW), *values.shape), np.float32)
     plane = dict(zip(ONE_VIEW, out, strict=True))
     shape_planes(values, max_disparity, plane)
-    image_planes(grey, plane)
+    _left_planes(grey, plane)
     return out
 
 
 def pixel_planes(evidence: Evidence) -> NDArray[np.float32]:
     """Return the planes ``PIXEL``, which are the same for all maps, (len(PIXEL), H, W) float32."""
-    out, trust = np.empty((len(PIXEL), *evidence.pair.shape), np.float32), evidence.pair.light_trust
+    out = np.empty((len(PIXEL), *evidence.pair.shape), np.float32)
     plane = dict(zip(PIXEL, out, strict=True))
-    image_planes(evidence.grey[0], plane)
-    plane["light_trust"][:] = 1 if trust is None else trust / np.float32(255)
+    _left_planes(evidence.grey[0], plane)
+    plane["light_trust"][:] = evidence.light_trust
     unit = np.float32(1 / evidence.optimized.scale)
     _peaks(evidence.optimized.costs, evidence.left, unit, plane["min_cost"], plane["peak"])
     return out
@@ -219,8 +212,7 @@ def alone_planes(
     for k, (support, array) in enumerate(((evidence.narrow, block.copy()), (evidence.wide, block))):
         support.sum(array)
         _spread(array, out[k * len(AVERAGED) : (k + 1) * len(AVERAGED)])
-    grey = evidence.grey[0]
-    np.subtract(1, correlation(grey, local_moments(grey, CORRELATED), warped[None])[0], out=plane["decorrelation"])
+    evidence.decorrelation(warped[None], plane["decorrelation"][None])
     shape_planes(values, evidence.volume.n_disparities - 1, plane)
     return out
 
@@ -300,21 +292,9 @@ def _compare(
                 max(np.float32(np.log((np.float32(smallest) * optimized_unit + soft) / (c_here + soft))), -soft), soft
             )
             to_winner = min(abs(value - winner), far)
-            column = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
-            u, there = match_in_right(x, value, right[y])
-            contradiction, hidden, difference, covered, right_far = zero, zero, np.float32(-6), zero, far
-            if u >= 0:
-                difference = min(max(there, np.float32(-5)), np.float32(5))
-                right_far = min(abs(there), far)
-                covered = min(nearest[u] - value, np.float32(6))
-                if there > one:
-                    contradiction = min(there - one, one)
-                elif there < -one:
-                    hidden = one
-            else:
-                hidden = one
-            warped[y, x], largest = warped_right(x, value, image[y], other[y], grey[y])
-            color[y, x] = min(largest, np.float32(40))
+            match = match_in_right(x, value, right[y], nearest)
+            contradiction, hidden, difference, column, covered, right_far = match
+            warped[y, x], color[y, x] = warped_right(x, value, image[y], other[y], grey[y])
             empty = np.float32(missing[y, x])
             cells[0] = one if outside else min(raw / np.float32(30), one)
             cells[1] = one if outside else min(raw / np.float32(12), one)

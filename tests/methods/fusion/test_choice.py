@@ -11,7 +11,7 @@ from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.networks import read_network, write_network
 from depthcli.methods.fusion.choice import network
-from depthcli.methods.fusion.map_costs import hidden_jumps, matching_costs
+from depthcli.methods.fusion.map_costs import VIEW_PLANES, hidden_jumps
 from depthcli.methods.fusion.votes import ColorSupport, WindowSupport
 from depthcli.problems.fusion import Fuse, FuseConfig
 from depthcli.testing.inputs import assert_pure, texture
@@ -52,10 +52,12 @@ def test_inputs_agree_with_the_reference():
         np.testing.assert_allclose(own[name], plane, atol=2e-3, err_msg=name)
     for k, values in enumerate(given.values):
         np.testing.assert_allclose(own["roughness"][k], naive.roughness(values, slopes(values, left)), atol=1e-4)
-    costs, jumps = matching_costs(given.values, given.volume, 0.7), hidden_jumps(given.values, left)
+    plane = {name: np.empty(given.values.shape, np.float32) for name in VIEW_PLANES}
+    given.compare(given.values, plane, (0.7, 1.5))
+    jumps = hidden_jumps(given.values, left)
     for name, reach, softness in (("wide", 8.0, 15.0), ("region", 40.0, 8.0)):
         support = ColorSupport(left, reach, softness)
-        np.testing.assert_array_equal(own[f"cost_{name}"], support.mean(costs))
+        np.testing.assert_array_equal(own[f"cost_{name}"], support.mean(plane["cost"]))
         np.testing.assert_array_equal(own[f"jump_{name}"], support.mean(jumps))
     np.testing.assert_array_equal(own["filled"], given.filled)
     shared = dict(zip(network.PIXEL_PLANES, inputs.shared.reshape(-1, height, width), strict=True))

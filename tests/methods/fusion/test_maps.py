@@ -1,6 +1,7 @@
 """Mixing of finished maps: kernels against references, moves against all possible mixes, and whole mixes."""
 
 import itertools
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.methods.fusion.choice.energy import ScoredMap, best_mix, energy, neighbor_weights
-from depthcli.methods.fusion.map_costs import agreement, contradictions, disagreements, hidden_jumps, matching_costs
+from depthcli.methods.fusion.map_costs import VIEW_PLANES, agreement, disagreements, hidden_jumps
 from depthcli.methods.fusion.maps import MapFusion, _status
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.fusion.votes import WindowSupport
@@ -22,14 +23,16 @@ from tests.naive import maps as naive
 
 @pytest.mark.parametrize(("count", "height", "width", "n_disparities"), [(1, 1, 1, 1), (3, 4, 7, 20), (16, 5, 33, 9)])
 def test_costs_of_maps_agree_with_the_reference(count, height, width, n_disparities):
-    given = random_proposals(height, width, n_disparities, count)
+    volume = CostVolume(random_volume(height, width, n_disparities).costs, 100.0)
+    given = replace(random_proposals(height, width, n_disparities, count), volume=volume)
     maps = given.values
-    volume = random_volume(height, width, n_disparities)
-    found = matching_costs(maps, CostVolume(volume.costs, 100.0), 1.4)
-    np.testing.assert_allclose(found, naive.matching_costs(maps, volume.costs, 0.01, 1.4), atol=1e-4)
-    right = np.random.default_rng(1).integers(0, n_disparities, (height, width)).astype(np.uint16)
-    found = contradictions(maps, right, 0.4)
-    np.testing.assert_allclose(found, naive.contradictions(maps, right, 0.4), atol=1e-4)
+    plane = {name: np.empty(maps.shape, np.float32) for name in VIEW_PLANES}
+    lowest = given.compare(maps, plane, (1.4, 2.5))
+    np.testing.assert_allclose(lowest, volume.costs.min(axis=2) / 100, rtol=1e-5)
+    for name, most in (("cost", 1.4), ("uncut_cost", 2.5)):
+        np.testing.assert_allclose(plane[name], naive.matching_costs(maps, volume.costs, 0.01, most), atol=1e-4)
+    found = np.where(plane["hidden"] > 0, 0.4, plane["contradiction"])
+    np.testing.assert_allclose(found, naive.contradictions(maps, given.right, 0.4), atol=1e-4)
     weights = np.arange(count).astype(np.float32)
     if count > 1:
         found = disagreements(maps, weights)

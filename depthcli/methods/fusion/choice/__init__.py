@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from depthcli.algorithms.pixel_network import TrainedNetwork
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
-from depthcli.methods.fusion.votes import PairSupports
+from depthcli.methods.fusion.map_costs import Views
 from depthcli.methods.stereo.volume import CostVolume
 
 
 @dataclass(frozen=True)
-class Proposals(PairSupports):
+class Proposals(Views):
     """N maps to choose from, with the data that they are judged by."""
 
     kinds: tuple[str, ...]  # names of the methods that made them

@@ -13,7 +13,7 @@ from depthcli.algorithms.graph_cut import binary_cut
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.kernels.color_steps import BEFORE, color_steps
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
-from depthcli.methods.fusion.map_costs import NEIGHBORS, contradictions, disagreements, matching_costs, misfit
+from depthcli.methods.fusion.map_costs import NEIGHBORS, VIEW_PLANES, disagreements, misfit
 
 Weights = tuple[NDArray[np.float32], NDArray[np.float32]]
 """Of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W)."""
@@ -49,19 +49,25 @@ class LeastEnergyChoice(ChoiceMethod):
 
     def __call__(self, proposals: Proposals) -> ChosenMap:
         image = proposals.pair.color8[0]
-        maps, weights = proposals.values, proposals.weights
-        along = matching_costs(maps, proposals.volume, self.cost_truncation)
-        against = np.float32(self.agreement_weight) * disagreements(maps, weights)
-        against += np.float32(self.visibility_weight) * contradictions(maps, proposals.right, self.hidden)
-        costs = np.float32(self.cost_weight) * proposals.wide.mean(along) + proposals.narrow.mean(against)
+        maps, costs = proposals.values, self._costs(proposals)
         neighbors = neighbor_weights(image, self.smoothness, self.color_scale, self.floor)
-        start = int(weights.argmax())
+        start = int(proposals.weights.argmax())
         current = ScoredMap(maps[start], slopes(maps[start], image), costs[start])
         for k, (values, cost) in enumerate(zip(maps, costs, strict=True)):
             if k != start:
                 proposal = ScoredMap(values, slopes(values, image), cost)
                 current = best_mix(current, proposal, neighbors, self.truncation)
         return ChosenMap(current.values)
+
+    def _costs(self, proposals: Proposals) -> NDArray[np.float32]:
+        """Return the costs of every proposal at every pixel, (N, H, W)."""
+        maps = proposals.values
+        plane = {name: np.empty(maps.shape, np.float32) for name in VIEW_PLANES}
+        proposals.compare(maps, plane, (self.cost_truncation, self.cost_truncation))
+        contradiction = np.where(plane["hidden"] > 0, np.float32(self.hidden), plane["contradiction"])
+        against = np.float32(self.agreement_weight) * disagreements(maps, proposals.weights)
+        against += np.float32(self.visibility_weight) * contradiction
+        return np.float32(self.cost_weight) * proposals.wide.mean(plane["cost"]) + proposals.narrow.mean(against)
 
     def bytes_per_pixel(self, count: int) -> int:
         return 12 * count + 1000
@@ -98,7 +104,7 @@ def _pair_costs(
     """
     here, there = NEIGHBORS[axis]
     ends = first.values[here], second.values[there], first.slopes[axis][here], second.slopes[axis][there]
-    return weights[axis] * misfit(*ends, truncation)
+    return np.asarray(weights[axis] * np.minimum(np.float32(truncation), misfit(*ends)))
 
 
 def best_mix(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr
 
-from depthcli.algorithms.filters import CORRELATED, add, correlation, local_moments, window_means
+from depthcli.algorithms.filters import add, window_means
 from depthcli.algorithms.pixel_network import (
     CHUNK,
     TILE,
@@ -26,9 +26,8 @@ from depthcli.core.errors import InputError
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import WIDE, absolute_difference, load_like, minimum, splat_like, store, wide_zero
-from depthcli.methods.fusion import map_costs as costs_of
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
-from depthcli.methods.fusion.map_costs import cost_between, match_in_right, nearest_matches, warped_right
+from depthcli.methods.fusion.map_costs import disagreements, hidden_jumps, image_planes, misfit_of_pixels
 from depthcli.methods.fusion.votes import BLOCK_DEPTH, NO_VOTE, Support
 
 MAX_MAPS = BLOCK_DEPTH
@@ -45,17 +44,12 @@ PROPOSAL_PLANES = (
 """Planes of every proposal, one value per pixel, in their order. ``narrow``, ``wide`` and ``region`` are means over
 that support; numbers are the sides of windows in pixels.
 
+Those that are not here are described with ``map_costs.VIEW_PLANES``.
+
 | plane | what it measures |
 |---|---|
-| ``cost`` | fused costs along the map |
 | ``disagreement`` | share of the other maps that disagree |
 | ``decorrelation`` | 1 - correlation of the left image and the right one, warped by the map |
-| ``color_difference`` | largest channel difference of these two, grey levels |
-| ``contradiction``, ``hidden`` | by the right view: in front of what it sees; behind it, or outside |
-| ``excess_cost`` | cost above the pixel's smallest one |
-| ``right_view_difference`` | to the disparity of the match in the right view, pixels |
-| ``match_column`` | column of the match in the right image, at most 20 from its border, pixels |
-| ``self_occlusion`` | by how much a nearer pixel of the map covers the match, pixels |
 | ``roughness`` | misfits of the four neighbors, pixels |
 | ``slope_x``, ``slope_y`` | change to the next pixel of the row, of the column, pixels |
 | ``above_mean`` | disparity above the mean of a window, pixels |
@@ -75,8 +69,7 @@ AGREEING = 1.5
 
 # Networks are trained with these; another value needs another training.
 _MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
-_MAX_COST = np.float32(1.5)  # along a map
-_MAX_COLOR = np.float32(40.0)  # of color differences and deviations, grey levels
+_MAX_COSTS = (0.7, 1.5)  # along a map: of means over wide supports, over the narrow one
 _MAX_MISFIT = np.float32(2.0)  # between neighbors, pixels
 _REACH = 9  # half side of the window that slopes are fitted in, pixels
 _RELATIVE_INDICES = np.array([PROPOSAL_PLANES.index(name) for name in RELATIVE])
@@ -100,10 +93,8 @@ class NetworkInputs:
     @classmethod
     def of(cls, proposals: Proposals) -> NetworkInputs:
         """Compute the inputs of all pixels, which are numbered row by row."""
-        maps, pair, volume = proposals.values, proposals.pair, proposals.volume
+        maps, image = proposals.values, proposals.pair.color8[0]
         count, height, width = maps.shape
-        image, other_image = pair.color8
-        grey = [channel.astype(np.float32) for channel in pair.grey8]
         own = memory.empty((len(PROPOSAL_PLANES), *maps.shape), np.float32)
         plane = dict(zip(PROPOSAL_PLANES, own, strict=True))
         shared = memory.empty((len(PIXEL_PLANES), height, width), np.float32)
@@ -111,25 +102,20 @@ class NetworkInputs:
         # The first three rows of names: four means over each support, of neighbors among these six.
         cost, jump, disagreement, contradiction, uncut, hidden = raw = memory.empty((6, *maps.shape), np.float32)
         warped = memory.empty(maps.shape, np.float32)
-        views = volume.costs, np.float32(1 / volume.scale), proposals.right, image, other_image, grey[1]
-        compared = ("excess_cost", "right_view_difference", "match_column", "self_occlusion", "color_difference")
-        single = (plane[name] for name in compared)
-        _compare_views(maps, *views, pixel["min_cost"], warped, cost, uncut, contradiction, hidden, *single)
-        costs_of.hidden_jumps(maps, image, jump)
-        costs_of.disagreements(maps, np.ones(count, np.float32), disagreement)
+        views = {"cost": cost, "uncut_cost": uncut, "contradiction": contradiction, "hidden": hidden, "warped": warped}
+        pixel["min_cost"][:] = proposals.compare(maps, plane | views, _MAX_COSTS)
+        hidden_jumps(maps, image, jump)
+        disagreements(maps, np.ones(count, np.float32), disagreement)
         supports = (proposals.wide, raw[:4]), (proposals.region, raw[:4]), (proposals.narrow, raw[2:])
         for k, (support, planes) in enumerate(supports):
             flat = -1, height, width
             support.mean(planes.reshape(flat), out=own[4 * k : 4 * k + 4].reshape(flat))
-        for side in (5, 13):
-            pixel[f"deviation_{side}"][:] = np.minimum(np.sqrt(local_moments(grey[0], side)[1]), _MAX_COLOR)
-        pixel["gradient"][:] = np.minimum(np.abs(cv2.Sobel(grey[0], cv2.CV_32F, 1, 0)) / 8, 30)
+        image_planes(proposals.grey[0], (5, 13), pixel)
         plane["filled"][:] = proposals.filled
         pixel["filled_share"][:] = (proposals.filled > 0).mean(axis=0)
-        pixel["light_trust"][:] = 1 if pair.light_trust is None else pair.light_trust / np.float32(255)
+        pixel["light_trust"][:] = proposals.light_trust
         window_means(plane["color_difference"], 5, plane["color_difference_5"])
-        alike = correlation(grey[0], local_moments(grey[0], CORRELATED), warped)
-        np.subtract(1, alike, out=plane["decorrelation"])
+        proposals.decorrelation(warped, plane["decorrelation"])
         for k, values in enumerate(maps):
             plane["slope_x"][k], plane["slope_y"][k] = slopes(values, image, _REACH)
         _misfits(maps, plane["slope_x"], plane["slope_y"], plane["roughness"])
@@ -148,38 +134,6 @@ class NetworkInputs:
         distances = np.minimum(np.abs(values[:, None] - values), _MAX_DISTANCE)
         shared = np.repeat(self.shared[:, None, pixels], len(values), axis=1)
         return np.concatenate([own, relative, distances, shared]).transpose(2, 1, 0)
-
-
-@parallel_jit
-def _compare_views(
-    maps, costs, unit, right, image, other, grey, lowest, warped, cost, uncut, contradiction, hidden,
-    excess, difference, column, occlusion, color,
-):  # fmt: skip
-    count, height, width = maps.shape
-    zero, one = np.float32(0), np.float32(1)
-    for y in prange(height):
-        along = np.empty(width, np.float32)
-        for x in range(width):
-            lowest[y, x] = np.float32(costs[y, x].min()) * unit
-        for n in range(count):
-            row = maps[n, y]
-            nearest = nearest_matches(row)
-            for x in range(width):
-                value = row[x]
-                along[x] = cost_between(costs[y, x], value)
-                outside = min(int(value), costs.shape[2] - 1) > x
-                uncut[n, y, x] = _MAX_COST if outside else min(along[x] * unit, _MAX_COST)
-                column[n, y, x] = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
-                u, nearer = match_in_right(x, value, right[y])
-                hidden[n, y, x] = one if u < 0 or nearer < -one else zero
-                contradiction[n, y, x] = zero if u < 0 else min(max(nearer - one, zero), one)
-                difference[n, y, x] = np.float32(-6) if u < 0 else min(max(nearer, np.float32(-5)), np.float32(5))
-                occlusion[n, y, x] = zero if u < 0 else min(nearest[u] - value, np.float32(6))
-                warped[n, y, x], largest = warped_right(x, value, image[y], other[y], grey[y])
-                color[n, y, x] = min(largest, _MAX_COLOR)
-            for x in range(width):
-                cost[n, y, x] = min(uncut[n, y, x], np.float32(0.7))
-                excess[n, y, x] = along[x] * unit - lowest[y, x]
 
 
 @parallel_jit
@@ -204,10 +158,8 @@ def _misfits(maps, slope_x, slope_y, out):
 
 @jit
 def _misfit_of_neighbors(here, there, slope_here, slope_there, out):
-    half = np.float32(0.5)
     for x in range(here.size):
-        step = there[x] - here[x]
-        out[x] = min(half * (abs(step - slope_here[x]) + abs(step - slope_there[x])), _MAX_MISFIT)
+        out[x] = min(misfit_of_pixels(here[x], there[x], slope_here[x], slope_there[x]), _MAX_MISFIT)
 
 
 class NetworkChoice(ChoiceMethod):
