@@ -13,7 +13,7 @@ from depthcli.device import Device
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
 from depthcli.methods.stereo.config import StereoConfig
-from depthcli.methods.stereo.on_device import device_implementation_of
+from depthcli.methods.stereo.matching import device_table
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.run.json_csv import Row
 
@@ -55,6 +55,6 @@ class Stereo(MatchPairs):
         if device is None:
             return {"device": config.device}
         where = f"{device.info.address}, {device.info.name}"
-        if device_implementation_of(config.pipeline) is None:
+        if type(config.pipeline) not in device_table():
             where = f"cpu: {config.pipeline.method_name()} has no kernels for {where}"
         return {"device": where}
