@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, TextIO
 
 from depthcli.core.errors import IncompleteError
-from depthcli.core.registry import PluginWarning
 from depthcli.core.text import kind_of_warning, one_line, printable, without_file
 from depthcli.run.json_csv import Row
 
@@ -24,13 +23,8 @@ _MAX_ROWS = 50  # of a table; of longer ones only the failed scenes and a summar
 
 def silence_warnings() -> None:
     """Hide warnings of libraries, which quote code that a user does not know; ``python -W`` shows them."""
-
-    def show(message: Warning | str, category: type[Warning], *place: object, **options: object) -> None:
-        if issubclass(category, PluginWarning):
-            Reporter(-1).error(f"warning: {message}")
-
     if not sys.warnoptions:
-        warnings.showwarning = show
+        warnings.showwarning = lambda *warning, **place: None
 
 
 class Reporter:
