@@ -127,9 +127,12 @@ def _compute_there(modules: Iterable[str], data: bytes) -> tuple[Row, int, float
     from distributed import get_worker
 
     worker = get_worker()
-    with _lock:
-        for module in modules:
-            load_plugin(module)
+    try:
+        with _lock:
+            for module in modules:
+                load_plugin(module)
+    except ConfigError as error:
+        raise ConfigError(f"worker {worker.address} has not its plug-ins: {error}") from error
     task, work, identity, folder = pickle.loads(data)
     if identity != _identity_here(work):
         raise ConfigError(
