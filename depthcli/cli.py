@@ -15,7 +15,6 @@ import sys
 import traceback
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -24,8 +23,8 @@ from typer.main import get_command
 
 from depthcli import __version__, commands
 from depthcli.commands._shared_options import PluginOption, with_groups
-from depthcli.core.errors import SOME_FAILED, DepthcliError, IncompleteError, Terminated
-from depthcli.core.registry import load_file, plugin_behind
+from depthcli.core.errors import SOME_FAILED, ConfigError, DepthcliError, IncompleteError, Terminated
+from depthcli.core.plugins import load_plugin, plugin_behind
 from depthcli.run.console import Reporter, silence_warnings
 
 _STREAM_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
@@ -154,13 +153,17 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _load_plugins(words: Sequence[str]) -> None:
-    """Read the files of all ``--plugin``, which may hold the command itself; one without a value is left to typer."""
+    """Load all ``--plugin``, which may hold the command itself; one without a value is left to typer."""
+    completes = "_DEPTHCLI_COMPLETE" in os.environ
+    if completes:  # a line whose end is missing, as bash and the other shells hand it over
+        words = (os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS", "")).split()
     for option, value in pairwise([*words, ""]):
         if option == "--":
             return
         name, equals, inside = option.partition("=")
         if name == "--plugin" and (inside or (not equals and value)):
-            load_file(Path(inside or value))
+            with contextlib.suppress(ConfigError) if completes else contextlib.nullcontext():
+                load_plugin(inside or value)
 
 
 def _repair_streams() -> None:

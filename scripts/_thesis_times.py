@@ -12,8 +12,9 @@ from _experiments import Rows, matcher, seconds_in_turns
 from depthcli.core.frames import StereoPair
 from depthcli.device import open_device
 from depthcli.io.stereo_pairs import load_pair
+from depthcli.methods.stereo._device_table import TABLE
 from depthcli.methods.stereo.aggregation.cross import cross_arms
-from depthcli.methods.stereo.on_device import DevicePair, DeviceVolume, run_stage
+from depthcli.methods.stereo.on_device import DevicePair, DeviceVolume
 from tests.naive import loops
 
 TIMED = (3, 11, 21, 33)
@@ -88,11 +89,11 @@ def figure_3_2(scene: Any) -> Rows:
         taken = seconds_in_turns(jobs, 2 if part > 1 else 5)
         best = {way: 1e3 * found[0] * (part if way != "optimized" else 1) for way, found in taken.items()}
         if device:
-            there, copied = DevicePair(device, pair), DeviceVolume.upload(device, volume)
+            there, copied = DevicePair(device, pair, TABLE), DeviceVolume.upload(device, volume)
             found = []
             for _ in range(11):
                 device.launches = []
-                run_stage(costs[name], there, count) if name in costs else run_stage(aggregations[name], copied, there)
+                there.run(costs[name], there, count) if name in costs else there.run(aggregations[name], copied, there)
                 device.finish()
                 found.append(1e3 * sum(launch.seconds for launch in device.launches))
             best["GPU"] = statistics.median(found[1:])

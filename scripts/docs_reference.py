@@ -158,7 +158,7 @@ def configs() -> str:
     """Return the page of the keys that the config of each command has."""
     parts = [
         "# Configs\n\nThe keys at the root of a config; those of methods are on the pages of their families. Every "
-        "config also takes `base`, a preset or file that it begins from, and `plugins`, files of your own.\n"
+        "config also takes `base`, a preset or file that it begins from, and `plugins` of your own.\n"
     ]
     for command, model in CONFIGS.items():
         parts.append(f"## `{command}`\n\n{_about(model)}\n\n{_fields(model)}")
@@ -169,8 +169,8 @@ def family_page(package: str) -> str:
     """Return the page of a family of methods."""
     family = Family.of(package)
     title = _family_name(package).replace("_", " ").capitalize()
-    parts = [f"# {title}\n\n{_about(sys.modules[package])}\n\nIn a config: `{family.key}: NAME`. Entry points of "
-             f"plug-ins: `{family.group}`.\n"]  # fmt: skip
+    parts = [f"# {title}\n\n{_about(sys.modules[package])}\n\nIn a config: `{family.key}: NAME`. Classes of plug-ins "
+             f"derive from one of `{package}`.\n"]  # fmt: skip
     for name in family.own_names:
         method = family.load(name)
         aliases = f" Also called {', '.join(f'`{alias}`' for alias in method.aliases)}." if method.aliases else ""

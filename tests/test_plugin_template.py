@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.core.registry import registry_of
+from depthcli.core.registry import registries, registry_of
 from depthcli.io.formats.images import write_png
 from depthcli.testing.inputs import shifted_pair
 
@@ -74,38 +74,37 @@ def test_its_own_tests_pass(env: Environment):
     assert "5 passed" in done.stdout
 
 
-def test_its_readme_names_every_group_with_its_base():
+def test_its_readme_names_the_base_of_every_registry():
     text = (ROOT / "docs" / "plugin_template" / "README.md").read_text("utf-8")
-    rows = re.findall(r"^\| `(depthcli\.\S+)` \| `(\S+)` \|$", text, re.MULTILINE)
-    assert len(rows) > 15
-    for group, base in rows:
-        module, _, name = base.rpartition(".")
-        registry = registry_of(getattr(importlib.import_module(module), name))
-        assert registry is not None and registry.group == group
+    bases = [base.rpartition(".") for base in re.findall(r"^\| .+ \| `(depthcli\.\S+)` \|$", text, re.MULTILINE)]
+    of_bases = {registry_of(getattr(importlib.import_module(module), name)) for module, _, name in bases}
+    assert of_bases == {registry for package, registry in registries.items() if package.startswith("depthcli.")}
 
 
 def test_it_is_listed(env: Environment):
-    assert "constant Write the same disparity everywhere." in " ".join(env.run("--help").stdout.split())
-    presets = env.run("presets").stdout
+    own = "--plugin", PACKAGE
+    assert "constant Write the same disparity everywhere." in " ".join(env.run(*own, "--help").stdout.split())
+    presets = env.run("presets", *own).stdout
     assert re.search(r"stereo squared +\(depthcli-example 1\.0\) Squared differences, averaged", presets), presets
-    assert "cost:\n  # ``(I(y, x)" in env.run("presets", "show", "depthcli-example:squared").stdout
-    assert "# disparity of every pixel, pixels\ndisparity: 5.0" in env.run("presets", "show", "five").stdout
+    assert "cost:\n  # ``(I(y, x)" in env.run("presets", "show", "stereo/squared", *own).stdout
+    assert "# disparity of every pixel, pixels\ndisparity: 5.0" in env.run("presets", "show", "five", *own).stdout
 
 
 def test_it_runs_is_evaluated_and_is_refused_with_another_version(env: Environment):
     stereo = ["stereo", "fast", "-i", "scenes", "-o", "squared", "--jobs", "2", "--set", "cost=squared-difference"]
+    stereo += ["--plugin", PACKAGE]
     done = env.run(*stereo, "--evaluate")
     assert done.returncode == 0, done.stderr
     assert "Eighth of a pixel" in done.stdout
     assert "    depthcli-example: '1.0'\n" in (env.place / "squared" / "run.yaml").read_text()
     scores = json.loads((env.place / "squared" / "evaluation" / "scores.json").read_text())
     assert scores["plugins"] == {"depthcli-example": "1.0"}
-    constant = ["constant", "five", "-i", "scenes", "-o", "constant", "--jobs", "2"]
+    constant = ["constant", "five", "-i", "scenes", "-o", "constant", "--jobs", "2", "--plugin", PACKAGE]
     assert env.run(*constant).returncode == 0
-    compared = env.run("evaluate", "squared", "constant", "--truth", "scenes", "--json")
+    compared = env.run("evaluate", "squared", "constant", "--truth", "scenes", "--json", "--plugin", PACKAGE)
     assert {result["protocol"] for result in json.loads(compared.stdout)["results"]} == {"eighth-pixel"}
     assert "2 of 2 scenes are done already" in env.run(*stereo).stderr
-    assert env.run("stereo", "squared", "-i", "scenes", "-o", "preset").returncode == 0
+    assert env.run("stereo", "squared", "-i", "scenes", "-o", "preset", "--plugin", PACKAGE).returncode == 0
 
     write_version(env.place / "mine", "1.1")
     env.install(env.place / "mine")

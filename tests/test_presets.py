@@ -21,7 +21,7 @@ from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.io.walk import discover_scenes
 from depthcli.kernels.jit import set_threads
-from depthcli.run.presets import find_config, find_preset, list_presets, preset_folder
+from depthcli.run.presets import PRESET_FOLDER, find_config, find_preset, list_presets
 from tests.command_line import contents
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]
@@ -43,12 +43,12 @@ def words_of(request: pytest.FixtureRequest, command: str, name: str, output: Pa
 
 
 def test_there_are_presets():
-    assert len(PRESETS) == len(list(preset_folder().rglob("*.yaml"))) > 0
+    assert len(PRESETS) == len(list(PRESET_FOLDER.rglob("*.yaml"))) > 0
 
 
 def test_names_are_found_in_any_case_and_bases_are_resolved():
-    assert find_preset("stereo", "OpenCV_SGBM") == preset_folder() / "stereo" / "opencv-sgbm.yaml"
-    assert find_preset("fuse", "CH6_all") == preset_folder() / "fuse" / "thesis" / "ch6-all.yaml"
+    assert find_preset("stereo", "OpenCV_SGBM") == PRESET_FOLDER / "stereo" / "opencv-sgbm.yaml"
+    assert find_preset("fuse", "CH6_all") == PRESET_FOLDER / "fuse" / "thesis" / "ch6-all.yaml"
     model = config_model("fuse")
     assert model is not None
     texts = [dump_config(load_config(model, find_config("fuse", name))) for name in ("ch6-all", "ch6-cw")]

@@ -21,14 +21,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from depthcli import problems
-from depthcli.core.errors import ConfigError
-from depthcli.core.registry import plugins_in
+from depthcli.core import plugins
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
-
-GROUP = "depthcli.commands"
-"""Group of the entry points of plug-ins that add commands: name -> ``module:function``."""
 
 _GROUPS = {
     "Match and refine": ("stereo", "fuse", "refine-kinect", "transparent", "confidence", "register-confidence"),
@@ -42,7 +38,7 @@ CommandT = TypeVar("CommandT", bound=Callable[..., int])
 
 def names() -> list[str]:
     """Return the names of all commands, as typed: our own, sorted, then the commands of plug-ins."""
-    return [*own_names(), *(plugin.name.replace("_", "-") for plugin in plugins_in(GROUP))]
+    return [*own_names(), *sorted(plugins.commands)]
 
 
 @cache
@@ -61,7 +57,7 @@ def grouped_names() -> dict[str, list[str]]:
 
 
 def command(config: type[BaseModel] | None = None) -> Callable[[CommandT], CommandT]:
-    """Return a decorator that makes a function of a plug-in a command, of an installed package or of ``--plugin FILE``.
+    """Return a decorator that makes a function of a plug-in a command; ValueError if we have one of its name.
 
     Parameters
     ----------
@@ -69,7 +65,9 @@ def command(config: type[BaseModel] | None = None) -> Callable[[CommandT], Comma
     """
 
     def mark(function: CommandT) -> CommandT:
-        vars(function).update(plugin_group=GROUP, config=config)
+        if function.__name__.replace("_", "-") in own_names() and not function.__module__.startswith("depthcli."):
+            raise ValueError(f"depthcli has a command {function.__name__} already")
+        vars(function).update(is_command=True, config=config)
         return function
 
     return mark
@@ -85,10 +83,10 @@ def config_model(name: str) -> type[BaseModel] | None:
 def find(name: str) -> Callable[..., int] | None:
     """Return the function of a command, ours or a plug-in's; None if no command has that name."""
     plain = name.replace("-", "_")
-    if plain.replace("_", "-") in own_names():
-        found: Callable[..., int] = getattr(importlib.import_module(f"{__name__}.{plain}"), plain)
-        return found
-    return next((plugin.load() for plugin in plugins_in(GROUP) if plugin.name == plain), None)
+    if name.replace("_", "-") not in own_names():
+        return plugins.commands.get(name.replace("_", "-"))
+    function: Callable[..., int] = getattr(importlib.import_module(f"{__name__}.{plain}"), plain)
+    return function
 
 
 def text_of(function: Callable[..., int]) -> str:
@@ -102,9 +100,5 @@ def help_of(name: str) -> str:
     if name in own_names():
         text = Path(__path__[0], f"{name.replace('-', '_')}.py").read_text("utf-8").split('"""')[1]
     else:
-        try:
-            function = find(name)
-            text = "" if function is None else text_of(function)
-        except ConfigError as error:  # the package of a plug-in is broken
-            text = str(error)
+        text = text_of(plugins.commands[name])
     return " ".join(text.strip().split("\n\n")[0].split())

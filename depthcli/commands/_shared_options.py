@@ -64,9 +64,9 @@ FlagOption: TypeAlias = Annotated[
 FailFlaggedOption: TypeAlias = Annotated[bool, Option("--fail-flagged", help="Exit with 4 where a row is flagged.")]
 PluginOption: TypeAlias = Annotated[
     list[Path] | None,
-    Option(metavar="FILE.py", help="Python file with methods, layouts or commands of your own; repeatable."),
+    Option(metavar="PLUGIN", help="FILE.py or module, with methods, layouts or commands of your own; repeatable."),
 ]
-"""Read by ``cli`` before all else, since the file may define the command itself."""
+"""Loaded by ``cli`` before all else, since it may define the command itself."""
 
 
 def option(default: Any, *names: str, **settings: Any) -> Any:

@@ -6,7 +6,8 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 |---|---|
 | ``method`` | ``Method``, base of the algorithms; ``Family``, those of a folder |
 | ``root_config`` | ``RootConfig``, base of the configs of commands |
-| ``registry`` | named classes of one kind, and what packages and files of users add to them |
+| ``registry`` | named classes of one kind |
+| ``plugins`` | what files of users and installed modules add to them |
 | ``config_file`` | ``load_config``: a YAML file, the one it is based on, and ``--set`` become a checked model |
 | ``yaml_source`` | the YAML below it: plain data, with the line of every value; ``to_yaml`` back |
 | ``frames``, ``volumes`` | inputs: a rectified pair; color and depth; two volumes on one grid |

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from depthcli.core.errors import ConfigError
-from depthcli.core.registry import is_file_loaded, load_file
+from depthcli.core.plugins import load_plugin, loaded
 from depthcli.core.text import short
 from depthcli.core.yaml_source import OVERRIDES, ConfigData, Location, parse_value, read_config, to_yaml
 
@@ -75,7 +75,8 @@ def _with_base(
     Any other value replaces that of the base. A file in the folder of ``path`` has precedence over a preset; ``chain``
     are the files that were read before this one, each naming the next as its base.
     """
-    _load_plugins(config, path.parent)
+    if config.data.get("plugins"):
+        _load_plugins(config, path.parent)
     if "base" not in config.data:
         return config
     name, place = config.data.pop("base"), f"{config.place(('base',))}: base"
@@ -105,15 +106,14 @@ def _merged(base: Any, over: Any) -> Any:
 
 
 def _load_plugins(config: ConfigData, folder: Path) -> None:
-    """Read the files of the key ``plugins``, which lie in ``folder`` or were read before (``--plugin``)."""
-    names = config.data.get("plugins") or []
-    place = f"{config.place(('plugins',))}: plugins"
+    """Load the plug-ins of the key ``plugins``: files in ``folder`` or loaded before (``--plugin``), and modules."""
+    names, place = config.data["plugins"], f"{config.place(('plugins',))}: plugins"
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ConfigError(f"{place}: expected a list of names of Python files (got {short(names)})")
+        raise ConfigError(f"{place}: expected a list of names of Python files and modules (got {short(names)})")
     for name in names:
-        if os.path.isfile(folder / name):
-            load_file(folder / name)
-        elif not is_file_loaded(Path(name).name):
+        if not name.endswith(".py") or os.path.isfile(folder / name):
+            load_plugin(name, folder)
+        elif not any(plugin.package == Path(name).name for plugin in loaded.values()):
             raise ConfigError(f"{place}: {name} is no file in {folder}; --plugin FILE.py says where it is")
 
 
@@ -124,12 +124,11 @@ def _overlay(
     model: type[BaseModel], config: ConfigData, settings: Sequence[str | tuple[str, str]], values: Mapping[str, Any]
 ) -> list[str]:
     """Apply ``--set`` options and then overrides, in place; return the problems, one a line."""
-    defaults, problems = {}, []  # the defaults of keys that the file leaves out: a single key below them can be set
-    with contextlib.suppress(ValidationError):  # reported after --set, which may have mended it
-        defaults = model.model_validate(config.data).model_dump(mode="json", by_alias=True)
+    problems, defaults = list[str](), None
     options = [each if isinstance(each, tuple) else ("", each) for each in settings]
     changes = [(option or f"--set {text.partition('=')[0].strip()[:64]}", text, None) for option, text in options]
     changes += [(f"override {key[:64]}", key, value) for key, value in _leaves(values)]
+    changes.sort(key=lambda change: change[1].partition("=")[0].strip() != "plugins")  # which others may need
     for place, text, value in changes:
         key, equals, setting = text.partition("=")
         try:
@@ -137,10 +136,21 @@ def _overlay(
                 if not equals:
                     raise ConfigError(f"{place}: expected KEY=VALUE, such as --set cost.window=[9,7]")
                 value = parse_value(setting, place)
+            if key.strip() != "plugins" and defaults is None:
+                defaults = _defaults(model, config)
             _put(config, key.strip(), value, place, defaults)
+            if key.strip() == "plugins":
+                _load_plugins(config, Path())
         except ConfigError as error:
             problems.append(str(error))
     return problems
+
+
+def _defaults(model: type[BaseModel], config: ConfigData) -> Any:
+    """Return the defaults of keys that the config leaves out: a single key below them can be set."""
+    with contextlib.suppress(ValidationError):  # reported after --set, which may have mended it
+        return model.model_validate(config.data).model_dump(mode="json", by_alias=True)
+    return {}
 
 
 def _leaves(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -3,13 +3,13 @@
 A *method* is one algorithm: one module with one frozen pydantic model, whose fields are its parameters and whose
 ``__call__`` runs it. A *family* is the package that the modules lie in. In a config a method is written as its module's
 name, ``census``, or with parameters, ``{method: census, window: [9, 7]}``. Adding a method is adding a file; nothing
-else is edited. Installed packages and files of users add methods, too (see ``registry``).
+else is edited. Plug-ins add methods, too (see ``plugins``).
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, cast
 
@@ -28,15 +28,8 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from depthcli.core.registry import (
-    Plugin,
-    Registry,
-    plugin_of,
-    plugins_in_use,
-    registered_name,
-    registries,
-    registry_of,
-)
+from depthcli.core.plugins import Plugin, plugins_of
+from depthcli.core.registry import Registry, registered_name, registries, registry_of
 from depthcli.core.text import did_you_mean
 
 
@@ -102,7 +95,7 @@ class Method(ConfigModel):
     def _with_method_name(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         family = registry_of(type(self))
         key = family.key if isinstance(family, Family) else "method"
-        return {key: self.method_name(), **handler(self)}
+        return {key: registered_name(type(self)), **handler(self)}
 
 
 class Family(Registry[Method]):
@@ -121,11 +114,11 @@ class Family(Registry[Method]):
             raise TypeError(f"{package} declares no family of methods")
         return family
 
-    def parse(self, value: Any, context: Any = None) -> Method:
+    def parse(self, value: Any, info: ValidationInfo | None) -> Method:
         """Return the method that a config's ``value`` describes: a name, a mapping, or a method itself.
 
         Errors of pydantic have a location below the family's field, so that they point at the line in the file.
-        ``context`` is that of the validation, for the validators of the method.
+        ``info`` is of the validation of the config, if it is one.
         """
         if isinstance(value, Method):
             return value
@@ -137,15 +130,17 @@ class Family(Registry[Method]):
         if known is None:
             missing = f"expected {self.key!r} in this mapping"
             raise self._unknown(missing if name is None else f"no {self.key} called {name!r}", name)
-        return self.load(known).model_validate(fields, context=context)
+        return self.load(known).model_validate(fields, context=info and info.context)
 
     def suggestions(self, name: object, *others: str) -> str:
         """Return the end of a message about an unknown name: the one that may be meant, and all, with their packages.
 
         Without a name there was none; ``others`` are further names that may stand there.
         """
-        names, plugins = [*others, *self.names()], self.plugins()
-        shown = (f"{each} ({plugins[each].package})" if each in plugins else each for each in names)
+        names, shown = [*others, *self.names()], [*others, *self.own_names]
+        shown += [
+            f"{each} ({plugin.package})" for each in sorted(self.added) for plugin in plugins_of([self.added[each]])
+        ]
         return f"{did_you_mean(str(name), names)}; one of: {', '.join(shown)}"
 
     def _unknown(self, text: str, name: Any = None) -> PydanticCustomError:
@@ -158,40 +153,33 @@ def method_of(package: str, key: str = "method") -> Any:
     >>> class Config(BaseModel):
     ...     cost: Annotated[CostMeasure, *method_of("depthcli.methods.stereo.cost")]
     """
-    family = Family(package, key)
-
-    def parse(value: Any, info: ValidationInfo) -> Method:
-        return family.parse(value, info.context)
-
-    return (BeforeValidator(parse), cast(Any, SerializeAsAny)())
+    return (BeforeValidator(Family(package, key).parse), cast(Any, SerializeAsAny)())
 
 
 def used_files(value: Any) -> dict[str, Path]:
     """Return role -> file, of the files that the methods of a config use; ConfigError where one is missing."""
-    found: dict[str, Path] = {}
-    for each in parts_of(value):
-        for role, file in each.used_files().items() if isinstance(each, Method) else ():
-            found[role if found.get(role, file) == file else f"{role} {file}"] = file
-    return found
+    files: dict[str, Path] = {}
+    for part in parts_of(value):
+        for role, file in part.used_files().items() if isinstance(part, Method) else ():
+            files[role if files.get(role, file) == file else f"{role} {file}"] = file
+    return files
 
 
 def used_plugins(value: Any) -> set[Plugin]:
     """Return the plug-ins that a config, or an object, is made of.
 
-    A word of the config counts as the name of a plug-in that is in use already (measures are written as names alone).
+    A word of the config counts as the name of a class that a plug-in adds (measures are written as names alone).
     """
-    in_use = plugins_in_use()
-    named = (in_use.get(each) if isinstance(each, str) else plugin_of(type(each)) for each in parts_of(value))
-    return {plugin for plugin in named if plugin is not None}
+    added = {name: kind for registry in registries.values() for name, kind in registry.added.items()}
+    return plugins_of(added.get(each, str) if isinstance(each, str) else type(each) for each in parts_of(value))
 
 
 def parts_of(value: Any) -> Iterator[Any]:
     """Yield a value and everything in it: values of fields, of mappings and of lists."""
     yield value
-    inside: Iterable[Any] = value.values() if isinstance(value, Mapping) else ()
     if isinstance(value, BaseModel):
-        inside = (getattr(value, name) for name in type(value).model_fields)
-    elif isinstance(value, list | tuple):
-        inside = value
-    for each in inside:
-        yield from parts_of(each)
+        for name in type(value).model_fields:
+            yield from parts_of(getattr(value, name))
+    elif isinstance(value, Mapping | list | tuple):
+        for part in value.values() if isinstance(value, Mapping) else value:
+            yield from parts_of(part)

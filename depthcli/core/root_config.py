@@ -23,7 +23,9 @@ class RootConfig(ConfigModel):
     flattened: ClassVar[str] = "pipeline"
 
     plugins: tuple[str, ...] = Field(
-        default=(), description="Python files with methods of your own, beside this file; --plugin names one elsewhere."
+        default=(),
+        description="Python files beside this file, and installed modules, with methods of your own; --plugin names a "
+        "file elsewhere.",
     )
     run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
 
@@ -39,10 +41,13 @@ class RootConfig(ConfigModel):
         fields = cls.model_fields.keys() - {cls.flattened}
         if isinstance(data.get("run"), str | list):  # not what a run.yaml says, but the method's
             fields -= {"run"}
-        own = {key: value for key, value in data.items() if key in fields}
+        own: dict[str, Any] = {}
+        rest: dict[str, Any] = {}
+        for key, value in data.items():
+            (own if key in fields else rest)[key] = value
+        rest.pop(cls.flattened, None)
         if name is None and cls.flattened not in data:
             return own
-        rest = {key: value for key, value in data.items() if key not in fields and key != cls.flattened}
         return {**own, cls.flattened: {**rest, cls.flattened: name} if isinstance(name, str) else name}
 
     @model_serializer(mode="wrap")

@@ -120,9 +120,12 @@ def parse_value(text: str, name: str, places: dict[Location, str] | None = None)
         if not isinstance(node, yaml.MappingNode):
             return loader.construct_object(node)
         loader.flatten_mapping(node)
-        if places is not None:
-            places.update({(*location, key.value): f"{name}:{key.start_mark.line + 1}" for key, _ in node.value})
-        return {key.value: build(value, (*location, key.value)) for key, value in node.value}
+        values = {}
+        for key, value in node.value:
+            if places is not None:
+                places[*location, key.value] = f"{name}:{key.start_mark.line + 1}"
+            values[key.value] = build(value, (*location, key.value))
+        return values
 
     mark = None
     try:
@@ -149,7 +152,7 @@ def to_yaml(value: Any) -> str:
 
 class _Dumper(yaml.SafeDumper):
     def represent_sequence(self, tag: str, sequence: Any, flow_style: bool | None = None) -> yaml.SequenceNode:
-        is_flat = all(not isinstance(entry, dict | list) for entry in sequence)
+        is_flat = {dict, list}.isdisjoint(map(type, sequence))
         return super().represent_sequence(tag, sequence, flow_style=is_flat)
 
     def represent_float(self, data: float) -> yaml.ScalarNode:

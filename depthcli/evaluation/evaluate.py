@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.bound import Bound
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.core.registry import plugin_of, versions_here
+from depthcli.core.plugins import plugins_of, versions_here
 from depthcli.evaluation.bounds import judged, promised
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.curves import HiddenPixels, hidden_pixels
@@ -223,8 +223,7 @@ class _Scoring:
             if value not in (None, False) and protocols and not taken:
                 reporter.info(f"--{name} makes no difference to {', '.join(protocols)}")
         files = self.maps | {value for scene in scenes for value in vars(scene).values() if isinstance(value, Path)}
-        plugins = layout_plugins(scenes) | format_plugins(files)
-        plugins |= {plugin for each in protocols.values() if (plugin := plugin_of(type(each))) is not None}
+        plugins = layout_plugins(scenes) | format_plugins(files) | plugins_of(map(type, protocols.values()))
         hints, used = (*self.hints, *self._misfits()), versions_here(plugins)
         report = EvaluationReport(
             tuple(self.runs), tuple(results), protocols, origin(self.truth), hints, used, unwritten=self.unwritten

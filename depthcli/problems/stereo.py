@@ -31,9 +31,8 @@ from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.given_maps import bounds, peak_bytes
-from depthcli.methods.stereo.matching import Limits, TileMode, host_bytes, match
+from depthcli.methods.stereo.matching import Limits, TileMode, device_table, host_bytes, match
 from depthcli.methods.stereo.networks import Network, network_device, networks_in
-from depthcli.methods.stereo.on_device import device_implementation_of
 from depthcli.methods.stereo.pipeline import Pipeline
 from depthcli.methods.stereo.pipeline.command import Program
 from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, complete_range, matched_beyond
@@ -362,7 +361,7 @@ class Stereo(Pairs[StereoConfig]):
         if opened is None:
             return {"device": config.device}
         where = f"{opened.info.address}, {opened.info.name}"
-        if device_implementation_of(config.pipeline) is None:
+        if type(config.pipeline) not in device_table():
             where = f"cpu: {config.pipeline.method_name()} has no kernels for {where}"
         return {"device": where}
 

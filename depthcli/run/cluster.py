@@ -17,6 +17,7 @@ from typing import Any
 
 from depthcli.core.context import Latest
 from depthcli.core.errors import ConfigError, IncompleteError
+from depthcli.core.plugins import load_plugin, loaded
 from depthcli.kernels.jit import CompileWatch
 from depthcli.run import resources
 from depthcli.run.console import Reporter
@@ -45,8 +46,9 @@ def compute_on_cluster(
     """
     address = work.how.scheduler or ""
     lost = f"{address}: the scheduler was lost; {GOES_ON}"
-    if files := sorted({plugin.package for plugin in work.plugins if plugin.is_file}):
+    if files := sorted(plugin.package for plugin in work.plugins if plugin.is_file):
         raise ConfigError(f"--scheduler: {', '.join(files)}: workers have no plug-in files; install it as a package")
+    modules = [plugin.module for plugin in loaded.values() if not plugin.is_file]
     workspace.mkdir(parents=True, exist_ok=True)
     (workspace / _RUNNING_FILE).touch()
     client, wait = _connected(address)
@@ -63,7 +65,7 @@ def compute_on_cluster(
                 if (task := next(waiting, None)) is None:
                     break
                 data = pickle.dumps((task, work, identity, folder))
-                running[client.submit(_compute_there, data, pure=False)] = task
+                running[client.submit(_compute_there, modules, data, pure=False)] = task
             if not running:
                 return
             with contextlib.suppress(Exception):  # nothing has ended yet, or the scheduler is lost
@@ -120,11 +122,17 @@ def _connected(address: str) -> tuple[Any, Any]:
     return client, distributed.wait
 
 
-def _compute_there(data: bytes) -> tuple[Row, int, float]:
+def _compute_there(modules: Iterable[str], data: bytes) -> tuple[Row, int, float]:
     """Compute a scene on a worker of a cluster; return its row, the number of compiled kernels and their seconds."""
     from distributed import get_worker
 
     worker = get_worker()
+    try:
+        with _lock:
+            for module in modules:
+                load_plugin(module)
+    except ConfigError as error:
+        raise ConfigError(f"worker {worker.address} has not its plug-ins: {error}") from error
     task, work, identity, folder = pickle.loads(data)
     if identity != _identity_here(work):
         raise ConfigError(

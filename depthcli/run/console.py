@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, TextIO
 
 from depthcli.core.errors import IncompleteError
-from depthcli.core.registry import PluginWarning
 from depthcli.core.text import kind_of_warning, printable, without_file
 
 _HEARTBEAT = 30.0  # seconds between lines without a terminal
@@ -20,13 +19,8 @@ _HEARTBEAT = 30.0  # seconds between lines without a terminal
 
 def silence_warnings() -> None:
     """Hide warnings of libraries, which quote code that a user does not know; ``python -W`` shows them."""
-
-    def show(message: Warning | str, category: type[Warning], *place: object, **options: object) -> None:
-        if issubclass(category, PluginWarning):
-            Reporter(-1).error(f"warning: {message}")
-
     if not sys.warnoptions:
-        warnings.showwarning = show
+        warnings.showwarning = lambda *warning, **place: None
 
 
 class Reporter:

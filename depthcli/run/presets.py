@@ -2,105 +2,78 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import textwrap
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from pydantic import BaseModel
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.method import Method
-from depthcli.core.registry import Plugin, PluginWarning, plugins_in
+from depthcli.core.plugins import loaded
+from depthcli.core.registry import plain_name
 from depthcli.core.text import did_you_mean
 from depthcli.core.yaml_source import to_yaml
 
 THESIS = "thesis/"
 """Prefix of presets with the methods of the thesis, and nothing else."""
 
-_GROUP = "depthcli.presets"  # of entry points such as "package:folder", with files COMMAND/NAME.yaml
+_PACKAGE = Path(__file__).resolve().parent.parent
+PRESET_FOLDER = (_PACKAGE if (_PACKAGE / "configs").is_dir() else _PACKAGE.parent) / "configs"
+"""Inside the installed package, or next to it in a checkout."""
 
 
-def preset_folder() -> Path:
-    """Return the folder of presets: inside the installed package, or next to it in a checkout."""
-    package = Path(__file__).resolve().parent.parent
-    shipped = package / "configs"
-    return shipped if shipped.is_dir() else package.parent / "configs"
-
-
-@dataclass(frozen=True)
-class Preset:
-    """A file with a config of ``command``, ours or of the package of a plug-in."""
+class Preset(NamedTuple):
+    """A file with a config of ``command``."""
 
     command: str
     name: str
     file: Path
-    plugin: Plugin | None = None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All names that it may be called by."""
-        return self.name, self.file.stem if self.plugin is None else f"{self.plugin.package}:{self.file.stem}"
+    source: str = ""  # package and version of the plug-in that adds it
 
     def is_called(self, name: str) -> bool:
-        """Return whether ``name`` is one of its names; case and underscores do not matter."""
-        return name.lower().replace("_", "-") in (each.lower().replace("_", "-") for each in self.names)
+        """Return whether ``name`` is its name; case, underscores and the prefix ``thesis/`` do not matter."""
+        return plain_name(name) in (plain_name(self.name), plain_name(self.name.removeprefix(THESIS)))
 
 
 def presets() -> list[Preset]:
-    """Return our presets, then the presets of plug-ins; one whose name is taken is called ``package:name``."""
-    root, found = preset_folder(), []
-    for file in (*root.glob("*/*.yaml"), *root.glob(f"*/{THESIS}*.yaml")):
-        command, _, name = file.relative_to(root).with_suffix("").as_posix().partition("/")
-        found.append(Preset(command, name, file))
-    found.sort(key=lambda preset: (preset.command, preset.name.startswith(THESIS), preset.name))
-    others = [(plugin, file) for plugin in plugins_in(_GROUP) for file in _files_of(plugin)]
-    taken = [(of.command, name) for of in found for name in of.names] + [(f.parent.name, f.stem) for _, f in others]
-    for plugin, file in others:
-        command, name = file.parent.name, file.stem
-        own = name if taken.count((command, name)) == 1 else f"{plugin.package}:{name}"
-        found.append(Preset(command, own, file, plugin))
+    """Return our presets, those of the thesis after the others, then those of plug-ins.
+
+    A preset of a plug-in whose name is taken is called by its file.
+    """
+    found: list[Preset] = []
+    folders = {PRESET_FOLDER: ""}
+    for plugin in loaded.values():
+        folders[plugin.folder / "presets"] = f"{plugin.package} {plugin.version}"
+    for folder, source in folders.items():
+        files = []
+        for file in (*folder.glob("*/*.yaml"), *folder.glob(f"*/{THESIS}*.yaml")):
+            command, _, name = file.relative_to(folder).with_suffix("").as_posix().partition("/")
+            files.append((command, name.startswith(THESIS), name, file))
+        for command, _, name, file in sorted(files):
+            taken = source and any(preset.command == command and preset.is_called(name) for preset in found)
+            found.append(Preset(command, str(file) if taken else name, file, source))
     return found
-
-
-@cache
-def _files_of(plugin: Plugin) -> list[Path]:
-    module, _, folder = plugin.reference.partition(":")
-    try:
-        spec = importlib.util.find_spec(module)
-    except Exception:  # a stranger's code may raise anything
-        spec = None
-    places = [Path(place, folder) for place in (spec and spec.submodule_search_locations) or ()]
-    files = sorted(file for place in places for file in place.glob("*/*.yaml"))
-    if not files:
-        text = f"presets of {plugin.package} {plugin.version}: no COMMAND/NAME.yaml in {plugin.reference}"
-        warnings.warn(text, PluginWarning, stacklevel=2)
-    return files
 
 
 def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
-    """Return command, name and first comment line of every preset.
-
-    They are ordered by command, presets of the thesis after the others; those of plug-ins come last, with package and
-    version before the comment.
-    """
-    found = []
+    """Return command, name and first comment line of every preset, with the plug-in that adds it before the comment."""
+    rows = []
     for preset in presets():
         if command in (None, preset.command):
             about = preset.file.read_text("utf-8", "replace").partition("\n")[0].removeprefix("#").strip()
-            of = "" if preset.plugin is None else f"({preset.plugin.package} {preset.plugin.version}) "
-            found.append((preset.command, preset.name, of + about))
-    return found
+            rows.append((preset.command, preset.name, f"({preset.source}) {about}" if preset.source else about))
+    return rows
 
 
 def find_preset(command: str, name: str) -> Path | None:
-    """Return the file of a preset, or None; case, underscores and the prefix ``thesis/`` do not matter."""
-    found = (preset.file for preset in presets() if preset.command == command and preset.is_called(name))
-    return next(found, None)
+    """Return the file of a preset, None if there is none of that name."""
+    for preset in presets():
+        if preset.command == command and preset.is_called(name):
+            return preset.file
+    return None
 
 
 def find_config(command: str, config: str) -> Path:

@@ -16,7 +16,7 @@ from typing import Any
 
 from depthcli.core.errors import ConfigError, IncompleteError, OutputError
 from depthcli.core.method import used_files, used_plugins
-from depthcli.core.registry import plugins_in
+from depthcli.core.plugins import Plugin, loaded, plugins_of
 from depthcli.io.formats.files import flush_all
 from depthcli.io.formats.map_format import format_plugins
 from depthcli.io.inputs import origin
@@ -74,10 +74,10 @@ class Plan:
     """Says which scenes of a run are done, and makes tasks of the others."""
 
     def __init__(self, job: Job[Any], scenes: Sequence[Any], output: Path, how: Execution) -> None:
-        plugins = used_plugins(job.config) | layout_plugins(scenes)
-        name = job.command.replace("-", "_")
-        plugins |= {plugin for plugin in plugins_in("depthcli.commands") if plugin.name == name}
-        plugins |= format_plugins(file for scene in scenes for file in scene.input_files.values())
+        plugins = set[Plugin]()
+        if loaded:
+            plugins = used_plugins(job.config) | layout_plugins(scenes) | plugins_of([type(job)])
+            plugins |= format_plugins(file for scene in scenes for file in scene.input_files.values())
         self.work, self.output = Work(job, how, frozenset(plugins)), output
         self.identity = self.work.identity
         self.workspace = hidden_folder(output)

@@ -13,6 +13,7 @@ import fnmatch
 import math
 import multiprocessing
 import os
+import pickle
 import platform
 import shutil
 import signal
@@ -38,7 +39,7 @@ from depthcli.core.config_file import dump_config
 from depthcli.core.context import Context, Latest
 from depthcli.core.errors import DepthcliError, InputError, OutputError, Terminated
 from depthcli.core.memory import BASE_BYTES
-from depthcli.core.registry import Plugin, plugin_behind, versions_here
+from depthcli.core.plugins import Plugin, load_plugin, loaded, plugin_behind, versions_here
 from depthcli.core.text import show_bytes, without_secrets
 from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.files import collected_warnings, file_states, shown
@@ -464,7 +465,9 @@ def compute_in_processes(
 def _start(work: Work) -> _Worker:
     context: Any = multiprocessing.get_context("fork" if _may_fork() else "spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+    # A process that is no copy of this one unpickles its arguments before it runs anything.
+    arguments = theirs, tuple(plugin.source for plugin in loaded.values()), pickle.dumps(work)
+    process = context.Process(target=_serve, args=arguments, daemon=True)
     if context.get_start_method() == "spawn":
         resource_tracker.ensure_running()  # started with the first process, it would lift the block for that one
     process.start()
@@ -493,8 +496,8 @@ def _ctrl_c_later() -> Iterator[None]:
         signal.raise_signal(number)
 
 
-def _serve(pipe: connection.Connection, work: Work) -> None:
-    """Compute the tasks that come through the pipe, until the parent closes it."""
+def _serve(pipe: connection.Connection, plugins: Iterable[str], pickled: bytes) -> None:
+    """Compute the tasks that come through the pipe, of the pickled work, until the parent closes it."""
 
     def end_with(parent: Any) -> None:  # which may be killed: no worker may continue to write
         parent.join()
@@ -504,6 +507,9 @@ def _serve(pipe: connection.Connection, work: Work) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C does
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
+    for plugin in plugins:
+        load_plugin(plugin)
+    work: Work = pickle.loads(pickled)
     use_threads(work.how.threads_each())
     limit, latest, turn = work.how.memory_each(), Latest(), threading.Lock()
 

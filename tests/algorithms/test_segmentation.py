@@ -14,7 +14,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 
 def method(name: str, **fields) -> Segmenter:
-    found = Family.of("depthcli.algorithms.segmentation").parse({"method": name, **fields})
+    found = Family.of("depthcli.algorithms.segmentation").parse({"method": name, **fields}, None)
     assert isinstance(found, Segmenter)
     return found
 

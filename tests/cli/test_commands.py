@@ -262,6 +262,7 @@ def test_results_inside_the_input_are_no_scenes(made_scenes: Path, tmp_path: Pat
 
 
 ROOT = Path(__file__).parents[2]
+TWO_FILES = ROOT / "docs" / "plugin_template" / "depthcli_example" / "layout.py"
 
 
 def examples() -> list[str]:
@@ -314,6 +315,7 @@ def test_without_a_command_the_help_is_shown(capsys):
     ("fuse thesis/ch6-c", {"thesis/ch6-cw", "thesis/ch6-cross"}, {"thesis/ch6-all", "accurate"}),
     ("presets show ac", {"accurate"}, {"fast"}),
     ("stereo fast --layout mid", {"middlebury-v2", "middlebury-v3"}, {"kitti-2015"}),
+    (f"stereo fast --plugin {TWO_FILES} --layout two", {"two-files"}, {"middlebury-v2"}),
     ("evaluate run --protocol ki", {"kitti-2012", "kitti-2015"}, {"eth3d"}),
     ("stereo fast --max-disparity 9 --set optimization", {"optimization=", "optimization.p2="}, {"cost="}),
     ("sweep consensus --command fuse --set meas", {"measures="}, {"cost="}),

@@ -56,7 +56,7 @@ def test_smoothness(term: Smoothness, check: Callable[[Any], None]):
 @pytest.mark.parametrize(("package", "name", "check"), MEMBERS)
 def test_methods(package: str, name: str, check: Callable[[Any], None]):
     family = Family.of(f"depthcli.{package}")
-    check(family.parse({family.key: name, **FIELDS.get(name, {})}))
+    check(family.parse({family.key: name, **FIELDS.get(name, {})}, None))
 
 
 def test_layout_of_our_own_scenes(made_scenes: Path):

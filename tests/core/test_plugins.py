@@ -1,11 +1,9 @@
-"""Plug-ins of files and of installed packages: how they are found, what is said of bad ones, what runs record."""
+"""Plug-ins of files and of installed modules: how they are found, what is said of bad ones, what runs record."""
 
+import importlib
 import json
-import os
-import re
 import shutil
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +11,16 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.commands import config_model
-from depthcli.core import registry
+from depthcli.core import plugins
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.method import Family, used_plugins
+from depthcli.core.plugins import load_plugin, versions_here
+from depthcli.core.registry import registries
 from depthcli.core.yaml_source import parse_config
 from depthcli.evaluation import protocols
 from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_disparity, read_pfm, read_plane
-from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.problems.stereo import StereoConfig
 from depthcli.run import presets
 from tests.command_line import refused
@@ -119,18 +118,10 @@ SUBCLASSES = (
 
 
 @pytest.fixture(autouse=True)
-def _forget_plugins(monkeypatch: pytest.MonkeyPatch):
+def _forget_plugins():
     """Leave no plug-in behind for other tests."""
-    for name in ("_file_plugins", "_plugin_by_class"):
-        monkeypatch.setattr(registry, name, {})
-    monkeypatch.setenv("DEPTHCLI_PLUGIN_FILES", "")
-    registry._installed.cache_clear()
-    protocols.load.cache_clear()
     yield
-    protocols.load.cache_clear()
-    registry._installed.cache_clear()
-    for name in [name for name in sys.modules if name.startswith(("depthcli_plugin_", "strange_"))]:
-        del sys.modules[name]
+    forget()
 
 
 @pytest.fixture
@@ -151,25 +142,31 @@ def scenes(two_scenes: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def install(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, entries: str, source: str) -> None:
-    """Make a package that looks installed: a module and its metadata."""
-    (folder / f"{name.replace('-', '_')}.py").write_text(source)
-    info = folder / f"{name.replace('-', '_')}-1.2.dist-info"
+def install(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, source: str) -> Path:
+    """Make a package that looks installed: a module in it and its metadata."""
+    package = folder / name.replace("-", "_")
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "module.py").write_text(source)
+    (package / "_private.py").write_text("import nowhere_at_all")
+    info = folder / f"{package.name}-1.2.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
-    (info / "entry_points.txt").write_text(entries)
     monkeypatch.syspath_prepend(str(folder))
-    registry._installed.cache_clear()
+    return package
 
 
 def forget() -> None:
-    registry._file_plugins.clear()
-    registry._plugin_by_class.clear()
+    for module in list(plugins.loaded):
+        plugins.forget(module)
+    for name in [name for name in sys.modules if name.startswith("strange_")]:
+        del sys.modules[name]
+    protocols.load.cache_clear()
 
 
 def test_classes_of_a_file_are_found_by_their_names(file: Path):
-    registry.load_file(file)
-    registry.load_file(file)  # again: nothing happens
+    load_plugin(str(file))
+    load_plugin(str(file))  # again: nothing happens
     assert COSTS.names()[-1] == "wide_census"
     text = "pipeline: local\ncost: {method: Wide-Census, window: [5, 3]}\n"
     config = load_config(StereoConfig, parse_config(text, "x"))
@@ -177,16 +174,14 @@ def test_classes_of_a_file_are_found_by_their_names(file: Path):
     assert load_config(StereoConfig, parse_config(dump_config(config), "x")) == config
     (used,) = used_plugins(config)
     assert used.package == "mine.py" and len(used.version) == 12
-    found = [COSTS.find(name) for name in ("wc 5", "ad", "mine.py:wc-5")]
-    assert found == ["wide_census", "absolute_difference", None]
-    lacking = {package for package, each in registry.registries.items() if not each.plugins()}
+    assert [COSTS.find(name) for name in ("wc 5", "ad")] == ["wide_census", "absolute_difference"]
+    lacking = {package for package, registry in registries.items() if not registry.added}
     assert not [package for package in lacking if package.startswith("depthcli.")]
-    versions = registry.versions_here([used, replace(used, package="elsewhere")])
-    assert versions == {"elsewhere": "missing", "mine.py": used.version}
+    assert versions_here([used]) == {"mine.py": used.version}
 
 
 def test_a_mistake_names_the_plugin_s_keys_and_methods(file: Path):
-    registry.load_file(file)
+    load_plugin(str(file))
     for text, said in (
         ("cost: wide_censu", r"no method called 'wide_censu'; did you mean 'wide_census'.* wide_census \(mine\.py\)"),
         ("cost: census\nconfidence: [pkrr]", r"no confidence measure called 'pkrr'; did you mean 'pkrn?'\?; one of: "),
@@ -212,69 +207,71 @@ def test_a_command_of_a_file(file: Path, capsys: pytest.CaptureFixture[str]):
         ("def f(:", r"mine\.py.*plug-in cannot be loaded: SyntaxError"),
         ("x = 3", r"mine\.py: plug-in cannot be loaded: TypeError: it holds no command"),
         (None, r"mine\.py: plug-in cannot be loaded: FileNotFoundError"),
+        (
+            FILE.replace("WideCensus(", "Rank("),
+            r"mine\.py: .* class Rank: there is a 'rank' in .*\.stereo\.cost already",
+        ),
+        (FILE.replace("def greet", "def stereo"), r"mine\.py:\d+: .* depthcli has a command stereo already"),
     ],
 )
 def test_a_file_that_is_no_plugin(text: str | None, said: str, tmp_path: Path):
     path = tmp_path / "mine.py"
     if text is not None:
         path.write_text(text)
-    refused(ConfigError, said, registry.load_file, path)
-    assert not os.environ["DEPTHCLI_PLUGIN_FILES"]
+    refused(ConfigError, said, load_plugin, str(path))
+    assert not plugins.loaded
     path.write_text(FILE)
-    registry.load_file(path)  # mended, in the same process
+    load_plugin(str(path))  # mended, in the same process
     assert "wide_census" in COSTS.names()
 
 
 def test_an_installed_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    source = "from depthcli.methods.stereo.cost.census import Census\nclass Far(Census):\n    '''Far.'''\n"
-    entries = "[depthcli.stereo.cost]\nfar-census = strange_cost:Far\ncensus = strange_cost:Far2\n"
-    install(tmp_path, monkeypatch, "strange-cost", entries, source + "class Far2(Census):\n    '''Another.'''\n")
-    assert set(COSTS.names()) >= {"census", "far_census", "strange-cost:census"}
-    assert COSTS.parse("far_census").model_dump()["method"] == "far_census"
-    assert type(COSTS.parse("census")).__module__.startswith("depthcli.")
-    other = COSTS.parse("strange-cost:census")
-    assert type(other).__name__ == "Far2" and other.model_dump()["method"] == "strange-cost:census"
-    assert registry.versions_here(used_plugins(other)) == {"strange-cost": "1.2"}
-    assert used_plugins(COSTS.parse("census")) == set()
+    source = "from depthcli.methods.stereo.cost.census import Census\n\n\nclass FarCensus(Census):\n    pass\n"
+    package = install(tmp_path, monkeypatch, "strange-cost", source)
+    load_plugin("strange_cost")
+    far = COSTS.parse("Far-Census", None)
+    assert far.model_dump()["method"] == "far_census"
+    assert versions_here(used_plugins(far)) == {"strange-cost": "1.2"}
+    assert used_plugins(COSTS.parse("census", None)) == set()
+    forget()
+    shutil.rmtree(tmp_path / "strange_cost-1.2.dist-info")
+    versions = set()
+    for text in (source, source + "# changed\n"):  # without a distribution the content counts
+        (package / "module.py").write_text(text)
+        load_plugin("strange_cost")
+        versions |= versions_here(plugins.loaded.values()).items()
+        forget()
+    assert len(versions) == 2 and {name for name, _ in versions} == {"strange_cost"}
 
 
-@pytest.mark.filterwarnings("always::depthcli.core.registry.PluginWarning")
-def test_a_broken_package_costs_a_warning(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    entries = "".join(f"[depthcli.{group}]\nbow = strange:Bow\n" for group in ("stereo.cost", "layouts", "commands"))
-    install(tmp_path, monkeypatch, "strange", entries, "import nowhere_at_all\n")
-    with pytest.warns(registry.PluginWarning, match=r"bow of strange 1\.2 cannot be loaded: ModuleNotFound"):
-        assert "bow" not in COSTS.names()
-    refused(ConfigError, "bow of strange", COSTS.parse, "bow")
-    with pytest.warns(registry.PluginWarning, match="bow of strange"):
-        assert ALL_KINDS.with_plugins() == ALL_KINDS
-    assert main(["--help"]) == 0
-    out, err = capsys.readouterr()
-    assert "refine-kinect" in out and "bow of strange 1.2 cannot be loaded" in out + err
-    assert main(["bow"]) == 2
+def test_a_broken_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    install(tmp_path, monkeypatch, "strange-kit", "import nowhere_at_all\n")
+    assert main(["--plugin", "strange_kit", "--help"]) == 2
+    assert "strange_kit/module.py:1: plug-in cannot be loaded: ModuleNotFound" in capsys.readouterr().err
+    assert main(["--plugin", "strange_kid", "--help"]) == 2
+    assert "strange_kid: plug-in cannot be loaded: ModuleNotFound" in capsys.readouterr().err
 
 
 def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    for command, name in (("stereo", "fast"), ("stereo", "elas"), ("nowhere", "odd")):
-        file = tmp_path / "strange_kit" / "mine" / command / f"{name}.yaml"
+    package = install(tmp_path, monkeypatch, "strange-kit", "")
+    for command, name in (("stereo", "fast"), ("stereo", "Elas"), ("nowhere", "odd")):
+        file = package / "presets" / command / f"{name}.yaml"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("# Another one.\npipeline: opencv_bm\n")
-    install(tmp_path, monkeypatch, "strange-kit", "[depthcli.presets]\nx = strange_kit:mine\n", "")
-    (tmp_path / "strange_kit.py").rename(tmp_path / "strange_kit" / "__init__.py")
+    own = ["--plugin", "strange_kit"]
+    assert main(["presets", *own]) == 0
+    assert "stereo Elas " in capsys.readouterr().out
+    fast = package / "presets" / "stereo" / "fast.yaml"
     of_package = [preset[:2] for preset in presets.list_presets() if "strange-kit 1.2" in preset[2]]
-    assert of_package == [("nowhere", "odd"), ("stereo", "elas"), ("stereo", "strange-kit:fast")]
-    assert presets.find_preset("stereo", "fast") == presets.preset_folder() / "stereo" / "fast.yaml"
-    for name in ("Elas", "strange-kit:elas", "Strange_Kit:fast"):
-        found = presets.find_preset("stereo", name)
-        assert found is not None and found.is_relative_to(tmp_path)
-    assert main(["presets"]) == 0
-    assert "stereo elas " in capsys.readouterr().out
-    assert main(["presets", "show", "stereo/elas"]) == 0
-    assert "depthcli stereo elas ..." in capsys.readouterr().out
-    (tmp_path / "strange_kit" / "mine" / "stereo" / "elas.yaml").write_bytes(b"# \xff\npipeline: local\n")
+    assert of_package == [("nowhere", "odd"), ("stereo", "Elas"), ("stereo", str(fast))]
+    assert presets.find_preset("stereo", "fast") == presets.PRESET_FOLDER / "stereo" / "fast.yaml"
+    assert presets.find_preset("stereo", "elas") == package / "presets" / "stereo" / "Elas.yaml"
+    assert presets.find_config("stereo", str(fast)) == fast
+    assert main(["presets", "show", "stereo/elas", *own]) == 0
+    assert "depthcli stereo Elas ..." in capsys.readouterr().out
+    (package / "presets" / "stereo" / "Elas.yaml").write_bytes(b"# \xff\npipeline: local\n")
     assert main(["presets", "show", "elas"]) == 2
-    assert "elas.yaml:1: not UTF-8 text" in capsys.readouterr().err
+    assert "Elas.yaml:1: not UTF-8 text" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -296,7 +293,6 @@ def test_a_run_records_its_plugins(file: Path, scenes: Path, tmp_path: Path, cap
     assert main(run) == 0
     assert "2 of 2 scenes are done already" in capsys.readouterr().err
     forget()
-    del sys.modules["depthcli_plugin_mine"]
     file.write_text(file.read_text() + "# changed\n")
     assert main(run) == 2
     assert "another config (it has 'mine.py: " in capsys.readouterr().err
@@ -318,7 +314,7 @@ def test_layouts_and_formats_are_recorded_where_they_are_used(file: Path, scenes
 
 
 def test_maps_of_a_format_are_read_everywhere(file: Path, tmp_path: Path):
-    registry.load_file(file)
+    load_plugin(str(file))
     path = tmp_path / "a.numbers"
     path.write_text("1.5 nan\n2 inf\n")
     for read in (read_disparity, read_depth):
@@ -331,13 +327,14 @@ def test_maps_of_a_format_are_read_everywhere(file: Path, tmp_path: Path):
 def test_a_format_cannot_take_an_ending_of_ours(tmp_path: Path):
     path = tmp_path / "bad.py"
     path.write_text(FILE.replace(".numbers", ".png"))
-    refused(ConfigError, r"bad\.py:\d+: .*\.png is read by depthcli itself", registry.load_file, path)
+    refused(ConfigError, r"bad\.py:\d+: .*\.png is read by depthcli itself", load_plugin, str(path))
 
 
 def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
     (tmp_path / "low.yaml").write_text("plugins: [mine.py]\npipeline: local\ncost: wide_census\n")
     (tmp_path / "high.yaml").write_text("plugins: [more.py]\nbase: low\naggregation: cross\n")
-    (tmp_path / "more.py").write_text(FILE.replace("WideCensus", "LowCensus").replace("def greet", "def farewell"))
+    own = "from depthcli.methods.stereo.cost.census import Census\n\n\nclass LowCensus(Census):\n    pass\n"
+    (tmp_path / "more.py").write_text(own)
     config = load_config(StereoConfig, tmp_path / "high.yaml")
     assert config.plugins == ("mine.py", "more.py")
     assert {"wide_census", "low_census"} <= set(COSTS.names())
@@ -347,6 +344,9 @@ def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
     forget()
     with pytest.raises(ConfigError, match=r"run\.yaml:\d+: plugins: mine\.py is no file in .*; --plugin FILE"):
         load_config(StereoConfig, tmp_path / "run" / "run.yaml")
+    forget()
+    text = parse_config("pipeline: local\ncost: wide_census\n", "x")
+    assert load_config(StereoConfig, text, ["cost.window=[5,3]", f"plugins=[{file}]"]).plugins == (str(file),)
     (tmp_path / "low.yaml").write_text("plugins: [3]\npipeline: local\n")
     with pytest.raises(ConfigError, match=r"low\.yaml:1: plugins: expected a list of names .*\(got \[3\]\)"):
         load_config(StereoConfig, tmp_path / "low.yaml")
@@ -365,12 +365,11 @@ def test_a_config_names_its_plugins(file: Path, tmp_path: Path):
     ],
 )
 def test_methods_of_every_command_are_configured(file: Path, command: str, text: str):
-    registry.load_file(file)
+    load_plugin(str(file))
     model = config_model(command)
     assert model is not None
     config = load_config(model, parse_config(text, "x"))
     assert {plugin.package for plugin in used_plugins(config)} == {"mine.py"}
-    assert {plugin.name for plugin in used_plugins(config)} == {re.search("my_[a-z]+", text)[0]}
 
 
 def test_a_file_of_a_family_holds_one_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -381,12 +380,13 @@ def test_a_file_of_a_family_holds_one_class(tmp_path: Path, monkeypatch: pytest.
     (folder / "both.py").write_text(f"{head}class A(Base): ...\nclass B(Base): ...\n")
     (folder / "none.py").write_text(head)
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(registry, "registries", dict(registry.registries))  # the family is no one else's
+    importlib.import_module("strange_family")
     family = Family("strange_family")
     with pytest.raises(TypeError, match=r"both defines A and B; a file of this folder holds one class"):
         family.load("both")
     with pytest.raises(TypeError, match="defines no class"):
         family.load("none")
+    del registries["strange_family"]
 
 
 def test_a_scheduler_refuses_files(file: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -1,13 +1,13 @@
 """Device implementations against the methods themselves; run by ``test_devices.py`` in a process of its own."""
 
-import importlib
+import sys
 
 import numpy as np
 import pytest
 
 from depthcli.core.frames import StereoPair
-from depthcli.core.method import Family
 from depthcli.device import Kernels, open_device
+from depthcli.methods.stereo._device_table import TABLE
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.aggregation.cross import Cross
@@ -18,7 +18,7 @@ from depthcli.methods.stereo.cost.gradient import Gradient
 from depthcli.methods.stereo.cost.rank import Rank
 from depthcli.methods.stereo.cost.zncc import Zncc
 from depthcli.methods.stereo.matching import Limits, match
-from depthcli.methods.stereo.on_device import DeviceContext, DeviceMap, DevicePair, DeviceVolume, run_stage
+from depthcli.methods.stereo.on_device import DeviceContext, DeviceMap, DevicePair, DeviceVolume
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
@@ -34,7 +34,6 @@ from tests.contracts.inputs import preset
 from tests.methods.stereo._pairs import methods
 
 SIZES = [*TINY, (37, 61, 70)]
-FAMILIES = ("cost", "aggregation", "optimization", "refinement")
 
 
 @pytest.fixture(scope="module")
@@ -42,16 +41,11 @@ def device():
     return open_device("opencl")
 
 
-def implementations(family):
-    package = importlib.import_module(f"depthcli.methods.stereo.{family}._device")
-    own = [name for name, value in vars(package).items() if getattr(value, "__module__", "") == package.__name__]
-    return [name for name in own if name.islower() and not name.startswith("_")]
-
-
-def test_every_device_implementation_has_the_name_of_a_method():
-    for family in FAMILIES:
-        methods_there = Family.of(f"depthcli.methods.stereo.{family}").names()
-        assert implementations(family) and set(implementations(family)) <= set(methods_there)
+def test_the_table_has_every_device_implementation():
+    for package in {sys.modules[function.__module__] for function in TABLE.values()}:
+        own = {value for value in vars(package).values() if getattr(value, "__module__", "") == package.__name__}
+        public = {value for value in own if callable(value) and not value.__name__.startswith("_")}
+        assert public == {function for function in TABLE.values() if function.__module__ == package.__name__}
 
 
 COSTS = [
@@ -70,7 +64,8 @@ def test_costs_are_the_same_bytes(device, cost, height, width, disparities):
         trust = texture((height, width), 3) if color else None
         pair = StereoPair(texture(shape, 1, dtype), texture(shape, 2, dtype), light_trust=trust)
         expected = cost(pair, disparities)
-        found = run_stage(cost, DevicePair(device, pair), disparities).download()
+        there = DevicePair(device, pair, TABLE)
+        found = there.run(cost, there, disparities).download()
         np.testing.assert_array_equal(found.costs, expected.costs)
         assert found.scale == expected.scale
 
@@ -86,12 +81,13 @@ AGGREGATIONS = [
 @pytest.mark.parametrize("method", AGGREGATIONS, ids=lambda method: method.method_name())
 @pytest.mark.parametrize("size", SIZES)
 def test_aggregations_are_the_same_bytes_but_for_rounded_weights(device, method, size):
-    assert method.method_name() in implementations("aggregation")
+    assert type(method) in TABLE
     pair = blocky_pair(*size[:2])
     for dtype in (np.uint8, np.uint16):
         volume = random_volume(*size, dtype)
         expected = method(volume, pair)
-        found = run_stage(method, DeviceVolume.upload(device, volume), DevicePair(device, pair)).download()
+        there = DevicePair(device, pair, TABLE)
+        found = there.run(method, DeviceVolume.upload(device, volume), there).download()
         assert found.costs.dtype == expected.costs.dtype and found.scale == expected.scale
         apart = np.abs(found.costs.astype(int) - expected.costs.astype(int))
         assert apart.max() <= isinstance(method, AdaptiveWeight)
@@ -105,14 +101,14 @@ def test_scanlines_are_the_same_bytes(device, paths, size):
     for dtype in (np.uint8, np.uint16, np.float32):
         volume = random_volume(*size, dtype)
         expected = method(volume, pair)
-        arguments = DeviceVolume.upload(device, volume), DevicePair(device, pair)
-        found = run_stage(method, *arguments).download()
+        there = DevicePair(device, pair, TABLE)
+        found = there.run(method, DeviceVolume.upload(device, volume), there).download()
         np.testing.assert_array_equal(found.costs, expected.costs)
         assert found.scale == expected.scale
 
 
 STEPS = [
-    *(p for p in methods("depthcli.methods.stereo.refinement") if p.id in implementations("refinement")),
+    *(p for p in methods("depthcli.methods.stereo.refinement") if type(p.values[0]) in TABLE),
     pytest.param(Median(window=5), id="median 5"), pytest.param(SpeckleFilter(size=4, step=2), id="speckles of 4"),
     pytest.param(SurfaceFill(rows=3, reach=5, support=4), id="small surfaces"),
     pytest.param(WeightedMedian(radius=2, filled_weight=0, passes=2), id="median without the filled"),
@@ -125,9 +121,9 @@ def test_refinements_are_the_same_map(device, step, size):
     for seed in (0, 1):
         disparity, context = noisy_case(*size, seed)
         volume, right = DeviceVolume.upload(device, context.volume), device.upload(context.right)
-        there = DeviceContext(DevicePair(device, context.pair), volume, right)
+        there = DeviceContext(DevicePair(device, context.pair, TABLE), volume, right)
         expected = step(disparity, context)
-        found = run_stage(step, DeviceMap.upload(device, disparity), there).download()
+        found = there.pair.run(step, DeviceMap.upload(device, disparity), there).download()
         np.testing.assert_array_equal(np.isnan(found.values), np.isnan(expected.values))
         apart = np.abs(np.nan_to_num(found.values) - np.nan_to_num(expected.values))
         assert np.mean(apart > 1e-4) <= 0.003  # medians whose halves are equal but for the order of a sum
@@ -140,10 +136,12 @@ def test_directional_fills_are_the_same_map(device, size):
     empty, context = noisy_case(*size, 0)
     disparity = BackgroundFill()(empty, context)
     there = DeviceContext(
-        DevicePair(device, context.pair), DeviceVolume.upload(device, context.volume), device.upload(context.right)
+        DevicePair(device, context.pair, TABLE),
+        DeviceVolume.upload(device, context.volume),
+        device.upload(context.right),
     )
     for step in (DirectionalFill(), DirectionalFill(color_scale=40, distance_scale=3)):
-        found = run_stage(step, DeviceMap.upload(device, disparity), there).download()
+        found = there.pair.run(step, DeviceMap.upload(device, disparity), there).download()
         np.testing.assert_array_equal(found.values, step(disparity, context).values)
         np.testing.assert_array_equal(found.status, disparity.status)
 

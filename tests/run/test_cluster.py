@@ -151,8 +151,8 @@ def test_workers_without_an_installed_plug_in_are_refused(cluster: Cluster, tmp_
     source = "from depthcli.methods.stereo.cost.census import Census\nclass Far(Census):\n    '''Far.'''\n"
     (packages / "far_cost.py").write_text(source)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: far-cost\nVersion: 1.2\n")
-    (info / "entry_points.txt").write_text("[depthcli.stereo.cost]\nfar = far_cost:Far\n")
     command = ["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "out"), "--set", "cost=far"]
+    command += ["--plugin", "far_cost"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(packages), os.environ["PYTHONPATH"]])}
     done = subprocess.run(
         [sys.executable, "-m", "depthcli", *command, "--scheduler", cluster.address],

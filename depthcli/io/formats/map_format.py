@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.core.registry import Plugin, Registry, registered_name
+from depthcli.core.plugins import Plugin, plugins_of
+from depthcli.core.registry import Registry, registered_name
 from depthcli.io.formats.files import open_regular, shown
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 
@@ -49,12 +50,12 @@ class MapFormat(ABC):
         """
 
 
-_REGISTRY = Registry[MapFormat](__name__, group="depthcli.formats")
+_REGISTRY = Registry[MapFormat](__name__)
 
 
 def map_formats() -> dict[str, MapFormat]:
     """Return ending -> format of plug-ins, in the order of their names; the first that has an ending reads it."""
-    formats = [_REGISTRY.load(name)() for name in _REGISTRY.names()] if _REGISTRY.plugins() else []
+    formats = [kind() for _, kind in sorted(_REGISTRY.added.items())]
     return {suffix: each for each in reversed(formats) for suffix in each.suffixes}
 
 
@@ -65,9 +66,8 @@ def map_suffixes() -> tuple[str, ...]:
 
 def format_plugins(files: Iterable[Path]) -> set[Plugin]:
     """Return the plug-ins that read any of these files."""
-    plugins = _REGISTRY.plugins()
-    formats = map_formats() if plugins else {}
-    return {plugins[formats[path.suffix.lower()].name] for path in files if path.suffix.lower() in formats}
+    formats = map_formats()
+    return plugins_of(type(formats[path.suffix.lower()]) for path in files if path.suffix.lower() in formats)
 
 
 def read_by_plugin(path: Path | str) -> NDArray[Any] | None:

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from depthcli.core.errors import InputError
-from depthcli.core.registry import Plugin, Registry, registered_name
+from depthcli.core.plugins import Plugin, plugins_of
+from depthcli.core.registry import Registry, registered_name
 from depthcli.core.text import short
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import json_object, numbers
@@ -176,7 +177,7 @@ class Layout(ABC):
         return self.kind(**own)
 
 
-PLUGINS = Registry[Layout](__name__, group="depthcli.layouts")
+PLUGINS = Registry[Layout](__name__)
 """The layouts of plug-ins; this package's are rows of tables."""
 
 
@@ -204,6 +205,5 @@ class Layouts(Generic[SceneT]):
 
 def layout_plugins(scenes: Iterable[Scene]) -> set[Plugin]:
     """Return the plug-ins whose layouts found any of these scenes."""
-    plugins = PLUGINS.plugins()
-    names = {scene.layout for scene in scenes} if plugins else set()
-    return {plugin for name, plugin in plugins.items() if name.replace("_", "-") in names}
+    names = {scene.layout for scene in scenes}
+    return plugins_of(kind for name, kind in PLUGINS.added.items() if name.replace("_", "-") in names)

@@ -12,7 +12,7 @@ Start at :func:`.matching.match`. In the order of the data:
 | ``pipeline/`` | the matchers of ``stereo``, one file each: pair, largest disparity -> ``StereoResult`` |
 | ``tiling/`` | a matcher and a pair too large to be matched whole -> ``StereoResult``, tile by tile, coarse to fine |
 | ``volume`` | the types that stages hand to each other: ``CostVolume``, ``RefinementContext``, ``StereoResult`` |
-| ``on_device`` | the same types in the memory of a device, and ``run_stage``, which runs a stage there |
+| ``on_device`` | the same types in the memory of a device; ``_device_table`` says what runs a method there |
 
 What a pipeline is made of; a family is a folder with one file per method, and its ``_device`` holds OpenCL kernels:
 

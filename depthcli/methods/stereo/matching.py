@@ -17,7 +17,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import show_bytes
 from depthcli.device import Device
-from depthcli.methods.stereo.on_device import DevicePair, device_implementation_of, run_stage
+from depthcli.methods.stereo.on_device import DevicePair, Table
 from depthcli.methods.stereo.stages import PairMatcher
 from depthcli.methods.stereo.tiling import match_in_tiles
 from depthcli.methods.stereo.volume import StereoResult
@@ -44,7 +44,14 @@ class Limits:
 
     def device_for(self, matcher: PairMatcher) -> Device | None:
         """Return the device, if there is one and the matcher has an implementation for it."""
-        return None if self.device is None or device_implementation_of(matcher) is None else self.device
+        return self.device if self.device is not None and type(matcher) in device_table() else None
+
+
+def device_table() -> Table:
+    """Return the device implementations, which are imported only if there is a device."""
+    from depthcli.methods.stereo._device_table import TABLE
+
+    return TABLE
 
 
 def match(
@@ -67,7 +74,8 @@ def match(
         )
     if device is None:
         return matcher(pair, max_disparity, context)
-    result: StereoResult = run_stage(matcher, DevicePair(device, pair), max_disparity, context)
+    there = DevicePair(device, pair, device_table())
+    result: StereoResult = there.run(matcher, there, max_disparity, context)
     return result
 
 

@@ -1,19 +1,11 @@
-"""What the stages of a pipeline hand to each other on a device, and how a stage is run there.
-
-A method's device implementation is the function of its name in the package ``_device`` of its family. Its arguments
-are the method and those of the method's ``__call__``, as the types below: a cost has ``census(method, pair,
-disparities)``, aggregation and optimization ``cross(method, volume, pair)``, refinement ``median(method, disparity,
-context)``.
-"""
+"""What the stages of a pipeline hand to each other on a device, and how a stage is run there."""
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
-from typing import Any
+from functools import cached_property
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -21,6 +13,9 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.device import Device, DeviceArray, Kernels
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, RefinementContext, as_fixed_point
+
+Table: TypeAlias = Mapping[type, Callable[..., Any]]
+"""Class of a method -> its device implementation, see :mod:`._device_table`."""
 
 PIXELS = (32, 8)
 """Threads of a group, along x and y, of kernels with one thread per pixel."""
@@ -34,6 +29,7 @@ class DevicePair:
 
     device: Device
     host: StereoPair
+    table: Table
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -65,6 +61,23 @@ class DevicePair:
             return self.grey
         left, right = self.host.grey8
         return self.device.upload(left), self.device.upload(right)
+
+    def run(self, stage: Any, *arguments: Any) -> Any:
+        """Run a stage by its device implementation or, if it has none, on the processor, with transfers.
+
+        ``arguments`` are those of the stage's ``__call__``, as types of this module.
+        """
+        if implementation := self.table.get(type(stage)):
+            return implementation(stage, *arguments)
+
+        def on_host(argument: Any) -> Any:
+            if isinstance(argument, DevicePair | DeviceContext):
+                return argument.host
+            return argument.download() if isinstance(argument, DeviceVolume | DeviceMap) else argument
+
+        result = stage(*map(on_host, arguments))
+        kind = DeviceVolume if isinstance(result, CostVolume) else DeviceMap
+        return kind.upload(self.device, result)
 
 
 @dataclass(frozen=True)
@@ -171,34 +184,3 @@ def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, in
     while lanes < min(n_disparities, 64):
         lanes *= 2
     return (n_disparities, width, height), (lanes, 256 // lanes, 1)
-
-
-def device_implementation_of(method: object) -> Any | None:
-    """Return the function that does on a device what ``method`` does; None where the method has none."""
-    family, _, name = type(method).__module__.rpartition(".")
-    return getattr(_device_package(family), name, None)
-
-
-@cache
-def _device_package(family: str) -> Any | None:
-    found = family and importlib.util.find_spec(f"{family}._device")
-    return importlib.import_module(f"{family}._device") if found else None
-
-
-def run_stage(stage: object, *arguments: Any) -> Any:
-    """Run a stage by its device implementation or, where it has none, on the processor, with transfers.
-
-    ``arguments`` are those of the stage's ``__call__``, as types of this module.
-    """
-    implementation = device_implementation_of(stage)
-    if implementation is not None:
-        return implementation(stage, *arguments)
-
-    def on_host(argument: Any) -> Any:
-        if isinstance(argument, DevicePair | DeviceContext):
-            return argument.host
-        return argument.download() if isinstance(argument, DeviceVolume | DeviceMap) else argument
-
-    result = stage(*map(on_host, arguments))  # type: ignore[operator]
-    kind = DeviceVolume if isinstance(result, CostVolume) else DeviceMap
-    return kind.upload(arguments[0].device, result)

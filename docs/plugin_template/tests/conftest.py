@@ -7,8 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from depthcli.core.plugins import load_plugin
 from depthcli.io.formats.images import write_png
 from depthcli.testing.inputs import shifted_pair
+
+load_plugin("depthcli_example")
 
 
 @pytest.fixture

@@ -36,4 +36,4 @@ def _parameter(family: Family, name: str) -> Any:
             return pytest.param(None, id=name, marks=pytest.mark.skip(reason="onnxruntime or onnx is not installed"))
         file = local_features(Path(tempfile.mkdtemp()) / "features.onnx", channels=None)
         fields = {"model": str(file), "normalization": "image", "distance": "l1", "truncation": 2}
-    return pytest.param(family.parse({family.key: name, **fields}), id=name)
+    return pytest.param(family.parse({family.key: name, **fields}, None), id=name)

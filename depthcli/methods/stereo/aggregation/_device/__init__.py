@@ -1,4 +1,4 @@
-"""Device implementations of the aggregations; see :mod:`depthcli.methods.stereo.on_device`.
+"""Device implementations of the aggregations; see :mod:`depthcli.methods.stereo._device_table`.
 
 Each returns the same means as the method of its name, unless its docstring says otherwise.
 """

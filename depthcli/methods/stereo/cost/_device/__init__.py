@@ -1,4 +1,4 @@
-"""Device implementations of the cost measures; see :mod:`depthcli.methods.stereo.on_device`.
+"""Device implementations of the cost measures; see :mod:`depthcli.methods.stereo._device_table`.
 
 Each returns the same costs as the measure of its name, unless its docstring says otherwise.
 """
@@ -16,7 +16,7 @@ from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.cost.combined import Combined, part_shares
 from depthcli.methods.stereo.cost.gradient import Gradient, derivative_filters
 from depthcli.methods.stereo.cost.rank import Rank
-from depthcli.methods.stereo.on_device import PIXELS, DevicePair, DeviceVolume, c_type, cells, run_stage
+from depthcli.methods.stereo.on_device import PIXELS, DevicePair, DeviceVolume, c_type, cells
 
 _FILL, _FEATURES, _COMBINED = (Kernels(__name__, f"{file}.cl") for file in ("fill", "features", "combined"))
 
@@ -75,7 +75,7 @@ def combined(method: Combined, pair: DevicePair, n_disparities: int) -> DeviceVo
         weights = np.ones((len(method.parts), height, width), np.float32)
     for k, part in enumerate(method.parts):
         units = device.upload(np.float32(unit) * weights[k])
-        volume: DeviceVolume = run_stage(part.cost, pair, n_disparities)
+        volume: DeviceVolume = pair.run(part.cost, pair, n_disparities)
         table = device.upload(part_shares(volume.scale * part.lambda_))
         last = k == len(method.parts) - 1
         device.launch(

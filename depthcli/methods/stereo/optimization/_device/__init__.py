@@ -1,4 +1,4 @@
-"""Device implementations of the optimizations; see :mod:`depthcli.methods.stereo.on_device`."""
+"""Device implementations of the optimizations; see :mod:`depthcli.methods.stereo._device_table`."""
 
 from __future__ import annotations
 

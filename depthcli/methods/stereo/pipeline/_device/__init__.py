@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from depthcli.core.context import Context
@@ -12,14 +14,7 @@ from depthcli.device import DeviceArray, Kernels
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.stereo.adjustment import adjusted
-from depthcli.methods.stereo.on_device import (
-    DeviceContext,
-    DeviceMap,
-    DevicePair,
-    DeviceVolume,
-    device_implementation_of,
-    run_stage,
-)
+from depthcli.methods.stereo.on_device import DeviceContext, DeviceMap, DevicePair, DeviceVolume
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.volume import StereoResult
 
@@ -40,31 +35,31 @@ def local(method: Local, pair: DevicePair, max_disparity: int, context: Context 
             f"needs about {show_bytes(need)} on {info.address} ({info.name}), which has {show_bytes(info.memory)}; "
             "see device, max_disparity"
         )
-    pair = DevicePair(device, adjusted(pair.host, max_disparity, method.adjust, context, clock))
+    pair = replace(pair, host=adjusted(pair.host, max_disparity, method.adjust, context, clock))
 
     def start(stage: str) -> None:
         device.finish()
         clock.start(stage)
 
     start("cost")
-    volume: DeviceVolume = run_stage(method.cost, pair, max_disparity + 1)
+    volume: DeviceVolume = pair.run(method.cost, pair, max_disparity + 1)
     start("aggregation")
     if method.aggregation is not None:
-        volume = run_stage(method.aggregation, volume, pair)
+        volume = pair.run(method.aggregation, volume, pair)
     start("optimization")
-    volume = run_stage(method.optimization, volume, pair)
+    volume = pair.run(method.optimization, volume, pair)
     left, right = _winners(volume)
     disparity = DeviceMap.empty(device, left.shape)
     device.launch(_KERNELS, "start_map", (left.size,), (256,), left, disparity.values, disparity.status, left.size)
     start("refinement")
     seen = DeviceContext(pair, volume, right)
     for step in method.refinement:
-        disparity = run_stage(step, disparity, seen)
+        disparity = pair.run(step, disparity, seen)
     found = disparity.download()
     clock.start("confidence")
     maps = confidence_maps(device.download(volume.costs), method.confidence) if method.confidence else {}
     stages = [method.cost, method.aggregation, method.optimization, *method.refinement]
-    on_cpu = sum(stage is not None and device_implementation_of(stage) is None for stage in stages)
+    on_cpu = sum(stage is not None and type(stage) not in pair.table for stage in stages)
     return StereoResult(found, seconds=clock.seconds, confidence=maps, figures={"stages_on_cpu": float(on_cpu)})
 
 

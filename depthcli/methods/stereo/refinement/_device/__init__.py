@@ -1,4 +1,4 @@
-"""Device implementations of the refinement steps; see :mod:`depthcli.methods.stereo.on_device`.
+"""Device implementations of the refinement steps; see :mod:`depthcli.methods.stereo._device_table`.
 
 Each returns the same map as the step of its name, unless its docstring states otherwise.
 """

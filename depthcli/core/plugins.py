@@ -1,0 +1,171 @@
+"""Plug-ins: Python files and installed modules that ``--plugin``, or the key ``plugins`` of a config, names.
+
+A plug-in adds its public classes whose base is one of a registry's package, its functions with the decorator
+``depthcli.commands.command``, and the files ``presets/COMMAND/NAME.yaml`` beside it. A process that unpickles objects
+of such classes loads the plug-ins first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import os
+import pkgutil
+import re
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from depthcli.core.errors import ConfigError, Terminated
+from depthcli.core.registry import registries, registry_of
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """A file or an installed module that adds classes, commands and presets."""
+
+    source: str  # absolute path of the file, or name of the module
+    module: str  # key in ``sys.modules``
+    folder: Path  # of the file, or of the module
+    package: str  # name of the file, or of the distribution
+    version: str  # start of the SHA-256 digest of the file, or version of the distribution
+
+    @property
+    def is_file(self) -> bool:
+        """Whether it is a file, which other machines do not have."""
+        return self.source != self.module
+
+    @property
+    def root(self) -> str:
+        """First part of the names of its modules."""
+        return self.module.partition(".")[0]
+
+
+loaded: dict[str, Plugin] = {}
+"""Name of a module -> its plug-in, of all that this process has loaded."""
+commands: dict[str, Callable[..., int]] = {}
+"""Name -> function, of the commands that plug-ins add."""
+
+
+def load_plugin(name: str, folder: Path = Path()) -> None:
+    """Load a plug-in, a file ``NAME.py`` in ``folder`` or an installed module, unless it is loaded already.
+
+    ConfigError if it cannot be imported, adds nothing, or adds something under a name that is taken.
+    """
+    source = module = name
+    if name.endswith(".py"):
+        source, module = os.path.abspath(folder / name), "depthcli_plugin_" + re.sub(r"\W", "_", Path(name).stem)
+    if module in loaded:
+        if loaded[module].source != source:
+            raise ConfigError(f"{source}: a plug-in file of that name is in use already ({loaded[module].source})")
+        return
+    try:
+        modules = list(_imported(module, source))
+        loaded[module] = plugin = _described(modules[0], source)
+        added = [_add(value) for part in modules for value in _public(part)]
+        if not any(added) and not (plugin.folder / "presets").is_dir():
+            raise TypeError("it holds no command, and no subclass of a method, layout, protocol or the like")
+    except (KeyboardInterrupt, Terminated):
+        raise
+    except BaseException as error:  # a stranger's code may raise anything, or want to exit
+        forget(module)
+        places = [f"{file}:{line}" for root, file, line in _frames(error) if root == module.partition(".")[0]]
+        reason = f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
+        raise ConfigError(f"{places[-1] if places else source}: plug-in cannot be loaded: {reason}") from error
+
+
+def forget(module: str) -> None:
+    """Remove the plug-in of a module, and all that it adds, from this process."""
+    loaded.pop(module, None)
+    sys.modules.pop(module, None)
+    kinds: list[dict[str, Any]] = [commands, *(registry.added for registry in registries.values())]
+    for added in kinds:
+        for name in [name for name, value in added.items() if f"{value.__module__}.".startswith(f"{module}.")]:
+            del added[name]
+
+
+def plugins_of(kinds: Iterable[type]) -> set[Plugin]:
+    """Return the plug-ins that classes belong to; our own belong to none."""
+    roots = {kind.__module__.partition(".")[0] for kind in kinds}
+    return {plugin for plugin in loaded.values() if plugin.root in roots}
+
+
+def plugin_behind(error: BaseException) -> str:
+    """Return the plug-in whose code raised an error, or called what did, with file and line; else an empty text."""
+    plugins = {plugin.root: plugin for plugin in loaded.values()}
+    for root, file, line in reversed(_frames(error)):
+        if root in plugins:
+            return f"{plugins[root].package} {plugins[root].version} ({Path(file).name}:{line})"
+    return ""
+
+
+def versions_here(plugins: Iterable[Plugin]) -> dict[str, str]:
+    """Return package, or file -> version that this process has loaded, sorted."""
+    versions = {}
+    for plugin in sorted(plugins, key=attrgetter("package")):
+        versions[plugin.package] = loaded[plugin.module].version
+    return versions
+
+
+def _imported(name: str, source: str) -> Iterator[ModuleType]:
+    """Import and yield the module of a file, or the installed module ``name`` and all public modules in it."""
+    if name == source:
+        module = importlib.import_module(name)
+    else:
+        spec = importlib.util.spec_from_file_location(name, source)
+        assert spec is not None and spec.loader is not None  # the file's name ends with .py
+        sys.modules[name] = module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    yield module
+    for part in pkgutil.iter_modules(getattr(module, "__path__", ())):
+        if not part.name.startswith("_"):
+            yield from _imported(f"{name}.{part.name}", f"{name}.{part.name}")
+
+
+def _described(module: ModuleType, source: str) -> Plugin:
+    """Return the plug-in of a module; without a distribution its version is the digest of its files."""
+    name, places = module.__name__, list(getattr(module, "__path__", ()))
+    folder = Path(places[0] if places else os.path.dirname(module.__file__ or ""))
+    if name == source:
+        from importlib import metadata  # takes 40 ms
+
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            distribution = metadata.distribution(name.partition(".")[0])
+            return Plugin(source, name, folder, distribution.name, distribution.version)
+    files = sorted(folder.rglob("*.py")) if places else [Path(module.__file__ or "")]
+    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files))
+    return Plugin(source, name, folder, Path(source).name, digest.hexdigest()[:12])
+
+
+def _public(module: ModuleType) -> set[Any]:
+    """Return the public classes and functions that a module defines."""
+    kinds = {value for value in vars(module).values() if inspect.isclass(value) or inspect.isfunction(value)}
+    return {kind for kind in kinds if kind.__module__ == module.__name__ and not kind.__name__.startswith("_")}
+
+
+def _add(value: Any) -> bool:
+    """Register a class or a command; return whether it is either. ValueError if its name is taken."""
+    if getattr(value, "is_command", False):
+        name = value.__name__.replace("_", "-")
+        if name in commands:
+            raise ValueError(f"there is a command {name} already, of {commands[name].__module__}")
+        commands[name] = value
+        return True
+    registry = registry_of(value) if inspect.isclass(value) and not inspect.isabstract(value) else None
+    if registry is not None:
+        registry.add(value)
+    return registry is not None
+
+
+def _frames(error: BaseException) -> list[tuple[str, str, int]]:
+    """Return first part of the module's name, file and line, of every call that an error went through."""
+    calls = traceback.walk_tb(error.__traceback__)
+    return [(f.f_globals.get("__name__", "").partition(".")[0], f.f_code.co_filename, line) for f, line in calls]
