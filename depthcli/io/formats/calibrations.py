@@ -24,7 +24,7 @@ from depthcli.core.cameras.rig import Rig
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import naming, read_bytes, write_text
-from depthcli.io.formats.plain_text import image_sides, json_object, key_values, numbers
+from depthcli.io.formats.plain_text import image_sides, json_object, key_values, numbers, text_of
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Meters of the units that a translation may be stored in."""
@@ -60,7 +60,7 @@ def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, came
     fisheye : the lenses of OpenCV's file follow its fisheye model; the other formats name the model
     cameras : numbers of the left and the right one, in KITTI's file
     """
-    texts = [read_bytes(path, _MAX_BYTES).decode("utf-8", "replace") for path in paths]
+    texts = [text_of(read_bytes(path, _MAX_BYTES)) for path in paths]
     with naming(paths[0]):
         if re.search(r"^K_0\d:", texts[0], re.MULTILINE):
             rig = _kitti_rig(key_values(texts[0]), cameras)
@@ -105,7 +105,7 @@ def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry
     (DrivingStereo: ``P_rect_101:``), of whose ``cameras`` 0, 1 are grey and 2, 3 color (DrivingStereo: 101, 103).
     """
     with naming(path):
-        text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
+        text = text_of(read_bytes(path, _MAX_BYTES))
         if text.lstrip().startswith("<"):
             return _booster_geometry(_storage_fields(text))
         fields = key_values(text)
@@ -139,7 +139,7 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
 
     Of images of these sizes (width, height); a float is focal length x baseline (pixel meters) of rectified ones.
     """
-    text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
+    text = text_of(read_bytes(path, _MAX_BYTES))
     with naming(path):
         if path.suffix.lower() in (".yml", ".yaml"):
             rig = _opencv_rig([_storage_fields(text)], 1.0, False)
