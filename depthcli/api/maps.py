@@ -21,6 +21,7 @@ from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Result
 from depthcli.core.yaml_source import ConfigData
+from depthcli.io.formats.disparity import check_sign
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.pictures import preview
 from depthcli.kernels.jit import one_at_a_time
@@ -31,7 +32,6 @@ from depthcli.methods.stereo.volume import StereoResult
 from depthcli.run.resources import available_memory, check_memory
 
 _TOP_SHARE = 0.999  # of the values; larger ones do not widen the range of the costs
-_MAX_OUTSIDE = 0.5  # share of a map's values that may lie outside of the range
 _MAX_BEYOND = 0.01  # share of a map's values above the range; with more it has a warning
 _MIN_EXPECTED = 0.3  # mean probability below which a map has a warning
 
@@ -274,11 +274,7 @@ def _prepared(
         raise InputError(f"max_disparity: must be at least 1 (got {max_disparity})")
     finite = {name: one[np.isfinite(one)] for name, one in maps.items()}
     for name, known in finite.items():
-        if known.size and np.count_nonzero(known < 0) > _MAX_OUTSIDE * known.size:
-            raise InputError(
-                f"{name}: most disparities are negative; they are pixels from 0 on, by which matches lie to the left "
-                "in the right image: is the sign swapped?"
-            )
+        check_sign(name, known)
     if not any(known.size for known in finite.values()):
         raise InputError(f"{', '.join(maps)}: no value at any pixel")
     warnings, clean, top = [], [], max_disparity

@@ -25,8 +25,8 @@ from depthcli.evaluation.map_files import (
     names_in_run,
     recognized,
 )
-from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
-from depthcli.io.formats.files import collected_warnings, shown, warn
+from depthcli.io.formats.disparity import read_foreign_map, scale_of
+from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size
 from depthcli.io.inputs import local
 from depthcli.io.layouts.stereo import PAIRS
@@ -95,6 +95,7 @@ def find_maps(
     """
     places, right_places = find_runs([*first, *others]), find_runs([right]) if right else {}
     of_all, own = given_naming({**right_places, **places}, "--pattern", coding.pattern, coding.scale, coding.invalid)
+    of_all = replace(of_all, any_scale=len(places) == 1)
     of_rights = replace(of_all, pattern="")
     runs = [_Run(name, place, DisparityFiles(), own[name].over(of_all)) for name, place in places.items()]
     rights = [_Run(name, place, _RIGHT_FILES, own[name].over(of_rights)) for name, place in right_places.items()]
@@ -134,7 +135,13 @@ class _Run:
             return None
         status = path.parent / "status.png"
         is_own = status.is_file() and (path.parent / RECORD_FILE).is_file()  # maps of other programs have no such file
-        return GivenMap(self.name, path, self.naming.scale, self.naming.invalid, status if is_own else None)
+        return GivenMap(
+            self.name,
+            path,
+            scale_of(path, self.naming.scale, self.naming.any_scale),
+            self.naming.invalid,
+            status if is_own else None,
+        )
 
     def recognized(self, scenes: Sequence[StereoScene], names: Mapping[str, Sequence[str]], reporter: Reporter) -> _Run:
         """Return the run with the pattern of its maps, if another program made them and none has a usual name."""
@@ -148,8 +155,8 @@ class _Run:
 
         def fits(name: str, path: Path, tried: MapNaming) -> bool:
             with collected_warnings(), contextlib.suppress(DepthcliError):
-                shape = _read_map(GivenMap(self.name, path, tried.scale, tried.invalid)).shape
-                return shape == image_size(usable[name].left)
+                scale = scale_of(path, tried.scale, tried.any_scale)
+                return read_foreign_map(path, scale, tried.invalid).shape == image_size(usable[name].left)
             return False
 
         usual = protocols.load("middlebury-v2")().files
@@ -162,27 +169,8 @@ class _Run:
 
 def loaded(one: GivenMap, shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Return a map; InputError where it cannot be read or has another size than the images."""
-    values = _read_map(one)
+    values = read_foreign_map(one.path, one.scale, one.invalid)
     if values.shape != shape:
         height, width = values.shape
         raise InputError(f"{one.path}: {width} x {height}, but the images are {shape[1]} x {shape[0]}")
-    return values
-
-
-def _read_map(one: GivenMap) -> NDArray[np.float32]:
-    """Return a map, (H, W) float32, pixels, NaN = no value.
-
-    If no option names the value that means none, a constant at or below 0 that is alone there means none in maps of
-    other programs, with a warning.
-    """
-    values = read_disparity(one.path, one.scale)
-    if one.invalid is not None:
-        values[read_plane(one.path) == np.float32(one.invalid)] = np.nan
-    elif (one.path.parent / "record.json").is_file():  # runs of this program mark what has no value
-        pass
-    elif (constant := lone_constant(values)) is not None:
-        marked = values == np.float32(constant)
-        values[marked] = np.nan
-        share = f"{100 * np.mean(marked):.3g} % of the pixels are {constant:g}"
-        warn(f"{shown(one.path)}: {share}: taken as no value (--invalid nan keeps them)")
     return values
