@@ -24,7 +24,7 @@ from depthcli.core.frames import color8
 from depthcli.core.maps import DisparityMap, MatchedMap
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
-from depthcli.io.formats.disparity import read_disparity, read_pfm
+from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_pfm
 from depthcli.io.formats.files import naming, shown
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
@@ -51,9 +51,12 @@ def prepare(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> tuple[To
         raise ConfigError("--focal and --baseline belong together (and --doffs, where the cameras have one)")
     if given and maps.calibration is not None:
         raise ConfigError(f"--calibration and --{given[0]} exclude each other")
+    coding = {name: value for name in ("scale", "invalid") if (value := getattr(maps, name)) is not None}
+    if coding and not os.path.isfile(local(maps.run)):
+        raise ConfigError(f"--{next(iter(coding))} belongs to a single map; maps of a run are in pixels")
     check_limits(clouds.near, clouds.far)
     parse_mask(clouds.mask or "all")
-    return ToDepth(by_hand | vars(clouds)), find_maps(maps, run.reporter)
+    return ToDepth(by_hand | vars(clouds) | coding), find_maps(maps, run.reporter)
 
 
 @dataclass(frozen=True)
@@ -90,9 +93,12 @@ class ToDepth(SceneJob[DisparityScene]):
         config, clock = self.config, context.clock
         clock.start("load")
         scene.check()
-        disparity = read_disparity(scene.disparity)
+        disparity = read_foreign_map(scene.disparity, config.get("scale"), config.get("invalid"), says_scale=True)
         height, width = disparity.shape
         geometry = self._geometry(scene, disparity.shape).for_size(width, height)
+
+        with naming(scene.disparity):
+            check_sign("disparities", disparity, geometry.offset)
 
         def read(reader: Callable[[Path], NDArray[Any]], file: Path) -> NDArray[Any]:
             values = reader(file)

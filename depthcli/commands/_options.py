@@ -267,6 +267,8 @@ class MapOptions:
     focal: float | None = option(None, metavar="PIXELS", min=1e-6, help="Focal length, if there is no calibration.")
     baseline: float | None = option(None, metavar="METERS", min=1e-9, help="Distance of the cameras, with --focal.")
     doffs: float | None = option(None, metavar="PIXELS", help="x of the right principal point minus the left one's.")
+    scale: float | None = option(None, metavar="CODES", min=1e-6, help="Codes per pixel of a single map.")
+    invalid: float | None = option(None, metavar="VALUE", help="Value of a single map that means none, or nan.")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,6 +46,7 @@ class ForeignConstant(NamedTuple):
 
 
 _MIN_CONSTANT_SHARE = 0.005  # of the pixels; a constant that fewer have may be measured
+_USUAL_MARKS, _MAX_MARK = (0.0, -1.0, -16.0), -999.0  # that most pixels may have; others of most are values
 _MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels of it; a mark is alone
 
 
@@ -67,6 +68,8 @@ def foreign_constant(
     n_near = np.count_nonzero(known <= np.float32(smallest + 1)) - n_marked
     if n_near > _MAX_NEIGHBOR_RATIO * n_marked or n_marked == known.size:
         return None
+    if 2 * n_marked > known.size and smallest not in _USUAL_MARKS and smallest > _MAX_MARK:
+        return None
     marked = disparity == smallest
     return ForeignConstant(float(read_plane(path)[marked][0]), marked)
 
@@ -76,12 +79,15 @@ def scale_of(path: Path | str, scale: float | None, any_kind: bool) -> float | N
     return scale if any_kind or Path(path).suffix.lower() != ".pfm" else None
 
 
-def read_foreign_map(path: Path | str, scale: float | None = None, invalid: float | None = None) -> NDArray[np.float32]:
+def read_foreign_map(
+    path: Path | str, scale: float | None = None, invalid: float | None = None, says_scale: bool = False
+) -> NDArray[np.float32]:
     """Return a disparity map of any program as :func:`read_disparity` does, for commands that go on with its values.
 
-    If ``invalid`` is None, a :func:`foreign_constant` is no value, with a warning; NaN keeps it.
+    If ``invalid`` is None, a :func:`foreign_constant` is no value, with a warning; NaN keeps it. ``says_scale`` is for
+    commands that compare the map with nothing by which a wrong scale would be seen.
     """
-    disparity = read_disparity(path, scale, invalid=invalid)
+    disparity = read_disparity(path, scale, invalid=invalid, says_scale=says_scale)
     if invalid is None and (constant := foreign_constant(path, disparity)) is not None:
         disparity[constant.marked] = np.nan
         warn(f"{shown(path)}: {constant}: taken as no value (--invalid nan keeps them)")
@@ -93,12 +99,14 @@ def read_disparity(
     scale: float | None = None,
     scale_8bit: float | None = None,
     invalid: float | None = None,
+    says_scale: bool = False,
 ) -> NDArray[np.float32]:
     """Return a disparity map, (H, W) float32, pixels, NaN = unknown.
 
     PFM, float npy and float TIFF are in pixels. Integer codes (PNG, PGM, integer npy) are divided by ``scale``, codes
     per pixel: None is 256 for 16-bit codes (KITTI) and ``scale_8bit`` for 8-bit codes, which have none of their own.
-    What is unknown, :func:`without_value` says of the stored numbers.
+    There is a warning if a scale of 256 is only likely, or ``says_scale``. What is unknown, :func:`without_value` says
+    of the stored numbers.
     """
     values = read_plane(path)
     codes = values.dtype.kind in "iu"
@@ -106,10 +114,10 @@ def read_disparity(
         scale = scale_8bit if values.dtype.itemsize == 1 else KITTI_SCALE
         if scale is None:
             raise InputError(f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); {_SAY_SCALE}")
-        if values.dtype.itemsize > 1 and values.dtype.kind + str(values.dtype.itemsize) != "u2":
-            warn(
-                f"{shown(path)}: {values.dtype} disparities are divided by {scale:g}, as in KITTI's files; {_SAY_SCALE}"
-            )
+        is_usual = values.dtype.kind + str(values.dtype.itemsize) == "u2"
+        if values.dtype.itemsize > 1 and (says_scale or not is_usual):
+            hint = "" if is_usual else "; OpenCV's have 16 codes per pixel"
+            warn(f"{shown(path)}: {values.dtype} disparities are divided by {scale:g}, as KITTI's{hint}; {_SAY_SCALE}")
     with np.errstate(all="ignore"):  # infinite results are unknown, like infinite values
         exact = values / np.float64(scale) if codes else values.astype(np.float32) / np.float32(scale or 1)
         disparity = exact.astype(np.float32)
