@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from depthcli.api.results import PointCloud
 from depthcli.api.saving import check_limits, chosen_pixels, empty_cloud, parse_mask, write_depth
 from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
+from depthcli.commands._rectified_pairs import check_unit
 from depthcli.commands._scenes import scenes_at
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
@@ -25,7 +26,7 @@ from depthcli.core.maps import DisparityMap, MatchedMap
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
 from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_pfm
-from depthcli.io.formats.files import naming, shown
+from depthcli.io.formats.files import collected_warnings, naming, shown
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
 from depthcli.io.inputs import local
@@ -54,9 +55,15 @@ def prepare(maps: MapOptions, clouds: CloudOptions, run: RunOptions) -> tuple[To
     coding = {name: value for name in ("scale", "invalid") if (value := getattr(maps, name)) is not None}
     if coding and not os.path.isfile(local(maps.run)):
         raise ConfigError(f"--{next(iter(coding))} belongs to a single map; maps of a run are in pixels")
+    check_unit(maps.unit)
+    calibration, more = next(iter(maps.calibration or ()), None), (maps.calibration or [])[1:]
+    if len(more) > 1:
+        raise ConfigError("--calibration: at most two files belong together")
+    coding |= {"unit": maps.unit} if maps.unit != "m" else {}
+    coding |= {"second_calibration": str(more[0].absolute())} if more else {}
     check_limits(clouds.near, clouds.far)
     parse_mask(clouds.mask or "all")
-    return ToDepth(by_hand | vars(clouds) | coding), find_maps(maps, run.reporter)
+    return ToDepth(by_hand | vars(clouds) | coding), find_maps(maps, calibration, run.reporter)
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,11 @@ class ToDepth(SceneJob[DisparityScene]):
 
     config: Mapping[str, Any]
 
+    def files(self, scene: DisparityScene) -> dict[str, Path]:
+        """Return the map with what belongs to it, and the second file of a calibration."""
+        second = self.config.get("second_calibration")
+        return scene.input_files | ({} if second is None else {"second_calibration": Path(second)})
+
     def settings(self, scene: DisparityScene) -> dict[str, str]:
         """Return which cameras of the calibration took the pair."""
         return {"cameras": f"{scene.cameras}"}
@@ -86,7 +98,8 @@ class ToDepth(SceneJob[DisparityScene]):
     def memory(self, scene: DisparityScene) -> None:
         """Return None, since it is little more than the map itself; InputError without a calibration."""
         if self.config["focal"] is None:
-            self._geometry(scene, (1, 1))
+            with collected_warnings():  # which computing says
+                self._geometry(scene)
 
     def compute(self, scene: DisparityScene, folder: Path, context: Context) -> Outcome:
         """Load a map with what belongs to it, choose pixels, compute their depth, save it and the cloud."""
@@ -149,9 +162,9 @@ class ToDepth(SceneJob[DisparityScene]):
             )
         return Outcome(facts, clock.seconds, warnings)
 
-    def _geometry(self, scene: DisparityScene, shape: tuple[int, ...]) -> PairGeometry:
+    def _geometry(self, scene: DisparityScene, shape: tuple[int, ...] | None = None) -> PairGeometry:
         focal, baseline = self.config["focal"], self.config["baseline"]
-        if focal is not None:
+        if focal is not None and shape is not None:
             camera = Intrinsics(focal, focal, (shape[1] - 1) / 2, (shape[0] - 1) / 2)
             return PairGeometry(camera, baseline, self.config["doffs"] or 0.0)
         if scene.geometry is not None:
@@ -160,10 +173,15 @@ class ToDepth(SceneJob[DisparityScene]):
             raise InputError(
                 f"{scene.folder}: no calibration with the images; give --calibration, or --focal, --baseline"
             )
-        return read_geometry(scene.calibration, scene.cameras)
+        files = [scene.calibration, *map(Path, filter(None, [self.config.get("second_calibration")]))]
+        beside = scene.folder / "calib.txt"
+        return read_geometry(
+            files, scene.cameras, shape and (shape[1], shape[0]), self.config.get("unit", "m"),
+            rectified=beside if os.path.isfile(beside) and os.path.isfile(scene.folder / "left.png") else None,
+        )  # fmt: skip
 
 
-def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:
+def find_maps(maps: MapOptions, calibration: Path | None, reporter: Reporter) -> list[DisparityScene]:
     """Return the disparity maps of a run, each with its left image and calibration, or a single map.
 
     A scene that the run's report lists as done, but whose map is gone, is among them with a ``problem``.
@@ -176,7 +194,7 @@ def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:
     run, patterns = local(maps.run), maps.scenes or ["*"]
     if os.path.isfile(run):
         one = DisparityScene(name=run.stem, folder=run.parent, disparity=run)
-        return [replace(one, left=maps.left, calibration=maps.calibration)]
+        return [replace(one, left=maps.left, calibration=calibration)]
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such run folder or map")
     rows = {name: row for name, row in read_report(run).items() if is_inside(name)}
@@ -192,7 +210,9 @@ def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:
     else:
         known = scenes_with_files(sources.values(), PAIRS)
         inputs = {name: known[source] for name, source in sources.items() if source in known}
-    found = [_map_of(run / name, name, inputs.get(name), sources.get(name), maps) for name in names]
+    found = [_map_of(run / name, name, inputs.get(name), sources.get(name), maps.focal is None) for name in names]
+    if calibration is not None:
+        found = [replace(one, calibration=calibration, geometry=None) for one in found]
     for name, row in rows.items():
         if row["status"] == "done" and name not in names and matches_any(name, patterns):
             problem = f"{run / name}: no {_MAP}, though the run's report lists the scene as done; run it again"
@@ -200,7 +220,7 @@ def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:
     return sorted(found, key=lambda scene: scene.name)
 
 
-def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, maps: MapOptions) -> DisparityScene:
+def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, calibrated: bool) -> DisparityScene:
     """Return the map in ``folder``; ``pair`` is the scene it was made from, and ``source`` its left image, if known."""
     left = source if source is not None and os.path.isfile(source) else None
     calibration, cameras, geometry = None, (2, 3), None
@@ -227,7 +247,7 @@ def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, ma
         confidence={path.stem.removeprefix("confidence_"): path for path in confidences},
         bound=bound if os.path.isfile(bound) else None,
         left=left,
-        calibration=maps.calibration or (calibration if maps.focal is None else None),
+        calibration=calibration if calibrated else None,
         cameras=cameras,
-        geometry=geometry if maps.calibration is None else None,
+        geometry=geometry,
     )

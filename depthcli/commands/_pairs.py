@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from abc import abstractmethod
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -48,8 +49,10 @@ def pair_config(
     **options: object,
 ) -> PairConfigT:
     """Return the config with all overrides; ConfigError where it is wrong, or its calibration cannot be read."""
-    for key in ("calibration", "max_disparity", "min_disparity"):
+    for key in ("max_disparity", "min_disparity"):
         options[key] = getattr(pairs, key, None)
+    files = [str(path) for path in getattr(pairs, "calibration", None) or ()]
+    options["calibration"] = files[0] if len(files) == 1 else json.dumps(files) if files else None
     found, unit = config_of(model, config, settings, **options), getattr(pairs, "unit", None)
     if unit is not None:
         check_unit(unit)

@@ -32,7 +32,8 @@ def without_value(stored: NDArray[Any], invalid: float | None = None, positive: 
     """
     with np.errstate(invalid="ignore"):
         none = ~(stored > 0) if positive or stored.dtype.kind in "iu" else np.zeros(stored.shape, bool)
-        return none | ~np.isfinite(stored) | (False if invalid is None else stored == np.float32(invalid))
+        none |= ~np.isfinite(stored)
+        return none if invalid is None else none | (stored == np.float32(invalid))
 
 
 class ForeignConstant(NamedTuple):
