@@ -176,7 +176,7 @@ class ToDepth(SceneJob[DisparityScene]):
         files = [scene.calibration, *map(Path, filter(None, [self.config.get("second_calibration")]))]
         beside = scene.folder / "calib.txt"
         return read_geometry(
-            files, scene.cameras, shape and (shape[1], shape[0]), self.config.get("unit", "m"),
+            files, scene.cameras, None if shape is None else (shape[1], shape[0]), self.config.get("unit", "m"),
             rectified=beside if os.path.isfile(beside) and os.path.isfile(scene.folder / "left.png") else None,
         )  # fmt: skip
 

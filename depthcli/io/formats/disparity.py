@@ -31,9 +31,13 @@ def without_value(stored: NDArray[Any], invalid: float | None = None, positive: 
     These are NaN, infinite numbers and ``invalid``; of integer codes, and of ``positive`` quantities, 0 and less, too.
     """
     with np.errstate(invalid="ignore"):
-        none = ~(stored > 0) if positive or stored.dtype.kind in "iu" else np.zeros(stored.shape, bool)
+        none: NDArray[np.bool_] = (
+            ~(stored > 0) if positive or stored.dtype.kind in "iu" else np.zeros(stored.shape, bool)
+        )
         none |= ~np.isfinite(stored)
-        return none if invalid is None else none | (stored == np.float32(invalid))
+        if invalid is not None:
+            none |= stored == np.float32(invalid)
+        return none
 
 
 class ForeignConstant(NamedTuple):
