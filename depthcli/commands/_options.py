@@ -65,7 +65,9 @@ class PairOptions(SceneOptions):
 class RangeOptions(PairOptions):
     """Image pairs with what else is known of them: calibration and search range, which override keys of the config."""
 
-    calibration: Path | None = option(None, metavar="FILE", help="Calibration, for pairs that are not rectified.")
+    calibration: list[Path] | None = option(
+        None, metavar="FILE", help="Calibration, for pairs that are not rectified, as rectify takes it; repeatable."
+    )
     unit: str | None = option(None, metavar="UNIT", help="Unit of an OpenCV calibration's translation: m, cm or mm.")
     max_disparity: MaxDisparityOption = None
     min_disparity: str | None = option(None, metavar="N", help="Smallest disparity searched, or auto. Default: 0.")
@@ -283,10 +285,15 @@ class MapOptions:
     layout: LayoutOption = None
     scenes: ScenesOption = None
     left: Path | None = option(None, metavar="FILE", help="Left image of a single map, for the point cloud.")
-    calibration: Path | None = option(None, metavar="FILE", help="Calibration of all scenes: calib.txt, or KITTI's.")
+    calibration: list[Path] | None = option(
+        None, metavar="FILE", help="Calibration of all scenes: calib.txt, KITTI's, or as rectify takes it; repeatable."
+    )
+    unit: str = option("m", metavar="UNIT", help="Unit of the translation in an OpenCV calibration: m, cm or mm.")
     focal: float | None = option(None, metavar="PIXELS", min=1e-6, help="Focal length, if there is no calibration.")
     baseline: float | None = option(None, metavar="METERS", min=1e-9, help="Distance of the cameras, with --focal.")
     doffs: float | None = option(None, metavar="PIXELS", help="x of the right principal point minus the left one's.")
+    scale: float | None = option(None, metavar="CODES", min=1e-6, help="Codes per pixel of a single map.")
+    invalid: float | None = option(None, metavar="VALUE", help="Value of a single map that means none, or nan.")
 
 
 @dataclass(frozen=True, kw_only=True)

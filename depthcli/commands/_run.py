@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -73,7 +74,9 @@ def prepared(
     """Return the problem of a command with its config, and the scenes that it is solved for, as for ``run_problem``."""
     problem = problems.load(command)
     if isinstance(source, RangeOptions):
-        options |= {key: getattr(source, key) for key in ("calibration", "max_disparity", "min_disparity")}
+        options |= {key: getattr(source, key) for key in ("max_disparity", "min_disparity")}
+        files = [str(path) for path in source.calibration or ()]
+        options["calibration"] = files[0] if len(files) == 1 else json.dumps(files) if files else None
     checked = config_with_options(problem.model, config, settings, options)
     if isinstance(checked, PairConfig):
         checked = with_unit(checked, getattr(source, "unit", None))

@@ -10,8 +10,10 @@ Examples:
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
 from depthcli.commands._shared_options import HtmlOption
@@ -29,16 +31,27 @@ def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     from depthcli.commands._run import run_job
     from depthcli.commands._scenes import scenes_at
     from depthcli.core.errors import ConfigError
+    from depthcli.io.inputs import local
     from depthcli.io.layouts.stereo import PAIRS
     from depthcli.problems.depth import ToDepth, find_maps
+    from depthcli.problems.rectified import check_unit
 
     numbers = {name: getattr(maps, name) for name in ("focal", "baseline", "doffs")}
     given = [name for name, value in numbers.items() if value is not None]
-    job = ToDepth(numbers | vars(clouds))
     if given and maps.calibration is not None:
         raise ConfigError(f"--calibration and --{given[0]} exclude each other")
+    coding: dict[str, Any] = {name: v for name in ("scale", "invalid") if (v := getattr(maps, name)) is not None}
+    if coding and not os.path.isfile(local(maps.run)):
+        raise ConfigError(f"--{next(iter(coding))} belongs to a single map; maps of a run are in pixels")
+    check_unit(maps.unit)
+    files = maps.calibration or []
+    if len(files) > 2:
+        raise ConfigError("--calibration: at most two files belong together")
+    coding |= {"unit": maps.unit} if maps.unit != "m" else {}
+    coding |= {"second_calibration": str(files[1].absolute())} if len(files) == 2 else {}
+    job = ToDepth(numbers | vars(clouds) | coding)
     pairs = None
     if (place := maps.input) is not None:
         pairs = partial(scenes_at, place, PAIRS, maps.layout, ["*"], run.reporter)
-    scenes = find_maps(maps.run, maps.scenes or ["*"], maps.left, maps.calibration, bool(given), pairs)
+    scenes = find_maps(maps.run, maps.scenes or ["*"], maps.left, files[0] if files else None, bool(given), pairs)
     return run_job(job, scenes, run)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, cast, get_args
 
 from pydantic import (
     AfterValidator,
@@ -23,6 +23,7 @@ from pydantic import (
     SerializerFunctionWrapHandler,
     ValidationError,
     ValidationInfo,
+    field_validator,
     model_serializer,
     model_validator,
 )
@@ -43,6 +44,11 @@ Odd = Annotated[int, AfterValidator(_odd)]
 """Side of a window that has a center pixel."""
 
 
+def _takes(annotation: Any, kinds: tuple[type, ...]) -> bool:
+    """Return whether an annotation, or a part of it, is one of these types."""
+    return annotation in kinds or any(_takes(part, kinds) for part in get_args(annotation))
+
+
 class ConfigModel(BaseModel):
     """Base of everything that a config is made of: an unknown key is an error that names the key that may be meant."""
 
@@ -50,6 +56,16 @@ class ConfigModel(BaseModel):
 
     renamed: ClassVar[dict[str, str]] = {}
     """Former names of fields and their names today, which the error for such an unknown key suggests."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth_values_for_numbers(cls, value: Any, info: ValidationInfo) -> Any:
+        parts = value if isinstance(value, list | tuple) else [value]
+        if info.field_name is not None and any(isinstance(part, bool) for part in parts):
+            annotation = cls.model_fields[info.field_name].annotation
+            if _takes(annotation, (int, float)) and not _takes(annotation, (bool,)):
+                raise PydanticCustomError("number", "should be a number, and is true or false")
+        return value
 
     @model_validator(mode="wrap")
     @classmethod

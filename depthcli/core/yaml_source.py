@@ -25,6 +25,9 @@ _MAX_DEPTH = 60
 _PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null", "merge")}
 
 
+_OLD_NUMBER = re.compile(r"[-+]?(0[0-7_]+$|[\d_]+:)")  # octal and sexagesimal numbers of YAML 1.1
+
+
 class _Loader(yaml.SafeLoader):
     """Safe loader that also reads ``1e-3`` as a number, as YAML 1.2 does, and leaves dates as text."""
 
@@ -118,6 +121,10 @@ def parse_value(text: str, name: str, places: dict[Location, str] | None = None)
         if isinstance(node, yaml.SequenceNode):
             return [build(child, (*location, i)) for i, child in enumerate(node.value)]
         if not isinstance(node, yaml.MappingNode):
+            if node.tag.endswith((":int", ":float")) and _OLD_NUMBER.match(node.value):
+                number = loader.construct_object(node)
+                problem = f"{node.value} is {number} in YAML; write {number}, or quote it if it is no number"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
             return loader.construct_object(node)
         loader.flatten_mapping(node)
         values = {}

@@ -120,13 +120,15 @@ class MapNaming:
 
     # Path of the map of ``{scene}`` in the run folder, with its ending or ``.*``; empty: the protocol's.
     pattern: str = ""
-    scale: float | None = None  # codes per unit, of maps of any kind
+    scale: float | None = None  # codes per unit
     invalid: float | None = None  # value that means none
+    any_scale: bool = False  # ``scale`` was given for this run, and applies to files of any kind
 
     def over(self, other: MapNaming) -> MapNaming:
         """Return these settings, completed by the other ones."""
         invalid = other.invalid if self.invalid is None else self.invalid
-        return MapNaming(self.pattern or other.pattern, self.scale or other.scale, invalid)
+        any_scale = self.any_scale or (self.scale is None and other.any_scale)
+        return MapNaming(self.pattern or other.pattern, self.scale or other.scale, invalid, any_scale)
 
     def files(self, default: MapFiles) -> MapFiles:
         """Return the places of the run's maps, ``default`` without a pattern."""
@@ -268,7 +270,10 @@ def given_naming(
     pattern, own_pattern = _by_run(pattern_option, patterns or (), runs, _pattern_of)
     scale, own_scale = _by_run("--scale", scales or (), runs, _positive)
     invalid, own_invalid = _by_run("--invalid", invalids or (), runs, float)
-    own = {run: MapNaming(own_pattern.get(run, ""), own_scale.get(run), own_invalid.get(run)) for run in runs}
+    own = {
+        run: MapNaming(own_pattern.get(run, ""), own_scale.get(run), own_invalid.get(run), run in own_scale)
+        for run in runs
+    }
     return MapNaming(pattern or "", scale, invalid), own
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import itertools
 import os
 import re
@@ -19,6 +18,7 @@ from depthcli.core.text import without_secrets
 from depthcli.io.calibration_photos import SIDES, without_word
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import IMAGE_SUFFIXES
+from depthcli.io.formats.plain_text import table_rows, text_of
 from depthcli.io.formats.videos import VIDEO_SUFFIXES, count_frames
 from depthcli.io.scenes import LEFT_OUT, MAX_DISPARITY, RgbdScene, Scene, StereoScene, VolumePairScene
 
@@ -152,13 +152,8 @@ def scenes_of_table(path: Path) -> list[StereoScene]:
     """
     with naming("standard input" if path == STDIN else path):
         data = sys.stdin.buffer.read() if path == STDIN else read_bytes(path, _MAX_BYTES)
-        text = data.decode("utf-8-sig", "surrogateescape")
-        lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-        try:
-            is_tsv = "\t" in "".join(lines[:1]) if path == STDIN else path.suffix.lower() == ".tsv"
-            rows = list(csv.reader(lines, delimiter="\t" if is_tsv else ","))
-        except csv.Error as error:
-            raise InputError(f"not a table ({error})") from None
+        text = text_of(data, "surrogateescape")
+        rows = table_rows([line for line in text.splitlines() if line.strip() and not line.startswith("#")])
         columns: tuple[str, ...] = _COLUMNS[:3]
         if rows and {"left", "right"} <= {word.strip().lower() for word in rows[0]}:
             columns = tuple(word.strip().lower() for word in rows.pop(0))

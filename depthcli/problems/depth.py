@@ -19,8 +19,8 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.maps import DisparityMap
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
-from depthcli.io.formats.disparity import read_disparity, read_pfm
-from depthcli.io.formats.files import naming, shown
+from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_pfm
+from depthcli.io.formats.files import collected_warnings, naming, shown
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.status import read_status
 from depthcli.io.inputs import local
@@ -68,6 +68,11 @@ class ToDepth(SceneJob[DisparityScene]):
         check_limits(config["near"], config["far"])
         parse_mask(config["mask"] or "all")
 
+    def files(self, scene: DisparityScene) -> dict[str, Path]:
+        """Return the map with what belongs to it, and the second file of a calibration."""
+        second = self.config.get("second_calibration")
+        return scene.input_files | ({} if second is None else {"second_calibration": Path(second)})
+
     def settings(self, scene: DisparityScene) -> dict[str, str]:
         """Return which cameras of the calibration took the pair."""
         return {"cameras": f"{scene.cameras}"}
@@ -75,16 +80,19 @@ class ToDepth(SceneJob[DisparityScene]):
     def memory(self, scene: DisparityScene) -> None:
         """Return None, since it is little more than the map itself; InputError without a calibration."""
         if self.config["focal"] is None:
-            self._geometry(scene, (1, 1))
+            with collected_warnings():  # which computing says
+                self._geometry(scene)
 
     def compute(self, scene: DisparityScene, folder: Path, context: Context) -> Outcome:
         """Load a map with its status, confidence and bound, compute depth, save it and the cloud."""
         config, clock = self.config, context.clock
         clock.start("load")
         scene.check()
-        disparity = read_disparity(scene.disparity)
+        disparity = read_foreign_map(scene.disparity, config.get("scale"), config.get("invalid"), says_scale=True)
         height, width = disparity.shape
         geometry = self._geometry(scene, disparity.shape).for_size(width, height)
+        with naming(scene.disparity):
+            check_sign("disparities", disparity, geometry.offset)
 
         def read(reader: Callable[[Path], NDArray[Any]], file: Path) -> NDArray[Any]:
             values = reader(file)
@@ -134,9 +142,9 @@ class ToDepth(SceneJob[DisparityScene]):
             )
         return Outcome(row, clock.seconds, warnings)
 
-    def _geometry(self, scene: DisparityScene, shape: tuple[int, ...]) -> PairGeometry:
+    def _geometry(self, scene: DisparityScene, shape: tuple[int, ...] | None = None) -> PairGeometry:
         focal, baseline = self.config["focal"], self.config["baseline"]
-        if focal is not None:
+        if focal is not None and shape is not None:
             camera = Intrinsics(focal, focal, (shape[1] - 1) / 2, (shape[0] - 1) / 2)
             return PairGeometry(camera, baseline, self.config["doffs"] or 0.0)
         if scene.geometry is not None:
@@ -145,7 +153,11 @@ class ToDepth(SceneJob[DisparityScene]):
             raise InputError(
                 f"{scene.folder}: no calibration with the images; give --calibration, or --focal, --baseline"
             )
-        return read_geometry(scene.calibration, scene.cameras)
+        files = [scene.calibration, *map(Path, filter(None, [self.config.get("second_calibration")]))]
+        beside = scene.folder / "calib.txt"
+        size = None if shape is None else (shape[1], shape[0])
+        rectified = beside if os.path.isfile(beside) and os.path.isfile(scene.folder / "left.png") else None
+        return read_geometry(files, scene.cameras, size, self.config.get("unit", "m"), rectified=rectified)
 
 
 def find_maps(

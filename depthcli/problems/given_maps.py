@@ -32,8 +32,8 @@ from depthcli.evaluation.map_files import (
     names_in_run,
     recognized,
 )
-from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
-from depthcli.io.formats.files import collected_warnings, shown, warn
+from depthcli.io.formats.disparity import check_sign, read_foreign_map, scale_of
+from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size, png_bytes, read_image, write_png
 from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.io.formats.status import read_status
@@ -57,7 +57,6 @@ from depthcli.show.table import SIZE, number, percent
 from depthcli.show.view import STATUS_PALETTE, View
 
 _TOP_SHARE = 0.999  # of the values; larger ones do not widen the range of the costs
-_MAX_OUTSIDE = 0.5  # share of a map's values that may lie outside of the range
 _MAX_BEYOND = 0.01  # share of a map's values above the range; with more it has a warning
 _MIN_EXPECTED = 0.3  # mean probability below which a map has a warning
 _RIGHT_FILES = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right", "{scene}"), DisparityFiles().suffixes)
@@ -149,11 +148,7 @@ class MapInputs:
             raise InputError(f"max_disparity: must be at least 1 (got {max_disparity})")
         finite = {name: one[np.isfinite(one)] for name, one in maps.items()}
         for name, known in finite.items():
-            if known.size and np.count_nonzero(known < 0) > _MAX_OUTSIDE * known.size:
-                raise InputError(
-                    f"{name}: most disparities are negative; they are pixels from 0 on, by which matches lie to the "
-                    "left in the right image: is the sign swapped?"
-                )
+            check_sign(name, known)
         if not any(known.size for known in finite.values()):
             raise InputError(f"{', '.join(maps)}: no value at any pixel")
         warnings, clean, top = [], [], max_disparity
@@ -480,6 +475,7 @@ def with_maps(
     """
     places, right_places = find_runs([*first, *others]), find_runs([right]) if right else {}
     of_all, own = given_naming({**right_places, **places}, "--pattern", *coding)
+    of_all = replace(of_all, any_scale=len(places) == 1)
     of_rights = replace(of_all, pattern="")
     runs = [_Run(name, place, DisparityFiles(), own[name].over(of_all)) for name, place in places.items()]
     rights = [_Run(name, place, _RIGHT_FILES, own[name].over(of_rights)) for name, place in right_places.items()]
@@ -518,7 +514,8 @@ class _Run:
             return None
         status = path.parent / "status.png"
         is_own = status.is_file() and (path.parent / RECORD_FILE).is_file()  # maps of other programs have no such file
-        return GivenMap(self.name, path, self.naming.scale, self.naming.invalid, status if is_own else None)
+        scale = scale_of(path, self.naming.scale, self.naming.any_scale)
+        return GivenMap(self.name, path, scale, self.naming.invalid, status if is_own else None)
 
     def recognized(self, scenes: Sequence[StereoScene], names: Mapping[str, Sequence[str]], reporter: Reporter) -> _Run:
         """Return the run with the pattern of its maps, if another program made them and none has a usual name."""
@@ -532,8 +529,8 @@ class _Run:
 
         def fits(name: str, path: Path, tried: MapNaming) -> bool:
             with collected_warnings(), contextlib.suppress(DepthcliError):
-                shape = _read_map(GivenMap(self.name, path, tried.scale, tried.invalid)).shape
-                return shape == image_size(usable[name].left)
+                scale = scale_of(path, tried.scale, tried.any_scale)
+                return read_foreign_map(path, scale, tried.invalid).shape == image_size(usable[name].left)
             return False
 
         usual = protocols.load("middlebury-v2")().files
@@ -546,27 +543,8 @@ class _Run:
 
 def loaded(one: GivenMap, shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Return a map; InputError where it cannot be read or has another size than the images."""
-    values = _read_map(one)
+    values = read_foreign_map(one.path, one.scale, one.invalid)
     if values.shape != shape:
         height, width = values.shape
         raise InputError(f"{one.path}: {width} x {height}, but the images are {shape[1]} x {shape[0]}")
-    return values
-
-
-def _read_map(one: GivenMap) -> NDArray[np.float32]:
-    """Return a map, (H, W) float32, pixels, NaN = no value.
-
-    If no option names the value that means none, a constant at or below 0 that is alone there means none in maps of
-    other programs, with a warning.
-    """
-    values = read_disparity(one.path, one.scale)
-    if one.invalid is not None:
-        values[read_plane(one.path) == np.float32(one.invalid)] = np.nan
-    elif (one.path.parent / "record.json").is_file():  # runs of this program mark what has no value
-        pass
-    elif (constant := lone_constant(values)) is not None:
-        marked = values == np.float32(constant)
-        values[marked] = np.nan
-        share = f"{100 * np.mean(marked):.3g} % of the pixels are {constant:g}"
-        warn(f"{shown(one.path)}: {share}: taken as no value (--invalid nan keeps them)")
     return values

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -264,7 +264,7 @@ class Disparity(Shown, DisparityMap):
 
     def to_depth(
         self,
-        calibration: str | Path | None = None,
+        calibration: str | Path | Sequence[str | Path] | None = None,
         *,
         focal: float | None = None,
         baseline: float | None = None,
@@ -279,8 +279,9 @@ class Disparity(Shown, DisparityMap):
 
         Parameters
         ----------
-        calibration : calib.txt of Middlebury, ETH3D or ``depthcli rectify``, or KITTI's projections; instead of the
-            numbers below. Neither is needed where the pair was rectified by a calibration
+        calibration : calib.txt of Middlebury, ETH3D or ``depthcli rectify``, KITTI's projections, or a file, or two,
+            that ``depthcli rectify`` takes; instead of the numbers below. Neither is needed where the pair was
+            rectified by a calibration
         focal, baseline : focal length, pixels, and distance of the cameras, meters
         doffs : x of the right principal point minus that of the left one, pixels
         principal_point : x and y of the left camera's, pixels; None: the center of the image
@@ -302,7 +303,8 @@ class Disparity(Shown, DisparityMap):
             x, y = principal_point or ((width - 1) / 2, (height - 1) / 2)
             geometry = None if calibration else PairGeometry(Intrinsics(focal, focal, x, y), baseline, doffs)
         elif calibration is not None:
-            geometry = read_geometry(Path(calibration), (2, 3))
+            files = [calibration] if isinstance(calibration, str | Path) else calibration
+            geometry = read_geometry([Path(file) for file in files], size=(width, height))
         if geometry is None:
             raise ConfigError("to_depth needs either a calibration file, or focal (pixels) and baseline (meters)")
         chosen = chosen_pixels(self, mask, self.confidence)

@@ -233,3 +233,37 @@ def test_kitti_by_camera(tmp_path: Path):
     # A point's depth stays when its image is halved.
     np.testing.assert_allclose(scaled.depth(np.float32([[4.0]])), again.depth(np.float32([[8.0]])))
     refused(InputError, "calibrated for 500 x 100", again.for_size, 250, 100)
+
+
+def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """A rig of 400 px x 0.1 m sees 20 px at 2 m; -1 marks what has no value."""
+    disparity = np.full((60, 100), 20, np.float32)
+    disparity[:, ::2] += np.float32(0.5)
+    disparity[:, :20] = -1
+    write_pfm(tmp_path / "float.pfm", disparity)
+    np.save(tmp_path / "sgbm.npy", np.rint(disparity * 16).astype(np.int16))
+    write_png(tmp_path / "codes.png", np.rint(np.maximum(disparity, 0) * 100).astype(np.uint16))
+    np.save(tmp_path / "raft.npy", -disparity)
+
+    def depth(name: str, *options: object) -> tuple[np.ndarray, str]:
+        out = tmp_path / "out" / name
+        line = ("depth", tmp_path / name, "--focal", "400", "--baseline", "0.1", "-o", out, "--overwrite", *options)
+        assert run(*line) == 0
+        return read_pfm(next(out.glob("*/depth.pfm"))), capsys.readouterr().err
+
+    for name, options, says in (
+        ("float.pfm", (), "20 % of the pixels are -1: taken as no value"),
+        ("float.pfm", ("--invalid", "-1"), ""),
+        ("sgbm.npy", ("--scale", "16"), ""),
+        ("codes.png", ("--scale", "100"), ""),
+    ):
+        found, said = depth(name, *options)
+        assert np.isfinite(found).mean() == 0.8 and found[0, 51] == pytest.approx(2)
+        assert (says in said) if says else ("warning" not in said)
+    assert "int16 disparities are divided by 256, as KITTI's; OpenCV's have 16" in depth("sgbm.npy")[1]
+    assert "uint16 disparities are divided by 256, as KITTI's; say it" in depth("codes.png")[1]
+    by_hand = ("--focal", "400", "--baseline", "0.1", "-o", tmp_path / "none", "-q")
+    assert run("depth", tmp_path / "raft.npy", *by_hand) == 3
+    assert "most disparities are negative" in capsys.readouterr().err
+    assert run("depth", matched[1], "--scale", "16", "-o", tmp_path / "none", "-q") == 2
+    assert "--scale belongs to a single map" in capsys.readouterr().err

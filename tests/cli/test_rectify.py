@@ -14,7 +14,7 @@ from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 from depthcli.io.formats.calibrations import read_geometry, read_rig
-from depthcli.io.formats.disparity import read_pfm
+from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.status import read_status
 from depthcli.methods.stereo.rectification import rectify_uncalibrated
@@ -450,3 +450,61 @@ def test_alpha_shows_everything(pinhole: Shot, tmp_path: Path):
     assert 0.6 < row["overlap"] < 0.99
     assert row["row_error"] < 0.25
     assert (read_image(tmp_path / "scenes/room/left.png") == 0).all(axis=2).mean() > 0.01
+
+
+def halves(folder: Path, file: Path) -> list[Path]:
+    """Two files of OpenCV, as its sample writes them: the cameras, and how they stand."""
+    text = file.read_text()
+    at = text.index("R: !!")
+    parts = [folder / "intrinsics.yml", folder / "extrinsics.yml"]
+    parts[0].write_text(text[:at])
+    parts[1].write_text("%YAML:1.0\n---\n" + text[at:])
+    return parts
+
+
+def both(files: list[Path]) -> list[str | Path]:
+    return [word for file in files for word in ("--calibration", file)]
+
+
+def test_a_calibration_of_two_files_is_taken_everywhere(pinhole: Shot, tmp_path: Path, capsys):
+    """By stereo and depth, as by rectify; two whole ones are refused."""
+    whole = opencv(tmp_path / "c.yml", pinhole.rig)
+    lines = [["--calibration", whole], both(halves(tmp_path, whole)), both(ros(tmp_path, pinhole.rig))]
+    maps = []
+    for k, calibration in enumerate(lines):
+        out = tmp_path / f"run{k}"
+        assert run("stereo", "fast", *pinhole.words, *calibration, "-o", out, "-q") == 0
+        maps.append((out / "room/disp_left.pfm").read_bytes())
+        # A map that stereo rectified for keeps its own geometry, whatever the file's projections say.
+        assert run("depth", out, "-o", tmp_path / f"own{k}", "-q") == 0
+        assert run("depth", out, *calibration, "-o", tmp_path / f"depth{k}", "-q") == 0
+        depths = [(tmp_path / name / "room/depth.pfm").read_bytes() for name in (f"own{k}", f"depth{k}")]
+        assert depths[0] == depths[1]
+    assert maps[0] == maps[1]
+    for command in (("stereo", "fast"), ("rectify",)):
+        twice = both([whole, opencv(tmp_path / "d.yml", pinhole.rig)])
+        assert run(*command, *pinhole.words, *twice, "-o", tmp_path / "none", "-q") != 0
+        assert "both have K1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["opencv", "projections", "ros", "kalibr", "kitti"])
+def test_depth_takes_what_rectify_takes(kind: str, pinhole: Shot, tmp_path: Path, capsys):
+    """A map of another program, of a pair that was rectified as depthcli does, or by projections of the file."""
+    taken = pinhole.rig
+    found = taken.rectified(SIZE, SIZE)
+    write_pfm(tmp_path / "map.pfm", np.tile(np.linspace(8, 20, SIZE[0]), (SIZE[1], 1)))
+    files = {"kalibr": kalibr, "kitti": kitti, "opencv": opencv, "projections": opencv}
+    calibration = ros(tmp_path, taken) if kind == "ros" else [files[kind](tmp_path / "c.yml", taken)]
+    factor = 2.0 if kind == "projections" else 1.0  # which other flags of OpenCV give
+    if kind == "projections":
+        storage = cv2.FileStorage(str(tmp_path / "p.yml"), cv2.FILE_STORAGE_WRITE)
+        storage.write("P1", found.projection * [[factor], [factor], [1]])
+        storage.write("P2", found.projection_right * [[factor], [factor], [1]])
+        storage.release()
+        calibration.append(tmp_path / "p.yml")
+    assert run("depth", tmp_path / "map.pfm", *both(calibration), "-o", tmp_path / "out") == 0
+    said = capsys.readouterr().err
+    assert ("rectified by its projections" in said) == (kind in ("ros", "projections"))
+    assert ("depthcli rectify has rectified" in said) == (kind not in ("ros", "projections"))
+    depth = read_pfm(tmp_path / "out/map/depth.pfm")
+    np.testing.assert_allclose(depth, factor * found.geometry.depth(read_pfm(tmp_path / "map.pfm")), rtol=1e-5)

@@ -104,6 +104,20 @@ def test_anchors_merge_keys_and_numbers_without_a_dot():
     assert load("toy: box\nweight: 1e-3\n").toy.weight == 1e-3
 
 
+def test_numbers_are_numbers():
+    """Truth values and the octal and sexagesimal numbers of YAML 1.1 are refused."""
+    truth = "should be a number, and is true or false"
+    assert problems("toy: box\ntop: yes\n") == [f"f.yaml:2: top: {truth} (got true)"]
+    assert problems("toy: box\nsize: [7, true]\n") == [f"f.yaml:2: size: {truth} (got [7, true])"]
+    assert problems("toy: box\n", "top=true") == [f"--set top: {truth} (got true)"]
+    assert problems("toy: box\n\ntop: 010\n") == [
+        "f.yaml:3: not valid YAML (010 is 8 in YAML; write 8, or quote it if it is no number)"
+    ]
+    assert "1:30 is 90 in YAML" in problems("toy: box\ntop: 1:30\n")[0]
+    assert "1:30.5 is 90.5" in problems("toy: box\n", "top=1:30.5")[0]
+    assert load("toy: box\ntop: 0x10\n").top == 16
+
+
 def test_set_overrides_what_the_file_says():
     text = "toy: chest\ncost: census\nparts: [rank, census]\n"
     root = load(text, "cost.window=[5,5]", "parts.0.window=[7, 7]", "parts.1=gradient", "width=1", "width=2", "mode=~")

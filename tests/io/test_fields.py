@@ -271,19 +271,6 @@ def test_a_field_that_does_not_belong_to_the_volumes_is_said():
     refused(InputError, r"field.mha: .* no point", lines_about, displacement() + 500, GRID)
 
 
-def test_landmarks_of_spreadsheets_and_of_3d_slicer(tmp_path):
-    file = tmp_path / "landmarks_fixed.fcsv"
-    head = "# Markups fiducial file version = 4.10\n# CoordinateSystem = {}\n# columns = id,x,y,z,ow,ox\n"
-    for text in (
-        "x;y;z\n-11,5;24,5;35\n",
-        "# x,y,z\n-11.5,24.5,35\n",
-        head.format("LPS") + "1,-11.5,24.5,35,0,0\n",
-        head.format("0") + "1,11.5,-24.5,35,0,0\n",
-    ):
-        file.write_text(text)
-        assert read_landmarks(file, GRID).tolist() == [[-11.5, 24.5, 35]]
-
-
 def test_landmarks_in_every_unit(tmp_path):
     """Positions in mm in any order of columns, voxels from 0 (elastix), and from 1 (DIR-Lab)."""
     grid, file = Grid((9, 8, 7), (1.0, 1.5, 2.5), (10.0, 20.0, 30.0)), tmp_path / "a.txt"

@@ -17,7 +17,7 @@ from depthcli.core.maps import Status
 from depthcli.evaluation.map_files import DisparityFiles, MapFiles
 from depthcli.evaluation.protocols import Presentation, Protocol, Settings, ShownMap, beside
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally, in_order
-from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
+from depthcli.io.formats.disparity import foreign_constant, read_disparity, scale_of
 from depthcli.io.formats.files import shown, warn
 from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import Scene, StereoScene
@@ -141,25 +141,18 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         value, is a warning, as is a scale that looks wrong.
         """
         codes = truth.scale if truth.scale is not None and truth.scale < 256 else None
-        pixels = path.suffix.lower() == ".pfm" and not self.settings.any_scale
-        scale = None if pixels else self.settings.scale
-        estimate = read_disparity(path, scale, scale_8bit=codes)
+        scale = scale_of(path, self.settings.scale, self.settings.any_scale)
+        estimate = read_disparity(path, scale, codes, self.settings.invalid)
         try:
             self.resized(estimate, truth)
         except ValueError as error:
             raise InputError(f"{path}: {error}") from None
-        if self.settings.invalid is not None:
-            estimate[read_plane(path) == np.float32(self.settings.invalid)] = np.nan
-        elif not (path.parent / "record.json").is_file():  # runs of this program mark what has no value
-            with np.errstate(invalid="ignore"):
-                constant = lone_constant(np.where(estimate < self.lowest(truth), np.float32(np.nan), estimate))
-            if constant is not None:
-                marked = estimate == np.float32(constant)
-                share, code = f"{100 * np.mean(marked):.3g} %", float(read_plane(path)[marked][0])
-                warn(
-                    f"{shown(path)}: {share} of the pixels are {code:g}, which counts as a value "
-                    f"(evaluate --invalid {code:g} if it means none, --invalid nan if not)"
-                )
+        constant = foreign_constant(path, estimate, self.lowest(truth)) if self.settings.invalid is None else None
+        if constant is not None:
+            warn(
+                f"{shown(path)}: {constant}, which counts as a value (evaluate --invalid {constant.code:g} if it means "
+                "none, --invalid nan if not)"
+            )
         if (warning := scale_warning(self.resized(estimate, truth), truth.values)) is not None:
             warn(warning)
         return estimate

@@ -17,10 +17,9 @@ from depthcli.core.maps import DepthStatus
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, beside
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
-from depthcli.io.formats.depth import read_depth
+from depthcli.io.formats.depth import MILLIMETERS, read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import collected_warnings, warn
-from depthcli.io.formats.map_format import map_formats
 from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes import RgbdScene, Scene
 from depthcli.show.view import DEPTH_STATUS_PALETTE
@@ -29,9 +28,6 @@ Depth = NDArray[np.float32]
 
 _RATIOS = (1.05, 1.10, 1.25, 1.25**2, 1.25**3)  # of delta, as in ClearGrasp and the evaluations of NYU
 _WRONG_RATIO = 1.05  # from which on a pixel is shown as wrong: the smallest of delta
-_METERS = (".pfm", ".npy")  # endings of maps in meters
-_CODES_OR_METERS = (".npz", ".tif", ".tiff")
-_CODES_PER_METER = 1000.0  # millimeters, unless the file or settings have another scale
 
 
 @dataclass(frozen=True)
@@ -57,8 +53,8 @@ class DepthTruth:
 
 def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     """Return a run's map and its bound in mm."""
-    scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
-    values = 1000.0 * read_depth(path, scale).astype(np.float64)
+    scale = getattr(scene, "depth_scale", MILLIMETERS)
+    values = 1000.0 * read_depth(path, scale, scale_floats=False).astype(np.float64)
     figures = {"no value, %": 100.0 * float(np.isnan(values).mean())}
     return ShownMap(values, figures=figures, **beside(path, files, 1000.0))
 
@@ -110,7 +106,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         "corrected": DepthStatus.CORRECTED,
         "kept": 0,
     }
-    takes = ("scale", "threshold", "resize")
+    takes = ("scale", "threshold", "invalid", "resize")
     headline = Metric("MAE", "mm", convention=ESTIMATED_ONLY)
 
     def truth(self, scene: Scene) -> DepthTruth:
@@ -132,12 +128,8 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
 
     def read(self, path: Path, scene: Scene, truth: DepthTruth) -> Depth:
         """Return the map in meters; integer codes have the truth's scale where the settings have none."""
-        suffix = path.suffix.lower()
-        meters = not self.settings.any_scale and (
-            suffix in _METERS or (suffix in (*_CODES_OR_METERS, *map_formats()) and read_plane(path).dtype.kind == "f")
-        )
-        scale = None if meters else self.settings.scale or truth.scale
-        estimate = self._resized(read_depth(path, scale))
+        scale, floats = self.settings.scale or truth.scale, self.settings.any_scale
+        estimate = self._resized(read_depth(path, scale, invalid=self.settings.invalid, scale_floats=floats))
         if estimate.shape != truth.depth.shape:
             have, known = (f"{a.shape[1]} x {a.shape[0]}" for a in (estimate, truth.depth))
             raise InputError(f"{path}: the map is {have}, the truth {known}; evaluate --resize brings both to one size")

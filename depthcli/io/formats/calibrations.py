@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from xml.etree import ElementTree
 
 import cv2
@@ -23,14 +23,18 @@ from depthcli.core.cameras.camera import Camera, Intrinsics
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
-from depthcli.io.formats.files import naming, read_bytes, write_text
-from depthcli.io.formats.plain_text import image_sides, json_object, key_values, numbers
+from depthcli.io.formats.files import naming, read_bytes, shown, warn, write_text
+from depthcli.io.formats.plain_text import image_sides, json_object, key_values, numbers, text_of
+
+ValueT = TypeVar("ValueT")
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Meters of the units that a translation may be stored in."""
 
 _MILLIMETERS = 1000.0
 _UNKNOWN = "no calibration of a kind that is known"
+# Files with nested fields: XML, JSON, YAML of OpenCV, ROS and Kalibr. The others have a key and its numbers in a line.
+_STORAGE = re.compile(r"\A\s*[<{%]|!!opencv|^cam0:\s*(\{|$)|^(camera_matrix|[KM]1|cameraMatrix1):", re.MULTILINE)
 _MAX_BYTES = 1 << 24  # a calibration has a few kilobytes
 _MAX_LISTS = 1000  # in YAML; a calibration has some tens
 _MAX_BASELINE = 20.0  # meters; a longer one is in another unit
@@ -60,19 +64,34 @@ def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, came
     fisheye : the lenses of OpenCV's file follow its fisheye model; the other formats name the model
     cameras : numbers of the left and the right one, in KITTI's file
     """
-    texts = [read_bytes(path, _MAX_BYTES).decode("utf-8", "replace") for path in paths]
+    texts = [text_of(read_bytes(path, _MAX_BYTES)) for path in paths]
     with naming(paths[0]):
-        if re.search(r"^K_0\d:", texts[0], re.MULTILINE):
-            rig = _kitti_rig(key_values(texts[0]), cameras)
-        elif "cam0" in (files := [_storage_fields(text) for text in texts])[0]:
-            rig = _kalibr_rig(files[0])
-        elif "camera_matrix" in files[0]:
-            rig = _ros_rig(files)
-        else:
-            rig = _opencv_rig(files, UNITS[unit], fisheye)
-        if rig.baseline > _MAX_BASELINE:
-            raise InputError(f"a baseline of {rig.baseline:g} m; is the translation in millimeters? give the unit mm")
-        return rig
+        return _rig(texts, UNITS[unit], fisheye, cameras)
+
+
+def _rig(texts: Sequence[str], meters: float, fisheye: bool, cameras: tuple[int, int]) -> Rig:
+    if re.search(r"^K_0\d:", texts[0], re.MULTILINE):
+        rig = _kitti_rig(key_values(_only(texts)), cameras)
+    elif "cam0" in (files := [_storage_fields(text) for text in texts])[0]:
+        rig = _kalibr_rig(_only(files))
+    elif "camera_matrix" in files[0]:
+        rig = _ros_rig(files)
+    else:
+        rig = _opencv_rig(files, meters, fisheye)
+    _check_baseline(rig.baseline)
+    return rig
+
+
+def _only(files: Sequence[ValueT]) -> ValueT:
+    """Return the one file of a calibration; InputError for several."""
+    if len(files) > 1:
+        raise InputError("such a file is a whole calibration; give one of them")
+    return files[0]
+
+
+def _check_baseline(baseline: float) -> None:
+    if baseline > _MAX_BASELINE:
+        raise InputError(f"a baseline of {baseline:g} m; is the translation in millimeters? give the unit mm")
 
 
 def write_calibration(path: Path, cameras: Sequence[Camera], rig: Rig | None = None) -> None:
@@ -97,23 +116,51 @@ def write_calibration(path: Path, cameras: Sequence[Camera], rig: Rig | None = N
     write_text(path, "\n".join(lines) + "\n")
 
 
-def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry:
+def read_geometry(
+    paths: Path | Sequence[Path],
+    cameras: tuple[int, int] = (2, 3),
+    size: tuple[int, int] | None = None,
+    unit: str = "m",
+    rectified: Path | None = None,
+) -> PairGeometry:
     """Return how the disparities of a rectified pair become depth.
 
     Files are ``calib.txt`` of Middlebury v3 or ETH3D (``cam0``, ``cam1``, ``doffs``, ``baseline`` in mm); Booster's XML
-    (``proj_matL``, ``baselineLR``); or KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:``
-    (DrivingStereo: ``P_rect_101:``), of whose ``cameras`` 0, 1 are grey and 2, 3 color (DrivingStereo: 101, 103).
+    (``proj_matL``, ``baselineLR``); KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:``
+    (DrivingStereo: ``P_rect_101:``), of whose ``cameras`` 0, 1 are grey and 2, 3 color (DrivingStereo: 101, 103); or
+    all that :func:`read_rig` reads.
+
+    Parameters
+    ----------
+    paths : a file, or two that belong together
+    size : (width, height) of the map, for cameras that are not rectified
+    unit : of OpenCV's translation, a key of ``UNITS``
+    rectified : ``calib.txt`` that was written when the cameras' images were rectified; it counts for those instead of
+        the files' own projections (``P1``, ``P2``, ROS's ``projection_matrix``), or of what ``depthcli rectify`` does
     """
-    with naming(path):
-        text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
-        if text.lstrip().startswith("<"):
-            return _booster_geometry(_storage_fields(text))
-        fields = key_values(text)
+    files = [paths] if isinstance(paths, Path) else list(paths)
+    texts = [text_of(read_bytes(path, _MAX_BYTES)) for path in files]
+    with naming(files[0]):
+        fields = {} if _STORAGE.search(texts[0]) else key_values(texts[0])
         if "cam0" in fields:
+            _only(texts)
             return _middlebury_geometry(fields)
         if any(re.fullmatch(r"P(\d|_rect_\d{2,3})", key) for key in fields):
+            _only(texts)
             return _kitti_geometry(fields, cameras)
-        raise InputError("no calibration of a rectified pair that is known (Middlebury's cam0=, KITTI's P2:)")
+        stored = [_storage_fields(text) for text in texts] if _STORAGE.search(texts[0]) else []
+        if stored and "proj_matL" in stored[0]:
+            return _booster_geometry(_only(stored))
+        rig = _rig(texts, UNITS[unit], False, cameras)
+        if rectified is not None:
+            return read_geometry(rectified)
+        if (geometry := _projected(stored, rig.left.size, UNITS[unit])) is not None:
+            warn(f"{shown(files[0])}: the map is taken to be of a pair that was rectified by its projections")
+            return geometry
+        warn(f"{shown(files[0])}: the map is taken to be of a pair that depthcli rectify has rectified, with alpha 0")
+        center = rig.left.matrix[:2, 2]
+        known = rig.left.size or size or (round(2 * center[0]) + 1, round(2 * center[1]) + 1)
+        return rig.rectified(known, rig.right.size or known).geometry
 
 
 def write_geometry(path: Path, geometry: PairGeometry, max_disparity: int | None = None) -> None:
@@ -135,14 +182,14 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
 
     JSON has ``color`` and ``infrared``, each with ``K`` (3, 3), and where known ``distortion`` and ``size``, and
     ``R`` (3, 3), ``t`` (3,) in meters, from the color camera's frame to the infrared camera's; or ``rectified: true``
-    with ``fb``. YAML is OpenCV's, with ``M1 D1 M2 D2 R T``, camera 1 the color one.
+    with ``fb``. Other files are those of :func:`read_rig`, the first camera the color one.
 
     Of images of these sizes (width, height); a float is focal length x baseline (pixel meters) of rectified ones.
     """
-    text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
+    text = text_of(read_bytes(path, _MAX_BYTES))
     with naming(path):
-        if path.suffix.lower() in (".yml", ".yaml"):
-            rig = _opencv_rig([_storage_fields(text)], 1.0, False)
+        if not text.lstrip().startswith("{") or "opencv-matrix" in text:
+            rig = _rig([text], 1.0, False, (2, 3))
         else:
             fields = json_object(text)
             if fields.get("rectified") is True:
@@ -164,6 +211,10 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
         low, high = _SENSOR_BASELINES
         if not low < rig.baseline < high:
             raise InputError(f"a baseline of {rig.baseline:.3g} m; the translation is in meters")
+        if color_size == infrared_size or rig.left.size != rig.right.size:  # OpenCV's files have one size for both
+            for name, camera, image in (("color", rig.left, color_size), ("infrared", rig.right, infrared_size)):
+                if camera.size not in (None, image):
+                    raise InputError(f"calibrated for a {name} image of {camera.size}, got one of {image}")
         return replace(rig, left=replace(rig.left, size=color_size), right=replace(rig.right, size=infrared_size))
 
 
@@ -215,6 +266,8 @@ def _opencv_rig(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -
     for file in files:
         model = f"{file.get('model')} {file.get('distortion_model')}".lower()
         fisheye = fisheye or "fisheye" in model or "equidistant" in model
+        if twice := [name for names in _NAMES.values() for name in names if name in fields and name in file]:
+            raise InputError(f"two files of one calibration, but both have {twice[0]}; give one whole calibration")
         fields = file | fields
     names = {part: next((name for name in known if name in fields), "") for part, known in _NAMES.items()}
     if missing := [part for part, name in names.items() if not name]:
@@ -308,9 +361,28 @@ def _booster_geometry(fields: dict[str, Any]) -> PairGeometry:
 def _kitti_geometry(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeometry:
     is_raw = any(key.startswith("P_rect_") for key in fields)
     left, right = (_field(fields, f"P_rect_{n:02}" if is_raw else f"P{n}", (3, 4)) for n in cameras)
-    if abs(left[0, 0]) < 1e-9 or abs(right[0, 0]) < 1e-9:
-        raise InputError("a camera without focal length")
-    baseline = float(left[0, 3] / left[0, 0] - right[0, 3] / right[0, 0])
     rectified = f"S_rect_{cameras[0]:02}"
     size = image_sides(fields[rectified], rectified) if fields.get(rectified) else None
+    return _of_projections(left, right, size)
+
+
+def _projected(files: Sequence[dict[str, Any]], size: tuple[int, int] | None, meters: float) -> PairGeometry | None:
+    """Return the geometry by the projections that files of ROS or OpenCV have of the rectified cameras, or None."""
+    if files and "camera_matrix" in files[0]:
+        left, right = (_field(fields, "projection_matrix", (3, 4)) for fields in files)
+        return _of_projections(left, right, size)
+    fields = {key: value for file in files for key, value in file.items()}
+    if not {"P1", "P2"} <= fields.keys():
+        return None
+    left, right = (_field(fields, name, (3, 4)) for name in ("P1", "P2"))
+    return _of_projections(left, right, size, meters)
+
+
+def _of_projections(
+    left: NDArray[np.float64], right: NDArray[np.float64], size: tuple[int, int] | None, meters: float = 1.0
+) -> PairGeometry:
+    if abs(left[0, 0]) < 1e-9 or abs(right[0, 0]) < 1e-9:
+        raise InputError("a camera without focal length")
+    baseline = float(left[0, 3] / left[0, 0] - right[0, 3] / right[0, 0]) * meters
+    _check_baseline(baseline)
     return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]), size)

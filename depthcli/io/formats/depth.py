@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.disparity import read_plane, without_value
 from depthcli.io.formats.files import shown, warn, write_bytes
 from depthcli.io.formats.images import write_png
 
@@ -39,12 +39,18 @@ def codes_of(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
     return values.astype(np.uint16)
 
 
-def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) -> NDArray[np.float32]:
+def read_depth(
+    path: Path | str,
+    scale: float | None = None,
+    rotate: int = 0,
+    invalid: float | None = None,
+    scale_floats: bool = True,
+) -> NDArray[np.float32]:
     """Return a depth map, (H, W) float32, meters, NaN = unknown.
 
     Codes (PNG, PGM, TIFF, integer npy) are rotated right by ``rotate`` bits (SUN RGB-D: 3) and divided by ``scale``,
-    codes per meter: None is 1000 for 16-bit codes; 0 is unknown. PFM, float npy, TIFF are in meters unless a scale is
-    given; values that are not positive numbers are unknown.
+    codes per meter: None is 1000 for 16-bit codes. PFM, float npy, TIFF are in meters unless a scale is given and
+    ``scale_floats``. Values that are not positive numbers, or are ``invalid``, are unknown.
     """
     values = read_plane(path)
     if values.dtype.kind == "b":
@@ -55,17 +61,19 @@ def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) ->
         values, scale = codes_of(values, path), scale or MILLIMETERS
         if rotate:
             values = (values >> np.uint16(rotate)) | (values << np.uint16(16 - rotate))
-    return meters(values, scale or 1.0, path)
+    elif not scale_floats:
+        scale = None
+    return meters(values, scale or 1.0, path, invalid)
 
 
-def meters(values: NDArray[Any], scale: float, name: Path | str) -> NDArray[np.float32]:
+def meters(values: NDArray[Any], scale: float, name: Path | str, invalid: float | None = None) -> NDArray[np.float32]:
     """Return (H, W) codes, ``scale`` of them a meter, as float32 meters; NaN = unknown: no positive number.
 
     There is a warning, which begins with ``name``, where the depths are implausible.
     """
     with np.errstate(all="ignore"):  # infinite results are unknown, like infinite values
         depth = (values / np.float64(scale)).astype(np.float32)
-    depth[~((depth > 0) & np.isfinite(depth))] = np.nan
+    depth[without_value(values, invalid) | without_value(depth, positive=True)] = np.nan
     if text := implausible_depth(name, depth, scale):
         warn(text)
     return depth

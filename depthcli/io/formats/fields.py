@@ -25,7 +25,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn
 from depthcli.io.formats.files_behind import MAX_CHAIN, MAX_TRANSFORM_BYTES, initial_transform
-from depthcli.io.formats.plain_text import numbers
+from depthcli.io.formats.plain_text import numbers, points_of, text_of
 from depthcli.io.formats.volumes import (
     itk_header,
     itk_image,
@@ -52,7 +52,6 @@ _MIN_SHIFT = 0.1  # voxels that the largest displacement of a registration excee
 _N_SAMPLES = 60_000  # voxels that the readings of a field are compared at
 _N_INVERSIONS = 8  # steps of the fixed-point iteration, each of which at least halves the error of smooth fields
 _N_BINS = 24  # of the histogram of each volume
-_COLUMNS = re.compile(r"(?:^|_)([xyz])(?:_|$)")
 
 
 @dataclass(frozen=True)
@@ -263,7 +262,7 @@ def read_transform(path: Path) -> Any:
     sitk = simple_itk()
     with naming(path):
         if suffix_of(path) == ".txt":
-            text = read_bytes(path, MAX_TRANSFORM_BYTES).decode("latin-1")
+            text = text_of(read_bytes(path, MAX_TRANSFORM_BYTES))
             if "(Transform " in text:
                 with library_errors():
                     return sitk.CompositeTransform(_elastix_chain(path, text, ()))
@@ -285,7 +284,7 @@ def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]
     if file is None:
         return [own]
     with naming(file):
-        below = read_bytes(file, MAX_TRANSFORM_BYTES).decode("latin-1")
+        below = text_of(read_bytes(file, MAX_TRANSFORM_BYTES))
     return [own, *_elastix_chain(file, below, (*before, path.resolve()))]
 
 
@@ -333,49 +332,14 @@ def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.floa
     Of a DIR-Lab ``raw`` volume, a text counts voxels from 1.
     """
     with naming(path):
-        lines = [line.strip() for line in read_bytes(path, 1 << 26).decode("latin-1").splitlines() if line.strip()]
+        lines = [line.strip() for line in text_of(read_bytes(path, 1 << 26)).splitlines() if line.strip()]
         if lines and lines[0].lower() in ("point", "index"):
-            points = _points(lines[2:], [0, 1, 2], 3)
+            points = points_of(lines[2:])
             return grid.to_point(points[:, ::-1]) if lines[0].lower() == "index" else points
-        said, lines = _slicer_head(lines)
-        columns, first = [0, 1, 2], 0
-        try:
-            [float(part) for part in _split(lines[0] if lines else "0")]
-        except ValueError:  # a line of names
-            first, names = 1, [_COLUMNS.search(name.lower()) for name in _split(lines[0])]
-            named = {match[1]: k for k, match in enumerate(names) if match}
-            columns = [named[axis] for axis in "xyz"] if len(named) == 3 else columns
-        points = _points(lines[first:], columns, first + 1)
+        comments = [line.lstrip("# ") for line in lines if line.startswith("#")]
+        said = dict(re.findall(r"^([^=]*?)\s*=\s*(.*)$", "\n".join(comments), re.MULTILINE))  # as in 3D Slicer's .fcsv
+        heads = [said["columns"]] if "columns" in said else [text for text in comments if "=" not in text]
+        points = points_of([line for line in lines if not line.startswith("#")], heads)
         if raw and suffix_of(path) == ".txt":
             return grid.to_point(points[:, ::-1] - 1)
         return points * [-1, -1, 1] if said.get("CoordinateSystem") in ("RAS", "0") else points
-
-
-def _slicer_head(lines: list[str]) -> tuple[dict[str, str], list[str]]:
-    """Return what the comments ``# key = value`` of an .fcsv of 3D Slicer say, and the lines with names of columns."""
-    comments = [line.lstrip("# ") for line in lines if line.startswith("#")]
-    said = {key.strip(): value.strip() for key, equals, value in (text.partition("=") for text in comments) if equals}
-    names = [said["columns"]] if "columns" in said else [text for text in comments if "=" not in text]
-    return said, names + [line for line in lines if not line.startswith("#")]
-
-
-def _split(line: str) -> list[str]:
-    if ";" in line:  # as spreadsheets write where the comma is the decimal point
-        return [part.strip().replace(",", ".") for part in line.split(";")]
-    return [part.strip() for part in (line.split(",") if "," in line else line.split())]
-
-
-def _points(lines: list[str], columns: list[int], first: int) -> NDArray[np.float64]:
-    points = []
-    for number, line in enumerate(lines, first):
-        parts = _split(line)
-        try:
-            points.append([float(parts[k]) for k in columns])
-        except (ValueError, IndexError):
-            raise InputError(f"point {number}: expected x, y, z (got {line[:60]!r})") from None
-    if not points:
-        raise InputError("no points")
-    array = np.array(points)
-    if not np.isfinite(array).all():
-        raise InputError("a point that is not finite")
-    return array

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import open_regular, read_bytes
+from depthcli.io.formats.plain_text import text_of
 
 MAX_TRANSFORM_BYTES = 1 << 30
 """Size of the largest file of a transform: a text of B-spline parameters may be long."""
@@ -52,7 +53,7 @@ def transform_files(path: Path) -> tuple[Path, ...]:
     files: list[Path] = []
     with contextlib.suppress(InputError):  # reading the transform tells the problem
         while path.suffix.lower() == ".txt" and len(files) < MAX_CHAIN:
-            text = read_bytes(path, MAX_TRANSFORM_BYTES).decode("latin-1")
+            text = text_of(read_bytes(path, MAX_TRANSFORM_BYTES))
             below = initial_transform(path, text) if "(Transform " in text else None
             if below is None or below in files:
                 break

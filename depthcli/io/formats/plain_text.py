@@ -1,10 +1,14 @@
-"""Content of calibrations and descriptions: JSON objects, lines of key and value, numbers of a known count."""
+"""Content of small text files: JSON objects, lines of key and value, tables, numbers of a known count."""
 
 from __future__ import annotations
 
+import codecs
+import csv
 import json
+import math
 import re
 import reprlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,12 +17,31 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 
 _MAX_SIDE = 1 << 20  # pixels; no image is as wide
+# Letter of an anatomical axis -> axis of LPS and its sign.
+_SIDES = {"l": (0, 1), "r": (0, -1), "p": (1, 1), "a": (1, -1), "s": (2, 1), "i": (2, -1)}
+_MILLIMETERS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "\u00b5m": 0.001, "\u03bcm": 0.001}
+_COUNTED = {"voxel", "voxels", "vox", "px", "pixel", "pixels", "index", "idx", "slice"}
+
+
+def text_of(data: bytes, errors: str = "") -> str:
+    """Return the text of a file without its byte-order mark: UTF-8, or UTF-16 with such a mark.
+
+    What is not UTF-8 is decoded with ``errors``, a handler of ``bytes.decode``, or else as Latin 1.
+    """
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", "replace")
+    try:
+        return data.decode("utf-8-sig", errors or "strict")
+    except UnicodeDecodeError:
+        if errors:
+            raise
+        return data.decode("latin-1")
 
 
 def json_object(data: bytes | str) -> dict[str, Any]:
     """Return the object that a JSON file is; InputError where it is none."""
     try:
-        fields = json.loads(data if isinstance(data, str) else data.decode("utf-8"))
+        fields = json.loads(data if isinstance(data, str) else text_of(data, "strict"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"not valid JSON ({str(error)[:200]})") from error
     if not isinstance(fields, dict):
@@ -29,6 +52,116 @@ def json_object(data: bytes | str) -> dict[str, Any]:
 def key_values(text: str) -> dict[str, str]:
     """Return key -> value of the lines ``key = value`` or ``key: value``; others are passed over."""
     return dict(re.findall(r"^\s*(\w+)\s*[=:]\s*(.*?)\s*$", text, re.MULTILINE))
+
+
+def table_rows(lines: Sequence[str], separators: str = "\t,;") -> list[list[str]]:
+    """Return the cells of a table, which the first of ``separators`` in its first line separates, or a comma.
+
+    InputError where it is none.
+    """
+    separator = next((mark for mark in separators if lines and mark in lines[0]), ",")
+    try:
+        rows = list(csv.reader(lines, delimiter=separator, skipinitialspace=True))
+    except csv.Error as error:
+        raise InputError(f"not a table ({error})") from None
+    return [[cell.strip() for cell in row] for row in rows]
+
+
+def _cells(line: str) -> list[str]:
+    """Return the cells of a line of a table of numbers, whose decimal commas become points."""
+    words = line.split()
+    if not re.search("[\t;,]", line) or (len(words) > 1 and all(map(is_number, words))):
+        return re.sub(r"\s+(?=[(\[])", "", line).split()  # a unit belongs to the name before it
+    (cells,) = table_rows([line], "," if re.search(r",\s*\t|\t\s*,", line) else "\t;,")
+    return [re.sub(r"^([-+]?\d*),(\d+([eE][-+]?\d+)?)$", r"\1.\2", cell) for cell in cells]
+
+
+def is_number(text: str) -> bool:
+    """Return whether a text is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def points_of(lines: Sequence[str], comments: Sequence[str] = ()) -> NDArray[np.float64]:
+    """Return the points (N, 3) x, y, z, mm, LPS, of a table that has a point in every line.
+
+    The columns are found by their names, which a comment has, or a first line without a number: three that differ in x,
+    y and z, or the letters of anatomical axes, such as L, P, S or R, A, S; units and frames beside them count. Without
+    such names they are the first three after an id: a word, or numbers that count lines. InputError where none is.
+    """
+    rows, heads = ([_cells(line) for line in some] for some in (lines, comments))
+    first = 1
+    if rows and (not any(map(is_number, rows[0])) or (not rows[0][0] and any(row[0] for row in rows[1:]))):
+        heads, first = [*heads, rows.pop(0)], 2
+    columns = next(filter(None, map(_named_coordinates, heads)), None)
+    columns = columns or _first_coordinates(rows, heads[-1] if first == 2 else [])
+    points = []
+    for number, row in enumerate(rows, first):
+        try:
+            points.append([float(row[k]) * factor for k, factor in columns])
+        except (ValueError, IndexError):
+            raise InputError(f"point {number}: expected x, y, z (got {' '.join(row)[:60]!r})") from None
+    if not points:
+        raise InputError("no points")
+    array = np.array(points)
+    if not np.isfinite(array).all():
+        raise InputError("a point that is not finite")
+    return array
+
+
+Columns = list[tuple[int, float]]  # of x, y and z, each with its factor to mm, LPS
+
+
+def _named_coordinates(names: Sequence[str]) -> Columns | None:
+    """Return the columns that ``names`` call x, y and z, or the axes of the body; None without such."""
+    words = [_words(name) for name in names]
+    triples: dict[tuple[str, str], dict[int, list[int]]] = {}  # name before and behind the letter -> axis -> columns
+    for column, name in enumerate(map(str.lower, names)):
+        for letter in re.finditer("[xyz]", name):
+            axes = triples.setdefault((name[: letter.start()], name[letter.end() :]), {})
+            axes.setdefault("xyz".index(letter[0]), []).append(column)
+    whole = {key: axes for key, axes in triples.items() if len(axes) == 3}
+    whole = {("", ""): whole["", ""]} if ("", "") in whole else whole
+    chosen = {key: axes for key, axes in whole.items() if not _COUNTED & {*_words(key[0]), *_words(key[1])}} or whole
+    for key, axes in chosen.items():
+        if len(chosen) > 1 or any(len(columns) > 1 for columns in axes.values()):
+            raise InputError(f"several columns may be x, y and z: {', '.join(names)}")
+        frame = next((word for word in _words(f"{key[0]} {key[1]}") if re.fullmatch("[lr][ap][si]", word)), "lps")
+        signs = [_SIDES[side][1] for side in frame]
+        unit = _millimeters(_words(key[1]), _words(key[0]))
+        return [(axes[axis][0], signs[axis] * unit) for axis in range(3)]
+    for start in (0, 1):  # the first column may be an id
+        sides = [(*_SIDES[each[0]], k) for k, each in enumerate(words) if k >= start and each and each[0] in _SIDES]
+        if [axis for axis, _, _ in sorted(sides)] == [0, 1, 2]:
+            return [(k, sign * _millimeters(words[k][1:])) for _, sign, k in sorted(sides)]
+    return None
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[^\W\d_]+", name.lower())
+
+
+def _millimeters(unit: Sequence[str], others: Sequence[str] = ()) -> float:
+    """Return the length in mm of the unit among the words behind a column's letter, 1 without one."""
+    if _COUNTED & {*unit, *others}:
+        raise InputError("positions in voxels; they must be in mm")
+    return next((_MILLIMETERS[word] for word in unit if word in _MILLIMETERS), 1.0)
+
+
+def _first_coordinates(rows: Sequence[Sequence[str]], names: Sequence[str]) -> Columns:
+    """Return the first three columns behind one that only tells the points apart; ``names`` call no axis."""
+    width = max((len(row) - row.count("") for row in rows), default=0)
+    ids = [float(row[0]) if is_number(row[0]) else math.nan for row in rows]
+    counted = any(ids == list(range(start, start + len(ids))) for start in (0, 1))
+    start = int(width > 3 and (counted or all(map(math.isnan, ids))))
+    if names and width - start > 3:
+        raise InputError(f"which of the columns {', '.join(names)} are x, y and z?")
+    if set("ijk") <= set(map(str.lower, names)):
+        raise InputError("positions in voxels; they must be in mm")
+    return [(start + k, 1.0) for k in range(3)]
 
 
 def numbers(value: Any, name: str, shape: tuple[int, ...] = (-1,)) -> NDArray[np.float64]:

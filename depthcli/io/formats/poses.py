@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import is_rotation
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import naming, read_bytes
+from depthcli.io.formats.plain_text import text_of
 
 Pose = tuple[float, ...]
 """The 16 numbers of a (4, 4) matrix, row by row: from the camera's coordinates to the world's, meters."""
@@ -57,7 +58,7 @@ def read_poses(path: Path) -> Poses:
     """
     rows: list[list[float]] = []
     with naming(path):
-        for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
+        for number, line in enumerate(text_of(read_bytes(path)).splitlines(), 1):
             words = line.replace(",", " ").split()
             if not words or words[0].startswith("#"):
                 continue

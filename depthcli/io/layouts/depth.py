@@ -10,7 +10,7 @@ from typing import Any
 from depthcli.core.cameras.camera import Place, check_place
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import naming, read_bytes
-from depthcli.io.formats.plain_text import numbers
+from depthcli.io.formats.plain_text import numbers, text_of
 from depthcli.io.formats.poses import Poses, read_poses
 from depthcli.io.layouts.base import Folder, Layout, Layouts, Meta
 from depthcli.io.layouts.rows import NUMBER, Found, LayoutRow
@@ -99,7 +99,7 @@ def _sun(found: Found) -> dict[str, Any]:
 
 def _matrix(path: Path) -> tuple[float, ...]:
     """Return fx, fy, cx, cy of a file with a camera matrix, 3 x 3 or 4 x 4."""
-    text = read_bytes(path).decode("ascii", "replace")
+    text = text_of(read_bytes(path))
     with naming(path):
         values = numbers(text, "the camera matrix")
         if values.size not in (9, 16) or min(values[0], values[5 if values.size == 16 else 4]) <= 0:
@@ -179,7 +179,7 @@ class Tum(Layout):
 
 def _lines(path: Path, fields: int) -> list[list[str]]:
     rows = []
-    for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
+    for number, line in enumerate(text_of(read_bytes(path)).splitlines(), 1):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue

@@ -15,7 +15,7 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import KITTI_SCALE, read_disparity
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.plain_text import key_values, numbers
+from depthcli.io.formats.plain_text import key_values, numbers, text_of
 from depthcli.io.layouts.base import Folder, Layouts
 from depthcli.io.layouts.rows import Found, LayoutRow
 from depthcli.io.scenes import MAX_DISPARITY, Scene, StereoScene
@@ -61,7 +61,7 @@ def _middlebury_v3(found: Found) -> dict[str, Any]:
     calib: dict[str, float] = {}
     if (path := found.files.get("calibration")) is not None:
         with naming(path):
-            fields = key_values(read_bytes(path).decode("utf-8", "replace"))
+            fields = key_values(text_of(read_bytes(path)))
             calib = {k: float(numbers(v, k)[0]) for k, v in fields.items() if re.fullmatch(r"[-+0-9.eE]+", v)}
     top = calib.get("ndisp")
     if top is not None and top > MAX_DISPARITY:
