@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,17 @@ RESULTS = (*_FILES, "errors/**/*", "bounds/**/*", "curves/**/*", "points/**/*", 
 """Shell patterns of the files of an evaluation."""
 
 
+class ScoredMap(NamedTuple):
+    """One run's map: its scores, its file, and the data that the protocol read."""
+
+    result: MapResult
+    path: Path
+    estimate: Any
+    truth: Any
+    confidences: Mapping[str, NDArray[Any]]
+    bound: NDArray[Any] | None = None
+
+
 class Viewer:
     """A file that shows the maps, such as the page; it gets them while they are scored."""
 
@@ -58,16 +69,8 @@ class Viewer:
     def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
         """Begin a scene, to which the maps that follow belong; ``truth`` is what ``protocol.truth(scene)`` returned."""
 
-    def add_map(
-        self,
-        result: MapResult,
-        path: Path,
-        estimate: Any,
-        truth: Any,
-        confidences: Mapping[str, NDArray[Any]],
-        bound: NDArray[Any] | None,
-    ) -> None:
-        """Add one run's map to the scene: its scores, its file, and the data that the protocol read."""
+    def add_map(self, scored: ScoredMap) -> None:
+        """Add one run's map to the scene."""
 
     def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
         """Write the file: the report, all of it as JSON, and run -> its resolved config, or empty."""
@@ -357,7 +360,8 @@ class _Scoring:
                 write_png(self.output / result.picture, drawn)
             if outside is not None and (drawn := picture(protocol, estimate, truth, outside)) is not None:
                 write_png(self.output / result.bound_picture, drawn)
-        self.show(lambda viewer: viewer.add_map(result, path, estimate, truth, confidences, bound))
+        scored = ScoredMap(result, path, estimate, truth, confidences, bound)
+        self.show(lambda viewer: viewer.add_map(scored))
         return result
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import Viewer
+from depthcli.evaluation.evaluate import ScoredMap, Viewer
 from depthcli.evaluation.protocols import AnyProtocol, picture
 from depthcli.evaluation.scores import MapResult, difference
 from depthcli.io.formats.images import write_png
@@ -65,8 +64,9 @@ class ContactSheet(Viewer):
             own += [*map(self._map, maps), _bar(*self._ends, presentation.unit)]
         self._rows.append(_Row(scene.name, protocol, {"": own}, []))
 
-    def add_map(self, result: MapResult, path: Path, estimate: Any, truth: Any, *_: Any) -> None:
+    def add_map(self, scored: ScoredMap) -> None:
         """Add one run's map and its error picture."""
+        result, _, estimate, truth, *_ = scored
         if result.scene != self._scene:
             return
         row = self._rows[-1]

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import Viewer
-from depthcli.evaluation.scores import MapResult
+from depthcli.evaluation.evaluate import ScoredMap, Viewer
 from depthcli.io.formats.files import write_text
 from depthcli.report.plots import curve_plot
 from depthcli.report.tables import report_tables
@@ -20,8 +18,9 @@ class Document(Viewer):
     file = "report.md"
     needed = True
 
-    def add_map(self, result: MapResult, *_: Any) -> None:
+    def add_map(self, scored: ScoredMap) -> None:
         """Write the plots of one run's map."""
+        result = scored.result
         for (region, of), plot in result.plots.items():
             lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
             write_text(self.folder / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import json
 import math
 import shutil
 from collections.abc import Mapping, Sequence
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
-from depthcli.core.errors import InputError
 from depthcli.core.text import printable, without_secrets
 from depthcli.evaluation.bounds import COVERAGE
 from depthcli.evaluation.comparison import EvaluationReport, Section
-from depthcli.evaluation.evaluate import Viewer
+from depthcli.evaluation.evaluate import ScoredMap, Viewer
 from depthcli.evaluation.protocols import AnyProtocol
-from depthcli.evaluation.scores import MapResult, difference
+from depthcli.evaluation.scores import difference
 from depthcli.io.formats.files import write_text
 from depthcli.io.scenes import Scene
 from depthcli.report import tables
@@ -64,25 +59,10 @@ class Page(Viewer):
         self._save(self._scene)
         self._scene = view_with_truth(protocol, scene, truth)
 
-    def add_map(
-        self,
-        result: MapResult,
-        path: Path,
-        estimate: Any,
-        truth: Any,
-        confidences: Mapping[str, Any],
-        bound: NDArray[Any] | None,
-    ) -> None:
-        """Add one run's map to the scene; the whole map, if its truth is known at few points."""
-        if self._scene is None:
-            return
-        shown, dense = self._scene.protocol, None
-        if shown.presentation.at_points(truth):
-            with contextlib.suppress(InputError):  # the scores count, the whole map is an extra
-                dense = shown.presentation.show(path, self._scene.scene, shown.files)
-        self._scene.add(result.run, path, estimate, truth, confidences, dense, bound)
-        if result.bounds:
-            self._scene.add_picture(result.run, "truth outside the bound", self.folder / result.bound_picture)
+    def add_map(self, scored: ScoredMap) -> None:
+        """Add one run's map to the scene."""
+        if self._scene is not None:
+            self._scene.add(scored, self.folder)
 
     def _save(self, view: SceneView | None) -> None:
         self._scene = None

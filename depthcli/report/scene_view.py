@@ -6,8 +6,8 @@ the run's own figures of it.
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.text import side_and_distance
+from depthcli.evaluation.evaluate import ScoredMap
 from depthcli.evaluation.map_files import PROBABILITY
 from depthcli.evaluation.protocols import AnyProtocol, ShownMap, shown_pixels
 from depthcli.io.formats.images import read_image
@@ -172,18 +173,16 @@ class SceneView:
         tall = abs(rows.step / columns.step) if rows and columns else 1.0
         return {"name": name, "axis": cut.axis, "plane": plane, "axes": [columns, rows], "tall": tall}
 
-    def add(
-        self,
-        run: str,
-        path: Path,
-        estimate: Any,
-        truth: Any,
-        confidences: Mapping[str, NDArray[Any]],
-        dense: ShownMap | None = None,
-        bound: NDArray[Any] | None = None,
-    ) -> None:
-        """Add one run's map, with its status, confidences and bound; ``dense``: shown instead of few points."""
-        protocol, base = self.protocol, self.base
+    def add(self, scored: ScoredMap, folder: Path) -> None:
+        """Add one run's map, with its status, confidences and bound; the whole map, if its truth is at few points.
+
+        ``folder`` has the picture of the truth outside the bound.
+        """
+        result, path, estimate, truth, confidences, bound = scored
+        run, protocol, base, dense = result.run, self.protocol, self.base, None
+        if protocol.presentation.at_points(truth):
+            with contextlib.suppress(InputError):  # the scores count, the whole map is an extra
+                dense = protocol.presentation.show(path, self.scene, protocol.files)
         assert base.kinds is not None
         known, hidden = base.kinds > 0, base.kinds == HIDDEN_RIGHT
         on_grid: Any = protocol.presentation.on_grid
@@ -207,11 +206,8 @@ class SceneView:
             self._drawn[run]["bound"] = "bound", small
         worst = error[wrong & ~np.isnan(error)]
         self._highs.append(float(np.quantile(worst, 0.9)) if worst.size else math.nan)
-
-    def add_picture(self, run: str, kind: str, file: Path) -> None:
-        """Add a picture of a run's map that is a file, if it can be read."""
-        if (picture := _preview(file, _MAX_PICTURE)) is not None:
-            self.thumbs.setdefault(run, {})[kind] = picture
+        if result.bounds and (picture := _preview(folder / result.bound_picture, _MAX_PICTURE)) is not None:
+            self.thumbs[run] = {"truth outside the bound": picture}
 
     def add_shown(self, run: str, path: Path, shown: ShownMap) -> None:
         """Add the map of a run without truth: map, status, confidences and bound."""

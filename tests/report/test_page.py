@@ -18,7 +18,7 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.volumes import Grid
 from depthcli.evaluation.comparison import EvaluationReport
-from depthcli.evaluation.evaluate import Choices, evaluate_runs
+from depthcli.evaluation.evaluate import Choices, ScoredMap, evaluate_runs
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
@@ -249,7 +249,7 @@ def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, kind: type[Registr
     result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
     page.begin(tmp_path)
     page.begin_scene(judge, scene, truth)
-    page.add_map(result, tmp_path / "box", points, truth, {"c": points}, points)
+    page.add_map(ScoredMap(result, tmp_path / "box", points, truth, {"c": points}, points))
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, "truth"), "{}", {})
     reader = read(tmp_path)
     assert ("data-0" in reader.scripts) == (kind is Shifted)
@@ -331,7 +331,7 @@ def sheet_of(folder: Path, image: np.ndarray | None, maps: dict[str, dict[str, f
         for run, value in of_runs.items():
             values = np.full(TRUTH.shape, value, np.float32)
             results.append(MapResult(run, name, "set", judge.name, scores=tuple(judge.scores(values, truth))))
-            sheet.add_map(results[-1], folder, values, truth, {})
+            sheet.add_map(ScoredMap(results[-1], folder, values, truth, {}))
     sheet.write(EvaluationReport(("first", "second"), tuple(results), {}, "truth"), "", {})
     return sheet
 

@@ -11,7 +11,9 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.maps import Status
+from depthcli.evaluation.evaluate import ScoredMap
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
+from depthcli.evaluation.scores import MapResult
 from depthcli.io.formats.disparity import read_pfm, write_pfm
 from depthcli.io.formats.images import read_grey, read_image, write_png
 from depthcli.io.formats.status import read_status
@@ -212,7 +214,8 @@ def test_landmarks_leave_the_whole_volume_in_sight(volumes: Path):
     assert view is not None
     assert judge.presentation.at_points(truth)
     dense = judge.presentation.show(made, scene, judge.files)
-    view.add("run", made, judge.read(made, scene, truth), truth, {}, dense)
+    result = MapResult("run", scene.name, "set", judge.name)
+    view.add(ScoredMap(result, made, judge.read(made, scene, truth), truth, {}), made.parent)
     for cut, shown in zip(view._cuts, view.data["views"], strict=True):
         values, known = unpack(shown["runs"]["run"]["values"]), unpack(shown["region"]) > 0
         assert np.array_equal(np.isnan(values), np.isnan(dense.values[cut.index]))
