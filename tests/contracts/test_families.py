@@ -45,9 +45,12 @@ def of_pixels(image: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np
     return costs[in_row].reshape(height, width - 1), costs[~in_row].reshape(height - 1, width)
 
 
-@pytest.mark.parametrize(
-    "term", [of_pixels, lambda image: neighbor_weights(image, 4.0, 10.0, 0.1)], ids=["segments", "maps"]
-)
+def of_maps(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The smoothness of fused maps."""
+    return neighbor_weights(image, 4.0, 10.0, 0.1)
+
+
+@pytest.mark.parametrize("term", [of_pixels, of_maps])
 @pytest.mark.parametrize("check", SMOOTHNESS_CHECKS, ids=lambda check: check.__name__)
 def test_smoothness(term: Smoothness, check: Callable[[Any], None]):
     check(term)
