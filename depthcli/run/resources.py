@@ -7,7 +7,6 @@ import os
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import show_bytes
 
 
@@ -25,6 +24,8 @@ def check_memory(need: int, limit: int, size: str, keys: str = "") -> None:
 
     ``keys`` of the config help.
     """
+    from depthcli.core.memory import BASE_BYTES  # which imports numpy: not for --help
+
     need += BASE_BYTES
     if need > limit:
         hint = f"; see {keys}" if keys else ""
