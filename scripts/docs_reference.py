@@ -37,8 +37,8 @@ from depthcli.methods.confidence import measures as confidence_measures
 from depthcli.methods.registration.search import MEASURES
 from depthcli.problems import PROBLEMS
 from depthcli.report import terms
-from depthcli.run.folder import REPORT_FILES
 from depthcli.run.presets import find_config, list_presets
+from depthcli.run.records import REPORT_FILES
 
 METHOD_PACKAGES = [
     *(f"depthcli.methods.{name}" for name in (

@@ -13,8 +13,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.errors import DepthcliError
-from depthcli.run.folder import REPORT_FILES
-from depthcli.run.records import RECORD_FILE
+from depthcli.run.records import RECORD_FILE, REPORT_FILES
 
 
 def run(*arguments: str | Path) -> int:

@@ -31,8 +31,7 @@ from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import EVALUATION, LEGEND_FILE, refusal, saved_config, staging_folder
 from depthcli.run.job import Execution, SceneT
 from depthcli.run.json_csv import Row, to_json
-from depthcli.run.records import read_record
-from depthcli.run.report import report_document
+from depthcli.run.records import read_record, report_document
 from depthcli.run.runner import Plan, run_scenes
 from depthcli.run.workers import BUG
 from depthcli.show.table import aligned, run_table

@@ -26,7 +26,7 @@ from depthcli.io.formats.disparity import read_disparity
 from depthcli.io.formats.files import atomic_path, collected_warnings, remove_temporaries
 from depthcli.io.formats.images import image_size
 from depthcli.run.json_csv import to_json
-from depthcli.run.report import read_report
+from depthcli.run.records import read_report
 
 _MAX_NAMED = 12  # scenes that one message names, which keeps it within a few lines
 

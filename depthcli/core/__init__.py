@@ -5,7 +5,6 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 | module | holds |
 |---|---|
 | ``method`` | ``Method``, base of the algorithms; ``Family``, those of a folder |
-| ``root_config`` | ``RootConfig``, base of the configs of commands |
 | ``registry`` | named classes of one kind |
 | ``plugins`` | what files of users and installed modules add to them |
 | ``config_file`` | ``load_config``: a YAML file, the one it is based on, and ``--set`` become a checked model |

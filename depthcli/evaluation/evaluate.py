@@ -33,7 +33,7 @@ from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, flag_rows, plain_name
 from depthcli.run.folder import saved_config, staging_folder
 from depthcli.run.json_csv import Row, to_json
-from depthcli.run.report import read_report
+from depthcli.run.records import read_report
 from depthcli.show.table import to_csv
 
 PAGE_FILE = "report.html"

@@ -22,7 +22,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from depthcli.core.root_config import RootConfig
+    from depthcli.core.method import RootConfig
     from depthcli.problems.problem import Problem
 
 PROBLEMS = {

@@ -32,8 +32,7 @@ from depthcli.problems.results import PointCloud, check_limits, chosen_pixels, d
 from depthcli.run.job import Outcome
 from depthcli.run.json_csv import Row, share
 from depthcli.run.json_csv import median as median_of
-from depthcli.run.records import is_inside, read_json
-from depthcli.run.report import read_report
+from depthcli.run.records import is_inside, read_json, read_report
 from depthcli.show.table import SIZE, number, percent
 from depthcli.show.view import STATUS_PALETTE
 

@@ -18,8 +18,8 @@ from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
 from depthcli.core.context import Context
 from depthcli.core.frames import RgbdFrame, SparseFrame
 from depthcli.core.maps import DepthMap, DepthStatus, Floats
+from depthcli.core.method import RootConfig
 from depthcli.core.result import DepthResult
-from depthcli.core.root_config import RootConfig
 from depthcli.io.formats.depth import MILLIMETERS, beyond_png
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.networks import network_path, read_errors, read_network, read_numbers

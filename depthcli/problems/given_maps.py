@@ -50,8 +50,7 @@ from depthcli.problems.problem import Problem, ResultT, Shown
 from depthcli.problems.results import Disparity, made, write_details, write_disparity
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row, median, share
-from depthcli.run.records import RECORD_FILE
-from depthcli.run.report import read_report
+from depthcli.run.records import RECORD_FILE, read_report
 from depthcli.run.resources import available_memory, check_memory
 from depthcli.show.table import SIZE, number, percent
 from depthcli.show.view import STATUS_PALETTE, View

@@ -14,8 +14,7 @@ from pydantic import BaseModel
 from depthcli.core import config_file
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
-from depthcli.core.method import used_files
-from depthcli.core.root_config import RootConfig
+from depthcli.core.method import RootConfig, used_files
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.depth import meters
 from depthcli.io.formats.images import pair_of

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from depthcli.core.context import Context
-from depthcli.core.root_config import RootConfig
+from depthcli.core.method import RootConfig
 from depthcli.io.layouts import Layouts
 from depthcli.io.scenes import Scene
 from depthcli.run.console import Reporter

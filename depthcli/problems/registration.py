@@ -21,7 +21,7 @@ from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.bound import VolumeBound
 from depthcli.core.context import Context
 from depthcli.core.errors import InputError
-from depthcli.core.root_config import RootConfig
+from depthcli.core.method import RootConfig
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png

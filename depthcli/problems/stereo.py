@@ -21,8 +21,7 @@ from depthcli.core.context import Context, Latest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.core.method import parts_of
-from depthcli.core.root_config import RootConfig
+from depthcli.core.method import RootConfig, parts_of
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
 from depthcli.io.formats.images import image_size, pair_of

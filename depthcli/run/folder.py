@@ -20,6 +20,7 @@ from depthcli.io.formats.files import RUN_FILE, flush, write_text
 from depthcli.run.records import (
     CLAIM_FILE,
     RECORD_FILE,
+    REPORT_FILES,
     Record,
     digest,
     digests_below,
@@ -39,7 +40,6 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-REPORT_FILES = ("report.json", "report.csv")
 LEGEND_FILE = "legend.png"
 EVALUATION = "evaluation"
 """Folder of a run's scores and page, in the run folder."""

@@ -1,8 +1,9 @@
-"""Records of results: their inputs and files, by which a later run resumes and replaces no other file.
+"""Records of results: their inputs and files, by which a later run resumes and replaces no other file; and reports.
 
 The folder of a scene has its results and ``record.json``, which is written last; so does an evaluation. Results are
 made in a hidden folder and then moved. A record is not trusted when it is read: it may name only files in its own
-folder, has a digest of itself and of each of them, and is ignored if a digest does not match.
+folder, has a digest of itself and of each of them, and is ignored if a digest does not match. The report of a run has
+the rows of its records.
 """
 
 from __future__ import annotations
@@ -18,11 +19,14 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from depthcli.core.errors import InputError, OutputError
 from depthcli.io.formats.files import file_states, flush, flush_all, open_regular, remove_temporaries, write_text
-from depthcli.run.json_csv import Row, to_json
+from depthcli.run.json_csv import Row, to_json, to_json_line
+from depthcli.show.table import to_csv
 
+REPORT_FILES = ("report.json", "report.csv")
 RECORD_FILE = "record.json"
 CLAIM_FILE = ".claim.json"
 """The record of results that are being written or removed: they are not done, but their files may be replaced."""
@@ -262,3 +266,43 @@ def _foreign_files(folder: Path, files: Mapping[str, str]) -> list[str]:
     if not known and not any(content == files[name] for name, content in there.items()):
         names += [name for name in (RECORD_FILE, CLAIM_FILE) if os.path.lexists(folder / name)]  # not a damaged record
     return names
+
+
+def write_report(folder: Path, command: str, run: str) -> list[Row]:
+    """Write the report of all scenes of a run that have a record, and return its rows; OutputError where impossible."""
+    rows = sorted((record.row for record in records_below(folder, run)), key=lambda row: str(row["scene"]))
+    document = report_document(command, rows)
+    lines = ",\n  ".join(map(to_json_line, rows))
+    text = to_json(document | {"scenes": []}).replace('"scenes": []', f'"scenes": [\n  {lines}\n ]')
+    write_text(folder / REPORT_FILES[0], text)
+    write_text(folder / REPORT_FILES[1], to_csv(rows))
+    return rows
+
+
+def is_gone(source: str) -> bool:
+    """Return whether a source of a row was removed: neither the file is there nor an archive, but a folder above it."""
+    above = Path(source).parents
+    return not os.path.exists(source) and any(map(os.path.isdir, above[:2])) and not any(map(os.path.isfile, above))
+
+
+def report_document(command: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """Return the document of ``report.json``: command, rows, and how many are done and failed."""
+    failed = sum(row["status"] == "failed" for row in rows)
+    return {"command": command, "scenes": list(rows), "done": len(rows) - failed, "failed": failed}
+
+
+def read_report(folder: Path) -> dict[str, Row]:
+    """Return the rows of a run folder's report by scene, with the types that readers expect; empty without a report."""
+    document = read_json(folder / REPORT_FILES[0])
+    rows = document.get("scenes") if isinstance(document, dict) else None
+    found = {}
+    for row in rows if isinstance(rows, list) else []:
+        if isinstance(row, dict) and isinstance(row.get("scene"), str):
+            seconds, peak = row.get("seconds"), row.get("peak_memory")
+            known = isinstance(seconds, dict) and all(isinstance(s, int | float) for s in seconds.values())
+            row |= {"seconds": seconds if known else {}, "peak_memory": peak if isinstance(peak, int) else None}
+            lines = row.get("warnings")
+            row["warnings"] = list(map(str, lines)) if isinstance(lines, list) else []
+            row |= {key: str(row.get(key) or "") for key in ("status", "error", "source")}
+            found[row["scene"]] = row
+    return found

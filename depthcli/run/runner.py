@@ -31,11 +31,12 @@ from depthcli.run.records import (
     digest_and_state,
     discard,
     hidden_folder,
+    is_gone,
     read_record,
     remove_leftovers,
     write_record,
+    write_report,
 )
-from depthcli.run.report import is_gone, write_report
 from depthcli.run.workers import GOES_ON, Task, Work, compute_on_this_machine
 
 # Digests that are remembered: calibrations and videos belong to several scenes that follow each other.

@@ -11,8 +11,7 @@ from pydantic import BaseModel, Field
 
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError
-from depthcli.core.method import Family
-from depthcli.core.root_config import RootConfig
+from depthcli.core.method import Family, RootConfig
 from depthcli.core.yaml_source import parse_config, read_config
 from depthcli.problems.fusion import FuseConfig
 from depthcli.problems.stereo import StereoConfig

@@ -26,8 +26,7 @@ from depthcli.io.scenes import Scene
 from depthcli.run import records, workers
 from depthcli.run.console import Reporter
 from depthcli.run.job import Execution, Job, Outcome
-from depthcli.run.records import RECORD_FILE, discard, hidden_folder
-from depthcli.run.report import read_report
+from depthcli.run.records import RECORD_FILE, discard, hidden_folder, read_report
 from depthcli.run.runner import run_scenes
 from depthcli.run.workers import Task, Work, compute_scene
 from depthcli.show.table import Column, run_table

@@ -18,7 +18,7 @@ from depthcli.commands._run import run_job
 from depthcli.commands._scenes import find_scenes
 from depthcli.commands._shared_options import ConfigArgument, SetOption
 from depthcli.core.context import Context
-from depthcli.core.root_config import RootConfig
+from depthcli.core.method import RootConfig
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
