@@ -14,8 +14,8 @@ from depthcli.api.stereo import with_network
 from depthcli.commands import config_model
 from depthcli.core.config_file import load_config
 from depthcli.evaluation.render import Table
-from depthcli.io.layouts.stereo import PAIRS
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.run.presets import find_config
 
 THESIS = yaml.safe_load((_env.ROOT / "scripts" / "thesis.yaml").read_text("utf-8"))

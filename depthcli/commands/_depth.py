@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from depthcli.api.results import PointCloud
 from depthcli.api.saving import check_limits, chosen_pixels, empty_cloud, parse_mask, write_depth
 from depthcli.commands._options import CloudOptions, MapOptions, RunOptions
-from depthcli.commands._scenes import scenes_at
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.context import Context
@@ -28,10 +27,10 @@ from depthcli.io.formats.disparity import read_disparity, read_pfm
 from depthcli.io.formats.files import naming, shown
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.pictures import STATUS_PALETTE, read_status
-from depthcli.io.inputs import local
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
-from depthcli.io.walk import matches_any, scenes_with_files
+from depthcli.io.scenes.find import matches_any, scenes_at, scenes_with_files
+from depthcli.io.scenes.pairs import PAIRS
+from depthcli.io.scenes.places import local
 from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE, Reporter, number, percent
 from depthcli.run.job import Outcome
@@ -181,7 +180,7 @@ def find_maps(maps: MapOptions, reporter: Reporter) -> list[DisparityScene]:
         raise InputError(f"{run}: no {'scene matches' if there else 'disparity maps there'} (SCENE/{_MAP})")
     sources = {name: local(source) for name in names if (source := rows.get(name, {}).get("source"))}
     if maps.input is not None:
-        pairs = scenes_at(maps.input, PAIRS, maps.layout, ["*"], reporter)
+        pairs = scenes_at(maps.input, PAIRS, maps.layout, ["*"], reporter.info)
         inputs = {scene.name: cast(Scene, scene) for scene in pairs}
     else:
         known = scenes_with_files(sources.values(), PAIRS)

@@ -13,8 +13,8 @@ from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import InputError
 from depthcli.io.formats.disparity import map_npy
 from depthcli.io.formats.networks import network_path
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.stages import PairMatcher
 

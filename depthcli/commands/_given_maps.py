@@ -28,9 +28,9 @@ from depthcli.evaluation.map_files import (
 from depthcli.io.formats.disparity import lone_constant, read_disparity, read_plane
 from depthcli.io.formats.files import collected_warnings, shown, warn
 from depthcli.io.formats.images import image_size
-from depthcli.io.inputs import local
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene
+from depthcli.io.scenes.pairs import PAIRS
+from depthcli.io.scenes.places import local
 from depthcli.methods.given_maps import peak_bytes
 from depthcli.problems.problem import SceneJob
 from depthcli.run.console import Reporter

@@ -29,8 +29,8 @@ from depthcli.core.frames import StereoPair
 from depthcli.io.formats.calibrations import write_geometry
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import write_png
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_views
 from depthcli.methods.stereo.config import Calibration
 from depthcli.methods.stereo.rectification import RectifyingHomographies, rectify_uncalibrated

@@ -25,10 +25,9 @@ from depthcli.io.formats.depth import sensor_warning
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
-from depthcli.io.layouts import Folder
-from depthcli.io.layouts.depth import FRAMES, cameras
 from depthcli.io.rgbd_frames import frame_size, load_frame
-from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
+from depthcli.io.scenes import Folder, RgbdScene, Scene, SequenceScene, sequences
+from depthcli.io.scenes.frames import FRAMES, cameras
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import SequencePipeline, frame_by_frame
 from depthcli.problems.problem import SceneJob, Shown

@@ -19,8 +19,8 @@ from depthcli.commands._scenes import find_scenes
 from depthcli.core.context import Context
 from depthcli.core.errors import InputError
 from depthcli.io.formats.volumes import written_suffix
-from depthcli.io.layouts.registration import VOLUMES
 from depthcli.io.scenes import VolumePairScene
+from depthcli.io.scenes.volumes import VOLUMES
 from depthcli.io.volume_pairs import LoadedPair, landmarks, load_volumes, loaded_size, region_masks
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline import RegistrationResult, at_voxels

@@ -13,8 +13,8 @@ from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.evaluate import RESULTS, Choices, can_be_missed, evaluate_runs
 from depthcli.evaluation.map_files import run_names
 from depthcli.evaluation.protocols import load
-from depthcli.io.inputs import local, origin
 from depthcli.io.scenes import Scene, SequenceScene
+from depthcli.io.scenes.places import local, origin
 from depthcli.problems.problem import SceneJob
 from depthcli.report.page import Page
 from depthcli.report.without_truth import RunWithoutTruth

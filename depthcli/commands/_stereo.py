@@ -10,8 +10,8 @@ from depthcli.commands._options import RunOptions, SceneOptions
 from depthcli.commands._pairs import MatchPairs, pair_config
 from depthcli.commands._scenes import find_scenes
 from depthcli.device import Device
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.on_device import device_implementation_of
 from depthcli.methods.stereo.stages import PairMatcher

@@ -19,9 +19,8 @@ from depthcli.evaluation.evaluate import Choices, evaluate_runs
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import mean_of_known
 from depthcli.io.formats.files import write_text
-from depthcli.io.inputs import local
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
+from depthcli.io.scenes.places import local
 from depthcli.problems.problem import SceneJob
 from depthcli.run.console import aligned
 from depthcli.run.folder import FolderLock

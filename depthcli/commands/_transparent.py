@@ -19,9 +19,9 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.io.formats.pictures import DEPTH_STATUS_PALETTE
-from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame, load_masked_frame, load_sparse_frame
 from depthcli.io.scenes import RgbdScene, RgbIrScene
+from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE, number, percent

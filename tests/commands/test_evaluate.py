@@ -27,8 +27,7 @@ from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.pictures import NO_VALUE, map_picture
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.run.records import Record, write_record
 from tests.command_line import contents, refused
 from tests.command_line import run as run_command

@@ -8,8 +8,7 @@ import pytest
 
 from depthcli.commands._options import SampleOptions
 from depthcli.core.method import Family
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes
 from tests.contracts.checks import CHECKS
 from tests.contracts.layouts import check_layout

@@ -20,8 +20,8 @@ from depthcli.commands._shared_options import ConfigArgument, SetOption
 from depthcli.core.context import Context
 from depthcli.core.root_config import RootConfig
 from depthcli.io.formats.disparity import write_pfm
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.problems.problem import SceneJob, Shown
 from depthcli.run.console import SIZE
