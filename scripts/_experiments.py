@@ -13,8 +13,8 @@ import yaml
 
 from depthcli.commands import config_model
 from depthcli.core.config_file import load_config
-from depthcli.io.layouts.stereo import PAIRS
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.problems.fusion import Fuse
 from depthcli.run.presets import find_config
 from depthcli.show.table import Table

@@ -27,10 +27,10 @@ from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.frames import RgbdFrame, SparseFrame, StereoPair, color8
 from depthcli.core.result import Clock
 from depthcli.io.formats.images import read_image
-from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import load_frame, true_depth
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.frames import FRAMES
 from depthcli.io.stereo_pairs import load_pair, true_disparity
-from depthcli.io.walk import discover_scenes
 from depthcli.methods.transparent.cross_modal import GREY, learned_weights, mix_channels
 from depthcli.simulate.depth_sensor import KinectSample, simulate_kinect
 from depthcli.simulate.kinect_scenes import SEQUENCE_KINDS, make_kinect_scene, make_kinect_sequence

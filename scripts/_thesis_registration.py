@@ -23,9 +23,9 @@ from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.io.formats.fields import in_millimeters, read_field
 from depthcli.io.formats.volumes import simple_itk
-from depthcli.io.layouts.registration import VOLUMES
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.volumes import VOLUMES
 from depthcli.io.volume_pairs import load_volumes, true_errors
-from depthcli.io.walk import discover_scenes
 from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.search import search
 from depthcli.simulate.deformed_volumes import smooth_noise

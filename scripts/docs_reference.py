@@ -32,7 +32,7 @@ from depthcli.io.formats.files import RUN_FILE
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
 from depthcli.io.formats.volumes import VOLUME_SUFFIXES
-from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.scenes.find import ALL_KINDS
 from depthcli.methods.confidence import measures as confidence_measures
 from depthcli.methods.registration.search import MEASURES
 from depthcli.problems import PROBLEMS

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation import protocols
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes import RgbdScene, Scene, StereoScene
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair, true_disparity
 from depthcli.io.volume_pairs import load_volumes, true_errors
-from depthcli.io.walk import discover_scenes
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 V2 = "middlebury_v2"

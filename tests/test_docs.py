@@ -23,7 +23,7 @@ from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
 from depthcli.core.method import Family
 from depthcli.evaluation import protocols
 from depthcli.io.formats.map_format import map_formats
-from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.scenes.find import ALL_KINDS
 from depthcli.methods.registration.search import MEASURES
 from depthcli.run.presets import find_config, list_presets
 

@@ -17,9 +17,9 @@ from depthcli.commands import config_model
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.yaml_source import parse_config
 from depthcli.io.formats.disparity import read_pfm
-from depthcli.io.layouts.stereo import PAIRS
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.io.walk import discover_scenes
 from depthcli.kernels.jit import set_threads
 from depthcli.run.presets import PRESET_FOLDER, find_config, find_preset, list_presets
 from tests.command_line import contents

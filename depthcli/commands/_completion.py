@@ -12,7 +12,7 @@ from depthcli.commands import config_model
 from depthcli.core.config_file import load_config
 from depthcli.core.method import RootConfig
 from depthcli.evaluation import protocols as known_protocols
-from depthcli.io.layouts.all_kinds import ALL_KINDS
+from depthcli.io.scenes.find import ALL_KINDS
 from depthcli.run.presets import find_config, find_preset, list_presets
 
 

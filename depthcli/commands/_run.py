@@ -12,7 +12,6 @@ from pydantic import BaseModel
 
 from depthcli import problems
 from depthcli.commands._options import NOWHERE, CodingOptions, PairOptions, RangeOptions, RunOptions, SceneOptions
-from depthcli.commands._scenes import find_scenes
 from depthcli.commands._shared_options import TableOptions, parse_bytes
 from depthcli.core.config_file import dump_config
 from depthcli.core.errors import ConfigError, InputError
@@ -20,8 +19,9 @@ from depthcli.core.memory import BASE_BYTES
 from depthcli.core.text import one_line, show_bytes, summarized
 from depthcli.core.yaml_source import to_yaml
 from depthcli.io.formats.status import write_legend
-from depthcli.io.inputs import local, origin
-from depthcli.io.scenes import Scene, SequenceScene
+from depthcli.io.scenes import Scene, SequenceScene, find
+from depthcli.io.scenes.places import local, origin
+from depthcli.io.scenes.rows import Layouts
 from depthcli.problems.given_maps import GivenMaps, with_maps
 from depthcli.problems.inputs import config_with_options
 from depthcli.problems.problem import SceneJob
@@ -81,6 +81,16 @@ def prepared(
         checked = with_unit(checked, getattr(source, "unit", None))
     job = problem.ready(checked)
     return job, job.units(adapted(find_scenes(problem.rows, source, run)), run.reporter)
+
+
+def find_scenes(layouts: Layouts[SceneT], source: SceneOptions, run: RunOptions) -> list[SceneT]:
+    """Return the scenes that ``--input``, or the options for the files of a single scene, name.
+
+    ``layouts`` belong to the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``. Errors are those of
+    :func:`depthcli.io.scenes.find.find_scenes`.
+    """
+    single = source.single_files
+    return find.find_scenes(layouts, vars(source), single, source.patterns, bool(run.evaluate), run.reporter.info)
 
 
 def run_maps(

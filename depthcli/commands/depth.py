@@ -29,10 +29,10 @@ class DepthRunOptions(RunOptions):
 def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     """Turn every map of the run into depth; return the exit code."""
     from depthcli.commands._run import run_job
-    from depthcli.commands._scenes import scenes_at
     from depthcli.core.errors import ConfigError
-    from depthcli.io.inputs import local
-    from depthcli.io.layouts.stereo import PAIRS
+    from depthcli.io.scenes.find import scenes_at
+    from depthcli.io.scenes.pairs import PAIRS
+    from depthcli.io.scenes.places import local
     from depthcli.problems.depth import ToDepth, find_maps
     from depthcli.problems.rectified import check_unit
 
@@ -52,6 +52,6 @@ def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     job = ToDepth(numbers | vars(clouds) | coding)
     pairs = None
     if (place := maps.input) is not None:
-        pairs = partial(scenes_at, place, PAIRS, maps.layout, ["*"], run.reporter)
+        pairs = partial(scenes_at, place, PAIRS, maps.layout, ["*"], run.reporter.info)
     scenes = find_maps(maps.run, maps.scenes or ["*"], maps.left, files[0] if files else None, bool(given), pairs)
     return run_job(job, scenes, run)

@@ -75,7 +75,7 @@ def evaluate(
     from depthcli.evaluation.map_files import MapNaming, find_runs, given_naming
     from depthcli.evaluation.protocols import Settings, load
     from depthcli.evaluation.truth import scenes_with_truth
-    from depthcli.io.inputs import local
+    from depthcli.io.scenes.places import local
 
     reporter, places = printing.reporter, find_runs(runs)
     of_all, own = given_naming(places, "--maps", maps, scale, invalid)

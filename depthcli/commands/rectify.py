@@ -15,9 +15,8 @@ from depthcli.commands._options import PairOptions, RectifyOptions, RunOptions
 
 def rectify(pairs: PairOptions, how: RectifyOptions, run: RunOptions) -> int:
     """Rectify every pair; return the exit code."""
-    from depthcli.commands._run import run_job
-    from depthcli.commands._scenes import find_scenes
-    from depthcli.io.layouts.stereo import PAIRS
+    from depthcli.commands._run import find_scenes, run_job
+    from depthcli.io.scenes.pairs import PAIRS
     from depthcli.problems.rectify import rectifier
 
     return run_job(rectifier(**vars(how)), find_scenes(PAIRS, pairs, run), run, pairs)

@@ -31,8 +31,8 @@ def refine_kinect(
 ) -> int:
     """Refine single frames, or sequences where the method carries state from frame to frame."""
     from depthcli.commands._run import run_problem
-    from depthcli.io.layouts import Folder
-    from depthcli.io.layouts.depth import cameras
+    from depthcli.io.scenes import Folder
+    from depthcli.io.scenes.frames import cameras
 
     camera = None if depth_intrinsics is None else camera_of("--depth-intrinsics", depth_intrinsics)
 

@@ -57,9 +57,8 @@ def sweep(
     from depthcli.evaluation.evaluate import Choices, evaluate_runs
     from depthcli.evaluation.sweeps import combinations, compared, parse_axes, text_of
     from depthcli.io.formats.files import write_text
-    from depthcli.io.inputs import local
-    from depthcli.io.layouts.all_kinds import ALL_KINDS
-    from depthcli.io.walk import discover_scenes
+    from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
+    from depthcli.io.scenes.places import local
     from depthcli.run.folder import FolderLock
     from depthcli.run.json_csv import to_json
     from depthcli.show.table import to_csv

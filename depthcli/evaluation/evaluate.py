@@ -26,9 +26,8 @@ from depthcli.io.formats.files import collected_warnings, short_path, warn, writ
 from depthcli.io.formats.images import write_png
 from depthcli.io.formats.map_format import format_plugins
 from depthcli.io.formats.status import read_status
-from depthcli.io.inputs import origin
-from depthcli.io.layouts import layout_plugins
-from depthcli.io.scenes import Scene
+from depthcli.io.scenes import Scene, layout_plugins
+from depthcli.io.scenes.places import origin
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Condition, flag_rows, plain_name
 from depthcli.run.folder import saved_config, staging_folder

@@ -14,7 +14,7 @@ from typing import TypeVar
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.files import shown
 from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
-from depthcli.io.inputs import local
+from depthcli.io.scenes.places import local
 
 _N_SHOWN = 5  # patterns, or files, in a message
 _MAX_LISTED = 50_000  # files of a run folder that are looked at

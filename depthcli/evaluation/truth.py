@@ -9,10 +9,9 @@ from typing import Any
 
 from depthcli.core.errors import InputError
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.layouts.base import Folder
 from depthcli.io.scenes import RgbdScene, Scene, StereoScene
-from depthcli.io.walk import discover_scenes, scenes_with_files
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes, scenes_with_files
+from depthcli.io.scenes.rows import Folder
 from depthcli.run.console import Reporter
 
 _DEFAULT_PROTOCOLS = "middlebury-v2", "depth"  # of a truth file in no scene's folder, without --protocol

@@ -23,10 +23,10 @@ from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_pfm
 from depthcli.io.formats.files import collected_warnings, naming, shown
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.status import read_status
-from depthcli.io.inputs import local
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import DisparityScene, Scene, StereoScene, check_same_size
-from depthcli.io.walk import matches_any, scenes_with_files
+from depthcli.io.scenes.find import matches_any, scenes_with_files
+from depthcli.io.scenes.pairs import PAIRS
+from depthcli.io.scenes.places import local
 from depthcli.problems.problem import SceneJob, Shown
 from depthcli.problems.results import PointCloud, check_limits, chosen_pixels, depth_of, empty_cloud, parse_mask
 from depthcli.run.job import Outcome

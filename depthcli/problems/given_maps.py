@@ -37,8 +37,8 @@ from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size, png_bytes, read_image, write_png
 from depthcli.io.formats.networks import network_path, read_errors, read_network
 from depthcli.io.formats.status import read_status
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene, check_same_size
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.given_maps import MEASURES, Networks, judge, judge_by_one_view, peak_bytes

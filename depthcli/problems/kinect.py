@@ -26,9 +26,9 @@ from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import collected_warnings, naming
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.plain_text import numbers
-from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import frame_size, load_frame
 from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
+from depthcli.io.scenes.frames import FRAMES
 from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.kinect.bounds import BYTES_PER_PIXEL
 from depthcli.methods.kinect.pipeline import Pipeline, SequencePipeline, frame_by_frame

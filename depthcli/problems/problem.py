@@ -10,8 +10,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from depthcli.core.context import Context
 from depthcli.core.method import RootConfig
-from depthcli.io.layouts import Layouts
-from depthcli.io.scenes import Scene
+from depthcli.io.scenes import Layouts, Scene
 from depthcli.run.console import Reporter
 from depthcli.run.job import Job, Outcome, SceneT
 from depthcli.run.json_csv import Row

@@ -27,8 +27,8 @@ from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.networks import read_errors
 from depthcli.io.formats.volumes import simple_itk, write_volume, written_suffix
-from depthcli.io.layouts.registration import VOLUMES
 from depthcli.io.scenes import VolumePairScene
+from depthcli.io.scenes.volumes import VOLUMES
 from depthcli.io.volume_pairs import (
     LoadedPair,
     blocks_of,

@@ -25,8 +25,8 @@ from depthcli.core.method import RootConfig, parts_of
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
 from depthcli.io.formats.images import image_size, pair_of
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.given_maps import bounds, peak_bytes

@@ -21,9 +21,9 @@ from depthcli.core.maps import DepthStatus
 from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import MILLIMETERS
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame, load_masked_frame, load_sparse_frame
 from depthcli.io.scenes import RgbdScene, RgbIrScene
+from depthcli.io.scenes.frames import FRAMES
 from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.methods.transparent.pipeline import Pipeline

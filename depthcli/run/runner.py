@@ -19,8 +19,8 @@ from depthcli.core.method import used_files, used_plugins
 from depthcli.core.plugins import Plugin, loaded, plugins_of
 from depthcli.io.formats.files import flush_all
 from depthcli.io.formats.map_format import format_plugins
-from depthcli.io.inputs import origin
-from depthcli.io.layouts import layout_plugins
+from depthcli.io.scenes import layout_plugins
+from depthcli.io.scenes.places import origin
 from depthcli.run.cluster import compute_on_cluster
 from depthcli.run.console import Reporter, WarningCounts
 from depthcli.run.folder import FOLDER_FILES, FolderLock

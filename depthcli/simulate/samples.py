@@ -19,13 +19,12 @@ from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.volumes import write_array
-from depthcli.io.layouts import Layouts
-from depthcli.io.layouts.depth import FRAMES
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.rgbd_frames import load_frame, true_depth
-from depthcli.io.scenes import RgbdScene, Scene, StereoScene
+from depthcli.io.scenes import Layouts, RgbdScene, Scene, StereoScene
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.frames import FRAMES
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair, true_disparity
-from depthcli.io.walk import discover_scenes
 from depthcli.simulate.deformed_volumes import make_deformed_pair
 from depthcli.simulate.depth_sensor import simulate_kinect
 from depthcli.simulate.kinect_scenes import make_kinect_scene, make_kinect_sequence

@@ -15,11 +15,9 @@ from depthcli.core.errors import ConfigError
 from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.volumes import read_volume, write_array
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.named_files import named_scenes
 from depthcli.io.scenes import VolumePairScene
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes, named_scenes
 from depthcli.io.volume_pairs import LoadedPair
-from depthcli.io.walk import discover_scenes
 from depthcli.methods.registration.pipeline import RegistrationResult
 from depthcli.problems.registration import inside_figures
 from tests.command_line import refused

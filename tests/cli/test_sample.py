@@ -9,9 +9,9 @@ import pytest
 from depthcli.cli import main
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.volumes import read_volume
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.simulate.deformed_volumes import make_deformed_pair
 from depthcli.simulate.stereo_scenes import Radiometry, make_scene
 from tests.command_line import contents

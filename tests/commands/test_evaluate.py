@@ -25,8 +25,7 @@ from depthcli.evaluation.scores import MapResult, find_score
 from depthcli.evaluation.truth import scenes_with_truth
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import read_image, write_png
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.report.document import Document
 from depthcli.report.tables import chosen_text, headline_text, report_tables
 from depthcli.run.records import Record, write_record

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from depthcli.io.layouts import Folder, Layout
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.scenes import Scene
+from depthcli.io.scenes import Folder, Layout, Scene
+from depthcli.io.scenes.find import ALL_KINDS
 from tests.scenes import load
 
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.regions import region_graph
 from depthcli.commands._options import SampleOptions
 from depthcli.core.method import Family
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.methods.fusion.choice.energy import neighbor_weights
 from depthcli.methods.stereo.segments.planes import smoothness as smoothness_of_segments
 from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes

@@ -37,7 +37,7 @@ from depthcli.algorithms.segmentation.slic import Slic
 from depthcli.commands import command
 from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
 from depthcli.io.formats.map_format import MapFormat
-from depthcli.io.layouts import Folder, Layout
+from depthcli.io.scenes import Folder, Layout
 from depthcli.io.scenes import StereoScene
 from depthcli.methods.confidence import ConfidenceMeasure
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
@@ -461,7 +461,7 @@ def test_faults_of_a_cost_are_the_plugin_s(
 
 def test_a_layout_that_exits_is_no_success(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     layout = FILE[FILE.index("class MyLayout") : FILE.index("class", FILE.index("class MyLayout") + 1)]
-    imports = "from depthcli.io.layouts import Folder, Layout\nfrom depthcli.io.scenes import StereoScene\n\n\n"
+    imports = "from depthcli.io.scenes import Folder, Layout\nfrom depthcli.io.scenes import StereoScene\n\n\n"
     body = layout[: layout.index("        if folder.requested")]
     (tmp_path / "bad.py").write_text(f"{imports}{body}        raise SystemExit(0)\n")
     run = ["stereo", "opencv-bm", "--plugin", str(tmp_path / "bad.py"), "--layout", "my-layout", "-i", str(scenes)]

@@ -18,10 +18,9 @@ from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_b
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MapResult, Metric, Score, find_score, in_order
 from depthcli.io.formats.disparity import read_disparity, write_pfm
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.layouts.all_kinds import ALL_KINDS
 from depthcli.io.scenes import StereoScene
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.io.stereo_pairs import StereoTruth
-from depthcli.io.walk import discover_scenes
 from tests.naive import metrics as naive
 from tests.scenes import DATA, needs_data
 

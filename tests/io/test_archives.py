@@ -19,11 +19,10 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.errors import InputError
 from depthcli.core.text import without_secrets
-from depthcli.io import inputs
 from depthcli.io.formats.images import write_png
-from depthcli.io.inputs import local, origin
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes import places
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
+from depthcli.io.scenes.places import local, origin
 from tests.command_line import contents, refused
 
 
@@ -63,15 +62,8 @@ def _tar(folder: Path, target: Path, start: str = "./", mode: str = "w") -> Path
     return target
 
 
-def _shards(folder: Path, target: Path) -> Path:
-    with tarfile.open(target, "w") as archive:
-        for path in _files(folder):
-            archive.add(path, f"{path.parent.name}.{'json' if path.name == 'meta.json' else path.name}")
-    return target
-
-
 MAKERS: dict[str, Callable[[Path, Path], Path]] = {
-    "a.zip": _zip, "top.zip": partial(_zip, start="scenes/"), "a.tar": _tar, "shard.tar": _shards,
+    "a.zip": _zip, "top.zip": partial(_zip, start="scenes/"), "a.tar": _tar,
     "a.tar.gz": partial(_tar, start="scenes", mode="w:gz"), "a.tar.xz": partial(_tar, mode="w:xz"),
 }  # fmt: skip
 
@@ -82,7 +74,7 @@ def test_archive_is_its_folder(scenes: Path, tmp_path: Path, name: str) -> None:
     assert contents(local(archive)) == contents(scenes)
     found = discover_scenes(archive, ALL_KINDS)
     assert [scene.name for scene in found] == ["s0", "s1"] and all(scene.has_truth for scene in found)
-    inside = "" if (name.startswith("a.") and "gz" not in name) or name == "shard.tar" else "scenes/"
+    inside = "" if name.startswith("a.") and "gz" not in name else "scenes/"
     assert origin(found[1].input_files["left"]) == f"{archive}/{inside}s1/left.png"
     assert local(archive / f"{inside}s1/left.png").read_bytes() == (scenes / "s1/left.png").read_bytes()
 
@@ -103,18 +95,9 @@ def test_commands_on_archives_give_the_bytes_of_the_folder(scenes: Path, tmp_pat
     assert (tmp_path / "one/s1/depth.pfm").read_bytes() == (tmp_path / "two/s1/depth.pfm").read_bytes()
 
 
-def test_several_archives(scenes: Path, tmp_path: Path) -> None:
-    for k in range(3):
-        _shards(scenes, tmp_path / f"shard-{k:03d}.tar")
-    wanted = [f"shard-{k:03d}/s{n}" for k in range(3) for n in range(2)]
-    for place in (tmp_path, tmp_path / "shard-*.tar", tmp_path / "shard-{000..002}.tar"):
-        assert [scene.name for scene in discover_scenes(place, ALL_KINDS)] == wanted
-    refused(InputError, r"shard-003\.tar: no such file", discover_scenes, tmp_path / "shard-{002..003}.tar", ALL_KINDS)
-    lines: list[str] = []
-    shutil.copytree(scenes, tmp_path / "data")
-    _zip(scenes, tmp_path / "data" / "more.zip")
-    assert [scene.name for scene in discover_scenes(tmp_path / "data", ALL_KINDS, warn=lines.append)] == ["s0", "s1"]
-    assert len(lines) == 1 and "more.zip" in lines[0]
+def test_a_folder_of_archives_names_one(scenes: Path, tmp_path: Path) -> None:
+    archive = _zip(scenes, tmp_path / "scenes.zip")
+    refused(InputError, f"of its archives name one, such as {archive}", discover_scenes, tmp_path, ALL_KINDS)
 
 
 def test_changed_archive_is_unpacked_again(tmp_path: Path, cache: Path) -> None:
@@ -169,7 +152,7 @@ def _bomb() -> bytes:
 
 
 def test_unusable_archives_are_one_line(scenes: Path, tmp_path: Path, cache: Path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr(inputs, "_ALWAYS_BYTES", 1 << 20)
+    monkeypatch.setattr(places, "_ALWAYS_BYTES", 1 << 20)
     for name, data in _spoiled(scenes, tmp_path).items():
         (tmp_path / name).write_bytes(data)
         assert main(["stereo", "fast", "-i", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 2, name

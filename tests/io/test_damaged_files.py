@@ -12,10 +12,9 @@ from depthcli.io.formats.calibrations import read_geometry, read_rig
 from depthcli.io.formats.disparity import map_npy, read_plane
 from depthcli.io.formats.files import read_bytes, shown
 from depthcli.io.formats.images import image_size, read_image, write_png
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.named_files import scenes_of_table
 from depthcli.io.scenes import StereoScene
-from depthcli.io.walk import chosen_scenes, discover_scenes
+from depthcli.io.scenes.find import ALL_KINDS, chosen_scenes, discover_scenes
+from depthcli.io.scenes.pairs import scenes_of_table
 from tests import damage
 from tests.command_line import refused
 

@@ -9,11 +9,10 @@ import pytest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.layouts.registration import VOLUMES
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import Scene, StereoScene
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
+from depthcli.io.scenes.pairs import PAIRS
+from depthcli.io.scenes.volumes import VOLUMES
 from tests.command_line import refused
 from tests.scenes import DATA, load, needs_data, true
 

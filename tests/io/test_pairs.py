@@ -10,11 +10,10 @@ import pytest
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.images import write_png
-from depthcli.io.layouts.stereo import PAIRS
-from depthcli.io.named_files import match_patterns, named_scenes, scenes_of_table
 from depthcli.io.scenes import StereoScene
+from depthcli.io.scenes.find import discover_scenes, named_scenes
+from depthcli.io.scenes.pairs import PAIRS, pairs_of_patterns, scenes_of_table
 from depthcli.io.stereo_pairs import load_views
-from depthcli.io.walk import discover_scenes
 from tests.command_line import refused, run
 from tests.scenes import load
 
@@ -27,7 +26,11 @@ def put(folder: Path, *names: str) -> None:
 
 
 def named(left: Path, right: Path) -> dict[str, tuple[str | None, str | None]]:
-    return {name: (a.name if a else None, b.name if b else None) for name, a, b in match_patterns(left, right)}
+    images = {}
+    for scene in pairs_of_patterns(left, right):
+        image = None if "no left image" in scene.problem else scene.left.name
+        images[scene.name] = image, scene.right.name if scene.right else None
+    return images
 
 
 def test_patterns(tmp_path: Path):
@@ -62,8 +65,8 @@ def test_names_that_say_the_view(tmp_path: Path):
     }  # fmt: skip
     put(tmp_path / "x", "cat.png")
     put(tmp_path / "y", "dog.png")
-    refused(ConfigError, "no two names belong together", match_patterns, tmp_path / "x", tmp_path / "y")
-    refused(ConfigError, "matches no image", match_patterns, tmp_path / "x/*.jpg", tmp_path / "y")
+    refused(ConfigError, "no two names belong together", pairs_of_patterns, tmp_path / "x", tmp_path / "y")
+    refused(ConfigError, "matches no image", pairs_of_patterns, tmp_path / "x/*.jpg", tmp_path / "y")
     put(tmp_path / "x", "1.png", "2.png", "2.jpg")
     put(tmp_path / "y", "1.png", "2.png")
     assert named(tmp_path / "x", tmp_path / "y")["2"] == (None, "2.png")  # no pair is made up

@@ -18,7 +18,6 @@ from depthcli.io.formats.depth import write_depth_png
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_grey, write_png
-from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import (
     frame_size,
     load_infrared_frame,
@@ -27,7 +26,8 @@ from depthcli.io.rgbd_frames import (
     read_kinect_raw,
 )
 from depthcli.io.scenes import RgbdScene, RgbIrScene, SequenceScene, sequences
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.frames import FRAMES
 from tests.command_line import refused, run
 from tests.contracts.layouts import check_layout
 from tests.scenes import DATA, load, needs_data, true

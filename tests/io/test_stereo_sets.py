@@ -10,10 +10,9 @@ from depthcli.evaluation import protocols
 from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.images import write_png
-from depthcli.io.layouts.all_kinds import ALL_KINDS
-from depthcli.io.layouts.stereo import PAIRS
 from depthcli.io.scenes import StereoScene
-from depthcli.io.walk import discover_scenes, scenes_with_files
+from depthcli.io.scenes.find import ALL_KINDS, discover_scenes, scenes_with_files
+from depthcli.io.scenes.pairs import PAIRS
 from tests.command_line import refused
 from tests.contracts.layouts import check_layout
 from tests.scenes import load, true

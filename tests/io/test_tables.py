@@ -11,7 +11,7 @@ from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.fields import read_landmarks
 from depthcli.io.formats.plain_text import json_object
 from depthcli.io.formats.poses import read_poses
-from depthcli.io.named_files import scenes_of_table
+from depthcli.io.scenes.pairs import scenes_of_table
 from tests.command_line import refused
 
 GRID = Grid((9, 8, 7), (1.0, 1.5, 2.5), (10.0, 20.0, 30.0))

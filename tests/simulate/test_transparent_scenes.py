@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.io.layouts.depth import FRAMES
 from depthcli.io.rgbd_frames import load_sparse_frame, true_depth
 from depthcli.io.scenes import RgbdScene
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.frames import FRAMES
 from depthcli.simulate.transparent_scenes import (
     cross_modal_pair,
     infrared_like,

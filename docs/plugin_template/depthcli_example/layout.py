@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.map_format import map_suffixes
-from depthcli.io.layouts import Folder, Layout
-from depthcli.io.scenes import Scene, StereoScene
+from depthcli.io.scenes import Folder, Layout, Scene, StereoScene
 
 
 class TwoFiles(Layout):

@@ -11,8 +11,7 @@ from depthcli_example.map_format import Table
 from depthcli_example.protocol import EighthPixel
 
 from depthcli.cli import main
-from depthcli.io.layouts import Folder
-from depthcli.io.scenes import Scene
+from depthcli.io.scenes import Folder, Scene
 from depthcli.io.stereo_pairs import load_pair
 from depthcli.testing import check_cost_measure
 

@@ -11,8 +11,8 @@ from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
-from depthcli.io.layouts.stereo import PAIRS
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.pairs import PAIRS
 from depthcli.methods.stereo.volume import CostVolume
 from depthcli.methods.transparent.cross_modal import GREY, CrossModal, learned_weights, mix_channels
 from depthcli.methods.transparent.match_selection import MatchSelection

@@ -8,8 +8,8 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples
 from depthcli.core.frames import SparseFrame
-from depthcli.io.layouts.depth import FRAMES
-from depthcli.io.walk import discover_scenes
+from depthcli.io.scenes.find import discover_scenes
+from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.transparent.pipeline.nearest import NearestSample
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 from depthcli.simulate.transparent_scenes import sparse_samples

@@ -1,8 +1,9 @@
-"""Layouts of frames of color and depth."""
+"""Layouts of frames of color and depth, and the frame that the options of a command name."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,22 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import numbers, text_of
 from depthcli.io.formats.poses import Poses, read_poses
-from depthcli.io.layouts.base import Folder, Layout, Layouts, Meta
-from depthcli.io.layouts.rows import NUMBER, Found, LayoutRow
-from depthcli.io.scenes import RgbdScene, RgbIrScene, Scene
+from depthcli.io.scenes.kinds import RgbdScene, RgbIrScene, Scene
+from depthcli.io.scenes.rows import (
+    NUMBER,
+    Folder,
+    Found,
+    Layout,
+    LayoutRow,
+    Layouts,
+    Meta,
+    given_together,
+    name_of_file,
+)
 
 _TUM_SCALE = 5000.0  # codes a meter, of the benchmark's files
 _TUM_DELAY = 0.02  # seconds, as the benchmark's associate.py
+_GENERIC_NAMES = ("color", "rgb", "image", "depth")  # of files, which name no frame
 
 
 def cameras(meta: Meta) -> dict[str, Any]:
@@ -140,15 +151,12 @@ class _Sun(LayoutRow):
 class Tum(Layout):
     """Sequences of the TUM RGB-D benchmark: images with a time, paired by a table or by the nearest time."""
 
+    name = "tum"
     kind = RgbdScene
     wants = (
         "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter, unless "
         "`meta.json` says it; where known `groundtruth.txt` (poses)"
     )
-
-    @property
-    def name(self) -> str:
-        return "tum"
 
     def scenes(self, folder: Folder) -> list[Scene]:
         if not folder.has("rgb", "depth") or not (folder.has("associations.txt") or folder.has("rgb.txt", "depth.txt")):
@@ -280,3 +288,13 @@ FRAMES = Layouts.of(
     ),
     Tum(),
 )  # fmt: skip
+
+
+def named_frame(values: Mapping[str, Any]) -> list[Scene]:
+    """Return the frame of the options ``color`` and ``depth``, or of the latter alone; none without them."""
+    color, depth = values.get("color"), values.get("depth")
+    if depth is None:
+        given_together(values, "color", "depth")
+        return []
+    image = color or depth
+    return [RgbdScene(name=name_of_file(image, *_GENERIC_NAMES), folder=image.parent, color=color, depth=depth)]

@@ -1,14 +1,15 @@
-"""Our own layout of registered volumes."""
+"""Our own layout of registered volumes, and the pair that the options of a command name."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.files import warn
-from depthcli.io.layouts.base import Folder, Layout, Layouts
-from depthcli.io.scenes import LEFT_OUT, Scene, VolumePairScene
+from depthcli.io.scenes.kinds import LEFT_OUT, Scene, VolumePairScene
+from depthcli.io.scenes.rows import Folder, Layout, Layouts, name_of_file
 
 _VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img", ".png", ".jpg", ".jpeg")
 _FIELDS = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")
@@ -23,6 +24,7 @@ _SUFFIXES = {
 class Registration(Layout):
     """One folder per pair; the name of each file tells its content."""
 
+    name = "registration"
     kind = VolumePairScene
     protocol = "registration"
     wants = (
@@ -81,3 +83,23 @@ def _labels(folder: Folder, maps: Sequence[str]) -> tuple[tuple[str, tuple[tuple
 
 
 VOLUMES = Layouts.of(VolumePairScene, Registration())
+
+
+def named_volumes(values: Mapping[str, Any]) -> list[Scene]:
+    """Return the pair of the options ``fixed`` and ``warped``, or ``moving`` with its transform; none without them."""
+    roles = {"warped": "moving_warped"} | {name: name for name in ("moving", "displacement", "transform", "mask")}
+    files: dict[str, Any] = {role: values[name] for name, role in roles.items() if values.get(name) is not None}
+    fixed, apply = values.get("fixed"), values.get("apply")
+    both = {"displacement", "transform"} <= files.keys()
+    if apply is not None and not (both and apply in LEFT_OUT):
+        raise ConfigError(f"--apply: expected {', '.join(LEFT_OUT)}, of a pair with --displacement and --transform")
+    if fixed is None:
+        if files:
+            raise ConfigError(f"--{next(n for n in roles if roles[n] in files)} needs --fixed, too")
+        return []
+    if "moving_warped" not in files and not ("moving" in files and files.keys() & {"displacement", "transform"}):
+        raise ConfigError("--fixed needs --warped, or --moving with --displacement or --transform")
+    if both and apply is None:
+        raise ConfigError("both --displacement and --transform: leave one out, or say which counts by --apply")
+    files.pop(LEFT_OUT.get(apply or "", ""), None)
+    return [VolumePairScene(name=name_of_file(fixed, "fixed"), folder=fixed.parent, fixed=fixed, **files)]

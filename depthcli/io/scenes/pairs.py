@@ -1,24 +1,42 @@
-"""Layouts of stereo pairs."""
+"""Layouts of stereo pairs, and the pairs whose files a command line, two patterns, videos or a table name."""
 
 from __future__ import annotations
 
+import itertools
+import os
 import re
-from collections.abc import Mapping
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.text import without_secrets
+from depthcli.io.calibration_photos import SIDES, without_word
 from depthcli.io.formats.disparity import KITTI_SCALE, read_disparity
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.images import read_image
-from depthcli.io.formats.plain_text import key_values, numbers, text_of
-from depthcli.io.layouts.base import Folder, Layouts
-from depthcli.io.layouts.rows import Found, LayoutRow
-from depthcli.io.scenes import MAX_DISPARITY, Scene, StereoScene
+from depthcli.io.formats.plain_text import key_values, numbers, table_rows, text_of
+from depthcli.io.formats.videos import VIDEO_SUFFIXES, count_frames
+from depthcli.io.scenes.kinds import MAX_DISPARITY, Scene, StereoScene
+from depthcli.io.scenes.rows import (
+    Folder,
+    Found,
+    LayoutRow,
+    Layouts,
+    Match,
+    given_together,
+    matches,
+    name_of_file,
+)
+
+STDIN = Path("-")
+"""In place of a table: the standard input."""
 
 _KITTI_RANGE = 255  # the largest disparity in a file of KITTI: the frames come without a range of their own
 _SCENE_FLOW_RANGE = 192  # of the evaluations in the literature; the files have larger ones, too
@@ -309,3 +327,171 @@ PAIRS = Layouts.of(
                            f"calib/{_DRIVING_CALIB}|{_DRIVING_CALIB}"}, ("full",), ("half",))),
     ),
 )  # fmt: skip
+
+
+_TABLE_SUFFIXES = (".csv", ".tsv")
+_MAX_BYTES = 1 << 28  # of a table
+_COLUMNS = ("left", "right", "name", "calibration", "max_disparity", "min_disparity")
+_WILD = re.compile(r"[*?\[]")
+_GENERIC_NAMES = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")  # name no scene
+_MAX_FOLDERS = 8  # that are looked at for two whose images belong together
+
+
+def _of_patterns(found: Found) -> dict[str, Any]:
+    """Return the folder of a pair of two patterns; with one image alone, the problem of that."""
+    file = found.files.get("left") or found.files["right"]
+    if len(found.files) == 2:
+        return {"folder": file.parent}
+    absent = "right" if "left" in found.files else "left"
+    return {"folder": file.parent, "left": file, "problem": f"{file}: no {absent} image belongs to it"}
+
+
+def _last_number(match: Match) -> str:
+    number = re.search(r"(\d+)\D*$", match.path)
+    return number[1] if number else ""
+
+
+_NAMED = LayoutRow(
+    title="", wants="files that the command line names", facts=_of_patterns, either=True,
+    # Names are the same where the patterns have wildcards, but for words that say the view, as in left_0001 and
+    # right_0001; else the whole names are; else their last numbers are.
+    alike=(
+        lambda match: without_word(match.captured, SIDES), lambda match: without_word(match.path, SIDES), _last_number,
+    ),
+)  # fmt: skip
+
+
+def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
+    """Return the pairs of the options ``left`` and ``right``: of two images, patterns, folders or videos."""
+    if not given_together(values, "left", "right"):
+        return []
+    left, right = values["left"], values["right"]
+    if _is_many(left) or _is_many(right):
+        return [*pairs_of_patterns(left, right)]
+    one = _named(name_of_file(left, *_GENERIC_NAMES), left, right)
+    if left.suffix.lower() not in VIDEO_SUFFIXES:
+        return [one]
+    try:
+        counts = count_frames(left), count_frames(right)
+    except InputError as error:
+        raise ConfigError(str(error)) from None
+    digits = max(6, len(str(max(counts))))
+    return [replace(one, name=f"{number:0{digits}}", frame_number=number) for number in range(min(counts))]
+
+
+def _named(name: str, left: Path, right: Path, **values: Any) -> StereoScene:
+    """Return the pair of two files, whether they are there or not."""
+    return cast(StereoScene, _NAMED.scene(Folder(left.parent, name, ""), left=left, right=right, **values))
+
+
+def _is_many(path: Path) -> bool:
+    """Return whether a path is a pattern or a folder: more than one file."""
+    return os.path.isdir(path) or (bool(_WILD.search(str(path))) and not os.path.lexists(path))
+
+
+def pairs_of_patterns(left: Path, right: Path) -> list[StereoScene]:
+    """Return the pairs of two patterns such as ``left/*.png`` and ``right/*.png``, or of two folders.
+
+    An image without a partner is a pair with a problem. ConfigError where no two images belong together.
+    """
+    here = Folder(Path(), "", "")
+    names = [str(path / "*" if os.path.isdir(path) else path) for path in (left, right)]
+    row = replace(_NAMED, files=({"left": names[0], "right": names[1], "name": "{name}"},))
+    if scenes := row.scenes(here):
+        return cast(list[StereoScene], scenes)
+    images = []
+    for path, name in zip((left, right), names, strict=True):
+        images.append(next(matches(here, "left", name, wild=True), None))
+        if images[-1] is None:
+            query = "; a query behind its URL is read of archives alone" if ":/" in str(path) else ""
+            raise ConfigError(f"{path}: matches no image{query}")
+    first = cast(Match, images[0]).file.name
+    raise ConfigError(f"{left} and {right}: no two names belong together ({first}, ...)")
+
+
+def suggested_patterns(folder: Path) -> tuple[str, str] | None:
+    """Return patterns of two folders in a folder whose images belong together by their names; None without such."""
+    places = sorted(Path(folder, name) for name in os.listdir(folder) if name[0] != ".")
+    for both in itertools.combinations([place for place in places if os.path.isdir(place)][:_MAX_FOLDERS], 2):
+        try:
+            pairs = [scene for scene in pairs_of_patterns(*both) if not scene.problem]
+        except (ConfigError, InputError):
+            continue
+        # Two images in each of two folders are two pairs as likely as two folders of views.
+        if len(pairs) not in (0, 2):
+            suffixes = []
+            for place in both:
+                images = matches(Folder(Path(), "", ""), "left", f"{place}/*", wild=True)
+                suffixes.append(Counter(image.file.suffix for image in images).most_common(1)[0][0])
+            return f"{both[0]}/*{suffixes[0]}", f"{both[1]}/*{suffixes[1]}"
+    return None
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a path names a table of pairs: a file with its ending, or ``-``, the standard input."""
+    return path == STDIN or (os.path.isfile(path) and path.suffix.lower() in _TABLE_SUFFIXES)
+
+
+def scenes_of_table(path: Path) -> list[StereoScene]:
+    """Return the pairs of a CSV (or tab-separated) file with one line per pair, paths relative to the file's folder.
+
+    ``-`` is the standard input, whose paths are relative to the current folder.
+
+    A first line with ``left`` and ``right`` names the columns, of which also ``name``, ``calibration``,
+    ``max_disparity`` and ``min_disparity`` are known; without it the first two are left and right, the third is the
+    name. Lines that begin with ``#`` are passed over. Without a name, it is the left file's, or the line's number
+    where those repeat.
+    """
+    with naming("standard input" if path == STDIN else path):
+        data = sys.stdin.buffer.read() if path == STDIN else read_bytes(path, _MAX_BYTES)
+        text = text_of(data, "surrogateescape")
+        rows = table_rows([line for line in text.splitlines() if line.strip() and not line.startswith("#")])
+        columns: tuple[str, ...] = _COLUMNS[:3]
+        if rows and {"left", "right"} <= {word.strip().lower() for word in rows[0]}:
+            columns = tuple(word.strip().lower() for word in rows.pop(0))
+            if unknown := [word for word in columns if word not in _COLUMNS]:
+                raise InputError(f"no such column: {', '.join(unknown)}; known: {', '.join(_COLUMNS)}")
+            if len(set(columns)) < len(columns):
+                raise InputError(f"two columns are called {Counter(columns).most_common(1)[0][0]!r}")
+        if not rows:
+            raise InputError("names no pair")
+        fields = []
+        for number, row in enumerate(rows, 1):
+            fields.append({key: word.strip() for key, word in zip(columns, row, strict=False) if word.strip()})
+            if len(row) > len(columns) or not {"left", "right"} <= fields[-1].keys():
+                raise InputError(f"pair {number}: expected {', '.join(columns)} (got {','.join(row)[:60]!r})")
+        taken = Counter(line["name"] for line in fields if "name" in line)
+        if twice := [name for name, count in taken.items() if count > 1]:
+            raise InputError(f"two lines are called {twice[0][:100]!r}")
+    return [_pair_of_line(path.parent, name, line) for name, line in zip(_names_of(fields), fields, strict=True)]
+
+
+def _pair_of_line(folder: Path, name: str, line: Mapping[str, str]) -> StereoScene:
+    """Return the pair of a line of a table in ``folder``; a range that is no number is its problem."""
+    left, values = folder / line["left"], dict[str, Any]()
+    for key in {"max_disparity", "min_disparity"} & line.keys():
+        if re.fullmatch(r"[-+]?[0-9]{1,7}", line[key]) and abs(int(line[key])) <= MAX_DISPARITY:
+            values[key] = int(line[key])
+        else:
+            expected = f"expected a whole number up to {MAX_DISPARITY} (got {line[key][:40]!r})"
+            values["problem"] = f"{left}: {key}: {expected}"
+    if "calibration" in line:
+        values["calibration"] = folder / line["calibration"]
+    return _named(name, left, folder / line["right"], **values)
+
+
+def _names_of(lines: Sequence[Mapping[str, str]]) -> list[str]:
+    """Return the names of pairs: their own, else their left files', with their numbers where those repeat."""
+    names = [line.get("name") or Path(without_secrets(line["left"])).stem for line in lines]
+    if len(set(names)) == len(names):
+        return names
+    taken = {line["name"] for line in lines if "name" in line}
+    unique = []
+    for number, (name, line) in enumerate(zip(names, lines, strict=True), 1):
+        if "name" not in line:
+            name = f"{number:0{len(str(len(names)))}}_{name}"
+            while name in taken:
+                name += "_"
+            taken.add(name)
+        unique.append(name)
+    return unique

@@ -1,7 +1,7 @@
 """Inputs that are no folders: archives and URLs are fetched and unpacked once, into the user's cache.
 
 The folder ``depthcli/inputs`` of the cache (``XDG_CACHE_HOME``, usually ``~/.cache``) may be deleted at any time.
-``scenes.zip/planes/left.png`` names a file in an archive, a pattern such as ``shard-{000..015}.tar`` several archives.
+``scenes.zip/planes/left.png`` names a file in an archive.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ import tarfile
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
-from glob import glob
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import unquote
@@ -32,12 +31,7 @@ _ARCHIVE = re.compile(
     r"\.(?:zip|tar|tar\.(?:gz|bz2|xz)|tgz|tbz2|txz)(?:\?[^/]*=(?:.*&[^/]*=)?[^/]*)?(?=/|$)", re.IGNORECASE
 )
 _URL = re.compile(r"(?:^|/)([a-z][a-z0-9+.-]+):/+(.+)", re.IGNORECASE)  # pathlib leaves one slash of the two
-_BRACES = re.compile(r"\{(?:(\d{1,9})\.\.(\d{1,9})|([^{}/]*,[^{}/]*))\}")
-# WebDataset: ``000017.left.png`` is the file ``left.png`` of the sample ``000017``; ``json`` has the facts about it.
-_SAMPLE = re.compile(r"([^/.]+)\.([^/]+)")
-_SHARD_FIELD = re.compile(r"(left|right|color|depth)\.[A-Za-z0-9]+")
 
-_MAX_MATCHES = 100_000  # of a pattern in braces
 _MAX_MEMBERS = 1 << 20
 _MAX_HEADER = 1 << 20  # bytes of one of these
 _MAX_RATE, _ALWAYS_BYTES = 200, 1 << 30  # no archive of images unpacks to so much, but small ones of masks do
@@ -64,41 +58,13 @@ def local(place: Path | str) -> Path:
         if url or os.path.isfile(container):
             content = _fetched(container) if url else _unpacked(Path(container))
             return content / inside if inside else _entered(content)
-    if url:
-        return _entered(_fetched(url))
-    texts = _without_braces(text)
-    files = [Path(each) for one in texts for each in (glob(one) if re.search(r"[*?\[]", one) else [one])]
-    archives = sorted(file for file in files if _ARCHIVE.search(file.name))
-    # Those of numbers in braces are wanted whether they are there or not.
-    return gathered(archives) if archives and (texts != [text] or len(files) > 1) else path
+    return _entered(_fetched(url)) if url else path
 
 
 def is_archive(path: Path) -> bool:
     """Return whether a path names an archive, by its ending."""
     found = _ARCHIVE.search(path.name)
     return found is not None and os.path.isfile(path)
-
-
-def archives_in(folder: Path) -> list[Path]:
-    """Return the archives in a folder, sorted."""
-    return sorted(path for path in folder.iterdir() if path.name[0] != "." and is_archive(path))
-
-
-def gathered(archives: Sequence[Path]) -> Path:
-    """Return a folder with the content of several archives, each in a folder of the archive's name."""
-    contents = {}
-    for archive in archives:
-        content = _unpacked(archive)
-        top = _entered(content)
-        is_scene = any(path.is_file() for path in top.iterdir())
-        contents[_stem(archive.name)] = content if is_scene else top
-
-    def link(target: Path) -> None:
-        target.mkdir()
-        for name, content in contents.items():
-            (target / name).symlink_to(content)
-
-    return _cached([*map(str, contents.values())], "archives", str(archives[0].parent), link)
 
 
 def origin(path: Path) -> str:
@@ -122,19 +88,6 @@ def _entered(folder: Path) -> Path:
     """Return the single folder with all of an unpacked archive, or the folder (or file) itself."""
     inside = [path for path in folder.iterdir() if path.name[0] != "."] if folder.is_dir() else []
     return inside[0] if len(inside) == 1 and inside[0].is_dir() else folder
-
-
-def _without_braces(text: str) -> list[str]:
-    found = _BRACES.search(text)
-    if found is None:
-        return [text]
-    if found[1]:
-        low, top, digits = int(found[1]), int(found[2]), len(found[1]) if found[1][0] == "0" else 0
-        words = [f"{number:0{digits}}" for number in range(low, min(top, low + _MAX_MATCHES) + 1)]
-    else:
-        words = found[3].split(",")
-    ends = _without_braces(text[found.end() :])
-    return [text[: found.start()] + word + end for word in words for end in ends][:_MAX_MATCHES]
 
 
 def _root() -> Path:
@@ -191,8 +144,8 @@ def _unpack(archive: Path, target: Path) -> None:
     target.mkdir()
     packed, total, left_out = archive.stat().st_size, 0, []
     limit = min(max(_ALWAYS_BYTES, _MAX_RATE * packed), shutil.disk_usage(target).free)
-    is_zip = zipfile.is_zipfile(archive)
-    for number, (name, size, opened) in enumerate((_zip_members if is_zip else _tar_members)(archive)):
+    members = _zip_members(archive) if zipfile.is_zipfile(archive) else _tar_members(archive)
+    for number, (name, size, opened) in enumerate(members):
         if number >= _MAX_MEMBERS:
             raise InputError(f"more than {_MAX_MEMBERS} members; make several archives of it")
         path, total = _inside(name), total + size
@@ -208,19 +161,6 @@ def _unpack(archive: Path, target: Path) -> None:
     if left_out:
         some = ", ".join(ascii(name[:80]) for name in left_out[:3])
         warn(f"{archive}: {len(left_out)} members not used, links or names that lead out of the archive: {some}")
-    if not is_zip:
-        _part_samples(target)
-
-
-def _part_samples(folder: Path) -> None:
-    """Move the files of each sample, of a shard of WebDataset, into a folder of its own."""
-    files = [file for file in folder.rglob("*") if file.is_file()]
-    named = [(found, file) for file in files if (found := _SAMPLE.fullmatch(file.name))]
-    if any(_SHARD_FIELD.fullmatch(found[2]) for found, _ in named):
-        for found, file in named:
-            sample = file.with_name(found[1])
-            sample.mkdir(exist_ok=True)
-            file.rename(sample / ("meta.json" if found[2] == "json" else found[2]))
 
 
 def _inside(name: str) -> str | None:

@@ -1,0 +1,307 @@
+"""From a folder, or the options of a command, to scenes: layouts that are tried, names of scenes, broken scenes."""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+import os
+import re
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, cast
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.io.formats.files import RUN_FILE, read_bytes
+from depthcli.io.scenes.frames import FRAMES, named_frame
+from depthcli.io.scenes.kinds import RgbdScene, Scene, StereoScene, VolumePairScene
+from depthcli.io.scenes.pairs import PAIRS, STDIN, is_table, named_pairs, scenes_of_table, suggested_patterns
+from depthcli.io.scenes.places import is_archive, local
+from depthcli.io.scenes.rows import Folder, Layout, Layouts, SceneT, rows_in_file
+from depthcli.io.scenes.volumes import VOLUMES, named_volumes
+
+ALL_KINDS = Layouts.of(Scene, *PAIRS.rows, *FRAMES.rows, *VOLUMES.rows)
+"""The layouts of every kind of scene."""
+
+_NAMED = ((StereoScene, named_pairs), (RgbdScene, named_frame), (VolumePairScene, named_volumes))
+_OWN_NAMES: dict[type[Scene], str] = {  # kind of scene -> names that are easy to give, for messages
+    StereoScene: "NAME_L.* and NAME_R.*",
+    RgbdScene: "NAME/color.* and NAME/depth.*",
+}
+_LEVELS = 2  # below the given folder, that scenes are looked for in: data sets, and scenes in them
+_MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
+_MAX_RUN_BYTES = 1 << 20  # of it; all presets have below 10 kB
+
+Warn = Callable[[str], None]
+
+
+class NoScenesError(InputError):
+    """A folder without any scene of the wanted kinds."""
+
+
+def find_scenes(
+    layouts: Layouts[SceneT],
+    options: Mapping[str, Any],
+    single: str,
+    patterns: Sequence[str] = ("*",),
+    with_truth: bool = False,
+    warn: Warn = lambda line: None,
+) -> list[SceneT]:
+    """Return the scenes that the option ``input``, or the options for the files of a single scene, name.
+
+    Raises
+    ------
+    ConfigError
+        Neither or both are given, or an option that does not go with them.
+    InputError
+        As :func:`discover_scenes`.
+
+    Parameters
+    ----------
+    layouts : of the command's kind of scene: ``PAIRS``, ``FRAMES`` or ``VOLUMES``
+    options : ``input``, ``name``, ``layout`` and the files of a single scene
+    single : the options that name the files of a single scene, for messages
+    patterns, warn : as for :func:`discover_scenes`
+    with_truth : the scenes are compared with their ground truth, which single files and tables have not
+    """
+    place, name = options["input"], options["name"]
+    if named := named_scenes(layouts.kind, options):
+        if place is not None:
+            raise ConfigError(f"--input and {single} exclude each other")
+        if with_truth:
+            raise ConfigError("--evaluate needs --input: a single scene has no ground truth")
+        if name is None:
+            return cast(list[SceneT], chosen_scenes(named, patterns, "the command line"))
+        if len(named) > 1:
+            raise ConfigError(f"--name is for a single scene, these are {len(named)}")
+        return [cast(SceneT, replace(named[0], name=name))]
+    if place is None:
+        raise ConfigError(f"give --input DIR, or {single}")
+    if name is not None:
+        raise ConfigError(f"--name is for a single scene, given by {single}")
+    if with_truth and (place == STDIN or os.path.isfile(local(place))):
+        raise ConfigError(f"{place}: --evaluate needs a folder of scenes, with their ground truth")
+    try:
+        return scenes_at(place, layouts, options["layout"], patterns, warn)
+    except NoScenesError as error:
+        suggestion = suggested_patterns(local(place)) if issubclass(StereoScene, layouts.kind) else None
+        hint = single if suggestion is None else "--left {} --right {}".format(*map(shlex.quote, suggestion))
+        names = next((names for kind, names in _OWN_NAMES.items() if issubclass(kind, layouts.kind)), None)
+        other = f"call your own {names}, describe theirs in --layout FILE.yaml, or " if names else ""
+        raise NoScenesError(f"{error}; {other}give files of other names by {hint}") from error
+
+
+def named_scenes(kind: type[Scene], options: Mapping[str, Any]) -> list[Scene]:
+    """Return the scenes of a kind whose files the options name; ConfigError where an option is missing.
+
+    These are the pair of ``left`` and ``right``, pairs of two patterns or folders, the frames of two videos; the frame
+    of ``color`` and ``depth``, or of the latter alone; the pair of ``fixed`` and ``warped``, or of ``moving`` with its
+    transform.
+    """
+    for base, named in _NAMED:
+        if issubclass(kind, base):
+            return named({key: local(value) if isinstance(value, Path) else value for key, value in options.items()})
+    return []
+
+
+def scenes_at(
+    place: Path, layouts: Layouts[SceneT], layout: str | None, patterns: Sequence[str], warn: Warn
+) -> list[SceneT]:
+    """Return the scenes of a folder as :func:`discover_scenes`, or those that a table of files lists."""
+    if not is_table(place):
+        return cast(list[SceneT], discover_scenes(place, layouts, layout, patterns, warn))
+    if not issubclass(StereoScene, layouts.kind):
+        raise ConfigError(f"{place}: tables list stereo pairs only; expected a folder with one folder per scene")
+    return cast(list[SceneT], chosen_scenes(scenes_of_table(place), patterns, place))
+
+
+def discover_scenes(
+    folder: Path | str,
+    layouts: Layouts[Any],
+    layout: str | None = None,
+    patterns: Sequence[str] = ("*",),
+    warn: Warn = lambda line: None,
+) -> list[Scene]:
+    """Return the scenes of a folder or an archive, sorted by name; no image is opened.
+
+    ``folder`` may be one scene, a folder of scenes, or a folder of such folders (names are then
+    ``<data set>/<scene>``). Folders without any are skipped, and so are folders of runs in it: their results are
+    no scenes. Runs of ``sample`` are, and ``folder`` itself may be a run (of ``rectify``). A scene that cannot be used
+    is listed with its ``problem``; InputError where ``folder`` itself is one, or there is none.
+
+    Parameters
+    ----------
+    layouts : those that are tried, such as ``PAIRS``
+    layout : name of a layout, or a YAML file of layouts; None recognizes it, for every folder by itself
+    patterns : shell patterns, one of which the name, or its last part, must match
+    warn : called with a line about folders of runs, and about scenes on other levels, which are not used
+    """
+    path = local(folder)
+    if not os.path.isdir(path):
+        is_file = os.path.isfile(path)
+        raise InputError(f"{path}: {'a file, expected a folder or an archive' if is_file else 'no such folder'}")
+    rows, scenes = _rows(layouts, layout), list[Scene]()
+    if rows:
+        scenes = _find(path, rows, layout, warn)
+    if not scenes and (more := layouts.with_plugins()) != layouts:  # asked where no other fits
+        rows = _rows(more, layout)
+        scenes = _find(path, rows, layout, warn)
+    if not rows:
+        names = ", ".join(row.name for row in layouts.with_plugins().rows)
+        raise InputError(f"no layout called {layout!r}; one of: {names}")
+    if scenes:
+        return chosen_scenes(scenes, patterns, path)
+    archive = next((file for file in sorted(path.iterdir()) if is_archive(file)), None)
+    if archive is not None:
+        raise NoScenesError(f"{path}: no scenes found in it; of its archives name one, such as {archive}")
+    names = ", ".join(row.name for row in rows)
+    wanted = f"files of the layouts {names}: see docs/reference/data.md"
+    if len(rows) == 1:
+        wanted = f"{names}: {rows[0].wants.replace('`', '').partition(';')[0]}"
+    raise NoScenesError(f"{path}: no scenes found in it or two levels below (looked for {wanted})")
+
+
+def _rows(layouts: Layouts[Any], name: str | None) -> Sequence[Layout]:
+    """Return all layouts, or the one of that name, or a user's file of them for this kind of scene."""
+    if name is None:
+        return layouts.rows
+    if name.endswith((".yaml", ".yml")):
+        return [row for row in rows_in_file(Path(name)) if issubclass(row.kind, layouts.kind)]
+    return [row for row in layouts.rows if row.name == name.lower().replace("_", "-")]
+
+
+def _find(path: Path, rows: Sequence[Layout], layout: str | None, warn: Warn) -> list[Scene]:
+    """Return the scenes of a folder, or of the folders in it; ``layout`` is the user's name."""
+    folder = Folder(path, path.resolve().name, "", rows[0].name if layout and rows else "")
+    scenes = _scenes_of(folder, rows)
+    if not scenes:
+        return _scenes_below(folder, rows, warn)
+    files = {file for file in vars(scenes[0]).values() if isinstance(file, Path)}
+    for name in folder.folders:
+        inside = Folder(path / name, name, f"{name}/", folder.requested)
+        if not any(inside.path in file.parents for file in files):
+            with contextlib.suppress(InputError):
+                if not _is_run(inside) and any(not scene.problem for scene in _scenes_of(inside, rows)):
+                    place = f"its scenes lie beside those of {path} itself"
+                    warn(f"{inside.path}: {place}, not used; to use them, give it alone")
+    return scenes
+
+
+def _scenes_below(folder: Folder, rows: Sequence[Layout], warn: Warn, level: int = 1) -> list[Scene]:
+    """Return the scenes of the folders in a folder, and in these; tell of deeper ones, and of results of runs.
+
+    A folder that cannot be used is one scene with its problem, and spoils no other.
+    """
+    scenes: list[Scene] = []
+    for child in folder.folders:
+        name = folder.prefix + child
+        inside = Folder(folder.path / child, name, f"{name}/", folder.requested)
+        try:
+            if _is_run(inside):
+                place = "holds a run, its results are left out of the scenes"
+                warn(f"{inside.path}: {place}; to use them, give it as the folder")
+                continue
+            of_folder = _scenes_of(inside, rows)
+            if not of_folder and level <= _LEVELS:
+                of_folder = _scenes_below(inside, rows, warn, level + 1)
+        except InputError as error:
+            of_folder = [Scene(name=name, folder=inside.path, problem=str(error))]
+        if level <= _LEVELS:
+            scenes += of_folder
+        elif any(not scene.problem for scene in of_folder):
+            give = f"{folder.path} or {folder.path.parent}"
+            warn(f"{inside.path}: lies too deep, not used; to use it, give {give} as the folder")
+            break
+    return scenes
+
+
+def _scenes_of(folder: Folder, rows: Sequence[Layout]) -> list[Scene]:
+    """Return the scenes of ``folder`` itself: one by its own files, or many as a KITTI root."""
+    by_layout = {}
+    for row in rows:
+        if scenes := row.scenes(folder):
+            by_layout[row.name] = scenes
+    if len(by_layout) > 1:
+        raise InputError(f"{folder.path}: fits the layouts {' and '.join(sorted(by_layout))}; say which with --layout")
+    return next(iter(by_layout.values()), [])
+
+
+def _is_run(folder: Folder) -> bool:
+    """Return whether a folder has results of a run, other than of ``sample``."""
+    if RUN_FILE not in folder.names:
+        return False
+    with contextlib.suppress(InputError):
+        text = read_bytes(folder.path / RUN_FILE, _MAX_RUN_BYTES).decode("utf-8", "replace")
+        command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
+        return command is not None and command[1] != "sample"
+    return False
+
+
+def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path | str) -> list[Scene]:
+    """Return the scenes whose name matches one of the patterns, sorted by name; frames know their sequence."""
+    ordered = _with_sequences(scenes)
+    chosen = [scene for scene in ordered if matches_any(scene.name, patterns)]
+    for scene, after in pairwise(ordered):
+        if scene.name == after.name:
+            raise InputError(f"{place}: two scenes are called {scene.name!r} (in {scene.folder} and {after.folder})")
+    for pattern in patterns:
+        if not any(matches_any(scene.name, [pattern]) for scene in ordered):
+            there = ", ".join(scene.name for scene in ordered[:6])
+            raise InputError(
+                f"{place}: no scene matches {pattern!r}; there are: {there}{', ...' if len(ordered) > 6 else ''}"
+            )
+    return chosen
+
+
+def _with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
+    """Return the scenes by name, of which stereo pairs know three frames of their sequence.
+
+    Pairs whose left and right images are in the same two folders, or which are frames of the same two videos, are a
+    sequence in the order of their names.
+    """
+    ordered = sorted(scenes, key=attrgetter("name"))
+    frames: dict[tuple[str, str, bool], list[int]] = {}
+    for index, scene in enumerate(ordered):
+        if isinstance(scene, StereoScene) and scene.right is not None and not scene.problem:
+            left, right, of_video = str(scene.left), str(scene.right), scene.frame_number is not None
+            if not of_video:
+                left, right = os.path.dirname(left), os.path.dirname(right)  # Path.parent takes long
+            frames.setdefault((left, right, of_video), []).append(index)
+    with_sequences = list(ordered)
+    for same in frames.values():
+        if len(same) > 1:
+            three = dict.fromkeys((same[0], same[len(same) // 2], same[-1]))
+            sequence = tuple(cast(StereoScene, ordered[index]) for index in three)
+            for index in same:
+                with_sequences[index] = replace(cast(StereoScene, ordered[index]), sequence=sequence)
+    return with_sequences
+
+
+def scenes_with_files(files: Iterable[Path], layouts: Layouts[Any]) -> dict[Path, Scene]:
+    """Return file -> the scene that it belongs to by the layout of its folder or of one above it (KITTI), if any."""
+    rows = layouts.with_plugins().rows
+    by_folder: dict[Path, dict[Path, Scene]] = {}
+    scene_of: dict[Path, Scene] = {}
+    for file in files:
+        path = file.absolute()
+        for place in path.parents[:_MAX_ABOVE]:
+            if place not in by_folder:
+                by_folder[place] = {}
+                folder = Folder(place, place.name, "")
+                with contextlib.suppress(InputError):
+                    inside = [scene for row in rows for scene in row.scenes(folder)]
+                    for scene in reversed(inside):  # of two scenes with one file, the first
+                        by_folder[place] |= {value: scene for value in vars(scene).values() if isinstance(value, Path)}
+            if path in by_folder[place]:
+                scene_of[file] = by_folder[place][path]
+                break
+    return scene_of
+
+
+def matches_any(name: str, patterns: Sequence[str]) -> bool:
+    """Return whether one of the shell patterns matches the name or its last part."""
+    last = name.rpartition("/")[2]
+    return any(fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(last, pattern) for pattern in patterns)

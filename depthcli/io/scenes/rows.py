@@ -1,0 +1,592 @@
+"""Layouts of scenes: rows of file names with placeholders, and classes that look into folders themselves.
+
+``image_2/{frame}_10.png`` names the left images of KITTI, and ``image_3/{frame}_10.png`` the right one of the same
+frame. Placeholders match a part of a name, ``{number}`` digits or a time, ``{_}`` anything that the other files do not
+have to repeat, and ``{path}`` any folders between; ``.*`` at the end means the endings of the role's kind of file,
+and ``|`` separates names that are tried in turn. A row without placeholders describes one scene, the folder itself.
+
+The names of a row with ``alike`` are paths with the wildcards of a shell, as users type them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+import os
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, TypeVar, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.plugins import Plugin, plugins_of
+from depthcli.core.registry import Registry, registered_name
+from depthcli.core.text import short
+from depthcli.core.yaml_source import read_config
+from depthcli.io.formats.files import naming, read_bytes
+from depthcli.io.formats.images import IMAGE_SUFFIXES
+from depthcli.io.formats.map_format import MAP_SUFFIXES, map_formats
+from depthcli.io.formats.plain_text import json_object, numbers
+from depthcli.io.formats.poses import Pose, pose_of
+from depthcli.io.scenes.kinds import RgbdScene, Scene, StereoScene
+
+SceneT = TypeVar("SceneT", bound=Scene)
+
+NUMBER = r"\d{9,}\.\d+|\d+"
+"""Number of a frame: digits, or the time in seconds, of which the fraction is no number."""
+
+_DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
+_MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # numbers of meta.json; no image is as wide
+_PLACEHOLDER = re.compile(r"\{(\w+)\}")
+_WILDCARD = re.compile(r"(\*+|\?|\[[^\]]+\])")
+_MASK = "mask."  # before the name of a mask in a role
+_MASKS = "masks"  # role of all masks, whose names are ``{mask}``
+_OWN_FIELDS = ("folder", "layout", "problem")  # of scenes, which no file of layouts has
+_VIEWS = {StereoScene: ("left", "right"), RgbdScene: ("color", "depth")}
+
+Texts = dict[str, str]
+"""Placeholder -> its text in a path; of a pattern, the number of a part of the path -> the text of its wildcards."""
+_Key = tuple[tuple[str, str], ...]  # the same, as pairs
+
+
+@dataclass(eq=False)
+class Folder:
+    """One folder as a layout sees it: names only, which are read when they are first asked for.
+
+    ``name`` is the name of a scene that is the folder itself. ``prefix`` begins the names of the scenes inside.
+    ``requested`` is the layout that the user named, or empty.
+    """
+
+    path: Path
+    name: str
+    prefix: str
+    requested: str = ""
+
+    @cached_property
+    def _is_folder(self) -> dict[str, bool]:
+        """Name -> whether it is a folder; InputError where the folder cannot be read."""
+        is_folder = {}
+        try:
+            with naming(self.path), os.scandir(self.path) as entries:
+                for entry in entries:
+                    if entry.name[0] != ".":
+                        is_folder[entry.name] = False
+                        with contextlib.suppress(OSError):  # a link to itself
+                            is_folder[entry.name] = entry.is_dir()
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be read ({error.strerror or error})") from error
+        return is_folder
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """The names in the folder, but for hidden ones."""
+        return frozenset(self._is_folder)
+
+    @cached_property
+    def folders(self) -> list[str]:
+        """The names of the folders in the folder, sorted."""
+        return sorted(filter(self._is_folder.__getitem__, self._is_folder))
+
+    @cached_property
+    def _below(self) -> dict[str, Folder | None]:
+        return {"": self}
+
+    def has(self, *names: str) -> bool:
+        """Return whether all of the names are there."""
+        return set(names) <= self.names
+
+    def one(self, stem: str, suffixes: Container[str]) -> Path | None:
+        """Return the file of that stem; InputError where several endings compete."""
+        files = _by_stem(self.names).get(stem)
+        if files is None:  # nearly always: all layouts ask for their own names
+            return None
+        fitting = [name for suffix, name in files if suffix in suffixes and not self._is_folder[name]]
+        if len(fitting) > 1:
+            raise InputError(f"{self.path}: both {fitting[0]} and {fitting[1]}; keep one")
+        return self.path / fitting[0] if fitting else None
+
+    def below(self, place: str) -> Folder | None:
+        """Return the folder at a path in this one, or None."""
+        if place not in self._below:
+            path = self.path / place
+            if ".." in place:
+                path = Path(os.path.normpath(path))
+            self._below[place] = Folder(path, self.name, self.prefix) if os.path.isdir(path) else None
+        return self._below[place]
+
+    @cached_property
+    def meta(self) -> Meta:
+        """The fields of ``meta.json`` that have a value; none without such a file."""
+        path = self.path / "meta.json"
+        if path.name not in self.names:
+            return Meta(path, {})
+        data = read_bytes(path)
+        with naming(path):
+            values = json_object(data)
+        return Meta(path, {key: value for key, value in values.items() if value is not None})
+
+
+@lru_cache(maxsize=8)  # folders of thousands of scenes have the same names in them
+def _by_stem(names: frozenset[str]) -> dict[str, list[tuple[str, str]]]:
+    """Return stem -> (ending in lower case, name), sorted; names end as for pathlib, ``.nii.gz`` with both parts."""
+    by_stem: dict[str, list[tuple[str, str]]] = {}
+    for name in sorted(names):
+        dot = name.rfind(".")
+        dot = dot if 0 < dot < len(name) - 1 else len(name)
+        if name.lower().endswith(".nii.gz") and dot > 4:
+            dot -= 4
+        by_stem.setdefault(name[:dot], []).append((name[dot:].lower(), name))
+    return by_stem
+
+
+class Meta(NamedTuple):
+    """Fields of a ``meta.json``, checked; a method returns None, or its default, where the file lacks the field."""
+
+    path: Path
+    fields: dict[str, Any]
+
+    def positive(self, key: str) -> float | None:
+        """Return a positive number below a million."""
+        value = self.fields.get(key)
+        if value is not None and (type(value) not in (int, float) or not 0 < value < _MAX_POSITIVE):
+            raise self.error(key, "a positive number")
+        return None if value is None else float(value)
+
+    def whole(self, key: str, low: int = -_MAX_WHOLE) -> int | None:
+        """Return a whole number, not below ``low``."""
+        value = self.fields.get(key)
+        if value is not None and (type(value) not in (int, float) or value % 1 or not low <= value <= _MAX_WHOLE):
+            raise self.error(key, f"a whole number from {low} to {_MAX_WHOLE}")
+        return None if value is None else int(value)
+
+    def text(self, key: str, default: str) -> str:
+        """Return a word."""
+        value = self.fields.get(key, default)
+        if not isinstance(value, str):
+            raise self.error(key, "a word")
+        return value
+
+    def disparities(self) -> dict[str, int | None]:
+        """Return the range of a pair's disparities, as fields of its scene."""
+        low, top = self.whole("min_disparity") or 0, self.whole("max_disparity")
+        if top is not None and top <= low:
+            raise self.error("max_disparity", f"a number above {low}")
+        return {"min_disparity": low, "max_disparity": top}
+
+    def pose(self) -> Pose | None:
+        """Return the matrix from the camera's coordinates to the world's below the key ``pose``."""
+        value = self.fields.get("pose")
+        if value is None:
+            return None
+        with naming(self.path):
+            return pose_of(numbers(value, "pose", (4, 4)))
+
+    def error(self, key: str, wanted: str) -> InputError:
+        """Return the error that says that the field ``key`` must be ``wanted``."""
+        return InputError(f"{self.path}: {key}: expected {wanted} (got {short(self.fields.get(key))})")
+
+
+class Layout(ABC):
+    """One way to lay out a folder: a row of a table, or a class that looks for the files itself."""
+
+    kind: type[Scene]
+    wants: str
+    """The files of a scene, in a line for messages and the manual."""
+    protocol: str = ""
+    """Name of the evaluation protocol of its scenes, where the folder names no other."""
+
+    @property
+    def name(self) -> str:
+        """Name on the command line: its row's or plug-in's, with dashes."""
+        return registered_name(type(self)).replace("_", "-")
+
+    @abstractmethod
+    def scenes(self, folder: Folder) -> list[Scene]:
+        """Return the scenes of ``folder`` itself; none if it is not of this layout."""
+
+    def scene(self, folder: Folder, /, **values: Any) -> Scene:
+        """Return a scene with these fields without a look for its files; its name is the folder's by default."""
+        common = {"name": folder.name, "folder": folder.path, "layout": self.name, "protocol": self.protocol}
+        return self.kind(**{**common, **values})
+
+
+PLUGINS = Registry[Layout](__name__)
+"""The layouts of plug-ins; this package's are rows of tables."""
+
+
+@dataclass(frozen=True)
+class Layouts(Generic[SceneT]):
+    """The layouts whose scenes are of one kind."""
+
+    kind: type[SceneT]
+    rows: tuple[Layout, ...]
+
+    @classmethod
+    def of(cls, kind: type[SceneT], *rows: Layout) -> Layouts[SceneT]:
+        """Return layouts sorted by name."""
+        return cls(kind, tuple(sorted(rows, key=lambda row: row.name)))
+
+    def of_kind(self, kind: type[Scene]) -> Layouts[Any]:
+        """Return the layouts of a narrower kind."""
+        return Layouts(kind, tuple(row for row in self.rows if issubclass(row.kind, kind)))
+
+    def with_plugins(self) -> Layouts[SceneT]:
+        """Return these, then the layouts of plug-ins."""
+        added = (PLUGINS.load(name)() for name in PLUGINS.names())
+        return replace(self, rows=(*self.rows, *(row for row in added if issubclass(row.kind, self.kind))))
+
+
+def layout_plugins(scenes: Iterable[Scene]) -> set[Plugin]:
+    """Return the plug-ins whose layouts found any of these scenes."""
+    names = {scene.layout for scene in scenes}
+    return plugins_of(kind for name, kind in PLUGINS.added.items() if name.replace("_", "-") in names)
+
+
+class Match(NamedTuple):
+    """A file whose path fits a name with placeholders, or a pattern with wildcards."""
+
+    file: Path
+    texts: Texts
+
+    @property
+    def captured(self) -> str:
+        """What the wildcards of a pattern stand for."""
+        return "/".join(filter(None, self.texts.values())).removesuffix(self.file.suffix)
+
+    @property
+    def path(self) -> str:
+        """The path from the pattern's first part with a wildcard on, without ending."""
+        return str(Path(*self.file.parts[-len(self.texts) :]).with_suffix(""))
+
+
+class Found(NamedTuple):
+    """The files of one scene that a row has found in the folder that it describes."""
+
+    folder: Folder
+    keys: Mapping[str, str]  # placeholder -> text
+    files: Mapping[str, Path]  # role -> file
+    masks: Mapping[str, Path]  # name -> file
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LayoutRow(Layout):
+    """A layout as a row.
+
+    Attributes
+    ----------
+    files : role -> file name, of each variant; a scene that an earlier variant found is not found again. ``name`` is
+        that of the scene: ``{folder}`` is the folder's own, which is the default, ``{path_}`` folders joined by ``_``
+    kind, protocol : of the scenes
+    facts : returns further fields of a scene, or None where it is none of this layout
+    needs, without : names in the folder, all or none of which must be there (shell patterns)
+    alike : the names of the two images are patterns; images belong together of which one of these functions returns
+        the same text, which is the scene's name. The first counts by which any do, and no image whose text is not its
+        own alone. Empty: images belong together whose placeholders have the same texts
+    """
+
+    title: str  # name on the command line
+    wants: str  # the files of a scene, in a line for messages and the manual
+    files: tuple[Mapping[str, str], ...] = ()
+    kind: type[Scene] = StereoScene
+    protocol: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)  # other fields of the scenes
+    facts: Callable[[Found], dict[str, Any] | None] = lambda found: {}
+    needs: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    alike: tuple[Callable[[Match], str], ...] = ()
+    either: bool = False  # each of the two images makes a scene, which has a problem without the other
+    single: bool = False  # the left image alone is a scene where its truth is known, and so is depth without color
+
+    @property
+    def name(self) -> str:
+        return self.title
+
+    def scenes(self, folder: Folder) -> list[Scene]:
+        scenes: dict[str, Scene] = {}
+        for variant in self.files if self.alike else _possible(self, folder.names):
+            for texts, views in self._pairs(folder, variant):
+                scene = self._scene(folder, variant, texts, views)
+                if scene is not None:
+                    scenes.setdefault(scene.name, scene)
+        return list(scenes.values())
+
+    @cached_property
+    def _views(self) -> tuple[str, str]:
+        return next(roles for kind, roles in _VIEWS.items() if issubclass(self.kind, kind))
+
+    def _pairs(self, folder: Folder, variant: Mapping[str, str]) -> Iterator[tuple[Texts, dict[str, Path]]]:
+        """Yield the placeholders and the two images of every scene."""
+        first, second = self._views
+        is_of_many = bool(self.alike) or "{" in variant.get(second, "")
+        one = self._matches(folder, first, variant.get(first, ""))
+        if not one and (not self.either or is_of_many):
+            return  # before the others are asked, whose names may make no sense in this layout
+        other = self._matches(folder, second, variant.get(second, ""))
+        for alike in self.alike or (None,):
+            lefts, rights = _by_texts(one, alike), _by_texts(other, alike)
+            if lefts.keys() & rights.keys():
+                break
+        else:
+            if self.either and is_of_many:
+                return
+        for key in {**lefts, **rights} if self.either else lefts:
+            views = {role: files[key] for role, files in ((first, lefts), (second, rights)) if key in files}
+            texts = dict(key)
+            if "number" in texts and (digits := re.search(rf"({NUMBER})\D*$", next(iter(views.values())).stem)):
+                texts["number"] = digits[1]
+            yield texts, views
+
+    def _matches(self, folder: Folder, role: str, names: str) -> list[Match]:
+        """Return the files of a role, by the first of the names that any file has."""
+        for name in (names,) if self.alike else names.split("|"):
+            if files := list(matches(folder, role, name, wild=bool(self.alike))):
+                return files
+        return []
+
+    def _scene(self, folder: Folder, variant: Mapping[str, str], texts: Texts, views: dict[str, Path]) -> Scene | None:
+        files, masks = dict(views), {}
+        for role, names in variant.items():
+            if role == _MASKS:
+                for match in matches(folder, role, _filled(names, texts)):
+                    masks[match.texts["mask"]] = match.file
+            elif role not in self._views and role != "name" and (file := _file(folder, role, names, texts)) is not None:
+                if role.startswith(_MASK):
+                    masks[role.removeprefix(_MASK)] = file
+                else:
+                    files[role] = file
+        facts = self.facts(Found(folder, texts, files, masks))
+        if facts is None:
+            return None
+        absent = self._absent(folder, variant, texts, views, "disparity_left" in files) if len(views) < 2 else {}
+        name = _name(folder, variant["name"], texts) if "name" in variant else folder.name
+        return self.scene(folder, **{"name": name, "masks": masks, **self.values, **files, **absent, **facts})
+
+    def _absent(
+        self, folder: Folder, variant: Mapping[str, str], texts: Texts, views: Mapping[str, Path], has_truth: bool
+    ) -> dict[str, Any]:
+        """Return the problem of a scene without one of its images, and where that would be."""
+        absent = next(role for role in self._views if role not in views)
+        if self.single and (absent == "color" or (absent == "right" and has_truth)):
+            return {absent: None}
+        name = _filled(variant[absent].partition("|")[0], texts)
+        half = f"a frame without its {absent}" if "color" in self._views else "only one image of the pair"
+        there = next(iter(views.values())) if texts else folder.path
+        expected = None if absent == "right" else folder.path / name.replace(".*", ".png")
+        return {"problem": f"{there}: {half}, no {name}", absent: expected}
+
+
+def _name(folder: Folder, name: str, texts: Texts) -> str:
+    """Return the name of a scene; with the folder's name in it, it stands for itself in any other folder, too."""
+    folders = f"{texts['path']}_".replace("/", "_") if texts.get("path") else ""
+    filled = _filled(name, {**texts, "folder": folder.name, "path_": folders})
+    return filled if "{folder}" in name else folder.prefix + filled
+
+
+def _filled(name: str, texts: Mapping[str, str]) -> str:
+    """Return a name with the texts of its placeholders; others stay."""
+    if "{" not in name:
+        return name
+    return _PLACEHOLDER.sub(lambda match: texts.get(match[1], "" if match[1] == "_" else match[0]), name)
+
+
+@lru_cache(maxsize=1024)  # folders of thousands of scenes have the same names in them
+def _possible(row: LayoutRow, there: frozenset[str]) -> tuple[Mapping[str, str], ...]:
+    """Return the variants of which a folder with these names may have an image."""
+
+    def is_there(*patterns: str) -> bool:
+        return any(fnmatch.filter(there, each) for each in patterns)
+
+    if not all(map(is_there, row.needs)) or is_there(*row.without):
+        return ()
+    possible = []
+    for variant in row.files:
+        names = [name for role in row._views for name in variant.get(role, "").split("|")]
+        if is_there(*(_PLACEHOLDER.sub("*", name.partition("/")[0]) for name in names)):
+            possible.append(variant)
+    return tuple(possible)
+
+
+class _MapSuffixes:
+    """The endings of maps: ours first, since the endings of plug-ins take long to find."""
+
+    def __contains__(self, suffix: object) -> bool:
+        return suffix in MAP_SUFFIXES or suffix in map_formats()
+
+
+def _suffixes(role: str) -> Container[str]:
+    """Return the endings of a role's files."""
+    if role.startswith("disparity"):
+        return _MapSuffixes()
+    return _DEPTH_SUFFIXES if role.startswith(("depth", "sparse")) else IMAGE_SUFFIXES
+
+
+def _file(folder: Folder, role: str, names: str, texts: Mapping[str, str]) -> Path | None:
+    """Return the file of a role, by the first of the names that is there."""
+    for name in names.split("|"):
+        place, _, last = _filled(name, texts).rpartition("/")
+        inside, file = folder.below(place), None
+        if inside is None:
+            continue
+        if last.endswith(".*"):
+            file = inside.one(last[:-2], _suffixes(role))
+        elif last in inside.names and os.path.isfile(inside.path / last):
+            file = inside.path / last
+        if file is not None:
+            return file
+    return None
+
+
+def matches(folder: Folder, role: str, name: str, wild: bool = False) -> Iterator[Match]:
+    """Yield the files whose paths in a folder fit a name with placeholders or, if ``wild``, a pattern with wildcards.
+
+    A pattern fits images only; a name that ends in ``.*`` fits the files that have an ending of its role.
+    """
+    open_part = (_WILDCARD if wild else _PLACEHOLDER).search(name)
+    if open_part is None and not wild:
+        if (file := _file(folder, role, name, {})) is not None:
+            yield Match(file, {})
+        return
+    head, slash, _ = name[: open_part.start() if open_part else len(name)].rpartition("/")
+    root = folder.below(head)
+    if wild:  # its paths stay as they were typed
+        path = folder.path / (head + slash)
+        root = Folder(path, "", "") if os.path.isdir(path) else None
+    *parts, last = name[len(head + slash) :].split("/")
+    places: list[tuple[Texts, Folder]] = [] if root is None else [({}, root)]
+    for number, part in enumerate(parts):
+        places = [
+            (texts | more, inside)
+            for texts, place in places
+            for more, inside in _folders(place, part, str(number) if wild else "")
+        ]
+    any_suffix = last.endswith(".*") and not wild
+    pattern = _pattern(last.removesuffix(".*") if any_suffix else last, wild)
+    suffixes = _suffixes(role)
+    for texts, place in places:
+        for each in sorted(place.names):
+            stem, suffix = os.path.splitext(each)
+            match = pattern.fullmatch(stem if any_suffix else each)
+            if match is not None and (suffix.lower() in suffixes or not (any_suffix or wild)):
+                yield Match(place.path / each, texts | _texts(match, str(len(parts)) if wild else ""))
+
+
+def _folders(folder: Folder, part: str, level: str) -> Iterator[tuple[Texts, Folder]]:
+    """Yield placeholders and folder of every folder in this one whose name matches; ``{path}`` is this one, too."""
+    if part == "{path}" and not level:
+        yield {"path": ""}, folder
+        for path in sorted(path for path in folder.path.rglob("[!.]*") if path.is_dir()):
+            yield {"path": path.relative_to(folder.path).as_posix()}, Folder(path, folder.name, folder.prefix)
+        return
+    pattern = _pattern(part, bool(level))
+    for name in folder.folders if level or "{" in part else (part,):
+        match = pattern.fullmatch(name)
+        if match is not None and (place := folder.below(name)) is not None:
+            yield _texts(match, level), place
+
+
+def _texts(match: re.Match[str], level: str) -> Texts:
+    """Return the texts of placeholders or, of the part of a pattern at a level, of its wildcards; 7 and 007 are one."""
+    if level:
+        return {level: "".join(match.groups())}
+    texts = match.groupdict()
+    if texts.get("number", "").isdigit():
+        texts["number"] = str(int(texts["number"]))
+    return texts
+
+
+def _by_texts(files: Iterable[Match], alike: Callable[[Match], str] | None) -> dict[_Key, Path]:
+    """Return texts -> file: the texts of all placeholders or, as ``name``, the one that ``alike`` returns.
+
+    Two files with the same placeholders are an InputError. Of two that are alike none is used, so that no pair is made
+    up.
+    """
+    by_texts: dict[_Key, Path] = {}
+    twice = set()
+    for match in files:
+        texts = tuple(match.texts.items()) if alike is None else (("name", alike(match)),)
+        if (other := by_texts.setdefault(texts, match.file)) is not match.file:
+            if alike is None:
+                raise InputError(f"{match.file.parent}: both {other.name} and {match.file.name}; keep one")
+            twice.add(texts)
+    if alike is None:
+        return by_texts
+    return {texts: file for texts, file in by_texts.items() if texts[0][1] and texts not in twice}
+
+
+@lru_cache
+def _pattern(name: str, wild: bool) -> re.Pattern[str]:
+    """Return the regular expression of a part of a name with placeholders, or with wildcards."""
+    groups = []
+    for number, piece in enumerate((_WILDCARD if wild else _PLACEHOLDER).split(name)):
+        if number % 2 == 0:
+            groups.append(re.escape(piece))
+        elif not wild:
+            groups.append({"number": rf"(?P<number>{NUMBER})", "_": ".*?"}.get(piece, f"(?P<{piece}>.+?)"))
+        elif piece[0] == "[":
+            groups.append(f"([{'^' if piece[1] == '!' else piece[1]}{piece[2:]})")
+        else:
+            groups.append("(.)" if piece == "?" else "(.*)")
+    return re.compile("".join(groups))
+
+
+def given_together(values: Mapping[str, Any], *names: str) -> bool:
+    """Return True where all of the options are given, False where none is; ConfigError otherwise."""
+    given = [name for name in names if values.get(name) is not None]
+    if given and len(given) < len(names):
+        missing = " and ".join(f"--{name}" for name in names if name not in given)
+        raise ConfigError(f"--{given[0]} needs {missing}, too")
+    return bool(given)
+
+
+def name_of_file(file: Path, *generic: str) -> str:
+    """Return the name of a single scene: its file's, or its folder's where that is a generic one."""
+    folder, stem = file.absolute().parent.name, file.stem
+    if file.suffix.lower() == ".gz":  # of a compressed file the other ending goes, too: scan.nii.gz is scan
+        stem = Path(stem).stem
+    return folder if stem.lower() in generic and folder else stem
+
+
+def rows_in_file(path: Path) -> tuple[LayoutRow, ...]:
+    """Return the layouts of a user's YAML file: name -> role -> file name, and other fields of scenes."""
+    rows = []
+    for title, given in read_config(path).data.items():
+        if not isinstance(given, dict) or not {"left", "depth"} & given.keys():
+            raise ConfigError(f"{path}: {title}: expected roles and file names, left or depth among them")
+        kind: type[Scene] = StereoScene if "left" in given else RgbdScene
+        types = {each.name: str(each.type) for each in fields(kind) if each.name not in _OWN_FIELDS}
+        files: dict[str, str] = {}
+        values: dict[str, Any] = {"protocol": "middlebury_v2" if kind is StereoScene else "depth", "name": ""}
+        hints = get_type_hints(kind)
+        for key, value in given.items():
+            if "Path" not in types.get(key, "") and not str(key).startswith(_MASK):
+                if key not in types:
+                    known = ", ".join(sorted([*types, f"{_MASK}NAME"]))
+                    raise ConfigError(f"{path}: {title}: no field is called {key!r}; one of: {known}")
+                try:
+                    values[key] = TypeAdapter(hints[key]).validate_python(value)
+                except ValidationError as error:
+                    raise ConfigError(f"{path}: {title}: {key}: {error.errors()[0]['msg']}") from error
+            elif key == _MASKS and "{mask}" not in str(value):
+                raise ConfigError(
+                    f"{path}: {title}: {key}: expected {{mask}} in the name; of one mask say {_MASK}NAME: FILE"
+                )
+            elif isinstance(value, str):
+                files[key] = value
+            else:
+                raise ConfigError(f"{path}: {title}: {key}: expected the name of a file, got {value!r}")
+        first = files.get("left") or files.get("color") or files["depth"]
+        placeholders = [each for each in _PLACEHOLDER.findall(first) if each != "_"]
+        files["name"] = values.pop("name") or "_".join(f"{{{each}}}" for each in placeholders) or "{folder}"
+        files["name"] = files["name"].replace("{path}_", "{path_}")
+        rows.append(
+            LayoutRow(
+                title=str(title), wants=f"the files of {path.name}", kind=kind, files=(files,),
+                protocol=values.pop("protocol"), values=values,
+            )
+        )  # fmt: skip
+    return tuple(rows)
