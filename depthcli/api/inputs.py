@@ -20,7 +20,7 @@ from depthcli.core.root_config import RootConfig
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.depth import meters
 from depthcli.io.formats.images import pair_of
-from depthcli.kernels.jit import compile_seconds, one_at_a_time
+from depthcli.kernels.jit import compile_seconds
 from depthcli.run.presets import find_config, find_preset
 
 ModelT = TypeVar("ModelT", bound=RootConfig)
@@ -75,10 +75,9 @@ def _plain(value: Any) -> Any:
 
 @contextlib.contextmanager
 def computing() -> Iterator[None]:
-    """Keep the compilation of kernels out of measured times, and threads apart where kernels need that."""
+    """Keep the compilation of kernels out of measured times."""
     Clock.untimed = staticmethod(compile_seconds)
-    with one_at_a_time():
-        yield
+    yield
 
 
 def as_image(array: ArrayLike, name: str) -> Image:

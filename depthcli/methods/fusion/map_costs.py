@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.kernels.color_steps import BEFORE, color_steps
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.volume import CostVolume
 
 _ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
@@ -32,7 +32,7 @@ def matching_costs(maps: Map, volume: CostVolume, truncation: float) -> Map:
     A pixel costs ``truncation`` at most, and if its match lies outside the right image.
     """
     out = np.empty(maps.shape, np.float32)
-    _along(maps, volume.costs, np.float32(1.0 / volume.scale), np.float32(truncation), out)
+    run_bands(_along, maps.shape[1], maps, volume.costs, np.float32(1.0 / volume.scale), np.float32(truncation), out)
     return out
 
 
@@ -42,7 +42,7 @@ def disagreements(maps: Map, weights: NDArray[np.float32], out: Map | None = Non
     Maps within half a pixel agree; from there to one and a half their agreement fades.
     """
     out = np.empty(maps.shape, np.float32) if out is None else out
-    _disagree(maps, weights, weights.sum() - weights, out)
+    run_bands(_disagree, maps.shape[1], maps, weights, weights.sum() - weights, out)
     return out
 
 
@@ -61,7 +61,7 @@ def contradictions(maps: Map, right: NDArray[Any], hidden: float) -> Map:
     missed the nearer point: 1, fading between one and two pixels. A smaller one, or a match outside, is ``hidden``.
     """
     out = np.empty(maps.shape, np.float32)
-    _contradict(maps, right, np.float32(hidden), out)
+    run_bands(_contradict, maps.shape[1], maps, right, np.float32(hidden), out)
     return out
 
 
@@ -72,7 +72,7 @@ def hidden_jumps(maps: Map, image: NDArray[np.uint8], out: Map | None = None) ->
     """
     out = np.empty(maps.shape, np.float32) if out is None else out
     sameness = np.exp(np.arange(256) * -0.1).astype(np.float32)
-    _hidden_jumps(maps, sameness[color_steps(image, BEFORE, largest=True)], out)
+    run_bands(_hidden_jumps, maps.shape[1], maps, sameness[color_steps(image, BEFORE, largest=True)], out)
     return out
 
 
@@ -124,10 +124,10 @@ def warped_right(x, value, image, other, grey):
     return grey[low] + rest * (grey[high] - grey[low]), largest
 
 
-@parallel_jit
-def _along(maps, costs, unit, truncation, out):
-    count, height, width = maps.shape
-    for y in prange(height):
+@jit
+def _along(begin, end, maps, costs, unit, truncation, out):
+    count, _, width = maps.shape
+    for y in range(begin, end):
         for k in range(count):
             row = maps[k, y]
             for x in range(width):
@@ -135,11 +135,11 @@ def _along(maps, costs, unit, truncation, out):
                 out[k, y, x] = truncation if d > x else min(cost_between(costs[y, x], row[x]) * unit, truncation)
 
 
-@parallel_jit
-def _disagree(maps, weights, others, out):
-    count, height, width = maps.shape
+@jit
+def _disagree(begin, end, maps, weights, others, out):
+    count, _, width = maps.shape
     zero, one, no_agreement = np.float32(0), np.float32(1), np.float32(1.5)
-    for y in prange(height):
+    for y in range(begin, end):
         agreement = np.empty(width, np.float32)
         for k in range(count):
             agreement[:] = 0
@@ -154,11 +154,11 @@ def _disagree(maps, weights, others, out):
                 out[k, y, x] = one - agreement[x] / others[k] if others[k] > 0 else zero
 
 
-@parallel_jit
-def _contradict(maps, right, hidden, out):
-    count, height, width = maps.shape
+@jit
+def _contradict(begin, end, maps, right, hidden, out):
+    count, _, width = maps.shape
     zero, one = np.float32(0), np.float32(1)
-    for y in prange(height):
+    for y in range(begin, end):
         for k in range(count):
             row = maps[k, y]
             for x in range(width):
@@ -166,11 +166,11 @@ def _contradict(maps, right, hidden, out):
                 out[k, y, x] = hidden if u < 0 or nearer < -one else min(max(nearer - one, zero), one)
 
 
-@parallel_jit
-def _hidden_jumps(maps, same, out):
+@jit
+def _hidden_jumps(begin, end, maps, same, out):
     # ``same`` (2, H, W): how alike the colors of a pixel and the one to its left, above it are.
     count, height, width = maps.shape
-    for y in prange(height):
+    for y in range(begin, end):
         for k in range(count):
             row = maps[k, y]
             for x in range(width):
