@@ -74,14 +74,9 @@ class ErrorTable:
         flat = np.ascontiguousarray(log_odds, np.float32).reshape(-1)
         first, step = self._points[0], self._points[1] - self._points[0]
         run_bands(
-            _interpolate,
-            flat.size,
-            flat,
-            np.float32(first),
-            np.float32(1 / step),
-            column.astype(np.float32),
+            _interpolate, flat.size, flat, np.float32(first), np.float32(1 / step), column.astype(np.float32),
             found.reshape(-1),
-        )
+        )  # fmt: skip
         return found
 
 

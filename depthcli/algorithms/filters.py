@@ -85,7 +85,8 @@ def _average(begin, end, planes, side, out):
             for k in range(reach):
                 sums[k] = columns[_mirrored(k - reach, width)]
                 sums[reach + width + k] = columns[_mirrored(width + k, width)]
-            total[:] = sums[:width]
+            for x in range(width):
+                total[x] = sums[x]
             for k in range(1, side):
                 add(sums[k : k + width], total)
             row, old = out[n, y], planes[n, _mirrored(y - reach, height)]

@@ -222,7 +222,8 @@ def _absorb(arcs, rest, gain, tiny, height, number, raised, queue):
         raised[count] = n  # counted if it rises; a branch would be predicted wrong often
         count += (gain[n] > tiny) & (height[n] == 0)
     waiting = count
-    queue[:count] = raised[:count]
+    for k in range(count):
+        queue[k] = raised[k]
     height[raised[:count]] = 1
     number[1] = count
     while waiting:

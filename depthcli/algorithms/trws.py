@@ -54,20 +54,9 @@ def trws(
         for backward in range(2):
             for last in (1, 0) if backward else (0, 1):
                 run_bands(
-                    _pass,
-                    n_bands,
-                    nodes,
-                    values,
-                    unary,
-                    weights,
-                    cap,
-                    choices,
-                    share,
-                    earlier,
-                    messages,
-                    backward,
+                    _pass, n_bands, nodes, values, unary, weights, cap, choices, share, earlier, messages, backward,
                     last,
-                )
+                )  # fmt: skip
     labels = np.zeros(count, np.int32)
     for last in range(2):
         run_bands(_select, n_bands, nodes, values, unary, weights, cap, choices, earlier, messages, labels, last)

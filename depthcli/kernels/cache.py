@@ -163,6 +163,10 @@ class KernelCache(FunctionCache):
 
     _impl_class = _Files
 
+    def __init__(self, function: Any, compiler: Any) -> None:
+        super().__init__(function)
+        self._compiler = compiler
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the kernel compiled for the types ``sig``; None if there is none."""
         try:
@@ -180,7 +184,7 @@ class KernelCache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         """Write the compiled kernel to the folder; where that fails, warn once."""
         try:
-            super().save_overload(sig, data)
+            super().save_overload(sig, self._compiler.compiled)
         except Exception as error:
             reason = getattr(error, "strerror", None) or error
             folder = cache_folder()

@@ -22,6 +22,8 @@ import numba.core.event
 import numba.extending
 from numba import float32, int32, types
 from numba.core import cgutils
+from numba.core.codegen import JITCPUCodegen
+from numba.core.compiler import CompileResult
 from numba.extending import models, overload, register_model
 
 __all__ = [
@@ -56,9 +58,34 @@ _OPTIONS: dict[str, Any] = {"no_cfunc_wrapper": True, "nogil": True, "error_mode
 def jit(function: _F) -> _F:
     """Return ``function`` as a kernel, compiled for each combination of types that it is called with, and kept."""
     kernel: Any = numba.njit(**_OPTIONS)(function)
+    kernel._compiler = compiler = _Compiler(kernel._compiler)
     if cache_folder() is not None:
-        kernel._cache = KernelCache(function)
+        kernel._cache = KernelCache(function, compiler)
     return cast(_F, kernel)
+
+
+class _Compiler:
+    """Compiles a kernel and loads the result in the way that it is loaded from disk.
+
+    A kernel has its own copies of the functions that it calls, optimized with it. In the process that compiles them,
+    they are linked to the first copy there, of other code: sums of floats would differ in their last digits.
+    """
+
+    def __init__(self, compiler: Any) -> None:
+        self._compiler = compiler
+        self.compiled: Any = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._compiler, name)
+
+    def compile(self, arguments: Any, return_type: Any) -> Any:
+        """Return what ``numba.core.dispatcher._FunctionCompiler.compile`` returns."""
+        self.compiled = self._compiler.compile(arguments, return_type)
+        target = self.compiled.target_context
+        own = target.subtarget(_internal_codegen=JITCPUCodegen("depthcli"))
+        loaded = CompileResult._rebuild(own, *self.compiled._reduce())
+        target.insert_user_function(loaded.entry_point, loaded.fndesc, [loaded.library])
+        return loaded
 
 
 def intrinsic(function: Callable[..., Any]) -> Any:

@@ -81,7 +81,7 @@ def mean_field(
         for lattice in lattices if step else ():
             blur(lattice, width, partial[slot * width :], near[row * width :], far[row * width :])
             slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
-        run_bands(_update, bands.shape[0], *arrays, *graph, *limits, step > 0, step < last, partial)
+        run_bands(_update, len(bands[0]), *arrays, *graph, *limits, step > 0, step < last, partial)
     return q if width == labels else np.ascontiguousarray(q[:, :labels])
 
 

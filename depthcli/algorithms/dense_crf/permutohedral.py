@@ -94,16 +94,9 @@ class Lattice:
         factors = share[np.abs(steps[:, None] - steps[None, :])].astype(np.float32)
         result = np.empty(len(self.weights), np.float32)
         run_bands(
-            _compute_own_share,
-            result.size,
-            self.slots,
-            self.vertex,
-            self.weights,
-            self.neighbors,
-            factors,
-            density,
+            _compute_own_share, result.size, self.slots, self.vertex, self.weights, self.neighbors, factors, density,
             result,
-        )
+        )  # fmt: skip
         return result
 
     def filter(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -113,15 +106,9 @@ class Lattice:
         partial, near, far = (memory.empty((rows * width,), np.float32) for rows in sizes)
         result = np.empty(values.shape, np.float32)
         run_bands(
-            _spread,
-            self.first_slot.size - 1,
-            values,
-            self.slots,
-            self.weights,
-            self.first_slot,
-            BAND,
+            _spread, self.first_slot.size - 1, values, self.slots, self.weights, self.first_slot, BAND,
             partial.reshape(-1, width),
-        )
+        )  # fmt: skip
         blur(self, width, partial, near, far)
         run_bands(_read, self.slots.shape[0], near.reshape(-1, width), self.slots, self.vertex, self.weights, result)
         return result
@@ -141,14 +128,9 @@ def blur(
     run_bands(_gather_vertices, lattice.first.size - 1, partial, lattice.order, lattice.first, source, width)
     for axis in range(steps):
         run_bands(
-            _blur_axis,
-            lattice.neighbors[axis, 0].size,
-            source,
-            lattice.neighbors[axis, 0],
-            lattice.neighbors[axis, 1],
-            target,
-            width,
-        )
+            _blur_axis, lattice.neighbors[axis, 0].size, source, lattice.neighbors[axis, 0],
+            lattice.neighbors[axis, 1], target, width,
+        )  # fmt: skip
         source, target = target, source
 
 

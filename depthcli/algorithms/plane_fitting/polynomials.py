@@ -121,26 +121,30 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
     n = min(total, samples)
     z, u, v = np.empty(n), np.empty(n), np.empty(n)
     residuals, scratch, weights = np.empty(n), np.empty(n), np.empty(n)
+    low, high, far_u, far_v = np.inf, -np.inf, 0.0, 0.0
     for k in range(n):  # one of each n-th of the pixels, not the first: in a rectangle these could be one column
         first, end = k * total // n, (k + 1) * total // n
         p = pixels[first + int((end - first) * (k * _GOLDEN_RATIO % 1.0))]
         y, x = p // width, p % width
         z[k], u[k], v[k] = values[y, x], x, y
-    scratch[:] = z
+        scratch[k] = z[k]
+        low, high = min(low, z[k]), max(high, z[k])
     if np.isnan(center[0]):
         center[0], center[1] = v.mean(), u.mean()
         beta[:] = 0
         beta[0] = smallest(scratch, n // 2)
-    u[:] = (u - center[1]) / unit
-    v[:] = (v - center[0]) / unit
-    low, high = z.min(), z.max()
+    for k in range(n):
+        u[k] = (u[k] - center[1]) / unit
+        far_u = max(far_u, abs(u[k]))
+    for k in range(n):
+        v[k] = (v[k] - center[0]) / unit
+        far_v = max(far_v, abs(v[k]))
     bounds[0] = max(low - 0.05 * (high - low), 0.5 * low)
     bounds[1] = high + 0.05 * (high - low)
     terms = 1
     if total >= _MIN_PLANE_PIXELS and degree >= 1:
         terms = 6 if total >= _MIN_QUADRIC_PIXELS and degree == 2 else 3
     beta[terms:] = 0
-    far_u, far_v = np.abs(u).max(), np.abs(v).max()
     extent = (1.0, far_u, far_v, far_u * far_u, far_u * far_v, far_v * far_v)
     normal, right, new = np.empty((6, 6)), np.empty(6), np.empty(6)
     spread = np.inf

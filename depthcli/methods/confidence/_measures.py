@@ -31,15 +31,9 @@ def _average_peak_ratio(curves: CostCurves) -> Map:
     out = np.empty(known.winner.shape, np.float32)
     winners = known.winner, known.second_winner
     run_bands(
-        _fill_peak_ratio,
-        curves.costs.shape[0],
-        curves.costs,
-        curves.valid,
-        *winners,
-        np.float32(known.eps),
-        _PEAK_RADIUS,
-        out,
-    )
+        _fill_peak_ratio, curves.costs.shape[0], curves.costs, curves.valid, *winners, np.float32(known.eps),
+        _PEAK_RADIUS, out,
+    )  # fmt: skip
     return out
 
 

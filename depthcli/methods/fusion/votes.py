@@ -179,16 +179,9 @@ class Ballot:
             gain = scale / base.scale
         for first, block in self._blocks(fading=base is None):
             run_bands(
-                _add,
-                out.shape[0],
-                block,
-                self.support.inverse_sum,
-                known,
-                np.float32(gain),
-                np.float32(strength * scale),
-                first,
-                out,
-            )
+                _add, out.shape[0], block, self.support.inverse_sum, known, np.float32(gain),
+                np.float32(strength * scale), first, out,
+            )  # fmt: skip
         return CostVolume(out, scale)
 
 

@@ -194,14 +194,9 @@ def pixel_planes(evidence: Evidence) -> NDArray[np.float32]:
     plane["light_trust"][:] = 1 if trust is None else trust / np.float32(255)
     unit = np.float32(1 / evidence.optimized.scale)
     run_bands(
-        _peaks,
-        evidence.optimized.costs.shape[0],
-        evidence.optimized.costs,
-        evidence.left,
-        unit,
-        plane["min_cost"],
+        _peaks, evidence.optimized.costs.shape[0], evidence.optimized.costs, evidence.left, unit, plane["min_cost"],
         plane["peak"],
-    )
+    )  # fmt: skip
     return out
 
 

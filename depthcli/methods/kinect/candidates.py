@@ -148,20 +148,9 @@ def cast_votes(
     scale = np.searchsorted(_SPACE_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
     planes, colors = zip(*voters, strict=True)
     run_bands(
-        _vote,
-        (len(pixels) + 255) // 256,
-        pixels,
-        scale,
-        lab,
-        planes,
-        colors,
-        limits,
-        extra,
-        color_similarity(sigma_color),
-        space,
-        bins,
-        *found,
-    )
+        _vote, (len(pixels) + 255) // 256, pixels, scale, lab, planes, colors, limits, extra,
+        color_similarity(sigma_color), space, bins, *found,
+    )  # fmt: skip
     return found
 
 
@@ -282,17 +271,9 @@ def hidden_openings(
     shape = trusted.shape
     hidden = np.zeros((-(-shape[0] // _OPENING_GRID), -(-shape[1] // _OPENING_GRID)), np.uint8)
     run_bands(
-        _test_openings,
-        hidden.shape[0],
-        lab,
-        planes,
-        *voters,
-        trusted,
-        color_similarity(sigma_color),
-        space,
-        np.float32(jump),
-        hidden,
-    )
+        _test_openings, hidden.shape[0], lab, planes, *voters, trusted, color_similarity(sigma_color), space,
+        np.float32(jump), hidden,
+    )  # fmt: skip
     spread = np.zeros(shape, np.uint8)
     spread[::_OPENING_GRID, ::_OPENING_GRID] = hidden
     square = np.ones((_OPENING_SQUARE, _OPENING_SQUARE), np.uint8)

@@ -52,17 +52,9 @@ def _along_rows(lab: Image8, disparity: Floats, jump: float, gap_probability: fl
     widths = np.array([(side.scale, side.covered) for side in sides], np.float32)
     shadowed = np.array([side.confidence > 0 for side in sides])
     run_bands(
-        _probability,
-        disparity.shape[0],
-        disparity,
-        np.float32(jump),
-        near,
-        far,
-        np.float32(gap_probability),
-        widths,
-        shadowed,
-        result,
-    )
+        _probability, disparity.shape[0], disparity, np.float32(jump), near, far, np.float32(gap_probability), widths,
+        shadowed, result,
+    )  # fmt: skip
     return result
 
 

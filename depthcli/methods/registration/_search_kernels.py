@@ -125,7 +125,8 @@ def _take(volume, first, stride, count, pitch, out):
                 for y in range(count[1]):
                     source = volume[c, first[0] * stride[0] + z, first[1] * stride[1] + y, p]
                     source = source[first[2] : first[2] + pitch]
-                    target[y * pitch : y * pitch + source.size] = source
+                    for i in range(source.size):
+                        target[y * pitch + i] = source[i]
 
 
 @jit
@@ -169,7 +170,8 @@ def _spread(costs, rows):
 @jit
 def _raise(values, power, out):
     # out = values ** power, by squares and products instead of as many products as the power
-    out[:] = values
+    for i in range(out.size):
+        out[i] = values[i]
     bit = 1
     while 2 * bit <= power:
         bit *= 2
@@ -354,4 +356,5 @@ def search_tiles(
                     # What lies behind the tile's end is measured with it, and not copied.
                     for m in range(len(PLANES)):
                         target = out[m, origin[0] + z, origin[1] + y, origin[2] : origin[2] + last]
-                        target[:] = measured[m, :last]
+                        for i in range(last):
+                            target[i] = measured[m, i]

@@ -168,16 +168,9 @@ def carried_labels(layer: Layer, still: Mask, color: Image8, measurement: Measur
     shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
     cost, given = np.empty(still.shape, np.float32), (measurement.reliable, measurement.limit)
     run_bands(
-        _held,
-        layer.labels.shape[0],
-        layer.labels,
-        still,
-        *given,
-        *shapes,
-        surfaces.scale,
-        np.float32(measurement.jump),
-        cost,
-    )
+        _held, layer.labels.shape[0], layer.labels, still, *given, *shapes, surfaces.scale,
+        np.float32(measurement.jump), cost,
+    )  # fmt: skip
     labels, own = np.where(cost > 0, np.int32(-1), layer.labels), layer.own.copy()
     pixels = np.argwhere(cost > 0).astype(np.int32)
     _sweep(pixels, cost, labels, own, color, *given, *shapes, np.float32(5 / measurement.noise))

@@ -83,7 +83,8 @@ def _exponentials(begin, end, distances, variance, out):
     for z in range(begin, end):
         lowest = np.empty(width, np.float32)
         for y in range(height):
-            lowest[:] = distances[0, z, y]
+            for i in range(width):
+                lowest[i] = distances[0, z, y, i]
             for c in range(1, channels):
                 row = distances[c, z, y]
                 for i in range(width):

@@ -115,7 +115,8 @@ def block_means(begin, end, image, means):
                 for x in range(width):
                     below[x] = np.float32(np.int32(red[x]) + np.int32(green[x]) + np.int32(blue[x])) / np.float32(3)
             else:
-                below[:] = image[y, :, 0]
+                for x in range(width):
+                    below[x] = image[y, x, 0]
             if k < 2:
                 continue
             for x in range(width):

@@ -45,7 +45,8 @@ def _count_bits(begin, end, left, right, costs):
     n_disparities = costs.shape[2]
     for y in range(begin, end):
         mirror = np.zeros(width + n_disparities, np.uint64)
-        mirror[:width] = right[y, ::-1]
+        for x in range(width):
+            mirror[width - 1 - x] = right[y, x]
         for x in range(width):
             bits = left[y, x]
             row = mirror[width - 1 - x : width - 1 - x + n_disparities]
@@ -92,7 +93,8 @@ def _extremes(begin, end, rows, low, high):
     padded = width + 2
     for y in range(begin, end):
         row = np.empty(padded, np.int16)
-        row[1 : width + 1] = rows[y]
+        for x in range(width):
+            row[x + 1] = rows[y, x]
         row[0], row[width + 1] = row[1], row[width]
         left, middle, right, below, above = row[:width], row[1 : width + 1], row[2:padded], low[y], high[y]
         for i in range(below.size):
@@ -112,9 +114,11 @@ def _difference_volume(begin, end, left, right, ranges, costs, half, shift, limi
     zero = largest - largest
     for y in range(begin, end):
         mirror = np.zeros((3, channels, row_size), left.dtype)
-        mirror[0, :, :width] = right[:, y, ::-1]
-        if ranges is not None:
-            mirror[1, :, :width], mirror[2, :, :width] = ranges[2][:, y, ::-1], ranges[3][:, y, ::-1]
+        for c in range(channels):
+            for x in range(width):
+                mirror[0, c, width - 1 - x] = right[c, y, x]
+                if ranges is not None:
+                    mirror[1, c, width - 1 - x], mirror[2, c, width - 1 - x] = ranges[2][c, y, x], ranges[3][c, y, x]
         flat = mirror.reshape(3 * channels * row_size)
         row = np.empty(padded, np.uint8)
         out = costs[y].reshape(width * n_disparities)

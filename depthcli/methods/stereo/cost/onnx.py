@@ -115,7 +115,9 @@ def _compare(begin, end, left, right, products, scale, largest, costs):
     half, zero = np.float32(0.5), np.float32(0.0)
     for y in range(begin, end):
         mirror = np.zeros((channels, width + n_disparities), np.float32)
-        mirror[:, :width] = right[y, :, ::-1]
+        for c in range(channels):
+            for x in range(width):
+                mirror[c, width - 1 - x] = right[y, c, x]
         sums = np.zeros(n_disparities, np.float32)
         for x in range(width):
             at = width - 1 - x

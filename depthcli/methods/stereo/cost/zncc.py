@@ -42,16 +42,9 @@ class Zncc(CostMeasure):
         moments = [_moments(image, self.window, self.noise) for image in padded]
         scale = 1.0 / (self.window[0] * self.window[1])
         run_bands(
-            _zncc_volume,
-            (costs.shape[0] + _BAND - 1) // _BAND,
-            padded[0],
-            padded[1],
-            *moments[0],
-            *moments[1],
-            scale,
-            np.float32(self.noise**2),
-            costs,
-        )
+            _zncc_volume, (costs.shape[0] + _BAND - 1) // _BAND, padded[0], padded[1], *moments[0], *moments[1],
+            scale, np.float32(self.noise**2), costs,
+        )  # fmt: skip
         fill_outside(costs, np.uint8(round(self.outside * self.SCALE)))
         return CostVolume(costs, float(self.SCALE))
 
@@ -72,7 +65,8 @@ def _moments(
 @jit
 def _add_products(left, right, sign, mirror, sums):
     columns, n_disparities = sums.shape
-    mirror[:columns] = right[::-1]
+    for x in range(columns):
+        mirror[columns - 1 - x] = right[x]
     for x in range(columns):
         a = sign * np.int32(left[x])
         column, other = sums[x], mirror[columns - 1 - x : columns - 1 - x + n_disparities]
@@ -99,8 +93,8 @@ def _zncc_volume(begin, end, left, right, left_mean, left_factor, right_mean, ri
             start = y if y == first else y + tall - 1
             for row in range(start, y + tall):
                 _add_products(left[row], right[row], np.int32(1), mirror, sums)
-            mean[:width] = right_mean[y, ::-1]
-            factor[:width] = right_factor[y, ::-1]
+            for x in range(width):
+                mean[width - 1 - x], factor[width - 1 - x] = right_mean[y, x], right_factor[y, x]
             total[:] = 0
             for x in range(wide - 1):
                 column = sums[x]

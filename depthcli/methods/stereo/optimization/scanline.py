@@ -47,7 +47,7 @@ class Scanline(Optimizer):
             costs = np.pad(costs.astype(np.uint16), padding, constant_values=_PADDING_COST)
         table = self.penalties(volume.scale, volume.costs.dtype == np.uint8)
         in_bytes = costs.dtype == np.uint8 and n_disparities >= BYTE_LANES
-        if in_bytes and int(table.max()) + _largest(costs) < _BYTE_GUARD:
+        if in_bytes and int(table.max()) + int(costs.max()) < _BYTE_GUARD:
             table = table.astype(np.uint8)
         # 1 where the pixel to the left, upper left, above, upper right differs in color.
         edges = (color_steps(pair.color8[0], _BACK, largest=True) > self.edge_threshold).view(np.uint8)
@@ -71,22 +71,6 @@ class Scanline(Optimizer):
         return np.array(
             [[p1, max(p1, p2)], [round(p1 / self.edge_divisor), round(max(p1, p2) / self.edge_divisor)]], np.uint16
         )
-
-
-def _largest(costs: NDArray[np.uint8]) -> int:
-    maxima = np.zeros(costs.shape[0], np.uint8)
-    run_bands(_row_maxima, costs.shape[0], costs, maxima)
-    return int(maxima.max())
-
-
-@jit
-def _row_maxima(begin, end, costs, maxima):
-    for y in range(begin, end):
-        row = costs[y].reshape(costs.shape[1] * costs.shape[2])
-        largest = row[0]
-        for i in range(row.size):
-            largest = max(largest, row[i])
-        maxima[y] = largest
 
 
 def _sweep_both(

@@ -68,17 +68,9 @@ class WeightedMedian(Refinement):
             highest = cv2.dilate(bins, window)
             filtered = values.copy()
             run_bands(
-                _filter,
-                filtered.shape[0],
-                planes,
-                np.pad(bins, frame),
-                trust,
-                by_color,
-                by_distance,
-                lowest,
-                highest,
-                filtered,
-            )
+                _filter, filtered.shape[0], planes, np.pad(bins, frame), trust, by_color, by_distance, lowest,
+                highest, filtered,
+            )  # fmt: skip
             values = filtered
         return with_smoothed(disparity, values)
 

@@ -116,7 +116,8 @@ def _penalize(begin, end, costs, zones, ranges, penalty, limit, out):
     for y in range(begin, end):
         for x in range(width):
             row = out[y, x]
-            row[:] = costs[y, x]
+            for d in range(n_disparities):
+                row[d] = costs[y, x, d]
             low = ranges[zones[y, x], 0]
             high = ranges[zones[y, x], 1]
             if low > x:
