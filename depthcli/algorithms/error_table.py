@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 _POINTS = 4096  # of the log odds, equally far apart, between which a column is interpolated
 _LIMITS = 64  # of errors, likewise, where each value has its own
@@ -73,7 +73,10 @@ class ErrorTable:
         found = np.empty(log_odds.shape, np.float32)
         flat = np.ascontiguousarray(log_odds, np.float32).reshape(-1)
         first, step = self._points[0], self._points[1] - self._points[0]
-        _interpolate(flat, np.float32(first), np.float32(1 / step), column.astype(np.float32), found.reshape(-1))
+        run_bands(
+            _interpolate, flat.size, flat, np.float32(first), np.float32(1 / step), column.astype(np.float32),
+            found.reshape(-1),
+        )  # fmt: skip
         return found
 
 
@@ -87,10 +90,10 @@ def _logit(share: float | NDArray[np.float64]) -> NDArray[np.float64]:
     return odds
 
 
-@parallel_jit
-def _interpolate(values, first, per_step, column, out):
+@jit
+def _interpolate(begin, end, values, first, per_step, column, out):
     top = np.float32(column.size - 1)
-    for i in prange(values.size):
+    for i in range(begin, end):
         at = min(max((values[i] - first) * per_step, np.float32(0)), top)
         k = min(int(at), column.size - 2)
         out[i] = column[k] + (at - np.float32(k)) * (column[k + 1] - column[k])

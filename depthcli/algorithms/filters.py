@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 _BAND = 32  # rows
 _DISC_GAP = 2.0  # difference of the disparities of neighbors at a discontinuity, pixels
@@ -37,7 +37,7 @@ def local_range(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
 def window_means(planes: NDArray[np.float32], side: int, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
     """Return the means of square windows of (N, H, W) float32 planes, as cv2.blur does, on all threads."""
     out = np.empty(planes.shape, np.float32) if out is None else out
-    _average(planes, side, out)
+    run_bands(_average, planes.shape[0] * -(-planes.shape[1] // _BAND), planes, side, out)
     return out
 
 
@@ -50,7 +50,7 @@ def correlation(
     correlate.
     """
     mean, square, product = (window_means(each, CORRELATED) for each in (others, others * others, image * others))
-    _correlate(mean, square, product, *moments)
+    run_bands(_correlate, mean.shape[1], mean, square, product, *moments)
     return product
 
 
@@ -69,13 +69,13 @@ def add(row, sums):
         sums[i] += row[i]
 
 
-@parallel_jit
-def _average(planes, side, out):
+@jit
+def _average(begin, end, planes, side, out):
     # Sums of columns go on from row to row of a band, those of rows are made anew. Doubles, as in OpenCV.
-    count, height, width = planes.shape
+    _, height, width = planes.shape
     bands, reach, share = -(-height // _BAND), side // 2, 1.0 / (side * side)
-    for task in prange(count * bands):
-        n, top = np.int64(task) // bands, np.int64(task) % bands * _BAND
+    for task in range(begin, end):
+        n, top = task // bands, task % bands * _BAND
         sums, total = np.zeros(width + 2 * reach), np.empty(width)
         columns = sums[reach : reach + width]
         for v in range(top - reach, top + reach):
@@ -85,7 +85,8 @@ def _average(planes, side, out):
             for k in range(reach):
                 sums[k] = columns[_mirrored(k - reach, width)]
                 sums[reach + width + k] = columns[_mirrored(width + k, width)]
-            total[:] = sums[:width]
+            for x in range(width):
+                total[x] = sums[x]
             for k in range(1, side):
                 add(sums[k : k + width], total)
             row, old = out[n, y], planes[n, _mirrored(y - reach, height)]
@@ -94,12 +95,12 @@ def _average(planes, side, out):
                 columns[x] -= old[x]
 
 
-@parallel_jit
-def _correlate(mean, square, product, other_mean, other_variance):
+@jit
+def _correlate(begin, end, mean, square, product, other_mean, other_variance):
     # ``product`` becomes the correlation. One operation a loop: fused ones are rounded otherwise.
-    count, height, width = mean.shape
+    count, _, width = mean.shape
     zero, noise = np.float32(0), np.float32(4)
-    for y in prange(height):
+    for y in range(begin, end):
         scratch = np.empty(width, np.float32)
         for n in range(count):
             m, s, p = mean[n, y], square[n, y], product[n, y]
@@ -177,7 +178,8 @@ def joint_bilateral_fill(
     filled = values.copy()
     unknown = np.argwhere(np.isnan(filled))
     while unknown.size:
-        means = _bilateral_means(color, filled, unknown, spatial, likeness)
+        means = np.empty(len(unknown), np.float32)
+        run_bands(_bilateral_means, len(unknown), color, filled, unknown, spatial, likeness, means)
         reached = ~np.isnan(means)
         if not reached.any():
             break
@@ -186,12 +188,11 @@ def joint_bilateral_fill(
     return filled
 
 
-@parallel_jit
-def _bilateral_means(color, values, pixels, spatial, likeness):
+@jit
+def _bilateral_means(begin, end, color, values, pixels, spatial, likeness, means):
     height, width = values.shape
     reach = spatial.shape[0] // 2
-    means = np.empty(len(pixels), np.float32)
-    for n in prange(len(pixels)):
+    for n in range(begin, end):
         y, x = pixels[n]
         r, g, b = np.int32(color[y, x, 0]), np.int32(color[y, x, 1]), np.int32(color[y, x, 2])
         total, weights = 0.0, 0.0
@@ -206,4 +207,3 @@ def _bilateral_means(color, values, pixels, spatial, likeness):
                 weights += weight
         # Where all colors differ, all weights underflow: left to the next round, when closer pixels are known.
         means[n] = total / weights if weights > 1e-30 else np.nan
-    return means

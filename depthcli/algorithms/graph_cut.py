@@ -8,7 +8,7 @@ import maxflow
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 
 def binary_cut(
@@ -90,19 +90,19 @@ def alpha_expansion(
     labels = labels.astype(np.int32)
     energy = potts_energy(labels, costs, ends, strength)
     # Transposed: a column of a large matrix misses the cache at every node.
-    _expand(labels, _transposed(costs), _arcs(len(costs), ends, strength), energy, max_sweeps)
+    transposed = np.empty(costs.shape[::-1], costs.dtype)
+    run_bands(_transpose, -(-costs.shape[1] // 8), costs, transposed)
+    _expand(labels, transposed, _arcs(len(costs), ends, strength), energy, max_sweeps)
     return labels, potts_energy(labels, costs, ends, strength)
 
 
-@parallel_jit
-def _transposed(matrix):
+@jit
+def _transpose(begin, end, matrix, out):
     rows, columns = matrix.shape
-    out = np.empty((columns, rows), matrix.dtype)
-    for block in prange(-(-columns // 8)):  # a line of the cache
+    for block in range(begin, end):  # a line of the cache
         for i in range(rows):
-            for j in range(8 * np.int64(block), min(8 * np.int64(block) + 8, columns)):
+            for j in range(8 * block, min(8 * block + 8, columns)):
                 out[j, i] = matrix[i, j]
-    return out
 
 
 class _Arcs(NamedTuple):
@@ -222,7 +222,8 @@ def _absorb(arcs, rest, gain, tiny, height, number, raised, queue):
         raised[count] = n  # counted if it rises; a branch would be predicted wrong often
         count += (gain[n] > tiny) & (height[n] == 0)
     waiting = count
-    queue[:count] = raised[:count]
+    for k in range(count):
+        queue[k] = raised[k]
     height[raised[:count]] = 1
     number[1] = count
     while waiting:

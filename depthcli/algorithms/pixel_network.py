@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import WIDE, load_like, maximum, minimum, splat_like, store, wide_zero
 
 INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
@@ -68,7 +68,7 @@ def log_odds(
     alone, together = (at_least_wide(each.reshape(len(each), planes[0].size)) for each in (planes, others))
     out = np.empty(max(planes[0].size, WIDE), np.float32)
     network = trained.mean, trained.scale, offsets.astype(np.float32), *kernel_layers(trained)
-    _evaluate(alone, together, *network, out)
+    run_bands(_evaluate, -(-out.size // CHUNK), alone, together, *network, out)
     return out[: planes[0].size].reshape(planes.shape[1:])
 
 
@@ -146,14 +146,14 @@ def _layer(source, weights, offsets, target):
         store(target, (unit + 3) * WIDE, maximum(d, zero))
 
 
-@parallel_jit
-def _evaluate(alone, others, mean, scale, offsets, w1, w2, b2, w3, b3, out):
+@jit
+def _evaluate(begin, end, alone, others, mean, scale, offsets, w1, w2, b2, w3, b3, out):
     pixels, n_alone = out.size, len(alone)
     first_planes, last_planes = alone.reshape(alone.size), others.reshape(others.size)
-    for task in prange(-(-pixels // CHUNK)):
+    for task in range(begin, end):
         inputs = np.empty(mean.size * WIDE, np.float32)
         hidden = np.empty((w1.shape[0] + w2.shape[0]) * TILE * WIDE, np.float32)
-        zero, start = wide_zero(), np.int64(task) * CHUNK
+        zero, start = wide_zero(), task * CHUNK
         for at in range(start, min(pixels, start + CHUNK), WIDE):
             first = min(at, pixels - WIDE)  # the last ones overlap others, to the same effect
             for k in range(mean.size):

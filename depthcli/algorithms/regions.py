@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 BAND = 32
 """Rows of an image that one thread joins; the result does not depend on it."""
@@ -33,21 +33,30 @@ def join(parent, i, j):
         parent[i] = j
 
 
-@parallel_jit
-def _components(color, limit):
+def _components(color: NDArray[Any], limit: float) -> NDArray[np.int32]:
     # Pixels are joined inside of bands of rows, side by side, then across the rims of the bands.
+    parent = np.empty(color.shape[:2], np.int32)
+    run_bands(_join_inside, -(-color.shape[0] // BAND), color, limit, parent.ravel())
+    return np.asarray(_joined(color, limit, parent.ravel()).reshape(parent.shape), np.int32)
+
+
+@jit
+def _join_inside(begin, end, color, limit, parent):
     height, width, _ = color.shape
-    parent = np.empty(height * width, np.int32)
-    for band in prange(-(-height // BAND)):
+    for band in range(begin, end):
         for y in range(band * BAND, min(height, (band + 1) * BAND)):
             for x in range(width):
                 p = y * width + x
                 parent[p] = parent[p - 1] if x > 0 and _similar(color[y, x], color[y, x - 1], limit) else p
             if y > band * BAND:
                 _join_rows(color, y, limit, parent)
-    for y in range(BAND, height, BAND):
+
+
+@jit
+def _joined(color, limit, parent):
+    for y in range(BAND, color.shape[0], BAND):
         _join_rows(color, y, limit, parent)
-    return consecutive(parent).reshape(height, width)
+    return consecutive(parent)
 
 
 @jit
@@ -147,12 +156,12 @@ def connected_components(color: NDArray[Any], max_distance: float) -> NDArray[np
     4-neighbors whose Euclidean color distance is at most ``max_distance`` belong to the same region. Labels count from
     0 in raster order of the regions' first pixels.
     """
-    return np.asarray(_components(np.ascontiguousarray(color), max_distance * max_distance), np.int32)
+    return _components(np.ascontiguousarray(color), max_distance * max_distance)
 
 
 def connected_components_of_labels(labels: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return labels of the 4-connected pieces of equal value in an (H, W) int32 map; numbered in the same order."""
-    return np.asarray(_components(np.ascontiguousarray(labels)[..., None], 0.0), np.int32)
+    return _components(np.ascontiguousarray(labels)[..., None], 0.0)
 
 
 @dataclass(frozen=True)
@@ -233,19 +242,21 @@ def merge_small_regions(
     small = np.flatnonzero(sizes < min_size)
     while True:
         target = np.empty(len(small), np.int32)
-        _find_targets(small, means, parent, following, starts, neighbors, boundary, by_boundary, target)
+        run_bands(
+            _find_targets, BAND, small, means, parent, following, starts, neighbors, boundary, by_boundary, target
+        )
         if not (target >= 0).any():
             number: NDArray[np.int32] = consecutive(parent)
             return number[labels]
         small = _join_targets(small, target, sizes, sums, means, parent, following, last, min_size)
 
 
-@parallel_jit
-def _find_targets(small, means, parent, following, starts, neighbors, boundary, by_boundary, target):
+@jit
+def _find_targets(begin, end, small, means, parent, following, starts, neighbors, boundary, by_boundary, target):
     # The neighbors that the regions ``small`` are to join, -1 where there is none.
-    for task in prange(BAND):
+    for task in range(begin, end):
         lengths = np.zeros(parent.size if by_boundary else 0, np.int64)
-        for k in range(small.size * np.int64(task) // BAND, small.size * np.int64(task + 1) // BAND):
+        for k in range(small.size * task // BAND, small.size * (task + 1) // BAND):
             graph = parent, following, starts, neighbors, boundary
             target[k] = _best_neighbor(small[k], means, *graph, lengths, by_boundary)
 

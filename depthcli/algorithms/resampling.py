@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 
 def trilinear(volume: NDArray[np.float32], coordinates: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -89,7 +89,7 @@ def gaussian(volume: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     if volume.shape[0] > 1:
         padded = np.pad(smooth, ((radius, radius), (0, 0), (0, 0)), mode="edge")
         smooth = np.empty_like(volume)
-        _along_first(padded, weights, smooth)
+        run_bands(_along_first, smooth.shape[0], padded, weights, smooth)
     planes = np.empty_like(volume)
     row, column = (weights if n > 1 else np.ones(1, np.float32) for n in volume.shape[:0:-1])
     for plane, source in zip(planes, smooth, strict=True):
@@ -98,9 +98,9 @@ def gaussian(volume: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     return planes
 
 
-@parallel_jit
-def _along_first(padded, weights, out):
-    for z in prange(out.shape[0]):
+@jit
+def _along_first(begin, end, padded, weights, out):
+    for z in range(begin, end):
         for y in range(out.shape[1]):
             row = out[z, y]
             row[:] = 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 _BAND = 24  # rows that one task visits in order; any number gives a valid order, this one keeps all cores busy
 
@@ -49,12 +49,17 @@ def trws(
     weights = np.ascontiguousarray(weights)
     share, earlier = _order(nodes, count)
     messages = np.zeros((count, 4, values.shape[1]), np.float32)
-    cap = np.float32(truncation)
+    cap, n_bands = np.float32(truncation), -(-height // _BAND)
     for _ in range(iterations):
         for backward in range(2):
-            _pass(nodes, values, unary, weights, cap, choices, share, earlier, messages, backward)
+            for last in (1, 0) if backward else (0, 1):
+                run_bands(
+                    _pass, n_bands, nodes, values, unary, weights, cap, choices, share, earlier, messages, backward,
+                    last,
+                )  # fmt: skip
     labels = np.zeros(count, np.int32)
-    _select(nodes, values, unary, weights, cap, choices, earlier, messages, labels)
+    for last in range(2):
+        run_bands(_select, n_bands, nodes, values, unary, weights, cap, choices, earlier, messages, labels, last)
     return labels
 
 
@@ -141,55 +146,51 @@ def _visit(
             message[j] = belief[values.shape[1] + j] - lowest
 
 
-@parallel_jit
-def _pass(nodes, values, unary, weights, truncation, choices, share, earlier, messages, backward):
-    # A forward (0) or backward (1) pass.
+@jit
+def _pass(begin, end, nodes, values, unary, weights, truncation, choices, share, earlier, messages, backward, last):
+    # A forward (0) or backward (1) pass over the rows that are visited ``last`` (1), or over all others (0).
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
-    for turn in range(2):
-        last = 1 - turn if backward else turn
-        for band in prange((height + _BAND - 1) // _BAND):
-            belief = np.empty(2 * values.shape[1], np.float32)
-            start, stop = band * _BAND, min(band * _BAND + _BAND, height)
-            for i in range(stop - start):
-                y = stop - 1 - i if backward else start + i
-                if (_rank(y, height) == _BAND) != last:
-                    continue
-                for j in range(width):
-                    x = width - 1 - j if backward else j
-                    n = nodes[y + 1, x + 1]
-                    if n >= 0:
-                        _visit(
-                            y, x, n, backward, nodes, values, unary, weights, truncation, choices, share, earlier,
-                            messages, belief,
-                        )  # fmt: skip
+    for band in range(begin, end):
+        belief = np.empty(2 * values.shape[1], np.float32)
+        start, stop = band * _BAND, min(band * _BAND + _BAND, height)
+        for i in range(stop - start):
+            y = stop - 1 - i if backward else start + i
+            if (_rank(y, height) == _BAND) != last:
+                continue
+            for j in range(width):
+                x = width - 1 - j if backward else j
+                n = nodes[y + 1, x + 1]
+                if n >= 0:
+                    _visit(
+                        y, x, n, backward, nodes, values, unary, weights, truncation, choices, share, earlier,
+                        messages, belief,
+                    )  # fmt: skip
 
 
-@parallel_jit
-def _select(nodes, values, unary, weights, truncation, choices, earlier, messages, labels):
+@jit
+def _select(begin, end, nodes, values, unary, weights, truncation, choices, earlier, messages, labels, last):
     # Labels in the order of the visits: each from the labels of earlier and the messages of later neighbors.
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
-    bands = (height + _BAND - 1) // _BAND
-    for last in range(2):
-        for band in prange(bands):
-            for y in range(band * _BAND, min(band * _BAND + _BAND, height)):
-                if (_rank(y, height) == _BAND) != last:
+    for band in range(begin, end):
+        for y in range(band * _BAND, min(band * _BAND + _BAND, height)):
+            if (_rank(y, height) == _BAND) != last:
+                continue
+            for x in range(width):
+                n = nodes[y + 1, x + 1]
+                if n < 0:
                     continue
-                for x in range(width):
-                    n = nodes[y + 1, x + 1]
-                    if n < 0:
-                        continue
-                    lowest = np.float32(np.inf)
-                    for i in range(choices[n]):
-                        cost = unary[n, i]
-                        for k in range(8):
-                            m = nodes[y + 1 + _DY[k], x + 1 + _DX[k]]
-                            if m < 0:
-                                continue
-                            if (earlier[n] >> k) & 1:
-                                weight = weights[n, k] if k < 4 else weights[m, k - 4]
-                                cost += weight * min(abs(values[n, i] - values[m, labels[m]]), truncation)
-                            else:
-                                cost += messages[n, k, i] if k < 4 else messages[m, k - 4, i]
-                        if cost < lowest:
-                            lowest = cost
-                            labels[n] = i
+                lowest = np.float32(np.inf)
+                for i in range(choices[n]):
+                    cost = unary[n, i]
+                    for k in range(8):
+                        m = nodes[y + 1 + _DY[k], x + 1 + _DX[k]]
+                        if m < 0:
+                            continue
+                        if (earlier[n] >> k) & 1:
+                            weight = weights[n, k] if k < 4 else weights[m, k - 4]
+                            cost += weight * min(abs(values[n, i] - values[m, labels[m]]), truncation)
+                        else:
+                            cost += messages[n, k, i] if k < 4 else messages[m, k - 4, i]
+                    if cost < lowest:
+                        lowest = cost
+                        labels[n] = i

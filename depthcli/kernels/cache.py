@@ -24,21 +24,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-# Waiting threads sleep instead of spinning: where cores are shared, a spinning thread holds the core that
-# the thread it waits for needs. Has to be set before the OpenMP library is loaded.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-
 # Intel's vector math library, where a machine happens to have it, would give other last digits than everywhere else.
 os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
 
 import llvmlite
 import llvmlite.binding
 import numba
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import dumps
 
 _PACKAGE = Path(__file__).parents[1]
-_HAS_KERNELS = re.compile(rb"^(@(parallel_)?jit|@intrinsic|@overload)\b", re.M)
+_HAS_KERNELS = re.compile(rb"^(@jit|@intrinsic|@overload)\b", re.M)
 _MAX_AGE_DAYS = 30  # a month of other work, or of another branch, costs no compilation
 _DAY = 86400
 
@@ -143,20 +140,32 @@ class _Locator(_CacheLocator):
         return cls(_kernel_folder(folder) / py_func.__module__, Path(py_file), py_func.__code__.co_firstlineno)
 
 
-class _Implementation(CompileResultCacheImpl):
+class _Files(CompileResultCacheImpl):
+    """numba's files, with a checksum of the machine code: damaged code must not be run."""
+
     _locator_classes: list[Any] = [_Locator]  # noqa: RUF012
+
+    def reduce(self, cres: Any) -> Any:
+        """Return what is written of a compiled kernel."""
+        content = dumps(super().reduce(cres))
+        return zlib.crc32(content), content
+
+    def rebuild(self, target_context: Any, reduced_data: Any) -> Any:
+        """Return the compiled kernel of which this was written."""
+        checksum, content = reduced_data
+        if zlib.crc32(content) != checksum:
+            raise ValueError("wrong checksum")
+        return super().rebuild(target_context, pickle.loads(content))
 
 
 class KernelCache(FunctionCache):
     """Compiled versions of one kernel on disk. Damaged or missing files never make a computation fail."""
 
-    _impl_class = _Implementation
+    _impl_class = _Files
 
-    def __init__(self, kernel: Any) -> None:
-        super().__init__(kernel.py_func)
-        self._compiler = kernel._compiler
-        names, stamp = self._impl.filename_base, self._impl.locator.get_source_stamp()
-        self._cache_file = _CheckedFile(self._cache_path, names, stamp)
+    def __init__(self, function: Any, compiler: Any) -> None:
+        super().__init__(function)
+        self._compiler = compiler
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the kernel compiled for the types ``sig``; None if there is none."""
@@ -180,25 +189,3 @@ class KernelCache(FunctionCache):
             reason = getattr(error, "strerror", None) or error
             folder = cache_folder()
             warn_once(f"{folder}: compiled kernels cannot be kept there ({reason}); each process compiles its own")
-
-
-class _CheckedFile(IndexDataCacheFile):
-    """numba's cache files, each followed by its checksum: a damaged one must not be run."""
-
-    def _dump(self, obj: Any) -> bytes:
-        data: bytes = super()._dump(obj)
-        return data + zlib.crc32(data).to_bytes(4, "little")  # unpickling stops before it
-
-    def _load_index(self) -> Any:
-        with contextlib.suppress(FileNotFoundError):
-            self._check(self._index_path, pickle.dumps(self._version, protocol=-1))
-        return super()._load_index()
-
-    def _load_data(self, name: str) -> Any:
-        self._check(self._data_path(name))
-        return super()._load_data(name)
-
-    def _check(self, path: str, head: bytes = b"") -> None:
-        data = Path(path).read_bytes()
-        if data.startswith(head) and zlib.crc32(data[len(head) : -4]).to_bytes(4, "little") != data[-4:]:
-            raise ValueError("wrong checksum")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 BEFORE: NDArray[np.int64] = np.array([(0, 1), (1, 0)])
 """The pixels to the left and above."""
@@ -18,14 +18,14 @@ def color_steps(image: NDArray[np.uint8], back: NDArray[np.int64], largest: bool
     (H, W, 3).
     """
     steps = np.zeros((len(back), *image.shape[:2]), np.uint16)
-    _differences(np.ascontiguousarray(image), back, largest, steps)
+    run_bands(_differences, steps.shape[1], np.ascontiguousarray(image), back, largest, steps)
     return steps
 
 
-@parallel_jit
-def _differences(image, back, largest, steps):
-    n_steps, height, width = steps.shape
-    for y in prange(height):
+@jit
+def _differences(begin, end, image, back, largest, steps):
+    n_steps, _, width = steps.shape
+    for y in range(begin, end):
         rows = np.empty((2, 3, width), np.int16)  # planes: loops over interleaved channels are no vectors
         for dy in range(min(2, y + 1)):
             for c in range(3):
@@ -35,11 +35,11 @@ def _differences(image, back, largest, steps):
             dy, dx = back[k]
             if dy > y:
                 continue
-            first, end = max(dx, 0), width + min(dx, 0)
-            red, green, blue = rows[0, 0, first:end], rows[0, 1, first:end], rows[0, 2, first:end]
-            other = rows[dy, :, first - dx : end - dx]
+            first, stop = max(dx, 0), width + min(dx, 0)
+            red, green, blue = rows[0, 0, first:stop], rows[0, 1, first:stop], rows[0, 2, first:stop]
+            other = rows[dy, :, first - dx : stop - dx]
             other_red, other_green, other_blue = other[0], other[1], other[2]
-            out = steps[k, y, first:end]
+            out = steps[k, y, first:stop]
             for i in range(out.size):
                 r, g, b = abs(red[i] - other_red[i]), abs(green[i] - other_green[i]), abs(blue[i] - other_blue[i])
                 out[i] = max(r, g, b) if largest else r + g + b

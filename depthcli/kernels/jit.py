@@ -5,13 +5,14 @@ numba reads its settings once, when it is imported: :mod:`depthcli.kernels.cache
 
 from __future__ import annotations
 
-import contextlib
-import copy
 import importlib
+import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any, TypeVar, cast
 
 from depthcli.kernels.cache import KernelCache, cache_folder  # before numba: it sets where kernels are kept
@@ -19,7 +20,7 @@ from depthcli.kernels.cache import KernelCache, cache_folder  # before numba: it
 import numba  # isort: skip
 import numba.core.event
 import numba.extending
-from numba import float32, int32, prange, types
+from numba import float32, int32, types
 from numba.core import cgutils
 from numba.core.codegen import JITCPUCodegen
 from numba.core.compiler import CompileResult
@@ -27,7 +28,7 @@ from numba.extending import models, overload, register_model
 
 __all__ = [
     "CompileWatch", "cache_folder", "cgutils", "compile_seconds", "float32", "int32", "intrinsic", "jit", "models",
-    "n_threads", "one_at_a_time", "overload", "parallel_jit", "prange", "register_model", "set_threads", "types",
+    "n_threads", "overload", "register_model", "run_bands", "set_threads", "types",
 ]  # fmt: skip
 
 
@@ -55,29 +56,19 @@ _OPTIONS: dict[str, Any] = {"no_cfunc_wrapper": True, "nogil": True, "error_mode
 
 
 def jit(function: _F) -> _F:
-    """Return ``function`` as a kernel that runs on one thread; other kernels can call it."""
-    return cast(_F, _cached(numba.njit(**_OPTIONS)(function)))
-
-
-def parallel_jit(function: _F) -> _F:
-    """Return ``function`` as a kernel whose ``prange`` loops run on all threads."""
-    return cast(_F, _cached(numba.njit(**_OPTIONS, parallel=True)(function)))
-
-
-def _cached(kernel: Any) -> Any:
-    """The kernel, kept on disk once it is compiled (what ``cache=True`` does, with our cache)."""
-    kernel._compiler = _Compiler(kernel._compiler)
+    """Return ``function`` as a kernel, compiled for each combination of types that it is called with, and kept."""
+    kernel: Any = numba.njit(**_OPTIONS)(function)
+    kernel._compiler = compiler = _Compiler(kernel._compiler)
     if cache_folder() is not None:
-        kernel._cache = KernelCache(kernel)
-    return kernel
+        kernel._cache = KernelCache(function, compiler)
+    return cast(_F, kernel)
 
 
 class _Compiler:
     """Compiles a kernel and loads the result in the way that it is loaded from disk.
 
-    For a ``prange`` loop, numba runs the machine code of its first optimization pass but saves that of a second one:
-    sums of floats would differ in their last digits between the first run and later ones. Therefore the code that is
-    saved is loaded and run at once.
+    A kernel has its own copies of the functions that it calls, optimized with it. In the process that compiles them,
+    they are linked to the first copy there, of other code: sums of floats would differ in their last digits.
     """
 
     def __init__(self, compiler: Any) -> None:
@@ -91,8 +82,7 @@ class _Compiler:
         """Return what ``numba.core.dispatcher._FunctionCompiler.compile`` returns."""
         self.compiled = self._compiler.compile(arguments, return_type)
         target = self.compiled.target_context
-        own = copy.copy(target)
-        own._internal_codegen = JITCPUCodegen("depthcli")
+        own = target.subtarget(_internal_codegen=JITCPUCodegen("depthcli"))
         loaded = CompileResult._rebuild(own, *self.compiled._reduce())
         target.insert_user_function(loaded.entry_point, loaded.fndesc, [loaded.library])
         return loaded
@@ -104,33 +94,58 @@ def intrinsic(function: Callable[..., Any]) -> Any:
 
 
 def n_threads() -> int:
-    """Return the number of threads of a parallel kernel, for kernels that allocate scratch memory per thread."""
-    count: int = numba.get_num_threads()
-    return count
+    """Return the number of threads that kernels run on."""
+    return _threads.used
 
 
 def set_threads(count: int) -> None:
-    """Let kernels use at most ``count`` threads, and no more than numba was started with."""
-    n_started: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    numba.set_num_threads(max(1, min(count, n_started)))
+    """Let kernels use at most ``count`` threads, and no more than ``NUMBA_NUM_THREADS``: else, the number of cores."""
+    _threads.used = max(1, min(count, _threads.most))
 
 
-@contextlib.contextmanager
-def one_at_a_time() -> Iterator[None]:
-    """Let one Python thread at a time pass where numba's pool of threads takes kernels of one only.
+class _Threads:
+    """The threads of this process that run bands beside the one that calls a kernel."""
 
-    That is its own pool, which it has where neither OpenMP nor TBB is installed. Which pool it is is known when the
-    first parallel kernel has run: until then threads pass one at a time, too.
+    def __init__(self) -> None:
+        self.most = self.used = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+        self.forget()
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self.forget)
+
+    def forget(self) -> None:
+        """Begin anew: a process that is a copy of this one has none of its threads."""
+        self._lock = threading.Lock()
+        self._pool: ThreadPoolExecutor | None = None
+
+    def pool(self) -> ThreadPoolExecutor:
+        with self._lock:
+            self._pool = self._pool or ThreadPoolExecutor(self.most - 1, "depthcli-kernels")
+            return self._pool
+
+
+_threads = _Threads()
+
+
+def run_bands(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
+    """Call ``kernel(begin, end, *arguments)`` on all threads, each for a band of the numbers 0 .. ``count`` - 1.
+
+    What a kernel writes for a number, such as a row, must not depend on the band that it is in. Any thread may call
+    this at any time: it takes over the bands that no other one has begun, so that it never waits for one in a queue.
     """
-    try:
-        takes_several = numba.threading_layer() in ("omp", "tbb")  # type: ignore[attr-defined]
-    except ValueError:
-        takes_several = False
-    with contextlib.nullcontext() if takes_several else _turn:
-        yield
-
-
-_turn = threading.RLock()
+    n_bands = min(_threads.used, count)
+    if n_bands <= 1:
+        if count > 0:
+            kernel(0, count, *arguments)
+        return
+    ends = [count * k // n_bands for k in range(n_bands + 1)]
+    submit = _threads.pool().submit
+    others = [(submit(kernel, *band, *arguments), band) for band in pairwise(ends[1:])]
+    kernel(0, ends[1], *arguments)
+    for future, band in others:
+        if future.cancel():
+            kernel(*band, *arguments)
+        else:
+            future.result()
 
 
 class CompileWatch(numba.core.event.Listener):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 
 def winners(
@@ -30,17 +30,17 @@ def winners(
     left = np.empty(costs.shape[:2], np.uint16)
     right = np.empty(costs.shape[:2], np.uint16)
     if costs.dtype == np.float32:
-        _float_winners(costs, left, right, minima)
+        run_bands(_float_winners, costs.shape[0], costs, left, right, minima)
     else:
-        _integer_winners(costs, left, right, minima)
+        run_bands(_integer_winners, costs.shape[0], costs, left, right, minima)
     return left, right
 
 
-@parallel_jit
-def _integer_winners(costs, left, right, minima):
+@jit
+def _integer_winners(begin, end, costs, left, right, minima):
     # Cost and disparity share one 32-bit key, so that a plain minimum finds both.
-    height, width, n_disparities = costs.shape
-    for y in prange(height):
+    _, width, n_disparities = costs.shape
+    for y in range(begin, end):
         best_right = np.full(width + n_disparities, 0xFFFFFFFF, np.uint32)
         for x in range(width):
             count = min(n_disparities, x + 1)
@@ -74,10 +74,10 @@ def _integer_minima(costs, left, minima):
         minima[x] = np.float32(np.float64(left[x]) + shift) if curvature > 0 else np.float32(left[x])
 
 
-@parallel_jit
-def _float_winners(costs, left, right, minima):
-    height, width, n_disparities = costs.shape
-    for y in prange(height):
+@jit
+def _float_winners(begin, end, costs, left, right, minima):
+    _, width, n_disparities = costs.shape
+    for y in range(begin, end):
         best_right = np.full(width, np.inf, np.float32)
         for x in range(width):
             best = np.float32(np.inf)
@@ -131,13 +131,13 @@ def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np
     (H, W) float32, pixels; inf where the match lies outside the right image
     """
     difference = np.empty(left.shape, np.float32)
-    _left_right_difference(left, right, difference)
+    run_bands(_left_right_difference, left.shape[0], left, right, difference)
     return difference
 
 
-@parallel_jit
-def _left_right_difference(left, right, difference):
-    height, width = left.shape
-    for y in prange(height):
+@jit
+def _left_right_difference(begin, end, left, right, difference):
+    width = left.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             difference[y, x] = partner_difference(left[y, x], x, right[y])

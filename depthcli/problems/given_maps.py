@@ -40,7 +40,6 @@ from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import GivenMap, MapsScene, Scene, StereoScene, check_same_size
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.given_maps import MEASURES, Networks, judge, judge_by_one_view, peak_bytes
 from depthcli.methods.given_maps.fusion import MAX_MAPS, N_ADDED, fuse
 from depthcli.methods.stereo.search_range import SearchRange, matched_range
@@ -389,8 +388,7 @@ def map_confidence(
     other = None if right_disparity is None else as_map(right_disparity, "right_disparity", shape)
     bound = _promise(level, within).model_dump()
     problem = Confidence({"max_disparity": max_disparity, "bound": bound, "measures": measures_named(measures)})
-    with one_at_a_time():
-        return problem.solve(MapInputs(images, maps, max_disparity, other), Context(available_memory()))
+    return problem.solve(MapInputs(images, maps, max_disparity, other), Context(available_memory()))
 
 
 def fuse_maps(
@@ -432,8 +430,7 @@ def fuse_maps(
     arrays = {f"maps[{k}]": as_map(one, f"maps[{k}]", pair.shape) for k, one in enumerate(maps)}
     promise = _promise(level, within).model_dump()
     config = {"within": promise["within"], "bound": promise if bound else None, "surfaces": surfaces}
-    with one_at_a_time():
-        return FuseMaps(config).solve(MapInputs(pair, arrays, max_disparity), Context(available_memory()))
+    return FuseMaps(config).solve(MapInputs(pair, arrays, max_disparity), Context(available_memory()))
 
 
 def measures_named(names: Sequence[str], option: str = "measures") -> list[str]:

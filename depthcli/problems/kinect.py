@@ -29,7 +29,6 @@ from depthcli.io.formats.plain_text import numbers
 from depthcli.io.rgbd_frames import frame_size, load_frame
 from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
 from depthcli.io.scenes.frames import FRAMES
-from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.kinect.bounds import BYTES_PER_PIXEL
 from depthcli.methods.kinect.pipeline import Pipeline, SequencePipeline, frame_by_frame
 from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typical_cameras, with_cloud
@@ -307,7 +306,6 @@ def refine_depth(
             frame = RgbdFrame(image, found.depth, fb or sensor_fb(camera), camera, found.interpolated)
         if np.asarray(one_depth).dtype.kind != "f" and (text := sensor_warning(f"{where}depth", frame.depth, scale)):
             lines.append(text)
-        with one_at_a_time():
-            result = problem.solve(FrameInputs(frame, scale), Context(available_memory()))
+        result = problem.solve(FrameInputs(frame, scale), Context(available_memory()))
         results.append(replace(result, warnings=(*lines, *result.warnings)))
     return results[0] if single else results

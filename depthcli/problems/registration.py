@@ -39,7 +39,6 @@ from depthcli.io.volume_pairs import (
     region_masks,
     usable,
 )
-from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.registration.pipeline import Pipeline, RegistrationResult, at_voxels
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.problems.inputs import Overrides, as_volume, load_config
@@ -393,9 +392,8 @@ def registration_confidence(
     blocks = blocks_of(grid, config.pipeline.voxel_limit)
     first, second = (block_means(usable(volumes.pop(name)[1], inside, name), blocks) for name in ("fixed", "warped"))
     loaded = joined(first, second, inside, grid, blocks)
-    with one_at_a_time():
-        context.memory = available_memory()
-        return Register(config).solve(VolumePair(loaded), context)
+    context.memory = available_memory()
+    return Register(config).solve(VolumePair(loaded), context)
 
 
 def _volume(

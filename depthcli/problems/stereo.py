@@ -28,7 +28,6 @@ from depthcli.io.formats.images import image_size, pair_of
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.pairs import PAIRS
 from depthcli.io.stereo_pairs import load_pair
-from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.given_maps import bounds, peak_bytes
 from depthcli.methods.stereo.matching import Limits, TileMode, device_table, host_bytes, match
 from depthcli.methods.stereo.networks import Network, network_device, networks_in
@@ -548,7 +547,7 @@ class Matcher:
         return replace(disparity, warnings=(*disparity.warnings, text))
 
     def _solved(self, inputs: PairInputs, context: Context) -> Disparity:
-        with self._turn, one_at_a_time():
+        with self._turn:
             return self._problem.solve(inputs, context)
 
     def load_kernels(self) -> None:

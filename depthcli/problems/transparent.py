@@ -24,7 +24,6 @@ from depthcli.io.formats.files import collected_warnings
 from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame, load_masked_frame, load_sparse_frame
 from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.io.scenes.frames import FRAMES
-from depthcli.kernels.jit import one_at_a_time
 from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.methods.transparent.pipeline import Pipeline
 from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typical_cameras, with_cloud
@@ -290,6 +289,5 @@ def complete_transparent(
             raise InputError("infrared: a rectified pair has one size")
         frame = RgbIrFrame(image, grey, measured, rig, fb or 1.0)
     inputs = GlassInputs(frame, config.stereo, camera, scale)
-    with one_at_a_time():
-        completed = Transparent(config).solve(inputs, Context(available_memory()))
+    completed = Transparent(config).solve(inputs, Context(available_memory()))
     return replace(completed, warnings=(*lines, *completed.warnings))

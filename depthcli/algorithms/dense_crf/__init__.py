@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.dense_crf.permutohedral import BAND, Lattice, blur
 from depthcli.core import memory
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import LANES, exp_minus, lane_min, lane_sum, load, minimum, splat, store
 
 _TILE = 16  # points whose labels are processed together: they stay in the first-level cache
@@ -65,7 +65,7 @@ def mean_field(
         density = lattice.filter(np.ones((count, 1), np.float32))[:, 0]
         share, scale = lattice.own_share(density), np.float32(kernel.weight)
         source = (lattice.slots, lattice.weights, density, share, scale, np.int32(slot), column)
-        _join(*source, slots, weights, own)
+        run_bands(_join, own.size, *source, slots, weights, own)
         rows.append(lattice.vertex + np.int32(row))
         bands.append(np.stack([lattice.first_slot[:-1], lattice.first_slot[1:]], axis=1) + slot)
         slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
@@ -81,7 +81,7 @@ def mean_field(
         for lattice in lattices if step else ():
             blur(lattice, width, partial[slot * width :], near[row * width :], far[row * width :])
             slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
-        _update(*arrays, *graph, *limits, step > 0, step < last, partial)
+        run_bands(_update, len(bands[0]), *arrays, *graph, *limits, step > 0, step < last, partial)
     return q if width == labels else np.ascontiguousarray(q[:, :labels])
 
 
@@ -92,10 +92,10 @@ def _aligned(size: int) -> NDArray[np.float32]:
     return block[skip : skip + size]
 
 
-@parallel_jit
-def _join(slots, weights, density, share, weight, offset, column, all_slots, all_weights, own):
+@jit
+def _join(begin, end, slots, weights, density, share, weight, offset, column, all_slots, all_weights, own):
     # Writes slots and normalized weights of one lattice to the columns from ``column`` on of those of all lattices.
-    for n in prange(own.size):
+    for n in range(begin, end):
         scale = np.sqrt(weight / density[n])
         own[n] += share[n] * scale * scale
         for c in range(slots.shape[1]):
@@ -103,8 +103,10 @@ def _join(slots, weights, density, share, weight, offset, column, all_slots, all
             all_weights[n, column + c] = weights[n, c] * scale
 
 
-@parallel_jit
-def _update(unary, q, near, slots, vertex, weights, corners, own, truncation, bands, width, receive, send, partial):
+@jit
+def _update(
+    begin, end, unary, q, near, slots, vertex, weights, corners, own, truncation, bands, width, receive, send, partial
+):
     # Writes the marginals of all points to ``q``, and spreads them over the slots in ``partial`` if ``send``. They are
     # those of the energies with the messages in ``near`` if ``receive``; else of the energies alone, softmax(-unary).
     count = own.size
@@ -112,7 +114,7 @@ def _update(unary, q, near, slots, vertex, weights, corners, own, truncation, ba
     margin = truncation - 1
     lead = -(-margin // LANES) * LANES
     stride = -(-(width + margin) // LANES) * LANES
-    for b in prange(bands.shape[0]):
+    for b in range(begin, end):
         if send:
             _clear(partial, bands, b, width)
         # Windows read as far behind the last row as they are long.

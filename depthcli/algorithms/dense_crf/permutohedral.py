@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import LANES, load, splat, store
 
 BAND = 16384  # points that one thread processes with one table of vertices, which fits into the cache
@@ -60,7 +60,7 @@ class Lattice:
         capacity = 8192
         while True:  # a band with more vertices than there is room for gives their number, and all begin again
             keys = np.empty((max(bands, 1), capacity), np.uint64)
-            _embed(features, scales, shifts, BAND, slots, weights, keys, sizes)
+            run_bands(_embed, sizes.size, features, scales, shifts, BAND, slots, weights, keys, sizes)
             if bands == 0 or sizes.max() <= capacity:
                 break
             capacity = int(sizes.max()) + 16
@@ -72,7 +72,7 @@ class Lattice:
         order = np.argsort(vertex, kind="stable").astype(np.int32)
         first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         neighbors = np.empty((d + 1, 2, n_vertices), np.int32)
-        _find_neighbors(own, table, place, shifts, neighbors)
+        run_bands(_find_neighbors, neighbors.shape[2], own, table, place, shifts, neighbors)
         return cls(slots, weights, vertex, first_slot, order, first, neighbors)
 
     @property
@@ -93,7 +93,10 @@ class Lattice:
         share[0] = 1 + 2 * 0.5 ** (d + 1)
         factors = share[np.abs(steps[:, None] - steps[None, :])].astype(np.float32)
         result = np.empty(len(self.weights), np.float32)
-        _compute_own_share(self.slots, self.vertex, self.weights, self.neighbors, factors, density, result)
+        run_bands(
+            _compute_own_share, result.size, self.slots, self.vertex, self.weights, self.neighbors, factors, density,
+            result,
+        )  # fmt: skip
         return result
 
     def filter(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -102,9 +105,12 @@ class Lattice:
         sizes = (self.vertex.size, self.vertices + 1, self.vertices + 1)
         partial, near, far = (memory.empty((rows * width,), np.float32) for rows in sizes)
         result = np.empty(values.shape, np.float32)
-        _spread(values, self.slots, self.weights, self.first_slot, BAND, partial.reshape(-1, width))
+        run_bands(
+            _spread, self.first_slot.size - 1, values, self.slots, self.weights, self.first_slot, BAND,
+            partial.reshape(-1, width),
+        )  # fmt: skip
         blur(self, width, partial, near, far)
-        _read(near.reshape(-1, width), self.slots, self.vertex, self.weights, result)
+        run_bands(_read, self.slots.shape[0], near.reshape(-1, width), self.slots, self.vertex, self.weights, result)
         return result
 
 
@@ -119,9 +125,12 @@ def blur(
     source, target = (near, far) if steps % 2 == 0 else (far, near)
     end = lattice.vertices * width
     source[end : end + width] = target[end : end + width] = 0
-    _gather_vertices(partial, lattice.order, lattice.first, source, width)
+    run_bands(_gather_vertices, lattice.first.size - 1, partial, lattice.order, lattice.first, source, width)
     for axis in range(steps):
-        _blur_axis(source, lattice.neighbors[axis, 0], lattice.neighbors[axis, 1], target, width)
+        run_bands(
+            _blur_axis, lattice.neighbors[axis, 0].size, source, lattice.neighbors[axis, 0],
+            lattice.neighbors[axis, 1], target, width,
+        )  # fmt: skip
         source, target = target, source
 
 
@@ -167,13 +176,13 @@ def _steps(shifts):
     return steps, wrap
 
 
-@parallel_jit
-def _embed(features, scales, shifts, band, slots, weights, keys, sizes):
+@jit
+def _embed(begin, end, features, scales, shifts, band, slots, weights, keys, sizes):
     # Find the simplex of every point: write its vertices, as slots that count from 0 in every band, and its barycentric
     # weights; ``keys`` gets the vertices' keys, ``sizes`` their number per band, right even without room for all keys.
     count, d = features.shape
     size = d + 1
-    for b in prange(sizes.size):
+    for b in range(begin, end):
         capacity = 4096
         while capacity < 2 * keys.shape[1]:
             capacity *= 2
@@ -283,13 +292,13 @@ def _merge_vertices(keys, sizes, vertex, own, first_slot):
     return table, place, n_vertices
 
 
-@parallel_jit
-def _find_neighbors(own, table, place, shifts, neighbors):
+@jit
+def _find_neighbors(begin, end, own, table, place, shifts, neighbors):
     # Write the two neighbors of every vertex along every axis; the number of vertices stands for none.
     axes, _, vertices = neighbors.shape
     steps, wrap = _steps(shifts)
     none = np.uint64(0)
-    for v in prange(vertices):
+    for v in range(begin, end):
         last = own[v] & np.uint64(15)
         up = wrap if last == np.uint64(axes - 1) else none
         down = wrap if last == none else none
@@ -300,11 +309,11 @@ def _find_neighbors(own, table, place, shifts, neighbors):
                 neighbors[axis, side, v] = place[at] if place[at] >= 0 else vertices
 
 
-@parallel_jit
-def _spread(values, slots, weights, first_slot, band, partial):
+@jit
+def _spread(begin, end, values, slots, weights, first_slot, band, partial):
     # Add (N, C) values, weighted, to the (T, C) slots of their simplices: ``partial``.
     count, corners = slots.shape
-    for b in prange(first_slot.size - 1):
+    for b in range(begin, end):
         partial[first_slot[b] : first_slot[b + 1]] = np.float32(0.0)
         for n in range(b * band, min(count, (b + 1) * band)):
             for c in range(corners):
@@ -313,11 +322,11 @@ def _spread(values, slots, weights, first_slot, band, partial):
                     partial[to, k] += w * values[n, k]
 
 
-@parallel_jit
-def _read(values, slots, vertex, weights, result):
+@jit
+def _read(begin, end, values, slots, vertex, weights, result):
     # Write to ``result`` (N, C) the weighted sums of the (V + 1, C) ``values`` at the vertices of every simplex.
-    count, corners = slots.shape
-    for n in prange(count):
+    corners = slots.shape[1]
+    for n in range(begin, end):
         for k in range(result.shape[1]):
             result[n, k] = np.float32(0.0)
         for c in range(corners):
@@ -326,11 +335,11 @@ def _read(values, slots, vertex, weights, result):
                 result[n, k] += w * values[at, k]
 
 
-@parallel_jit
-def _compute_own_share(slots, vertex, weights, neighbors, factors, density, result):
+@jit
+def _compute_own_share(begin, end, slots, vertex, weights, neighbors, factors, density, result):
     # Write to ``result`` the weight of every point's own value (see ``Lattice.own_share``).
     axes = factors.shape[0]
-    for n in prange(result.size):
+    for n in range(begin, end):
         total = np.float32(0.0)
         for i in range(axes):
             for j in range(axes):
@@ -368,10 +377,10 @@ def _response(slots, vertex, neighbors, start, stop, turn):
     return factor
 
 
-@parallel_jit
-def _gather_vertices(partial, order, first, values, width):
+@jit
+def _gather_vertices(begin, end, partial, order, first, values, width):
     # Write to ``values`` the sum of the slots of every vertex; all are rows of ``width`` numbers.
-    for v in prange(first.size - 1):
+    for v in range(begin, end):
         to = v * width
         for k in range(0, width - LANES + 1, LANES):
             value = load(partial, order[first[v]] * width + k)
@@ -380,11 +389,11 @@ def _gather_vertices(partial, order, first, values, width):
             store(values, to + k, value)
 
 
-@parallel_jit
-def _blur_axis(source, left, right, target, width):
+@jit
+def _blur_axis(begin, end, source, left, right, target, width):
     # Write to ``target`` the vertices' rows of ``width`` numbers, blurred by [1/2 1 1/2] along one axis.
     half = splat(np.float32(0.5))
-    for v in prange(left.size):
+    for v in range(begin, end):
         at, low, high = v * width, left[v] * width, right[v] * width
         for k in range(0, width - LANES + 1, LANES):
             store(target, at + k, load(source, at + k) + half * (load(source, low + k) + load(source, high + k)))

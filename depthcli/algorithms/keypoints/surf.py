@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.keypoints import Detector, KeyPoints
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 _LAYERS = 4  # filter sizes of an octave, as in the paper
 
@@ -33,7 +33,7 @@ class Surf(Detector):
         descriptors = np.zeros((len(points), 64), np.float32)
         if len(points):
             margin = 2 + int(13 * points[:, 2].max())  # boxes of a descriptor may be partly outside of the image
-            _describe(np.pad(integral, margin, "edge"), margin, points, descriptors)
+            run_bands(_describe, points.shape[0], np.pad(integral, margin, "edge"), margin, points, descriptors)
         x, y, scale, response, sign = points.T.copy()
         return KeyPoints(x, y, scale, response, sign.astype(np.int8), descriptors)
 
@@ -47,9 +47,9 @@ class Surf(Detector):
         responses = np.zeros((_LAYERS, -(-height // step), -(-width // step)), np.float32)
         signs = np.zeros(responses.shape, np.int8)
         for layer, size in enumerate(sizes):
-            _hessian(integral, step, size, responses[layer], signs[layer])
+            run_bands(_hessian, responses.shape[1], integral, step, size, responses[layer], signs[layer])
         peaks = np.zeros(responses.shape, np.bool_)
-        _find_peaks(responses, self.threshold, peaks)
+        run_bands(_find_peaks, responses.shape[1] - 2, responses, self.threshold, peaks)
         places = np.transpose(np.unravel_index(np.flatnonzero(peaks), peaks.shape))  # np.argwhere takes much longer
         return np.asarray(_located(responses, signs, places, step, sizes[0], sizes[1] - sizes[0]))
 
@@ -61,13 +61,13 @@ def _box(integral, y, x, height, width):
     return integral[y1, x1] - integral[y0, x1] - integral[y1, x0] + integral[y0, x0]
 
 
-@parallel_jit
-def _hessian(integral, step, size, responses, signs):
+@jit
+def _hessian(begin, end, integral, step, size, responses, signs):
     # Determinant of the box-filter Hessian, normalized by the filter's area; 0 where the filter does not fit.
     height, width = integral.shape[0] - 1, integral.shape[1] - 1
     lobe, half = size // 3, size // 2
     area = 1.0 / (size * size)
-    for j in prange(responses.shape[0]):
+    for j in range(begin, end):
         y = j * step
         if y < half or y + half >= height:
             continue
@@ -91,12 +91,11 @@ def _hessian(integral, step, size, responses, signs):
             signs[j, i] = 1 if dxx + dyy >= 0.0 else -1
 
 
-@parallel_jit
-def _find_peaks(responses, threshold, peaks):
+@jit
+def _find_peaks(begin, end, responses, threshold, peaks):
     # Maxima over 3 x 3 x 3 cells.
-    layers, rows, columns = responses.shape
-    for row in prange(1, rows - 1):
-        j = np.int64(row)
+    layers, _, columns = responses.shape
+    for j in range(begin + 1, end + 1):
         for k in range(1, layers - 1):
             for i in range(1, columns - 1):
                 peaks[k, j, i] = responses[k, j, i] >= threshold and _is_peak(responses, k, j, i)
@@ -163,14 +162,14 @@ def _offset(r, k, j, i):
     return dx, dy, dk
 
 
-@parallel_jit
-def _describe(integral, margin, points, descriptors):
+@jit
+def _describe(begin, end, integral, margin, points, descriptors):
     # (N, 64) from 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9.
     inner = np.empty((9, 9), np.float32)
     for j in range(9):
         for i in range(9):
             inner[j, i] = np.exp(((i - 4) * (i - 4) + (j - 4) * (j - 4)) / -12.5)
-    for n in prange(points.shape[0]):
+    for n in range(begin, end):
         cx, cy, scale = points[n, 0], points[n, 1], points[n, 2]
         half = max(1, int(np.floor(scale + 0.5)))
         horizontal = np.empty((24, 24), np.float32)

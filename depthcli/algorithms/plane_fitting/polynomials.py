@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.plane_fitting import least_squares
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA, huber_weight, smallest
 from depthcli.algorithms.regions import RegionPixels
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 # Values that refine-kinect dsrm was published with; nothing in the repository varies them.
 _MIN_PLANE_PIXELS, _MIN_QUADRIC_PIXELS = 30, 100  # known pixels from which a surface has degree 1, 2
@@ -35,7 +35,7 @@ class Surfaces:
     def at(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return, at every pixel, the value of the surface of its label; (H, W) float32, NaN for negative labels."""
         values = np.empty(labels.shape, np.float32)
-        _evaluate(labels, self.coefficients, self.center, self.bounds, self.unit, values)
+        run_bands(_evaluate, labels.shape[0], labels, self.coefficients, self.center, self.bounds, self.unit, values)
         return values
 
 
@@ -52,10 +52,10 @@ def surface_at(coefficients, center, bounds, unit, s, y, x):
     return min(max(value, np.float64(bounds[s, 0])), np.float64(bounds[s, 1]))
 
 
-@parallel_jit
-def _evaluate(labels, coefficients, center, bounds, unit, values):
-    height, width = labels.shape
-    for y in prange(height):
+@jit
+def _evaluate(begin, end, labels, coefficients, center, bounds, unit, values):
+    width = labels.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             s = labels[y, x]
             values[y, x] = surface_at(coefficients, center, bounds, unit, s, y, x) if s >= 0 else np.nan
@@ -93,13 +93,17 @@ def fit_polynomials(
     known = RegionPixels.of(labels, (labels >= 0) & ~np.isnan(values), len(fitted.scale))
     surfaces = (fitted.coefficients, fitted.center, fitted.bounds, fitted.scale, fitted.unit)
     turns = (iterations, warm_iterations)
-    _fit(known.order, known.starts, values, *surfaces, degree, huber, *turns, floor, samples)
+    run_bands(
+        _fit, known.starts.size - 1, known.order, known.starts, values, *surfaces, degree, huber, *turns, floor, samples
+    )
     return fitted
 
 
-@parallel_jit
-def _fit(order, begins, values, beta, center, bounds, scale, unit, degree, huber, cold, warm, floor, samples):
-    for s in prange(begins.size - 1):
+@jit
+def _fit(
+    begin, end, order, begins, values, beta, center, bounds, scale, unit, degree, huber, cold, warm, floor, samples
+):
+    for s in range(begin, end):
         known = begins[s + 1] - begins[s]
         new = np.isnan(center[s, 0])
         if known >= (1 if new else _MIN_PLANE_PIXELS):
@@ -117,26 +121,30 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
     n = min(total, samples)
     z, u, v = np.empty(n), np.empty(n), np.empty(n)
     residuals, scratch, weights = np.empty(n), np.empty(n), np.empty(n)
+    low, high, far_u, far_v = np.inf, -np.inf, 0.0, 0.0
     for k in range(n):  # one of each n-th of the pixels, not the first: in a rectangle these could be one column
         first, end = k * total // n, (k + 1) * total // n
         p = pixels[first + int((end - first) * (k * _GOLDEN_RATIO % 1.0))]
         y, x = p // width, p % width
         z[k], u[k], v[k] = values[y, x], x, y
-    scratch[:] = z
+        scratch[k] = z[k]
+        low, high = min(low, z[k]), max(high, z[k])
     if np.isnan(center[0]):
         center[0], center[1] = v.mean(), u.mean()
         beta[:] = 0
         beta[0] = smallest(scratch, n // 2)
-    u[:] = (u - center[1]) / unit
-    v[:] = (v - center[0]) / unit
-    low, high = z.min(), z.max()
+    for k in range(n):
+        u[k] = (u[k] - center[1]) / unit
+        far_u = max(far_u, abs(u[k]))
+    for k in range(n):
+        v[k] = (v[k] - center[0]) / unit
+        far_v = max(far_v, abs(v[k]))
     bounds[0] = max(low - 0.05 * (high - low), 0.5 * low)
     bounds[1] = high + 0.05 * (high - low)
     terms = 1
     if total >= _MIN_PLANE_PIXELS and degree >= 1:
         terms = 6 if total >= _MIN_QUADRIC_PIXELS and degree == 2 else 3
     beta[terms:] = 0
-    far_u, far_v = np.abs(u).max(), np.abs(v).max()
     extent = (1.0, far_u, far_v, far_u * far_u, far_u * far_v, far_v * far_v)
     normal, right, new = np.empty((6, 6)), np.empty(6), np.empty(6)
     spread = np.inf

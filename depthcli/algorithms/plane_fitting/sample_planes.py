@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 Pixels = tuple[NDArray[np.int32], NDArray[np.int32]]
 """Rows and columns of P pixels, (P,) each."""
@@ -57,7 +57,7 @@ class Samples:
         first = np.searchsorted(cell[order], np.arange(across * down + 1))
         nearest = np.full((at[0].size, count), -1, np.int32)
         grid = order, first, side, across, down
-        _nearest(self.rows[order], self.columns[order], *grid, *at, skip_own, nearest)
+        run_bands(_nearest, len(nearest), self.rows[order], self.columns[order], *grid, *at, skip_own, nearest)
         return nearest
 
 
@@ -114,15 +114,32 @@ class SamplePlaneFit(ConfigModel):
         color_rate, slope = 1.0 / (2.0 * self.color_scale**2), self.slope / shape[1]
         scales = (np.float32(max(noise, 1e-9)), np.float32(color_rate), np.float32(slope))
         given = (nearest, samples.rows, samples.columns, samples.values, image, *at, *scales, self.steps, marks)
-        _fit(*given, values, sigma, confidence, averaged)
+        run_bands(_fit, len(values), *given, values, sigma, confidence, averaged)
         return SamplePlanes(values, sigma, confidence, averaged)
 
 
-@parallel_jit
+@jit
 def _fit(
-    nearest, rows, columns, values, image, at_y, at_x, noise, color_rate, slope, steps, marks, out, sigma, share, mark
+    begin,
+    end,
+    nearest,
+    rows,
+    columns,
+    values,
+    image,
+    at_y,
+    at_x,
+    noise,
+    color_rate,
+    slope,
+    steps,
+    marks,
+    out,
+    sigma,
+    share,
+    mark,
 ):
-    for p in prange(at_y.size):
+    for p in range(begin, end):
         count = 0
         while count < nearest.shape[1] and nearest[p, count] >= 0:
             count += 1
@@ -217,10 +234,10 @@ def _plane(dx, dy, v, w, m, total, noise, steep, start, steps):
     return a, np.sqrt(noise * noise * variance + off * off), inside / total, marked / inside
 
 
-@parallel_jit
-def _nearest(rows, columns, order, first, side, across, down, at_rows, at_columns, skip_own, nearest):
+@jit
+def _nearest(begin, end, rows, columns, order, first, side, across, down, at_rows, at_columns, skip_own, nearest):
     count = nearest.shape[1]
-    for p in prange(at_rows.size):
+    for p in range(begin, end):
         y, x = at_rows[p], at_columns[p]
         cy, cx = y // side, x // side
         best = np.full(count, np.int64(1) << np.int64(62), np.int64)

@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
 from depthcli.algorithms.regions import RegionPixels
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, n_threads, parallel_jit, prange
+from depthcli.kernels.jit import jit, n_threads, run_bands
 
 # Choices of this program; nothing in the repository varies them.
 _SAMPLED_PIXELS = 2000  # RANSAC planes of larger segments are judged by about so many pixels
@@ -89,11 +89,11 @@ class SegmentPlaneFit(ConfigModel):
         the ``values`` (H, W).
         """
         planes = SegmentPlanes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
-        sizes = members.sizes[chosen]
-        share = _shares(np.argsort(-sizes), sizes, n_threads())
-        segments = (members.order, members.starts, np.asarray(chosen, np.int64), share, n_threads())
+        sizes, tasks = members.sizes[chosen], n_threads()
+        share = _shares(np.argsort(-sizes), sizes, tasks)
+        segments = (members.order, members.starts, np.asarray(chosen, np.int64), share)
         limits = (self.tolerance, self.trials, self.max_slope, self.flatness, self.seed)
-        _fit(values, *segments, limits, planes.coefficients, planes.support, planes.center)
+        run_bands(_fit, tasks, values, *segments, limits, planes.coefficients, planes.support, planes.center)
         return planes
 
     def constant(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
@@ -112,14 +112,14 @@ def _shares(largest_first, sizes, count):
     return share
 
 
-@parallel_jit
-def _fit(values, order, starts, chosen, share, tasks, limits, coefficients, support, center):
+@jit
+def _fit(begin, end, values, order, starts, chosen, share, limits, coefficients, support, center):
     width = values.shape[1]
     tolerance, trials, max_slope, flatness, seed = limits
-    for task in prange(tasks):
+    for task in range(begin, end):
         lanes = np.zeros((4, _LANES))
         for k in range(chosen.size):
-            if share[k] != np.int64(task):
+            if share[k] != task:
                 continue
             pixels = order[starts[chosen[k]] : starts[chosen[k] + 1]]
             px, py, pd = np.empty(pixels.size), np.empty(pixels.size), np.empty(pixels.size)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.least_squares import biweight_root, plane_slopes
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 RADIUS = 4
 """Half side of the windows, pixels."""
@@ -61,16 +61,16 @@ def window_planes(
     side = 2 * RADIUS + 1
     affected = cv2.dilate(changed.astype(np.uint8), np.ones((side, side), np.uint8))
     first, growth, gate = (np.float32(g * noise) for g in (_FIRST_GATE, _FIRST_GATE_GROWTH, _GATE))
-    _fit(padded, weight, affected, first, growth, gate, *planes)
+    run_bands(_fit, disparity.shape[0], padded, weight, affected, first, growth, gate, *planes)
     planes.value[~known] = np.nan
     return planes
 
 
-@parallel_jit
-def _fit(disparity, trust, affected, first_gate, growth, gate, value, slope_x, slope_y, scale):
+@jit
+def _fit(begin, end, disparity, trust, affected, first_gate, growth, gate, value, slope_x, slope_y, scale):
     # Rows side by side, in blocks; within a block all pixels at once, one offset of the window after the other.
-    height, width = value.shape
-    for y in prange(height):
+    width = value.shape[1]
+    for y in range(begin, end):
         sums = np.empty((10, _BLOCK), np.float32)
         for left in range(0, width, _BLOCK):
             right = min(left + _BLOCK, width)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import (
     LANES,
     SHORT_LANES,
@@ -37,15 +37,16 @@ def framed(array: NDArray[Any], margin: int) -> NDArray[Any]:
     """Return (..., H, W) padded with 0, by ``margin`` on all sides, and on the right up to whole vectors; NaN is 0."""
     *others, height, width = array.shape
     result = np.empty((*others, height + 2 * margin, width + 2 * margin + -width % SHORT_LANES), array.dtype)
-    _frame(array.reshape(-1, height, width), margin, result.reshape(-1, *result.shape[-2:]))
+    planes, padded = array.reshape(-1, height, width), result.reshape(-1, *result.shape[-2:])
+    run_bands(_frame, padded.shape[1], planes, margin, padded)
     return result
 
 
-@parallel_jit
-def _frame(planes, margin, out):
+@jit
+def _frame(begin, end, planes, margin, out):
     count, height, width = planes.shape
-    for task in prange(out.shape[1]):
-        y = np.int64(task) - margin
+    for task in range(begin, end):
+        y = task - margin
         for n in range(count):
             row = out[n, task]
             row[:] = 0
@@ -78,7 +79,7 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
     step, limits, spread = window_sampling(radius)
     reach = _STEPS * step
     valid = framed((~np.isnan(values)).astype(np.float32), reach)
-    _fit(framed(values, reach), valid, color_planes(image, reach), step, limits, spread, result)
+    run_bands(_fit, height, framed(values, reach), valid, color_planes(image, reach), step, limits, spread, result)
     return np.ascontiguousarray(result[:, :, :width])
 
 
@@ -95,8 +96,8 @@ def window_sampling(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
     return step, limits, np.float32(3.0 / radius**2)
 
 
-@parallel_jit
-def _fit(values, valid, planes, step, limits, spread, result):
+@jit
+def _fit(begin, end, values, valid, planes, step, limits, spread, result):
     # Differences and weights of all samples of a block of pixels are kept while planes are fitted to them.
     _, height, width = result.shape
     side = limits.shape[0]
@@ -106,7 +107,7 @@ def _fit(values, valid, planes, step, limits, spread, result):
     slope_of = result.reshape(2 * height * width)
     margin = _STEPS * step
     zero, color_limit = splat(np.float32(0)), splat(_COLOR_THRESHOLD)
-    for y in prange(height):
+    for y in range(begin, end):
         apart = np.empty(side * side * SHORT_LANES, np.float32)
         weights = np.empty(side * side * SHORT_LANES, np.float32)
         for x in range(0, width, SHORT_LANES):

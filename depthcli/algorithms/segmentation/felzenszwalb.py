@@ -9,7 +9,7 @@ from pydantic import Field
 
 from depthcli.algorithms.regions import connected_components_of_labels, consecutive, merge_small_regions, root
 from depthcli.algorithms.segmentation import Segmenter
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # down and right: half of the eight neighbors
 _PER_LEVEL = 128  # resolution of costs
@@ -36,7 +36,7 @@ class Felzenszwalb(Segmenter):
             smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), self.sigma, borderType=cv2.BORDER_REFLECT), np.float32)
         smooth = smooth.reshape(*image.shape[:2], -1)
         costs = np.full((*image.shape[:2], len(_STEPS)), _NO_EDGE, np.uint16)
-        _edge_costs(smooth, costs)
+        run_bands(_edge_costs, smooth.shape[0], smooth, costs)
         costs = costs.ravel()
         order = np.argsort(costs, kind="stable")  # of 16-bit numbers: in linear time
         order = order[: np.searchsorted(costs, _NO_EDGE, sorter=order)]
@@ -45,11 +45,11 @@ class Felzenszwalb(Segmenter):
         return merge_small_regions(pieces, image, self.min_size)
 
 
-@parallel_jit
-def _edge_costs(image, costs):
+@jit
+def _edge_costs(begin, end, image, costs):
     # Steps of color from every pixel to those of _STEPS, in 1 / _PER_LEVEL grey levels, where these are in the image.
     height, width, channels = image.shape
-    for y in prange(height):
+    for y in range(begin, end):
         for x in range(width):
             for k in range(len(_STEPS)):
                 v, u = y + _STEPS[k][0], x + _STEPS[k][1]

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from depthcli.algorithms.regions import connected_components, merge_small_regions
 from depthcli.algorithms.segmentation import Segmenter
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 _LANES = 16  # pixels of a window's row in one vector
 _MAX_ITERATIONS, _CONVERGED_SHIFT = 5, 1  # OpenCV's defaults; shift: pixels, plus squared grey levels
@@ -40,18 +40,25 @@ def mode_colors(image: NDArray[np.uint8], spatial_radius: float, color_radius: f
     """
     planes = np.pad(image.transpose(2, 0, 1), ((0, 0), (0, 0), (0, _LANES)))
     modes = np.empty(image.shape, np.uint8)
-    _shift(planes, max(float(spatial_radius), 1.0), np.int32(round(color_radius * color_radius)), modes)
+    run_bands(
+        _shift,
+        len(modes),
+        planes,
+        max(float(spatial_radius), 1.0),
+        np.int32(round(color_radius * color_radius)),
+        modes,
+    )
     return modes
 
 
-@parallel_jit
-def _shift(planes, radius, limit, modes):
+@jit
+def _shift(begin, end, planes, radius, limit, modes):
     # Sums of a window stay separate by lane until all its rows are added: six sums of vectors, no branch. Unsigned
     # indices, which cannot count from the end, and numbers of 32 bits make vector code of the inner loop.
     height, width, _ = modes.shape
     stride = planes.shape[2]
     all_red, all_green, all_blue = planes[0].ravel(), planes[1].ravel(), planes[2].ravel()
-    for y in prange(height):
+    for y in range(begin, end):
         sums = np.empty((6, _LANES), np.int32)
         number, columns, rows, reds, greens, blues = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
         for x in range(width):

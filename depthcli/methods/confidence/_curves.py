@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.kernels.exponential import attainable_likelihood, bits_float, float_bits, likelihood
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import winners
 
 _LAST = np.int32(0x7FFFFFFF)
@@ -63,14 +63,14 @@ class CostCurves:
         rows = self.costs.reshape(-1, *self.costs.shape[-2:])
         counts = self.valid.reshape(rows.shape[:2])
         sums = np.empty((rows.shape[0], 2))
-        _moments(rows, counts, sums)
+        run_bands(_moments, rows.shape[0], rows, counts, sums)
         mean, square = (float(v) for v in sums.sum(axis=0) / max(1, int(counts.sum(dtype=np.int64))))
         deviation = float(np.sqrt(max(square - mean * mean, 0.0)))
         if deviation <= 1e-6 * abs(mean):  # but for rounding all costs are the same
             deviation = 1.0
         planes = np.empty((9, *rows.shape[:2]), np.float32)
         winner, second = (np.empty(rows.shape[:2], np.int32) for _ in range(2))
-        _measure_curves(rows, counts, np.float32(1.0 / deviation), planes, winner, second)
+        run_bands(_measure_curves, rows.shape[0], rows, counts, np.float32(1.0 / deviation), planes, winner, second)
         eps = float(np.float32(1e-3 * abs(mean) or 1e-3))
         known: Any = [*(array.reshape(shape) for array in (*planes, winner, second)), eps]
         return CurveStatistics(*known)
@@ -96,10 +96,10 @@ def _value(key):
     return bits_float(np.int32(key ^ np.int32((key >> np.int32(31)) & np.int32(0x7FFFFFFF))))
 
 
-@parallel_jit
-def _moments(costs, valid, sums):
+@jit
+def _moments(begin, end, costs, valid, sums):
     """Write the sum and the sum of squares of the valid cells of (R, C, K) costs; ``sums`` is (R, 2) float64."""
-    for r in prange(costs.shape[0]):
+    for r in range(begin, end):
         total = 0.0
         squares = 0.0
         for i in range(costs.shape[1]):
@@ -116,13 +116,13 @@ def _moments(costs, valid, sums):
         sums[r, 1] = squares
 
 
-@parallel_jit
-def _measure_curves(costs, valid, rate, planes, winner, second):
+@jit
+def _measure_curves(begin, end, costs, valid, rate, planes, winner, second):
     # Write the statistics of (R, C, K) curves; ``rate`` is 1 / standard deviation of all costs, and ``planes``
     # (9, R, C) are in the order of the fields of CurveStatistics.
-    rows, columns, n_entries = costs.shape
+    _, columns, n_entries = costs.shape
     padded = (n_entries + 15) // 16 * 16
-    for r in prange(rows):
+    for r in range(begin, end):
         z = np.empty(padded, np.float32)
         key = np.empty(padded + 2, np.int32)
         smooth = np.empty(n_entries + 2, np.float32)

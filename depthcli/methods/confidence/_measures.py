@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import left_right_difference
 from depthcli.methods.confidence._curves import CostCurves, CurveStatistics
 
@@ -30,7 +30,10 @@ def _average_peak_ratio(curves: CostCurves) -> Map:
     known = curves.statistics
     out = np.empty(known.winner.shape, np.float32)
     winners = known.winner, known.second_winner
-    _fill_peak_ratio(curves.costs, curves.valid, *winners, np.float32(known.eps), _PEAK_RADIUS, out)
+    run_bands(
+        _fill_peak_ratio, curves.costs.shape[0], curves.costs, curves.valid, *winners, np.float32(known.eps),
+        _PEAK_RADIUS, out,
+    )  # fmt: skip
     return out
 
 
@@ -47,14 +50,14 @@ def _left_right_difference(curves: CostCurves) -> Map:
 def _agreement(curves: CostCurves, radius: int = _AGREEMENT_RADIUS) -> Map:
     winner = curves.statistics.winner
     out = np.empty(winner.shape, np.float32)
-    _fill_agreement(winner, radius, out)
+    run_bands(_fill_agreement, winner.shape[0], winner, radius, out)
     return out
 
 
 def _agreement_and_peak(curves: CostCurves) -> Map:
     winner = curves.statistics.winner
     mutual = np.empty(winner.shape, np.float32)
-    _fill_mutual_agreement(winner, curves.stereo_winners[1], _MUTUAL_RADIUS, mutual)
+    run_bands(_fill_mutual_agreement, winner.shape[0], winner, curves.stereo_winners[1], _MUTUAL_RADIUS, mutual)
     distinct = np.sqrt(np.maximum(1 - 1 / _average_peak_ratio(curves), 0))
     return (_agreement(curves, _MUTUAL_RADIUS) * mutual * distinct).astype(np.float32)
 
@@ -126,10 +129,10 @@ MEASURES: dict[str, tuple[str, Callable[[CostCurves], Map]]] = {
 """Name -> (full name, formula and range for costs >= 0, in the letters of the package's docstring; function)."""
 
 
-@parallel_jit
-def _fill_peak_ratio(costs, valid, winner, second, eps, radius, out):
+@jit
+def _fill_peak_ratio(begin, end, costs, valid, winner, second, eps, radius, out):
     height, width, _ = costs.shape
-    for y in prange(height):
+    for y in range(begin, end):
         for x in range(width):
             if second[y, x] < 0:
                 out[y, x] = 1.0
@@ -145,11 +148,11 @@ def _fill_peak_ratio(costs, valid, winner, second, eps, radius, out):
             out[y, x] = total / np.float32(count)
 
 
-@parallel_jit
-def _fill_agreement(winner, radius, out):
+@jit
+def _fill_agreement(begin, end, winner, radius, out):
     # The share of the window around each pixel whose winner is within 1 of the pixel's own.
     height, width = winner.shape
-    for y in prange(height):
+    for y in range(begin, end):
         top, bottom = max(0, y - radius), min(height, y + radius + 1)
         count = np.zeros(width, np.int32)
         for q in range(top, bottom):
@@ -167,11 +170,11 @@ def _fill_agreement(winner, radius, out):
             out[y, x] = np.float32(count[x]) / np.float32(columns * (bottom - top))
 
 
-@parallel_jit
-def _fill_mutual_agreement(winner, right, radius, out):
+@jit
+def _fill_mutual_agreement(begin, end, winner, right, radius, out):
     # The share of the window around the match, in the right view's map, that is within 1 of the pixel's disparity.
     height, width = winner.shape
-    for y in prange(height):
+    for y in range(begin, end):
         top, bottom = max(0, y - radius), min(height, y + radius + 1)
         for x in range(width):
             d = winner[y, x]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from depthcli.core import memory
 from depthcli.kernels.exponential import exp_minus
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.fusion.votes import Ballot
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
@@ -30,7 +30,7 @@ def normalize_costs(volume: CostVolume, scale: float | None, outside: float | No
         sample = costs[::4][:, inside] - np.float32(offset)  # every fourth row: enough for a median
         middle = float(np.median(sample)) if scale is None else scale * volume.scale
         rate = 1.0 / middle if middle > 0 else 1.0
-        _squash(costs, np.float32(offset), np.float32(rate), out)
+        run_bands(_squash, costs.shape[0], costs, np.float32(offset), np.float32(rate), out)
         mean = 1.0 - float(np.mean(np.exp(-sample.astype(np.float64) * rate)))
     else:
         counts = np.zeros(256 if costs.dtype == np.uint8 else 65536, np.int64)
@@ -39,7 +39,7 @@ def normalize_costs(volume: CostVolume, scale: float | None, outside: float | No
         total = np.cumsum(counts)
         middle = float(np.searchsorted(total, (total[-1] + 1) // 2)) if scale is None else scale * volume.scale
         squashed = 1.0 - np.exp(-np.arange(counts.size) / (middle if middle > 0 else 1.0))
-        _look_up(costs, np.round(squashed * UNIT).astype(np.uint8), out)
+        run_bands(_look_up, costs.shape[0], costs, np.round(squashed * UNIT).astype(np.uint8), out)
         mean = float(squashed @ counts) / max(float(total[-1]), 1.0)
     fill_outside(out, np.uint8(round(UNIT * (mean if outside is None else outside))))
     return CostVolume(out, float(UNIT))
@@ -87,13 +87,13 @@ def blend(volumes: list[CostVolume], weights: NDArray[np.float32]) -> CostVolume
     Weights are rounded to 1/256, the largest one takes what is left over.
     """
     out: NDArray[np.uint8] = memory.empty(volumes[0].costs.shape, np.uint8)
-    _blend(tuple(volume.costs for volume in volumes), weights, out)
+    run_bands(_blend, out.shape[0], tuple(volume.costs for volume in volumes), weights, out)
     return CostVolume(out, volumes[0].scale)
 
 
 def add_weighted(total: NDArray[np.float32], volume: CostVolume, weights: NDArray[np.float32]) -> None:
     """Add ``weights`` (H, W) times the volume's costs, in units of the measure, to float32 ``total``."""
-    _add_weighted(volume.costs, weights * np.float32(1.0 / volume.scale), total)
+    run_bands(_add_weighted, volume.costs.shape[0], volume.costs, weights * np.float32(1.0 / volume.scale), total)
 
 
 @jit
@@ -105,31 +105,31 @@ def _histogram(costs, counts):
                 counts[costs[y, x, d]] += 1
 
 
-@parallel_jit
-def _look_up(costs, table, out):
-    height, width, n_disparities = costs.shape
-    for y in prange(height):
+@jit
+def _look_up(begin, end, costs, table, out):
+    _, width, n_disparities = costs.shape
+    for y in range(begin, end):
         source = costs[y].reshape(width * n_disparities)
         cells = out[y].reshape(width * n_disparities)
         for i in range(cells.size):
             cells[i] = table[source[i]]
 
 
-@parallel_jit
-def _squash(costs, offset, rate, out):
-    height, width, n_disparities = costs.shape
+@jit
+def _squash(begin, end, costs, offset, rate, out):
+    _, width, n_disparities = costs.shape
     unit, one, half = np.float32(255.0), np.float32(1.0), np.float32(0.5)
-    for y in prange(height):
+    for y in range(begin, end):
         source = costs[y].reshape(width * n_disparities)
         cells = out[y].reshape(width * n_disparities)
         for i in range(cells.size):
             cells[i] = np.uint8(np.int32(unit * (one - exp_minus((source[i] - offset) * rate)) + half))
 
 
-@parallel_jit
-def _blend(volumes, weights, out):
-    height, width, n_disparities = out.shape
-    for y in prange(height):
+@jit
+def _blend(begin, end, volumes, weights, out):
+    _, width, n_disparities = out.shape
+    for y in range(begin, end):
         total = np.empty(n_disparities, np.uint16)
         fixed = np.empty(len(volumes), np.int32)
         for x in range(width):
@@ -152,10 +152,10 @@ def _blend(volumes, weights, out):
                 cells[i] = np.uint8(total[i] >> np.uint16(8))
 
 
-@parallel_jit
-def _add_weighted(costs, weights, total):
-    height, width, _ = costs.shape
-    for y in prange(height):
+@jit
+def _add_weighted(begin, end, costs, weights, total):
+    width = costs.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             w = weights[y, x]
             source = costs[y, x]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.filters import CORRELATED, correlation, local_moments
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.color_steps import BEFORE, color_steps
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.fusion.votes import ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -89,7 +89,9 @@ class Views:
         left, right = self.pair.color8
         views = self.volume.costs, np.float32(1 / self.volume.scale), self.right, left, right, self.grey[1]
         max_cost, max_uncut = map(np.float32, max_costs)
-        _compare(maps, *views, max_cost, max_uncut, lowest, *(plane[name] for name in VIEW_PLANES))
+        run_bands(
+            _compare, maps.shape[1], maps, *views, max_cost, max_uncut, lowest, *(plane[name] for name in VIEW_PLANES)
+        )
         return lowest
 
     def decorrelation(self, warped: Map, out: Map) -> None:
@@ -128,7 +130,7 @@ def disagreements(maps: Map, weights: NDArray[np.float32], out: Map | None = Non
     Maps within half a pixel agree; from there to one and a half their agreement fades.
     """
     out = np.empty(maps.shape, np.float32) if out is None else out
-    _disagree(maps, weights, weights.sum() - weights, out)
+    run_bands(_disagree, maps.shape[1], maps, weights, weights.sum() - weights, out)
     return out
 
 
@@ -147,7 +149,7 @@ def hidden_jumps(maps: Map, image: NDArray[np.uint8], out: Map | None = None) ->
     """
     out = np.empty(maps.shape, np.float32) if out is None else out
     sameness = np.exp(np.arange(256) * -0.1).astype(np.float32)
-    _hidden_jumps(maps, sameness[color_steps(image, BEFORE, largest=True)], out)
+    run_bands(_hidden_jumps, maps.shape[1], maps, sameness[color_steps(image, BEFORE, largest=True)], out)
     return out
 
 
@@ -211,13 +213,13 @@ def warped_right(x, value, image, other, grey):
     return grey[low] + rest * (grey[high] - grey[low]), min(largest, MAX_COLOR)
 
 
-@parallel_jit
+@jit
 def _compare(
-    maps, costs, unit, right, image, other, grey, max_cost, max_uncut, lowest,
+    begin, end, maps, costs, unit, right, image, other, grey, max_cost, max_uncut, lowest,
     cost, uncut, excess, contradiction, hidden, difference, column, occlusion, warped, color,
 ):  # fmt: skip
-    count, height, width = maps.shape
-    for y in prange(height):
+    count, _, width = maps.shape
+    for y in range(begin, end):
         along = np.empty(width, np.float32)
         for x in range(width):
             lowest[y, x] = np.float32(costs[y, x].min()) * unit
@@ -238,11 +240,11 @@ def _compare(
                 excess[n, y, x] = along[x] * unit - lowest[y, x]
 
 
-@parallel_jit
-def _disagree(maps, weights, others, out):
-    count, height, width = maps.shape
+@jit
+def _disagree(begin, end, maps, weights, others, out):
+    count, _, width = maps.shape
     zero, one, no_agreement = np.float32(0), np.float32(1), np.float32(1.5)
-    for y in prange(height):
+    for y in range(begin, end):
         agreement = np.empty(width, np.float32)
         for k in range(count):
             agreement[:] = 0
@@ -257,11 +259,11 @@ def _disagree(maps, weights, others, out):
                 out[k, y, x] = one - agreement[x] / others[k] if others[k] > 0 else zero
 
 
-@parallel_jit
-def _hidden_jumps(maps, same, out):
+@jit
+def _hidden_jumps(begin, end, maps, same, out):
     # ``same`` (2, H, W): how alike the colors of a pixel and the one to its left, above it are.
     count, height, width = maps.shape
-    for y in prange(height):
+    for y in range(begin, end):
         for k in range(count):
             row = maps[k, y]
             for x in range(width):

@@ -14,7 +14,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.fusion.choice import Choice, Proposals
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
 from depthcli.methods.fusion.map_costs import agreement
@@ -121,16 +121,16 @@ class MapFusion(ConfigModel):
         for k, one in enumerate(maps, start=1):
             values[k] = filled_from_background(one.values)
             filled[k] = cv2.LUT(one.status, _TIMES_FILLED)
-        _complete(values, np.float32(volume.n_disparities - 1))
+        run_bands(_complete, values.shape[1], values, np.float32(volume.n_disparities - 1))
         return Proposals(self.kinds, values, filled, weights, pair, volume, right)
 
 
-@parallel_jit
-def _complete(maps, largest):
+@jit
+def _complete(begin, end, maps, largest):
     # The first map becomes the median of the others, whose values are brought to 0 .. ``largest``; of an even number
     # the lower one in the middle: a mean would be a value that nobody proposed.
-    count, height, width = maps.shape
-    for y in prange(height):
+    count, _, width = maps.shape
+    for y in range(begin, end):
         ordered = np.empty(count, np.float32)
         for x in range(width):
             for k in range(1, count):
@@ -148,14 +148,14 @@ def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint
     # Measured if the right view agrees within one pixel; filled otherwise, and hidden from it or mismatched.
     status = np.empty(values.shape, np.uint8)
     hidden, wrong = Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED
-    _judge(values, right, np.uint8(hidden), np.uint8(wrong), status)
+    run_bands(_judge, values.shape[0], values, right, np.uint8(hidden), np.uint8(wrong), status)
     return status
 
 
-@parallel_jit
-def _judge(values, right, hidden, wrong, status):
-    height, width = values.shape
-    for y in prange(height):
+@jit
+def _judge(begin, end, values, right, hidden, wrong, status):
+    width = values.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             value = values[y, x]
             u = x - int(np.rint(value))

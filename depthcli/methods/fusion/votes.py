@@ -20,7 +20,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel, Odd
 from depthcli.kernels.color_steps import BEFORE, color_steps
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import LANES, load, splat, store
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -46,11 +46,12 @@ class Support(ABC):
         inverse_sum = np.empty(self.shape, np.float32)
         last = len(planes) // BLOCK_DEPTH * BLOCK_DEPTH  # in this block is room for a plane of ones
         for first in range(last, -1, -BLOCK_DEPTH):
-            _interleave(planes[first : first + BLOCK_DEPTH], block)
+            part = slice(first, first + BLOCK_DEPTH)
+            run_bands(_interleave, self.shape[0], planes[part], block)
             self.sum(block)
             if first == last:
                 np.divide(np.float32(1.0), block[:, :, -1], out=inverse_sum)
-            _separate(block, inverse_sum, out[first : first + BLOCK_DEPTH])
+            run_bands(_separate, self.shape[0], block, inverse_sum, out[part])
         return out
 
     @cached_property
@@ -75,8 +76,8 @@ class ColorSupport(Support):
         self._decay = np.exp(-(1.0 / reach + np.arange(256) / softness)).astype(np.float32)
 
     def sum(self, block: NDArray[np.float32]) -> None:
-        _recurse_rows(block, self._across, self._decay)
-        _recurse_columns(block, self._down, self._decay)
+        run_bands(_recurse_rows, self.shape[0], block, self._across, self._decay)
+        run_bands(_recurse_columns, (self.shape[1] + _STRIP - 1) // _STRIP, block, self._down, self._decay)
 
 
 class WindowSupport(Support):
@@ -126,7 +127,7 @@ class Ballot:
         weights = np.round(self.vote_weights * 256) / np.float32(256 * voters)
         block = memory.empty((height, width, BLOCK_DEPTH), np.float32)
         for first in range(0, self.n_disparities, BLOCK_DEPTH):
-            _cast(self.disparities, weights, first, self.tolerance, fading, block)
+            run_bands(_cast, height, self.disparities, weights, first, self.tolerance, fading, block)
             self.support.sum(block)
             yield first, block
 
@@ -134,7 +135,7 @@ class Ballot:
         """Return the shares in [0, 1] of (N, H, W) ``disparities``; votes count in full up to the tolerance."""
         shares = np.zeros(disparities.shape, np.float32)
         for first, block in self._blocks(fading=False):
-            _look_up(block, self.support.inverse_sum, disparities, first, shares)
+            run_bands(_look_up, disparities.shape[1], block, self.support.inverse_sum, disparities, first, shares)
         return np.minimum(shares, np.float32(1.0))
 
     def costs(self, base: CostVolume | None, strength: float, largest: int) -> CostVolume:
@@ -153,15 +154,18 @@ class Ballot:
             known, scale = base.costs, largest / (1.0 + strength)
             gain = scale / base.scale
         for first, block in self._blocks(fading=base is None):
-            _add(block, self.support.inverse_sum, known, np.float32(gain), np.float32(strength * scale), first, out)
+            run_bands(
+                _add, out.shape[0], block, self.support.inverse_sum, known, np.float32(gain),
+                np.float32(strength * scale), first, out,
+            )  # fmt: skip
         return CostVolume(out, scale)
 
 
-@parallel_jit
-def _cast(disparities, weights, first, tolerance, fading, block):
-    voters, height, width = disparities.shape
+@jit
+def _cast(begin, end, disparities, weights, first, tolerance, fading, block):
+    voters, _, width = disparities.shape
     step = np.float32(1.0) / np.float32(tolerance + 1) if fading else np.float32(0.0)
-    for y in prange(height):
+    for y in range(begin, end):
         block[y, :, :] = NO_VOTE
         for m in range(voters):
             for x in range(width):
@@ -171,10 +175,10 @@ def _cast(disparities, weights, first, tolerance, fading, block):
                     block[y, x, k] += weights[m, y, x] * (np.float32(1.0) - fade)
 
 
-@parallel_jit
-def _look_up(block, inverse_sum, disparities, first, shares):
-    count, height, width = disparities.shape
-    for y in prange(height):
+@jit
+def _look_up(begin, end, block, inverse_sum, disparities, first, shares):
+    count, _, width = disparities.shape
+    for y in range(begin, end):
         for m in range(count):
             for x in range(width):
                 k = disparities[m, y, x] - first
@@ -182,11 +186,11 @@ def _look_up(block, inverse_sum, disparities, first, shares):
                     shares[m, y, x] = max(block[y, x, k], np.float32(0.0)) * inverse_sum[y, x]
 
 
-@parallel_jit
-def _add(block, inverse_sum, base, gain, strength, first, out):
-    height, width, n_disparities = out.shape
+@jit
+def _add(begin, end, block, inverse_sum, base, gain, strength, first, out):
+    _, width, n_disparities = out.shape
     one, half = np.float32(1.0), np.float32(0.5)
-    for y in prange(height):
+    for y in range(begin, end):
         for x in range(width):
             cells = out[y, x, first : min(n_disparities, first + 16)]
             known = base[y, x, first : min(n_disparities, first + 16)]
@@ -197,20 +201,20 @@ def _add(block, inverse_sum, base, gain, strength, first, out):
                 cells[k] = np.uint16(np.int32(np.float32(known[k]) * gain + strength * absent + half))
 
 
-@parallel_jit
-def _interleave(planes, block):
+@jit
+def _interleave(begin, end, planes, block):
     # Ones where there are no planes.
-    count, height, width = planes.shape
-    for y in prange(height):
+    count, _, width = planes.shape
+    for y in range(begin, end):
         for x in range(width):
             for k in range(BLOCK_DEPTH):
                 block[y, x, k] = max(planes[k, y, x], NO_VOTE) if k < count else np.float32(1)
 
 
-@parallel_jit
-def _separate(block, factor, planes):
-    count, height, width = planes.shape
-    for y in prange(height):
+@jit
+def _separate(begin, end, block, factor, planes):
+    count, _, width = planes.shape
+    for y in range(begin, end):
         cells, factors = block[y], factor[y]
         for k in range(count):
             row = planes[k, y]
@@ -218,12 +222,12 @@ def _separate(block, factor, planes):
                 row[x] = cells[x, k] * factors[x]
 
 
-@parallel_jit
-def _recurse_rows(block, steps, decay):
+@jit
+def _recurse_rows(begin, end, block, steps, decay):
     # Forwards, then backwards; 16 values a pixel, which are one vector.
     height, width, _ = block.shape
     cells = block.reshape(height * width * LANES)
-    for y in prange(height):
+    for y in range(begin, end):
         first, last = y * width, (y + 1) * width - 1
         total = load(cells, first * LANES)
         for i in range(first + 1, last + 1):
@@ -234,12 +238,12 @@ def _recurse_rows(block, steps, decay):
             store(cells, i * LANES, total)
 
 
-@parallel_jit
-def _recurse_columns(block, steps, decay):
+@jit
+def _recurse_columns(begin, end, block, steps, decay):
     # Strips of columns, whose cells stay in the second-level cache between both directions.
     height, width, _ = block.shape
     source = block.reshape(height * width * LANES)
-    for strip in prange((width + _STRIP - 1) // _STRIP):
+    for strip in range(begin, end):
         left = strip * _STRIP
         columns = min(_STRIP, width - left)
         cells = np.empty(height * _STRIP * LANES, np.float32)

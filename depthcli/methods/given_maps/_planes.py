@@ -14,7 +14,7 @@ from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.map_costs import (
     Views,
@@ -187,7 +187,10 @@ def pixel_planes(evidence: Evidence) -> NDArray[np.float32]:
     _left_planes(evidence.grey[0], plane)
     plane["light_trust"][:] = evidence.light_trust
     unit = np.float32(1 / evidence.optimized.scale)
-    _peaks(evidence.optimized.costs, evidence.left, unit, plane["min_cost"], plane["peak"])
+    run_bands(
+        _peaks, evidence.optimized.costs.shape[0], evidence.optimized.costs, evidence.left, unit, plane["min_cost"],
+        plane["peak"],
+    )  # fmt: skip
     return out
 
 
@@ -208,10 +211,10 @@ def alone_planes(
     views = (*evidence.pair.color8, evidence.grey[1], plane["min_cost"])
     reference = (evidence.reference.values, evidence.reference.status)
     out_planes = (block, single, warped, plane["color_difference"])
-    _compare(values, missing.view(np.uint8), *costs, *views, *reference, *out_planes)
+    run_bands(_compare, height, values, missing.view(np.uint8), *costs, *views, *reference, *out_planes)
     for k, (support, array) in enumerate(((evidence.narrow, block.copy()), (evidence.wide, block))):
         support.sum(array)
-        _spread(array, out[k * len(AVERAGED) : (k + 1) * len(AVERAGED)])
+        run_bands(_spread, height, array, out[k * len(AVERAGED) : (k + 1) * len(AVERAGED)])
     evidence.decorrelation(warped[None], plane["decorrelation"][None])
     shape_planes(values, evidence.volume.n_disparities - 1, plane)
     return out
@@ -229,7 +232,12 @@ def other_planes(
     weight = np.ones(count, np.float32)
     for name, support in (("narrow", evidence.narrow), ("wide", evidence.wide)):
         out[:, index[f"disagreement_{name}"]] = support.mean(disagreements(maps, weight))
-    _relate(maps, *(out[:, index[name]] for name in ("nearest_map", "middle_map", "farthest_map", "above_middle")))
+    run_bands(
+        _relate,
+        height,
+        maps,
+        *(out[:, index[name]] for name in ("nearest_map", "middle_map", "farthest_map", "above_middle")),
+    )
     for name in OTHERS:
         if name.endswith("_relative"):
             compared = [planes[ALONE.index(name.removesuffix("_relative"))] for planes in alone]
@@ -238,11 +246,11 @@ def other_planes(
     return out
 
 
-@parallel_jit
-def _peaks(costs, winner, unit, best, peak):
-    height, width, n_disparities = costs.shape
+@jit
+def _peaks(begin, end, costs, winner, unit, best, peak):
+    _, width, n_disparities = costs.shape
     soft = np.float32(2)
-    for y in prange(height):
+    for y in range(begin, end):
         for x in range(width):
             row, w = costs[y, x], int(winner[y, x])
             count = min(n_disparities, x + 1)
@@ -255,16 +263,16 @@ def _peaks(costs, winner, unit, best, peak):
             peak[y, x] = min(np.float32(np.log((np.float32(second) * unit + soft) / (best[y, x] + soft))), soft)
 
 
-@parallel_jit
+@jit
 def _compare(
-    values, missing, costs, optimized, unit, optimized_unit, left, right, image, other, grey, best, reference, status,
-    block, single, warped, color,
+    begin, end, values, missing, costs, optimized, unit, optimized_unit, left, right, image, other, grey, best,
+    reference, status, block, single, warped, color,
 ):  # fmt: skip
-    height, width = values.shape
+    width = values.shape[1]
     n_disparities = costs.shape[2]
     half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
     far, soft = np.float32(8), np.float32(2)
-    for y in prange(height):
+    for y in range(begin, end):
         nearest = nearest_matches(values[y])
         for x in range(width):
             value = values[y, x]
@@ -326,11 +334,11 @@ def _compare(
             single[10, y, x] = filled
 
 
-@parallel_jit
-def _spread(block, planes):
+@jit
+def _spread(begin, end, block, planes):
     """Write the first sums of a block as planes of means; the sum of ones is behind them."""
-    count, height, width = planes.shape
-    for y in prange(height):
+    count, _, width = planes.shape
+    for y in range(begin, end):
         for x in range(width):
             cells = block[y, x]
             f = np.float32(1) / cells[count]
@@ -338,12 +346,12 @@ def _spread(block, planes):
                 planes[k, y, x] = cells[k] * f
 
 
-@parallel_jit
-def _relate(maps, nearest, middle, farthest, above):
+@jit
+def _relate(begin, end, maps, nearest, middle, farthest, above):
     # Distances of every map to the nearest, the middle and the farthest other one, and to the middle of all.
-    count, height, width = maps.shape
+    count, _, width = maps.shape
     far = np.float32(8)
-    for y in prange(height):
+    for y in range(begin, end):
         ordered = np.empty(count, np.float32)
         for x in range(width):
             for n in range(-1, count):  # -1: the values themselves
@@ -368,14 +376,17 @@ def _relate(maps, nearest, middle, farthest, above):
                     farthest[n, y, x] = ordered[count - 2]
 
 
-@parallel_jit
-def hidden_by_map(values):
+def hidden_by_map(values: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return the pixels (H, W) whose match a nearer pixel of the same map covers, by more than one pixel."""
-    height, width = values.shape
-    out = np.empty((height, width), np.bool_)
-    for y in prange(height):
+    hidden = np.empty(values.shape, np.bool_)
+    run_bands(_find_hidden, values.shape[0], values, hidden)
+    return hidden
+
+
+@jit
+def _find_hidden(begin, end, values, out):
+    for y in range(begin, end):
         nearest = nearest_matches(values[y])
-        for x in range(width):
+        for x in range(values.shape[1]):
             u = int(np.floor(np.float32(x) - values[y, x] + np.float32(0.5)))
             out[y, x] = u >= 0 and nearest[u] - values[y, x] > np.float32(1)
-    return out

@@ -10,7 +10,7 @@ import numpy as np
 
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.maps import Doubles, Floats, Image8, Ints, Mask
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 # Sizes of usual trackers; nothing in the repository varies them.
 _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 400, 0.01, 8  # count, share of the best one's score, pixels
@@ -48,7 +48,9 @@ def view_after(
     _splat(disparity, *_pixel_motion(motion, camera), np.float64(fb), source, values)
     _close(source, values, np.float32(max_step))
     columns, rows = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    _places(values, *_pixel_motion(np.linalg.inv(motion), camera), np.float64(fb), columns, rows)
+    run_bands(
+        _places, len(values), values, *_pixel_motion(np.linalg.inv(motion), camera), np.float64(fb), columns, rows
+    )
     shown = cv2.remap(color, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     steps = cv2.morphologyEx(np.nan_to_num(values), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
     size = 2 * _UNCERTAIN - 1  # the gradient reaches one pixel farther
@@ -151,11 +153,11 @@ def _close(source, values, max_step):
                     source[y, x] = source[y - dy, x - dx]
 
 
-@parallel_jit
-def _places(values, a, b, fb, columns, rows):
+@jit
+def _places(begin, end, values, a, b, fb, columns, rows):
     # Where the pixels of the next view lie in the frame before; -1 where they are not seen.
-    height, width = values.shape
-    for y in prange(height):
+    width = values.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             columns[y, x], rows[y, x] = -1, -1
             u, v, w = _moved(a, b, x, y, values[y, x] / fb)

@@ -10,7 +10,7 @@ import numpy as np
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.algorithms.trws import trws
 from depthcli.core.maps import Floats, Image8, Ints, Mask
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.gap_limits import SLOPE_FADE, GapLimits
 
@@ -147,14 +147,17 @@ def cast_votes(
     space = np.exp(-np.arange(reach + 1) / _SPACE_SCALES[:, None]).astype(np.float32)
     scale = np.searchsorted(_SPACE_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
     planes, colors = zip(*voters, strict=True)
-    _vote(pixels, scale, lab, planes, colors, limits, extra, color_similarity(sigma_color), space, bins, *found)
+    run_bands(
+        _vote, (len(pixels) + 255) // 256, pixels, scale, lab, planes, colors, limits, extra,
+        color_similarity(sigma_color), space, bins, *found,
+    )  # fmt: skip
     return found
 
 
-@parallel_jit
-def _vote(pixels, scale, lab, planes, colors, limits, extra, similarity, space, bins, values, shares):
+@jit
+def _vote(begin, end, pixels, scale, lab, planes, colors, limits, extra, similarity, space, bins, values, shares):
     low, per_pixel, n_bins = bins
-    for block in prange((len(pixels) + 255) // 256):
+    for block in range(begin, end):
         histogram = _Histogram(np.zeros((n_bins, 2), np.float32), np.empty(2, np.int64), low, per_pixel)
         votes, extent = histogram.votes, histogram.extent
         for n in range(block * 256, min(block * 256 + 256, len(pixels))):
@@ -267,17 +270,20 @@ def hidden_openings(
     space = np.exp(-np.arange(_OPENING_REACH + 1) / _OPENING_SCALE).astype(np.float32)
     shape = trusted.shape
     hidden = np.zeros((-(-shape[0] // _OPENING_GRID), -(-shape[1] // _OPENING_GRID)), np.uint8)
-    _test_openings(lab, planes, *voters, trusted, color_similarity(sigma_color), space, np.float32(jump), hidden)
+    run_bands(
+        _test_openings, hidden.shape[0], lab, planes, *voters, trusted, color_similarity(sigma_color), space,
+        np.float32(jump), hidden,
+    )  # fmt: skip
     spread = np.zeros(shape, np.uint8)
     spread[::_OPENING_GRID, ::_OPENING_GRID] = hidden
     square = np.ones((_OPENING_SQUARE, _OPENING_SQUARE), np.uint8)
     return np.asarray((cv2.dilate(spread, square) > 0) & trusted, np.bool_)
 
 
-@parallel_jit
-def _test_openings(lab, around, planes, colors, trusted, similarity, space, jump, hidden):
+@jit
+def _test_openings(begin, end, lab, around, planes, colors, trusted, similarity, space, jump, hidden):
     stride = LEVELS[OPENING_LEVEL][0]
-    for j in prange(hidden.shape[0]):
+    for j in range(begin, end):
         y = _OPENING_GRID * j
         top, bottom = _nth_within(y, _OPENING_REACH, stride, planes.shape[1])
         for i in range(hidden.shape[1]):
@@ -326,7 +332,7 @@ def choose_candidates(
     candidates = np.zeros((len(pixels), found.values.shape[1] + 1), np.float32)
     unary = np.full(candidates.shape, np.inf, np.float32)
     weights = np.zeros((len(pixels), 4), np.float32)
-    _costs(pixels, found, evidence, planes, costs, candidates, unary, weights)
+    run_bands(_costs, len(pixels), pixels, found, evidence, planes, costs, candidates, unary, weights)
     has_candidates = np.isfinite(unary[:, 0])
     pixels = pixels[has_candidates]
     if not len(pixels):
@@ -339,13 +345,13 @@ def choose_candidates(
     return chosen
 
 
-@parallel_jit
-def _costs(pixels, found, evidence, planes, costs, candidates, unary, weights):
+@jit
+def _costs(begin, end, pixels, found, evidence, planes, costs, candidates, unary, weights):
     lab, disparity, p_correct, unreliable = evidence
     noise, smoothness = np.float32(costs.noise), np.float32(costs.smoothness)
     largest = np.float32(costs.truncation) * noise
     height, width = disparity.shape
-    for n in prange(len(pixels)):
+    for n in range(begin, end):
         y, x = pixels[n]
         measured = disparity[y, x]
         known = not np.isnan(measured)

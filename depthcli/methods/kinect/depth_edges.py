@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from depthcli.core.maps import Doubles, Floats, Image8, Mask
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows
 
@@ -51,7 +51,10 @@ def _along_rows(lab: Image8, disparity: Floats, jump: float, gap_probability: fl
     sides = shadows.left, shadows.right
     widths = np.array([(side.scale, side.covered) for side in sides], np.float32)
     shadowed = np.array([side.confidence > 0 for side in sides])
-    _probability(disparity, np.float32(jump), near, far, np.float32(gap_probability), widths, shadowed, result)
+    run_bands(
+        _probability, disparity.shape[0], disparity, np.float32(jump), near, far, np.float32(gap_probability), widths,
+        shadowed, result,
+    )  # fmt: skip
     return result
 
 
@@ -63,7 +66,7 @@ def outline_offsets(lab: Image8, disparity: Floats, jump: float) -> Doubles:
     """
     sums = np.zeros((len(disparity), 2, 2 * _PROFILE_REACH))
     counts = np.zeros((len(disparity), 2), np.int64)
-    _contrast_profiles(lab, disparity, np.float32(jump), sums, counts)
+    run_bands(_contrast_profiles, disparity.shape[0], lab, disparity, np.float32(jump), sums, counts)
     offsets = np.arange(MIN_OFFSET, MAX_OFFSET + 1)
     prior = np.exp(-np.abs(offsets - 2.5) / 2.5)
     prior /= prior.sum()
@@ -89,10 +92,10 @@ def _is_edge(d, last, x, jump):
     return abs(d[x] - d[last]) > max(jump, np.float32(_MAX_SLOPE) * np.float32(abs(x - last)))
 
 
-@parallel_jit
-def _contrast_profiles(lab, disparity, jump, sums, counts):
-    height, width = disparity.shape
-    for y in prange(height):
+@jit
+def _contrast_profiles(begin, end, lab, disparity, jump, sums, counts):
+    width = disparity.shape[1]
+    for y in range(begin, end):
         d = disparity[y]
         last = -1
         for x in range(width):
@@ -107,10 +110,10 @@ def _contrast_profiles(lab, disparity, jump, sums, counts):
             last = x
 
 
-@parallel_jit
-def _probability(disparity, jump, near, far, gap_probability, widths, shadowed, out):
-    height, width = disparity.shape
-    for y in prange(height):
+@jit
+def _probability(begin, end, disparity, jump, near, far, gap_probability, widths, shadowed, out):
+    width = disparity.shape[1]
+    for y in range(begin, end):
         d, q = disparity[y], out[y]
         q[:] = np.float32(1)
         last = -1
@@ -188,15 +191,16 @@ def near_side(disparity: Floats, jump: float, row_band: int, column_band: int, g
         (disparity, row_band, gap_tolerance, selected), (disparity.T, column_band, np.inf, selected.T),
     ):  # fmt: skip
         distance = np.full(values.shape, 255, np.uint8)  # the largest: no edge within 254 pixels
-        _distance_along_rows(np.ascontiguousarray(values), np.float32(jump), np.float32(tolerance), distance)
+        limits = np.float32(jump), np.float32(tolerance)
+        run_bands(_distance_along_rows, len(values), np.ascontiguousarray(values), *limits, distance)
         out |= distance <= band
     return selected
 
 
-@parallel_jit
-def _distance_along_rows(disparity, jump, tolerance, nearest):
-    height, width = disparity.shape
-    for y in prange(height):
+@jit
+def _distance_along_rows(begin, end, disparity, jump, tolerance, nearest):
+    width = disparity.shape[1]
+    for y in range(begin, end):
         d, out = disparity[y], nearest[y]
         for step in (1, -1):
             start, last = -1, -1  # first pixel of the near side that x lies on, previous known pixel; -1: none

@@ -7,7 +7,7 @@ import numpy as np
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
 from depthcli.core.maps import Floats, Image8, Ints, Mask
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.gap_limits import SLOPE_FADE
 
@@ -75,7 +75,7 @@ def fill_gaps(
     # Medians of pixels of similar color; values above the limit come from beyond the shadow: they are not taken.
     source, smoothed = filled.copy(), filled.copy()
     for stride in _SMOOTHING_STRIDES:
-        _median(source, pixels, lab, stride, smoothed)
+        run_bands(_median, (len(pixels) + _BLOCK - 1) // _BLOCK, source, pixels, lab, stride, smoothed)
         source, smoothed = smoothed, source
     return np.where(source > limit, filled, source), inside
 
@@ -88,12 +88,12 @@ def _exchange(low, high):
         high[i] = q if p < q else p
 
 
-@parallel_jit
-def _median(source, pixels, lab, stride, out):
+@jit
+def _median(begin, end, source, pixels, lab, stride, out):
     # Nine samples a pixel, sorted by a network as far as their median needs. A sample of another color, or outside of
     # the map, counts as the pixel itself does.
     height, width = source.shape
-    for block in prange((len(pixels) + _BLOCK - 1) // _BLOCK):
+    for block in range(begin, end):
         samples = np.empty((9, _BLOCK), np.float32)
         start = block * _BLOCK
         count = min(_BLOCK, len(pixels) - start)

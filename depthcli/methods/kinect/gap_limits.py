@@ -8,7 +8,7 @@ import numpy as np
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.maps import Floats, Image8
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.color import lab_difference
 from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadow, Shadows, gaps_of
 
@@ -59,15 +59,10 @@ def shadow_limits(
         given = [np.ascontiguousarray(m[turn]) for m in (lab, disparity, planes.value, step * planes.slope_x)]
         hidden = shadow.confidence * (1 - shadows.p_hole)
         factors = np.array([SHADOW_FACTOR**shadow.confidence, GAP_FACTOR**hidden, HOLE_FACTOR**hidden], np.float32)
-        _limits(
-            limits.value[turn],
-            limits.factor[turn],
-            holes,
-            factors,
-            _Sizes.of(shadow, jump),
-            np.float32(tolerance),
-            *given,
-        )
+        run_bands(
+            _limits, disparity.shape[0], limits.value[turn], limits.factor[turn], holes, factors,
+            _Sizes.of(shadow, jump), np.float32(tolerance), *given,
+        )  # fmt: skip
     return limits
 
 
@@ -82,9 +77,9 @@ def _rim_contrast(lab, d, y, u, left, right):
     return smallest
 
 
-@parallel_jit
-def _limits(limit, limit_factor, holes, factors, sizes, tolerance, lab, disparity, value, slope_x):
-    for y in prange(disparity.shape[0]):
+@jit
+def _limits(begin, end, limit, limit_factor, holes, factors, sizes, tolerance, lab, disparity, value, slope_x):
+    for y in range(begin, end):
         d = disparity[y]
         for last, x in gaps_of(d, True):
             gap = np.float32(x - last - 1)
@@ -117,13 +112,16 @@ def max_disparity_in_gaps(disparity: Floats, jump: float, shadows: Shadows, tole
     limit = np.full(disparity.shape, np.inf, np.float32)
     for shadow, step, _ in shadows.sides():
         turned, behind = np.ascontiguousarray(disparity[:, ::step]), shadows.p_hole < 0.5
-        _max_in_gaps(limit[:, ::step], turned, behind, _Sizes.of(shadow, jump), np.float32(tolerance))
+        run_bands(
+            _max_in_gaps, turned.shape[0], limit[:, ::step], turned, behind, _Sizes.of(shadow, jump),
+            np.float32(tolerance),
+        )  # fmt: skip
     return limit
 
 
-@parallel_jit
-def _max_in_gaps(limit, disparity, behind, sizes, tolerance):
-    for y in prange(disparity.shape[0]):
+@jit
+def _max_in_gaps(begin, end, limit, disparity, behind, sizes, tolerance):
+    for y in range(begin, end):
         d = disparity[y]
         for last, x in gaps_of(d, False):
             gap, step = np.float32(x - last - 1), d[x] - d[last]
@@ -146,21 +144,24 @@ def shadow_background(disparity: Floats, planes: WindowPlanes, jump: float, shad
         turn = np.s_[:, ::step]
         given = [np.ascontiguousarray(m[turn]) for m in (disparity, planes.value, step * planes.slope_x)]
         low, high = (np.float32(shadow.confidence * share) for share in (_MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE))
-        _background(background[turn], extra_share[turn], _Sizes.of(shadow, jump), low, high, *given)
+        run_bands(
+            _background, disparity.shape[0], background[turn], extra_share[turn], _Sizes.of(shadow, jump), low, high,
+            *given,
+        )  # fmt: skip
     return background, extra_share
 
 
-@parallel_jit
-def _background(background, extra_share, sizes, low, high, disparity, value, slope_x):
-    for y in prange(disparity.shape[0]):
+@jit
+def _background(begin, end, background, extra_share, sizes, low, high, disparity, value, slope_x):
+    for y in range(begin, end):
         d = disparity[y]
         for last, x in gaps_of(d, False):
             width, step = (np.float32(x - last - 1) + sizes.covered) / sizes.scale, d[x] - d[last]
             if step > sizes.jump and abs(width - step) <= np.float32(WIDTH_TOLERANCE):
-                end = min(x + SHADOW_BAND, d.size)
-                for u in range(last + 1, end):
+                stop = min(x + SHADOW_BAND, d.size)
+                for u in range(last + 1, stop):
                     far = np.float32(u - last)
                     fade = 1 + (far / np.float32(SLOPE_FADE)) ** 2
                     background[y, u] = value[y, last] + slope_x[y, last] * far / fade
                 off = (width - (d[x] - background[y, x])) / np.float32(_EXTRA_SHARE_SCALE)
-                extra_share[y, last + 1 : end] = low + (high - low) * np.float32(np.exp(-off * off))
+                extra_share[y, last + 1 : stop] = low + (high - low) * np.float32(np.exp(-off * off))

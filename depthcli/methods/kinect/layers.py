@@ -16,7 +16,7 @@ from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus, Floats, Image8, Ints, Mask
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import DepthResult
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.disparity import Measurement
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 
@@ -95,7 +95,7 @@ class RefinedDisparity:
         disparity, scale = np.empty_like(measured), np.empty_like(measured)
         status = np.empty(measured.shape, np.uint8)
         given = measured, reliable, np.float32(tolerance), noise, smooth
-        _decide(values, scales, own, *given, disparity, scale, status)
+        run_bands(_decide, values.shape[1], values, scales, own, *given, disparity, scale, status)
         cost = np.where(np.isnan(reliable), np.float32(UNRELIABLE_COST), np.float32(0))
         segments, known = np.stack([layer.labels for layer in layers]), ~np.isnan(measured)
         start = np.where(known, disparity, np.float32(np.nan))
@@ -130,10 +130,10 @@ def _median(sorted_values, count):
     return np.float32(0.5) * (sorted_values[middle - 1] + sorted_values[middle])
 
 
-@parallel_jit
-def _decide(values, scales, own, disparity, reliable, tolerance, noise, smooth, out, scale, status):
-    layers, height, width = values.shape
-    for y in prange(height):
+@jit
+def _decide(begin, end, values, scales, own, disparity, reliable, tolerance, noise, smooth, out, scale, status):
+    layers, _, width = values.shape
+    for y in range(begin, end):
         value, spread = np.empty(layers, np.float32), np.empty(layers, np.float32)
         for x in range(width):
             count = 0
@@ -249,16 +249,16 @@ def add_detail(surface: Floats, known: Floats, labels: Ints, scale: Floats, reac
     """
     weights, residuals = (np.empty(surface.shape, np.float32) for _ in range(2))
     decay = np.float32(np.exp(-1 / reach))
-    _residuals(surface, known, labels, scale, decay, residuals, weights)
-    _spread_down(labels, decay, residuals, weights)
+    run_bands(_residuals, surface.shape[0], surface, known, labels, scale, decay, residuals, weights)
+    run_bands(_spread_down, (labels.shape[1] + _COLUMNS - 1) // _COLUMNS, labels, decay, residuals, weights)
     surface += residuals / (weights + np.float32(0.5))
 
 
-@parallel_jit
-def _residuals(surface, known, labels, scale, decay, residuals, weights):
-    height, width = surface.shape
+@jit
+def _residuals(begin, end, surface, known, labels, scale, decay, residuals, weights):
+    width = surface.shape[1]
     back = np.float32(1) - decay * decay  # the second pass adds to the sums of the first
-    for y in prange(height):
+    for y in range(begin, end):
         for x in range(width):
             s = labels[y, x]
             residual = known[y, x] - surface[y, x]
@@ -277,20 +277,20 @@ def _residuals(surface, known, labels, scale, decay, residuals, weights):
                 weights[y, x] = back * weights[y, x] + decay * weights[y, x + 1]
 
 
-@parallel_jit
-def _spread_down(labels, decay, residuals, weights):
+@jit
+def _spread_down(begin, end, labels, decay, residuals, weights):
     height, width = labels.shape
     back = np.float32(1) - decay * decay
-    for task in prange((width + _COLUMNS - 1) // _COLUMNS):
+    for task in range(begin, end):
         first = task * _COLUMNS
-        end = min(first + _COLUMNS, width)
+        stop = min(first + _COLUMNS, width)
         for y in range(1, height):
-            for x in range(first, end):
+            for x in range(first, stop):
                 if labels[y, x] == labels[y - 1, x]:
                     residuals[y, x] += decay * residuals[y - 1, x]
                     weights[y, x] += decay * weights[y - 1, x]
         for y in range(height - 2, -1, -1):
-            for x in range(first, end):
+            for x in range(first, stop):
                 if labels[y, x] == labels[y + 1, x]:
                     residuals[y, x] = back * residuals[y, x] + decay * residuals[y + 1, x]
                     weights[y, x] = back * weights[y, x] + decay * weights[y + 1, x]

@@ -6,7 +6,7 @@ import numpy as np
 
 from depthcli.algorithms.filters import add
 from depthcli.kernels.exponential import attainable_likelihood, likelihood, peak_ratio
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit
 
 MAX_SMALL_VALUE = 85
 """Largest value of features of many channels: three differences then fit a byte, which makes the search faster."""
@@ -125,7 +125,8 @@ def _take(volume, first, stride, count, pitch, out):
                 for y in range(count[1]):
                     source = volume[c, first[0] * stride[0] + z, first[1] * stride[1] + y, p]
                     source = source[first[2] : first[2] + pitch]
-                    target[y * pitch : y * pitch + source.size] = source
+                    for i in range(source.size):
+                        target[y * pitch + i] = source[i]
 
 
 @jit
@@ -169,7 +170,8 @@ def _spread(costs, rows):
 @jit
 def _raise(values, power, out):
     # out = values ** power, by squares and products instead of as many products as the power
-    out[:] = values
+    for i in range(out.size):
+        out[i] = values[i]
     bit = 1
     while 2 * bit <= power:
         bit *= 2
@@ -290,10 +292,10 @@ def _peak_row(costs, before, after, best, mean, rows, out):
         out[i] = peak_ratio(lowest, rival, eps)
 
 
-@parallel_jit
+@jit
 def search_tiles(
-    fixed, warped, offsets, lengths, edge, neighbors, before, after, half, reach, stride, tiles, tile, shift, scale,
-    power, small_values, costly, sums, scratch, out,
+    begin, end, fixed, warped, offsets, lengths, edge, neighbors, before, after, half, reach, stride, tiles, tile,
+    shift, scale, power, small_values, costly, sums, scratch, out,
 ):  # fmt: skip
     """Search every tile and write its measures, at every ``stride``-th voxel.
 
@@ -317,7 +319,7 @@ def search_tiles(
     window = stride * (tile - 1) + 1 + 2 * half
     # A row holds the tile's width in full vectors, what the window takes behind it, and the reach.
     pitch = width + (2 * half[2]) // stride[2] + (2 * reach[2] + stride[2] - 1) // stride[2] + 1
-    for w in prange(workers):
+    for w in range(begin, end):
         size = np.empty(3, np.int64)
         count = np.empty(3, np.int64)
         # Every slice of the first may be read as far as the last slice of the other.
@@ -354,4 +356,5 @@ def search_tiles(
                     # What lies behind the tile's end is measured with it, and not copied.
                     for m in range(len(PLANES)):
                         target = out[m, origin[0] + z, origin[1] + y, origin[2] : origin[2] + last]
-                        target[:] = measured[m, :last]
+                        for i in range(last):
+                            target[i] = measured[m, i]

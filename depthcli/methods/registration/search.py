@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels.jit import n_threads
+from depthcli.kernels.jit import n_threads, run_bands
 from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE, PLANES, search_tiles
 
 SearchShape = Literal["cube", "planes", "axes"]
@@ -123,7 +123,9 @@ def search(
     curve = (offsets, lengths, edge, neighbors, before, after)
     scale = (np.uint32(shift), np.float32((1 << shift) / largest), sharpness)
     places = (half, reach, steps, tiles, size)
-    search_tiles(*volumes, *curve, *places, *scale, top == MAX_SMALL_VALUE, costly, layer, scratch, out)
+    run_bands(
+        search_tiles, workers, *volumes, *curve, *places, *scale, top == MAX_SMALL_VALUE, costly, layer, scratch, out
+    )
     planes = dict(zip(PLANES, out, strict=True))
     displacement = out[2:5] * np.float32(spacing)
     planes["vshift"] = np.sqrt((displacement**2).sum(axis=0))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.keypoints import KeyPoints
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,9 @@ def match_rectified(
         last = np.searchsorted(rows, points.y + max_row_difference, side="left").astype(np.int32)
         own = points.x, points.sign, points.scale, points.descriptors
         other = others.x[order], others.sign[order], others.scale[order], others.descriptors[order]
-        nearest, distance = _nearest(*own, *other, first, last, (low, high, ratio, max_scale_ratio))
+        nearest, distance = np.full(len(points), -1, np.int32), np.full(len(points), np.inf, np.float32)
+        limits = low, high, ratio, max_scale_ratio
+        run_bands(_find_nearest, len(points), *own, *other, first, last, limits, nearest, distance)
         return np.append(order, np.int32(-1))[nearest], distance
 
     nearest, distance = search(left, right, 0.0, max_disparity)
@@ -69,13 +71,14 @@ def match_rectified(
     return Matches(one, other, x, left.y[one], x - right.x[other], distance[one])
 
 
-@parallel_jit
-def _nearest(x, sign, scale, descriptors, other_x, other_sign, other_scale, other_descriptors, low, high, limits):
+@jit
+def _find_nearest(
+    begin, end, x, sign, scale, descriptors, other_x, other_sign, other_scale, other_descriptors, low, high, limits,
+    nearest, distance,
+):  # fmt: skip
     # Nearest candidate of each key point, -1 where there is none or the second is too near; and its distance.
     min_shift, max_shift, ratio, max_scale_ratio = limits
-    nearest = np.full(x.size, -1, np.int32)
-    distance = np.full(x.size, np.inf, np.float32)
-    for k in prange(x.size):
+    for k in range(begin, end):
         winner = -1
         best = second = np.float32(np.inf)
         for turn in range(2):  # then the best candidate that lies elsewhere than the nearest one
@@ -98,7 +101,6 @@ def _nearest(x, sign, scale, descriptors, other_x, other_sign, other_scale, othe
         if winner >= 0 and (ratio >= 1.0 or best < ratio * ratio * second):
             nearest[k] = winner
             distance[k] = np.sqrt(best)
-    return nearest, distance
 
 
 @jit
@@ -137,14 +139,14 @@ def nearest_points(
     if count:
         center_x, center_y, x, y = (np.asarray(one, np.float64) for one in (center_x, center_y, x, y))
         by_row = np.argsort(y)
-        _insert_nearest(center_x, center_y, x[by_row], y[by_row], by_row, index, squared)
+        run_bands(_insert_nearest, index.shape[0], center_x, center_y, x[by_row], y[by_row], by_row, index, squared)
     return index, squared
 
 
-@parallel_jit
-def _insert_nearest(center_x, center_y, x, y, name, index, squared):
+@jit
+def _insert_nearest(begin, end, center_x, center_y, x, y, name, index, squared):
     # Points are sorted by ``y`` and have the index ``name``; they are visited up and down from the center's row.
-    for n in prange(index.shape[0]):
+    for n in range(begin, end):
         nearest, distances = index[n], squared[n]
         last = distances.size - 1
         below = np.searchsorted(y, center_y[n])

@@ -16,7 +16,7 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Result
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import winners
 
 
@@ -111,26 +111,30 @@ def as_fixed_point(volume: CostVolume) -> CostVolume:
             costs, high = costs - np.float32(low), high - low
         factor = FixedPoint.LARGEST / high if high > 0 else 1.0
     fixed: NDArray[np.uint16] = memory.empty(costs.shape, np.uint16)
-    _scale(costs, np.float32(factor), fixed)
+    run_bands(_scale, costs.shape[0], costs, np.float32(factor), fixed)
     return CostVolume(fixed, volume.scale * factor)
 
 
-@parallel_jit
-def _scale(costs, factor, fixed):
-    height, width, n_disparities = costs.shape
+@jit
+def _scale(begin, end, costs, factor, fixed):
+    _, width, n_disparities = costs.shape
     half = np.float32(0.5)
-    for y in prange(height):
+    for y in range(begin, end):
         source = costs[y].reshape(width * n_disparities)
         out = fixed[y].reshape(width * n_disparities)
         for i in range(out.size):
             out[i] = np.uint16(np.int32(np.float32(source[i]) * factor + half))
 
 
-@parallel_jit
-def fill_outside(costs, outside):
+def fill_outside(costs: NDArray[Any], outside: np.generic) -> None:
     """Set the cells of (H, W, D) costs whose match lies outside the right image, d > x."""
-    height, width, n_disparities = costs.shape
-    for y in prange(height):
+    run_bands(_fill_outside, costs.shape[0], costs, outside)
+
+
+@jit
+def _fill_outside(begin, end, costs, outside):
+    _, width, n_disparities = costs.shape
+    for y in range(begin, end):
         for x in range(min(width, n_disparities - 1)):
             for d in range(x + 1, n_disparities):
                 costs[y, x, d] = outside

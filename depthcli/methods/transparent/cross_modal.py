@@ -17,7 +17,7 @@ from depthcli.core.frames import SparseFrame, StereoPair
 from depthcli.core.maps import Floats, Image8
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.segments.steps import SegmentSteps
@@ -173,15 +173,15 @@ def faded_costs(volume: CostVolume, left: Image8, right: Image8, structure_thres
     threshold = np.float32(structure_threshold)
     shares = [np.minimum(local_deviation(image) / threshold, np.float32(1)) for image in (left, right)]
     out: NDArray[np.uint16] = memory.empty(volume.costs.shape, np.uint16)
-    _fade(volume.costs, shares[0], shares[1], out)
+    run_bands(_fade, volume.costs.shape[0], volume.costs, shares[0], shares[1], out)
     return CostVolume(out, volume.scale)
 
 
-@parallel_jit
-def _fade(costs, left, right, out):
-    height, width, n_disparities = costs.shape
+@jit
+def _fade(begin, end, costs, left, right, out):
+    _, width, n_disparities = costs.shape
     half = np.float32(0.5)
-    for y in prange(height):
+    for y in range(begin, end):
         # Mirrored, so that a pixel's right shares run with its disparities; 1 outside the image.
         mirror = np.ones(width + n_disparities, np.float32)
         for x in range(width):

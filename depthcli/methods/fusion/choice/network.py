@@ -24,7 +24,7 @@ from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
 from depthcli.core.errors import InputError
 from depthcli.kernels.exponential import exp_minus
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import WIDE, absolute_difference, load_like, minimum, splat_like, store, wide_zero
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.map_costs import disagreements, hidden_jumps, image_planes, misfit_of_pixels
@@ -118,7 +118,7 @@ class NetworkInputs:
         proposals.decorrelation(warped, plane["decorrelation"])
         for k, values in enumerate(maps):
             plane["slope_x"][k], plane["slope_y"][k] = slopes(values, image, _REACH)
-        _misfits(maps, plane["slope_x"], plane["slope_y"], plane["roughness"])
+        run_bands(_misfits, height, maps, plane["slope_x"], plane["slope_y"], plane["roughness"])
         for rough, mean in zip(plane["roughness"], plane["roughness_9"], strict=True):
             cv2.blur(rough, (9, 9), dst=mean)  # many are 0, where sums made otherwise leave other rests
         for side in (11, 25):
@@ -136,12 +136,11 @@ class NetworkInputs:
         return np.concatenate([own, relative, distances, shared]).transpose(2, 1, 0)
 
 
-@parallel_jit
-def _misfits(maps, slope_x, slope_y, out):
+@jit
+def _misfits(begin, end, maps, slope_x, slope_y, out):
     # The sums over the four neighbors: left, right, upper, lower.
     count, height, width = maps.shape
-    for task in prange(height):
-        y = np.int64(task)
+    for y in range(begin, end):
         misfit = np.empty(width, np.float32)
         for n in range(count):
             row, total = maps[n, y], out[n, y]
@@ -216,10 +215,10 @@ def likeliest(
     """
     _, height, width = maps.shape
     shares = memory.empty((height, width, MAX_MAPS), np.float32)
-    _softmax(odds, shares)
+    run_bands(_softmax, height, odds, shares)
     support.sum(shares)
     values, probability = (np.empty((height, width), np.float32) for _ in range(2))
-    _take_largest(maps, odds, shares, np.float32(agreeing), values, probability)
+    run_bands(_take_largest, height, maps, odds, shares, np.float32(agreeing), values, probability)
     return values, probability
 
 
@@ -228,23 +227,23 @@ def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.fl
     own, shared, values = (at_least_wide(planes) for planes in (inputs.own, inputs.shared, inputs.values))
     odds = np.empty(values.shape, np.float32)
     network = trained.mean, trained.scale, trained.layers[0][1], *kernel_layers(trained)
-    _evaluate(own, shared, values, _RELATIVE_INDICES, *network, odds)
+    run_bands(_evaluate, -(-values.shape[1] // CHUNK), own, shared, values, _RELATIVE_INDICES, *network, odds)
     return odds[:, : inputs.values.shape[1]]
 
 
-@parallel_jit
-def _evaluate(own, shared, values, relative, mean, scale, offsets, w1, w2, b2, w3, b3, out):
+@jit
+def _evaluate(begin, end, own, shared, values, relative, mean, scale, offsets, w1, w2, b2, w3, b3, out):
     # The inputs of a few pixels at a time, in the order of NetworkInputs.rows, are never stored for more.
     count, pixels = values.shape
     n_own, n_relative = own.shape[0], relative.size
     last = mean.size - shared.shape[0]
     own_planes, pixel_planes = own.reshape(own.size), shared.reshape(shared.size)
     maps, odds = values.reshape(values.size), out.reshape(values.size)
-    for task in prange(-(-pixels // CHUNK)):
+    for task in range(begin, end):
         inputs = np.empty(mean.size * WIDE, np.float32)
         lowest = np.empty(n_relative * WIDE, np.float32)
         hidden = np.empty((w1.shape[0] + w2.shape[0]) * TILE * WIDE, np.float32)
-        zero, start = wide_zero(), np.int64(task) * CHUNK
+        zero, start = wide_zero(), task * CHUNK
         largest = splat_like(zero, _MAX_DISTANCE)
         for at in range(start, min(pixels, start + CHUNK), WIDE):
             first = min(at, pixels - WIDE)  # the last ones overlap others, to the same effect
@@ -273,10 +272,10 @@ def _evaluate(own, shared, values, relative, mean, scale, offsets, w1, w2, b2, w
                 run_layers(inputs, offsets[n], w1, w2, b2, w3, b3, hidden, odds, n * pixels + first)
 
 
-@parallel_jit
-def _softmax(log_odds, shares):
-    count, height, width = log_odds.shape
-    for y in prange(height):
+@jit
+def _softmax(begin, end, log_odds, shares):
+    count, _, width = log_odds.shape
+    for y in range(begin, end):
         for x in range(width):
             largest = log_odds[0, y, x]
             for n in range(1, count):
@@ -297,11 +296,11 @@ def _agreement(first, second, reach):
     return np.float32(1) - apart / reach if apart < reach else np.float32(0)
 
 
-@parallel_jit
-def _take_largest(maps, log_odds, shares, reach, values, probability):
-    count, height, width = maps.shape
+@jit
+def _take_largest(begin, end, maps, log_odds, shares, reach, values, probability):
+    count, _, width = maps.shape
     one, half = np.float32(1), np.float32(0.5)
-    for y in prange(height):
+    for y in range(begin, end):
         for x in range(width):
             best, largest = 0, np.float32(-1)
             for n in range(count):

@@ -10,7 +10,7 @@ from pydantic import Field
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus, Floats, Image8
 from depthcli.core.result import Clock, DepthResult
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.pipeline import SequencePipeline
 
@@ -63,13 +63,19 @@ class Realsense(SequencePipeline):
         values = measured.copy()
         for _ in range(self.magnitude):
             for lines in (values, values.T):
-                _smooth_lines(lines, np.float32(self.spatial_alpha), np.float32(self.spatial_delta / _FRACTION))
+                run_bands(
+                    _smooth_lines,
+                    lines.shape[0],
+                    lines,
+                    np.float32(self.spatial_alpha),
+                    np.float32(self.spatial_delta / _FRACTION),
+                )
         clock.start("temporal")
         last, history = state.last.copy(), state.history.copy()
         min_valid, n_frames = (9, 8) if self.persistency == 0 else _PERSISTENCE.get(self.persistency, (0, 8))
         alpha, delta = np.float32(self.temporal_alpha), np.float32(self.temporal_delta / _FRACTION)
         carried = np.zeros(frame.shape, np.bool_)
-        _temporal(values, last, history, alpha, delta, min_valid, n_frames, carried)
+        run_bands(_temporal, values.shape[0], values, last, history, alpha, delta, min_valid, n_frames, carried)
         clock.start("holes")
         if self.hole_filling != "off":
             _fill(values, _HOLES[self.hole_filling])
@@ -79,10 +85,10 @@ class Realsense(SequencePipeline):
         return result, RealsenseState(last, history)
 
 
-@parallel_jit
-def _smooth_lines(values, alpha, delta):
+@jit
+def _smooth_lines(begin, end, values, alpha, delta):
     # Every row there and back; edges are steps of the unfiltered values, as in librealsense.
-    for y in prange(values.shape[0]):
+    for y in range(begin, end):
         line = values[y]
         for back in range(2):
             previous = state = np.float32(np.nan)
@@ -98,10 +104,10 @@ def _smooth_lines(values, alpha, delta):
                 previous = value
 
 
-@parallel_jit
-def _temporal(values, last, history, alpha, delta, min_valid, n_frames, carried):
-    height, width = values.shape
-    for y in prange(height):
+@jit
+def _temporal(begin, end, values, last, history, alpha, delta, min_valid, n_frames, carried):
+    width = values.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             value, previous, bits = values[y, x], last[y, x], np.int64(history[y, x])
             if np.isnan(value):

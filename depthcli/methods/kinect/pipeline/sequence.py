@@ -14,7 +14,7 @@ from depthcli.core.cameras.camera import typical_intrinsics
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus, Doubles, Floats, Image8, Ints, Mask
 from depthcli.core.result import Clock, DepthResult
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.kinect.camera_motion import View, displacement, estimated_motion, view_after
 from depthcli.methods.kinect.disparity import Measurement
 from depthcli.methods.kinect.gap_filling import passed
@@ -91,7 +91,9 @@ class Sequence(SequencePipeline, Dsrm):
         clock.start("refinement")
         refined = self.combined(carried, measurement)
         drift = np.float32(self.drift * state.noise)
-        _blend(refined.disparity, refined.scale, refined.status, previous, still, drift)
+        run_bands(
+            _blend, refined.disparity.shape[0], refined.disparity, refined.scale, refined.status, previous, still, drift
+        )
         clock.start("result")
         result = refined.to_depth(frame)
         result.seconds, result.words["motion"] = clock.seconds, motion
@@ -128,11 +130,11 @@ class Sequence(SequencePipeline, Dsrm):
         return "still", None, still
 
 
-@parallel_jit
-def _blend(disparity, scale, status, previous, still, drift):
+@jit
+def _blend(begin, end, disparity, scale, status, previous, still, drift):
     # Filled values of still pixels: weighted mean with the previous ones, whose variance grows by the drift.
-    height, width = disparity.shape
-    for y in prange(height):
+    width = disparity.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             if (status[y, x] == _FILLED or status[y, x] == _FALLBACK) and still[y, x] and not np.isnan(previous[y, x]):
                 variance = scale[y, x] * scale[y, x]
@@ -165,18 +167,21 @@ def carried_labels(layer: Layer, still: Mask, color: Image8, measurement: Measur
     surfaces = layer.surfaces
     shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
     cost, given = np.empty(still.shape, np.float32), (measurement.reliable, measurement.limit)
-    _held(layer.labels, still, *given, *shapes, surfaces.scale, np.float32(measurement.jump), cost)
+    run_bands(
+        _held, layer.labels.shape[0], layer.labels, still, *given, *shapes, surfaces.scale,
+        np.float32(measurement.jump), cost,
+    )  # fmt: skip
     labels, own = np.where(cost > 0, np.int32(-1), layer.labels), layer.own.copy()
     pixels = np.argwhere(cost > 0).astype(np.int32)
     _sweep(pixels, cost, labels, own, color, *given, *shapes, np.float32(5 / measurement.noise))
     return labels, own
 
 
-@parallel_jit
-def _held(labels, still, reliable, limit, coefficients, center, bounds, unit, scale, jump, cost):
+@jit
+def _held(begin, end, labels, still, reliable, limit, coefficients, center, bounds, unit, scale, jump, cost):
     # 0 where a pixel keeps its segment, else infinite.
-    height, width = labels.shape
-    for y in prange(height):
+    width = labels.shape[1]
+    for y in range(begin, end):
         for x in range(width):
             s = labels[y, x]
             cost[y, x] = np.inf

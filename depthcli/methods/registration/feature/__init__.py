@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.resampling import gaussian, shifted
 from depthcli.core.method import Method, method_of
 from depthcli.kernels.exponential import exp_minus
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.registration._search_kernels import MAX_SMALL_VALUE
 
 VolumeArray = NDArray[np.float32]
@@ -73,17 +73,18 @@ def descriptor(volume: NDArray[np.float32], pairs: Sequence[tuple[Place, Place]]
     mean = float(variance.mean(dtype=np.float64)) or 1.0
     np.clip(variance, 1e-3 * mean, 1e3 * mean, out=variance)
     out = np.empty(distances.shape, np.uint8)
-    _exponentials(distances, variance, out)
+    run_bands(_exponentials, distances.shape[1], distances, variance, out)
     return out
 
 
-@parallel_jit
-def _exponentials(distances, variance, out):
-    channels, depth, height, width = distances.shape
-    for z in prange(depth):
+@jit
+def _exponentials(begin, end, distances, variance, out):
+    channels, _, height, width = distances.shape
+    for z in range(begin, end):
         lowest = np.empty(width, np.float32)
         for y in range(height):
-            lowest[:] = distances[0, z, y]
+            for i in range(width):
+                lowest[i] = distances[0, z, y, i]
             for c in range(1, channels):
                 row = distances[c, z, y]
                 for i in range(width):

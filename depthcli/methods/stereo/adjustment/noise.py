@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 _BLOCK, _REGION = 8, 32  # sides of the blocks that noise and of the regions that contrast is measured in, pixels
 _FLAT_PERCENTILE = 10  # blocks with less energy: nearly all of it is noise
@@ -82,7 +82,7 @@ def _are_clean(images: tuple[Image, Image], top: int) -> bool:
     for image in images:
         height, width = (side // _REGION for side in image.shape[:2])
         blocks = np.empty((3, *(side // _BLOCK for side in image.shape[:2])), np.float32)
-        block_means(image.reshape(*image.shape[:2], -1), blocks)
+        run_bands(block_means, blocks.shape[1], image.reshape(*image.shape[:2], -1), blocks)
         n = _REGION // _BLOCK
         regions = blocks[1:, : height * n, : width * n].reshape(2, height, n, width, n).mean(axis=(2, 4))
         spread = np.sort((1 - 1e-5) * regions[1] - regions[0] ** 2, axis=None)  # less by more than rounding errors
@@ -95,15 +95,15 @@ def _are_clean(images: tuple[Image, Image], top: int) -> bool:
     return bool(max(means) > 1.01 * (bright + (1 - bright) * _DARK) * top)
 
 
-@parallel_jit
-def block_means(image, means):
+@jit
+def block_means(begin, end, image, means):
     """Write means over blocks of 8 x 8 pixels of an (H, W, C) ``image`` to ``means``, (3, H // 8, W // 8) float32.
 
     They are of the squared second differences of levels, the levels, and their squares; see :func:`noise_level`. A
     level is the mean of a pixel's channels.
     """
     height, width, channels = image.shape
-    for i in prange(means.shape[1]):
+    for i in range(begin, end):
         sums = np.zeros((3, width), np.float32)
         rows = np.empty((3, width), np.float32)
         down = np.empty(width + 2, np.float32)
@@ -115,7 +115,8 @@ def block_means(image, means):
                 for x in range(width):
                     below[x] = np.float32(np.int32(red[x]) + np.int32(green[x]) + np.int32(blue[x])) / np.float32(3)
             else:
-                below[:] = image[y, :, 0]
+                for x in range(width):
+                    below[x] = image[y, x, 0]
             if k < 2:
                 continue
             for x in range(width):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 
 CELL = 4  # side of the cells that have one gain, pixels of the reduced size
 N_TERMS = 6  # of a polynomial of the second degree: the effect of small rotations and of different focal lengths
@@ -49,7 +49,7 @@ class Correction:
         """Return ``pair``, which is ``factor`` times the reduced size, with its right image corrected."""
         if not self.row_shift.any() and self.gains is IDENTITY.gains:
             return pair
-        right = np.ascontiguousarray(pair.clamped[1]).reshape(*pair.shape, -1)
+        right = cast(Image, np.ascontiguousarray(pair.clamped[1]).reshape(*pair.shape, -1))
         out = np.empty_like(right)
         resample(right, self.row_shift * factor, self.gains, CELL * factor, np.float32(pair.top), out)
         return StereoPair(pair.left, cast(Image, out.reshape(pair.right.shape)), pair.bits)
@@ -75,29 +75,47 @@ def cubic(p0, p1, p2, p3, t):
     return p1 + t * (a + t * (b + t * c))
 
 
-@parallel_jit
-def resample(image, row_shift, gains, cell, top, out):
+def resample(
+    image: Image,
+    row_shift: NDArray[np.float64],
+    gains: NDArray[np.float32],
+    cell: int,
+    top: np.float32,
+    out: NDArray[Any],
+) -> None:
     """Write (H, W, C) ``image`` with its rows shifted, times the bilinearly interpolated ``gains``, to ``out``.
 
     Gains below 1 rise to 1 towards the largest grey level ``top``: saturated samples times a gain that varies would
     seem to have a slope.
     """
-    height, width, channels = image.shape
-    grid_height, grid_width = gains.shape[:2]
+    along = np.empty((gains.shape[0], image[0].size), np.float32)  # gains interpolated along the rows of the grid
+    run_bands(_interpolate_gains, gains.shape[0], gains, cell, along)
+    run_bands(_resample, image.shape[0], image, row_shift, along, cell, top, out)
+
+
+@jit
+def _interpolate_gains(begin, end, gains, cell, along):
+    _, grid_width, channels = gains.shape
     half = np.float32(0.5)
-    kind = image.dtype.type
-    # All rows as one: they are interpolated in runs of pixels whose samples lie in the same rows of the image.
-    source, result = image.reshape(height, width * channels), out.reshape(height, width * channels)
-    along = np.empty((grid_height, width * channels), np.float32)  # gains interpolated along the rows of the grid
-    for i in prange(grid_height):
-        for x in range(width):
+    for i in range(begin, end):
+        for x in range(along.shape[1] // channels):
             gx = min(max((np.float32(x) + half) / np.float32(cell) - half, np.float32(0)), np.float32(grid_width - 1))
             j0 = int(gx)
             j1 = min(j0 + 1, grid_width - 1)
             tx = gx - np.float32(j0)
             for c in range(channels):
                 along[i, x * channels + c] = gains[i, j0, c] + tx * (gains[i, j1, c] - gains[i, j0, c])
-    for y in prange(height):
+
+
+@jit
+def _resample(begin, end, image, row_shift, along, cell, top, out):
+    height, width, channels = image.shape
+    grid_height = along.shape[0]
+    half = np.float32(0.5)
+    kind = image.dtype.type
+    # All rows as one: they are interpolated in runs of pixels whose samples lie in the same rows of the image.
+    source, result = image.reshape(height, width * channels), out.reshape(height, width * channels)
+    for y in range(begin, end):
         gy = min(max((np.float32(y) + half) / np.float32(cell) - half, np.float32(0)), np.float32(grid_height - 1))
         i0 = int(gy)
         i1 = min(i0 + 1, grid_height - 1)
@@ -107,14 +125,14 @@ def resample(image, row_shift, gains, cell, top, out):
         for x in range(width):
             row[x] = np.float32(float(y) + polynomial(row_shift, (2.0 * x - width) / width, down))
         rest = np.empty(width * channels, np.float32)
-        end = 0
-        while end < width:
-            start, v = end, int(np.floor(row[end]))
-            while end < width and int(np.floor(row[end])) == v:
+        x = 0
+        while x < width:
+            start, v = x, int(np.floor(row[x]))
+            while x < width and int(np.floor(row[x])) == v:
                 for c in range(channels):
-                    rest[end * channels + c] = row[end] - np.float32(v)
-                end += 1
-            part = slice(start * channels, end * channels)
+                    rest[x * channels + c] = row[x] - np.float32(v)
+                x += 1
+            part = slice(start * channels, x * channels)
             p0 = source[min(max(v - 1, 0), height - 1), part]
             p1 = source[min(max(v, 0), height - 1), part]
             p2 = source[min(max(v + 1, 0), height - 1), part]
@@ -143,7 +161,7 @@ def estimate_row_shift(
     best_cost = float("inf")
     for _ in range(_MAX_ITERATIONS + 1):  # in the last one only the cost counts
         sums = np.zeros((N_SUMS, *(-(-side // BLOCK) for side in disparity.shape)))
-        sum_blocks(disparity, left_details, right_details, row_shift, sums)
+        run_bands(sum_blocks, sums.shape[1], disparity, left_details, right_details, row_shift, sums)
         weight, column, dx_dx, dx_dy, dy_dy, dx_residual, dy_residual, costs = sums
         cost = costs.sum()
         if cost >= best_cost:
@@ -193,8 +211,8 @@ def _bilinear(image, v, u, t, s):
     return upper + t * (lower - upper)
 
 
-@parallel_jit
-def sum_blocks(disparity, left, right, row_shift, sums):
+@jit
+def sum_blocks(begin, end, disparity, left, right, row_shift, sums):
     """Add to ``sums`` (8, h, w) those over the matches of every block, shifted by ``row_shift``.
 
     These are robust weights; and, times these weights, columns of the right image, products of slopes (xx, xy, yy) and
@@ -203,7 +221,7 @@ def sum_blocks(disparity, left, right, row_shift, sums):
     height, width = disparity.shape
     right_grey = right.grey
     half = np.float32(0.5)
-    for i in prange(sums.shape[1]):
+    for i in range(begin, end):
         for y in range(i * BLOCK, min(height, (i + 1) * BLOCK)):
             for x in range(width):
                 column = np.float32(x) - disparity[y, x]
@@ -252,7 +270,7 @@ def estimate_gains(disparity: NDArray[np.float32], left: Image, right: Image) ->
     gains: NDArray[np.float32] = np.zeros((*cells, 3), np.float32) + median
     for max_ratio in _MAX_RATIOS:
         sums = np.zeros((3, *cells, 3), np.float32)
-        sum_light(disparity, left, right, gains, np.float32(max_ratio), sums)
+        run_bands(sum_light, sums.shape[1], disparity, left, right, gains, np.float32(max_ratio), sums)
         wide, local = _means(sums)
         prior = _PRIOR_WEIGHT * wide[2] + _MIN_WIDE_DENSITY
         wide_gains = (wide[0] + prior * median * _OFFSET) / (wide[1] + prior * _OFFSET)
@@ -269,7 +287,7 @@ def light_trust(
     ``factor`` is the ratio of the full size to that of ``disparity`` and the images, (H, W, 3) uint8.
     """
     sums = np.zeros((2, *(-(-side // CELL) for side in disparity.shape)), np.float32)
-    sum_differences(disparity, left, right, sums)
+    run_bands(sum_differences, sums.shape[1], disparity, left, right, sums)
     mean = sums[0].sum() / sums[1].sum()
     wide, local = _means(sums)
     wide_differences = (wide[0] + _TRUST_PRIOR * mean) / (wide[1] + _TRUST_PRIOR)
@@ -292,8 +310,8 @@ def _matching_column(x, disparity):
     return max(x - int(disparity + np.float32(0.5)), 0)
 
 
-@parallel_jit
-def sum_light(disparity, left, right, gains, max_ratio, sums):
+@jit
+def sum_light(begin, end, disparity, left, right, gains, max_ratio, sums):
     """Add left and right grey levels of matches, and their number, to ``sums`` (3, h, w, 3), per pixel of a cell.
 
     Cells are those of the right image. Saturated samples count like others: grey levels are to agree, even where they
@@ -301,7 +319,7 @@ def sum_light(disparity, left, right, gains, max_ratio, sums):
     """
     height, width = disparity.shape
     share = np.float32(1 / CELL**2)
-    for i in prange(sums.shape[1]):
+    for i in range(begin, end):
         for y in range(i * CELL, min(height, (i + 1) * CELL)):
             for x in range(width):
                 if np.isnan(disparity[y, x]):
@@ -317,14 +335,14 @@ def sum_light(disparity, left, right, gains, max_ratio, sums):
                         sums[2, i, j, c] += share
 
 
-@parallel_jit
-def sum_differences(disparity, left, right, sums):
+@jit
+def sum_differences(begin, end, disparity, left, right, sums):
     """Add the mean difference of matches over the channels, and their number, to ``sums`` (2, h, w), per pixel of a
     cell of the left image.
     """
     height, width = disparity.shape
     share = np.float32(1 / CELL**2)
-    for i in prange(sums.shape[1]):
+    for i in range(begin, end):
         for y in range(i * CELL, min(height, (i + 1) * CELL)):
             for x in range(width):
                 if np.isnan(disparity[y, x]):

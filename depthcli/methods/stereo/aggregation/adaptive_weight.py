@@ -16,7 +16,7 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.kernels.exponential import exp2_minus
-from depthcli.kernels.jit import float32, jit, parallel_jit, prange
+from depthcli.kernels.jit import float32, jit, run_bands
 from depthcli.kernels.lanes import LANES, WIDE, fused, load_like, ordered_sum, scaled, splat, store, wide_zero
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume
@@ -53,9 +53,10 @@ class AdaptiveWeight(Aggregator):
         out = memory.empty(costs.shape, np.float32 if costs.dtype == np.float32 else np.uint16)
         left, right = (self.planes(image) for image in pair.color8)
         rounding = np.float32(0.0 if costs.dtype == np.float32 else 0.5)
-        _aggregate(
-            costs, left, np.ascontiguousarray(right[:, :, ::-1]), self.window // 2, np.float32(self.gamma_color),
-            np.float32(self.gamma_space), self.norm == "squared", np.float32(fixed_point), rounding, out,
+        run_bands(
+            _aggregate, costs.shape[0], costs, left, np.ascontiguousarray(right[:, :, ::-1]), self.window // 2,
+            np.float32(self.gamma_color), np.float32(self.gamma_space), self.norm == "squared", np.float32(fixed_point),
+            rounding, out,
         )  # fmt: skip
         return CostVolume(out, volume.scale * fixed_point)
 
@@ -92,8 +93,8 @@ def _weigh(a0, a1, a2, b0, b1, b2, space, scale, squared, out):
         out[i] = exp2_minus(space + scale * distance)
 
 
-@parallel_jit
-def _aggregate(costs, left, right, radius, gamma_color, gamma_space, squared, factor, rounding, out):
+@jit
+def _aggregate(begin, end, costs, left, right, radius, gamma_color, gamma_space, squared, factor, rounding, out):
     # (H, W, D) costs, (H, 3, W) colors, rows of ``right`` reversed. For every row of the window left weights (tap, x)
     # and right weights (tap, reversed x) are computed once; then every pixel adds its taps for all disparities. In
     # reversed order the right weights of a pixel are contiguous along d, and 0 after the row's end, outside the image.
@@ -107,7 +108,7 @@ def _aggregate(costs, left, right, radius, gamma_color, gamma_space, squared, fa
     log2e = float32(1.4426950408889634)
     narrow, wide = splat(float32(0)), wide_zero()
     color_scale = log2e / gamma_color
-    for y in prange(height):
+    for y in range(begin, end):
         num = np.zeros(width * padded, np.float32)
         den = np.zeros(width * padded, np.float32)
         cost = np.zeros((width, padded), np.float32)

@@ -8,7 +8,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
@@ -29,7 +29,7 @@ class ConstantWindow(Aggregator):
         factor = FixedPoint.FRACTION if volume.costs.dtype == np.uint8 else 1
         means = memory.empty(volume.costs.shape, np.uint16)
         bands = max(1, min(volume.costs.shape[0] // 32, 64))
-        _box_means(volume.costs, means, self.window // 2, np.float32(factor), bands)
+        run_bands(_box_means, bands, volume.costs, means, self.window // 2, np.float32(factor), bands)
         return CostVolume(means, volume.scale * factor)
 
 
@@ -64,12 +64,12 @@ def _row_means(columns, window, means, radius, rows, factor):
             out[i] = np.uint16(np.int32(np.float32(np.int32(window[i])) * scale + np.float32(0.5)))
 
 
-@parallel_jit
-def _box_means(costs, means, radius, factor, bands):
+@jit
+def _box_means(begin, end, costs, means, radius, factor, bands):
     # One band of rows per task: a running sum of rows (columns), then along x a running sum of columns.
     # Every band begins with new column sums, so the result does not depend on the number of bands.
     height, width, n_disparities = costs.shape
-    for band in prange(bands):
+    for band in range(begin, end):
         first = band * height // bands
         last = (band + 1) * height // bands
         columns = np.zeros(width * n_disparities, np.uint32)

@@ -11,13 +11,14 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 # First pass of intersections: the sum of an arm, above 9 bits of its length. An arm has at most 511 pixels of at most
 # 4080.
 _LENGTH_BITS = 9
+_COLUMNS = 4  # that are summed side by side
 LARGEST_DIFFERENCE = 255  # of two grey levels: a threshold that nothing exceeds
 
 
@@ -76,8 +77,10 @@ class Cross(Aggregator):
                 along_rows = iteration % 2 == 0
                 # A copy of the costs is overwritten, to save memory.
                 means = memory.empty(source.shape, np.uint16) if source is input_costs else source
-                _intersected_spans(source, arms, target, along_rows, spans)
-                _intersected_means(spans, arms, target, not along_rows, means)
+                blocks = _n_blocks(source.shape, along_rows)
+                run_bands(_intersected_spans, blocks, source, arms, target, along_rows, spans)
+                blocks = _n_blocks(source.shape, not along_rows)
+                run_bands(_intersected_means, blocks, spans, arms, target, not along_rows, means)
                 source = means
             return CostVolume(source, volume.scale)
         sums, means = (memory.empty(source.shape, np.uint16) for _ in range(2))
@@ -86,8 +89,10 @@ class Cross(Aggregator):
         for iteration in range(self.iterations):
             along_rows = iteration % 2 == 0
             inverse = _inverse_areas(arms, along_rows)
-            _arm_sums(source, arms, inverse, sums, shift, False, along_rows)
-            _arm_sums(sums, arms, inverse, means, shift, True, not along_rows)
+            blocks = _n_blocks(source.shape, along_rows)
+            run_bands(_arm_sums, blocks, source, arms, inverse, sums, shift, False, along_rows)
+            blocks = _n_blocks(source.shape, not along_rows)
+            run_bands(_arm_sums, blocks, sums, arms, inverse, means, shift, True, not along_rows)
             source = means
         return CostVolume(means, volume.scale)
 
@@ -121,23 +126,27 @@ def _write(low, high, inverse, out, shift, last):
 # cache while memory is still read in runs.
 
 
+def _n_blocks(shape: tuple[int, ...], along_rows: bool) -> int:
+    return shape[0] if along_rows else -(-shape[1] // _COLUMNS)
+
+
 @jit
 def _lines(shape, along_rows):
     # Number of lines, of pixels on a line and of lines in a block; cells from line to line and from pixel to pixel.
     height, width, n_disparities = shape
     if along_rows:
         return height, width, 1, width * n_disparities, n_disparities
-    return width, height, 4, n_disparities, width * n_disparities
+    return width, height, _COLUMNS, n_disparities, width * n_disparities
 
 
-@parallel_jit
-def _arm_sums(source, arms, inverse, out, shift, last, along_rows):
+@jit
+def _arm_sums(begin, end, source, arms, inverse, out, shift, last, along_rows):
     # Sums over the arms along a line; the last ones are divided by the number of pixels of the support.
     n_disparities = source.shape[2]
     n_lines, length, block, line_step, step = _lines(source.shape, along_rows)
     flat, side = source.reshape(source.size), 0 if along_rows else 2
-    for k in prange((n_lines + block - 1) // block):
-        first_line = np.int64(k) * block
+    for k in range(begin, end):
+        first_line = k * block
         n_here = min(block, n_lines - first_line)
         run = n_here * n_disparities
         prefix = np.empty((length + 1, run), np.uint32)
@@ -175,16 +184,16 @@ def _cut_differences(prefix, arms, target, y, x, side, at, step, out):
         out[d] = prefix[low + (a + b + np.uint64(1)) * np.uint64(step)] - prefix[low]
 
 
-@parallel_jit
-def _intersected_spans(source, arms, target, along_rows, spans):
+@jit
+def _intersected_spans(begin, end, source, arms, target, along_rows, spans):
     # Words of the sum over the arms along a line and, in the lower bits, their length. Prefix sums may overflow: a
     # difference is right again.
     n_disparities = source.shape[2]
     n_lines, length, block, line_step, step = _lines(source.shape, along_rows)
     flat, side = source.reshape(source.size), 0 if along_rows else 2
     bits, one = np.uint32(_LENGTH_BITS), np.uint32(1)
-    for k in prange((n_lines + block - 1) // block):
-        first_line = np.int64(k) * block
+    for k in range(begin, end):
+        first_line = k * block
         n_here = min(block, n_lines - first_line)
         run = n_here * n_disparities
         prefix = np.zeros((length + 1) * run, np.uint32)
@@ -200,15 +209,15 @@ def _intersected_spans(source, arms, target, along_rows, spans):
                 _cut_differences(prefix, arms, target, y, x, side, n * run + line * n_disparities, run, spans[y, x])
 
 
-@parallel_jit
-def _intersected_means(spans, arms, target, along_rows, means):
+@jit
+def _intersected_means(begin, end, spans, arms, target, along_rows, means):
     # Means from the words of all pixels on the arms along a line. Prefix sums are sum << 32 | number.
     n_disparities = spans.shape[2]
     n_lines, length, block, line_step, step = _lines(spans.shape, along_rows)
     flat, side = spans.reshape(spans.size), 0 if along_rows else 2
     bits, mask, half_word = np.uint64(_LENGTH_BITS), np.uint64((1 << _LENGTH_BITS) - 1), np.uint64(32)
-    for k in prange((n_lines + block - 1) // block):
-        first_line = np.int64(k) * block
+    for k in range(begin, end):
+        first_line = k * block
         n_here = min(block, n_lines - first_line)
         run = n_here * n_disparities
         prefix = np.zeros((length + 1) * run, np.uint64)
@@ -250,7 +259,7 @@ def cross_arms(
     planes = np.ascontiguousarray(image.transpose(2, 0, 1))
     arms = np.empty((4, *image.shape[:2]), np.uint8)
     step_threshold = threshold if consecutive else LARGEST_DIFFERENCE
-    _grow(planes, arms, length, threshold, inner_length, inner_threshold, step_threshold)
+    run_bands(_grow, planes.shape[1], planes, arms, length, threshold, inner_length, inner_threshold, step_threshold)
     return arms
 
 
@@ -268,13 +277,12 @@ def _step(center, neighbor, previous, alive, arm, limit, step_threshold):
         arm[i] = np.uint8(arm[i] + alive[i])
 
 
-@parallel_jit
-def _grow(planes, arms, length, threshold, inner_length, inner_threshold, step_threshold):
+@jit
+def _grow(begin, end, planes, arms, length, threshold, inner_length, inner_threshold, step_threshold):
     # The arms of a whole row of pixels grow by one step at a time: the loop over pixels is branch-free SIMD, and
     # ``alive`` remembers which arms still grow.
     _, height, width = planes.shape
-    for row in prange(height):
-        y = np.int64(row)
+    for y in range(begin, end):
         for side in range(4):
             dx = 2 * side - 1 if side < 2 else 0
             dy = 2 * side - 5 if side > 1 else 0
@@ -286,12 +294,12 @@ def _grow(planes, arms, length, threshold, inner_length, inner_threshold, step_t
                 if v < 0 or v >= height or n * abs(dx) >= width:
                     break
                 limit = np.int16(threshold if n <= inner_length else inner_threshold)
-                first, end = max(0, -n * dx), width - max(0, n * dx)  # of pixels whose neighbor is in the image
+                first, stop = max(0, -n * dx), width - max(0, n * dx)  # of pixels whose neighbor is in the image
                 there, before = n * dx, n * dx - dx
                 _step(
-                    planes[:, y, first:end], planes[:, v, first + there : end + there],
-                    planes[:, v - dy, first + before : end + before], alive[first:end], arm[first:end], limit,
+                    planes[:, y, first:stop], planes[:, v, first + there : stop + there],
+                    planes[:, v - dy, first + before : stop + before], alive[first:stop], arm[first:stop], limit,
                     np.int16(step_threshold),
                 )  # fmt: skip
                 if n == 1:
-                    arm[first:end] = 1
+                    arm[first:stop] = 1

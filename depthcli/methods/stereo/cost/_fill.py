@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import intrinsic, parallel_jit, prange, types
+from depthcli.kernels.jit import intrinsic, jit, run_bands, types
 from depthcli.kernels.lanes import (
     SHORT_LANES,
     absolute_difference,
@@ -34,14 +34,19 @@ def popcount(typingctx, value):
     return types.uint64(types.uint64), codegen
 
 
-@parallel_jit
-def hamming_volume(left, right, costs):
+def hamming_volume(left: NDArray[np.uint64], right: NDArray[np.uint64], costs: NDArray[np.uint8]) -> None:
     """Write the Hamming distance of (H, W) uint64 bit strings into (H, W, D) uint8."""
-    height, width = left.shape
+    run_bands(_count_bits, costs.shape[0], left, right, costs)
+
+
+@jit
+def _count_bits(begin, end, left, right, costs):
+    width = left.shape[1]
     n_disparities = costs.shape[2]
-    for y in prange(height):
+    for y in range(begin, end):
         mirror = np.zeros(width + n_disparities, np.uint64)
-        mirror[:width] = right[y, ::-1]
+        for x in range(width):
+            mirror[width - 1 - x] = right[y, x]
         for x in range(width):
             bits = left[y, x]
             row = mirror[width - 1 - x : width - 1 - x + n_disparities]
@@ -69,24 +74,27 @@ def difference_volume(
     if sampling == "tolerant":
         ranges = *_half_pixel_range(left), *_half_pixel_range(right)
     kind = left.dtype.type
-    _difference_volume(left, right, ranges, costs, kind((1 << shift) >> 1), kind(shift), kind(limit))
+    run_bands(
+        _difference_volume, left.shape[1], left, right, ranges, costs, kind((1 << shift) >> 1), kind(shift), kind(limit)
+    )
 
 
 def _half_pixel_range(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     # Smallest and largest value within half a pixel along the row, linear between pixels.
     rows = np.ascontiguousarray(image).reshape(-1, image.shape[-1])
     low, high = np.empty_like(rows), np.empty_like(rows)
-    _extremes(rows, low, high)
+    run_bands(_extremes, rows.shape[0], rows, low, high)
     return low.reshape(image.shape), high.reshape(image.shape)
 
 
-@parallel_jit
-def _extremes(rows, low, high):
-    height, width = rows.shape
+@jit
+def _extremes(begin, end, rows, low, high):
+    width = rows.shape[1]
     padded = width + 2
-    for y in prange(height):
+    for y in range(begin, end):
         row = np.empty(padded, np.int16)
-        row[1 : width + 1] = rows[y]
+        for x in range(width):
+            row[x + 1] = rows[y, x]
         row[0], row[width + 1] = row[1], row[width]
         left, middle, right, below, above = row[:width], row[1 : width + 1], row[2:padded], low[y], high[y]
         for i in range(below.size):
@@ -94,21 +102,23 @@ def _extremes(rows, low, high):
             above[i] = np.int16(middle[i] + max(left[i], middle[i], right[i])) >> np.int16(1)
 
 
-@parallel_jit
-def _difference_volume(left, right, ranges, costs, half, shift, limit):
+@jit
+def _difference_volume(begin, end, left, right, ranges, costs, half, shift, limit):
     # Compiled for int16 and uint8: a vector of bytes is half as long, and as its sums stop at 255 and its differences
     # at 0, ``limit`` is right.
-    channels, height, width = left.shape
+    channels, _, width = left.shape
     n_disparities = costs.shape[2]
     padded = max(n_disparities, SHORT_LANES)
     row_size = width + padded
     largest = splat(limit)
     zero = largest - largest
-    for y in prange(height):
+    for y in range(begin, end):
         mirror = np.zeros((3, channels, row_size), left.dtype)
-        mirror[0, :, :width] = right[:, y, ::-1]
-        if ranges is not None:
-            mirror[1, :, :width], mirror[2, :, :width] = ranges[2][:, y, ::-1], ranges[3][:, y, ::-1]
+        for c in range(channels):
+            for x in range(width):
+                mirror[0, c, width - 1 - x] = right[c, y, x]
+                if ranges is not None:
+                    mirror[1, c, width - 1 - x], mirror[2, c, width - 1 - x] = ranges[2][c, y, x], ranges[3][c, y, x]
         flat = mirror.reshape(3 * channels * row_size)
         row = np.empty(padded, np.uint8)
         out = costs[y].reshape(width * n_disparities)

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.cost._fill import hamming_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
@@ -44,26 +44,26 @@ def census_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint64
     ry, rx = window[1] // 2, window[0] // 2
     padded = cv2.copyMakeBorder(image, ry, ry, rx, rx, cv2.BORDER_REPLICATE)
     bits: NDArray[np.uint64] = memory.empty(image.shape, np.uint64)
-    _census(padded, bits, ry, rx)
+    run_bands(_census, bits.shape[0], padded, bits, ry, rx)
     return bits
 
 
-@parallel_jit
-def _census(padded, bits, ry, rx):
-    height, width = bits.shape
+@jit
+def _census(begin, end, padded, bits, ry, rx):
+    width = bits.shape[1]
     side, count = 2 * rx + 1, (2 * ry + 1) * (2 * rx + 1) - 1
-    for y in prange(height):
+    for y in range(begin, end):
         part = np.empty(width, np.uint16)
         out = bits[y]
         out[:] = 0
         center = padded[y + ry, rx : rx + width]
         for first in range(0, count, 16):  # vectors of 16 bits have four times as many lanes as those of 64
-            end = min(first + 16, count)
+            stop = min(first + 16, count)
             part[:] = 0
-            for k in range(first, end):
+            for k in range(first, stop):
                 dy, dx = divmod(k + (k >= count // 2), side)  # leaves out the center
                 neighbor = padded[y + dy, dx : dx + width]
                 for i in range(part.size):
                     part[i] = (part[i] << np.uint16(1)) | np.uint16(neighbor[i] > center[i])
             for i in range(out.size):
-                out[i] = (out[i] << np.uint64(end - first)) | np.uint64(part[i])
+                out[i] = (out[i] << np.uint64(stop - first)) | np.uint64(part[i])

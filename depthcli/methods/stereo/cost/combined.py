@@ -10,7 +10,7 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import ConfigModel
 from depthcli.kernels.exponential import exp_minus_16
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import LANES, as_bytes, lane_exp_minus_16, load, load_like, splat, store
 from depthcli.methods.stereo.cost import CostMeasure, PartCost, light_weights
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
@@ -59,7 +59,7 @@ class Combined(CostMeasure):
             volume = part.cost.checked_costs(pair, n_padded)
             rate = _rate(volume.scale * part.lambda_)
             terms = volume.costs.reshape(runs), rate, np.float32(unit) * weight
-            _add_exponential(*terms, k > 0, total.reshape(runs))
+            run_bands(_add_exponential, pair.shape[0], *terms, k > 0, total.reshape(runs))
         fill_outside(total, np.uint8(min(255, round(self.outside * unit))))
         return CostVolume(np.ascontiguousarray(total[:, :, :n_disparities]), float(unit))
 
@@ -81,21 +81,21 @@ def _share(rate, shares):
         shares[i] = np.float32(1.0) - exp_minus_16(np.float32(i) * rate)
 
 
-@parallel_jit
-def _add_exponential(costs, rate, units, adds, total):
+@jit
+def _add_exponential(begin, end, costs, rate, units, adds, total):
     # Writes ``units`` (H, R) times the terms of the costs, (H, R, N), or adds them. A table of 256 terms would not
     # vectorize.
-    height, n_runs, length = costs.shape
-    for y in prange(height):
+    _, n_runs, length = costs.shape
+    for y in range(begin, end):
         sources, sums = costs[y].reshape(n_runs * length), total[y].reshape(n_runs * length)
         for x in range(n_runs):
             at = x * length
-            end = at + length - LANES
-            # The last vector ends at the end of the run. It overlaps the one before and is added to what was there.
-            last = _with_share(sources, sums, end, rate, units[y, x], adds)
-            for first in range(at, end, LANES):
+            stop = at + length - LANES
+            # The last vector ends at the stop of the run. It overlaps the one before and is added to what was there.
+            last = _with_share(sources, sums, stop, rate, units[y, x], adds)
+            for first in range(at, stop, LANES):
                 store(sums, first, _with_share(sources, sums, first, rate, units[y, x], adds))
-            store(sums, end, last)
+            store(sums, stop, last)
 
 
 @jit

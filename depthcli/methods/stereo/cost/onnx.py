@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.cost import CostMeasure
 from depthcli.methods.stereo.networks import (
     ColorOrder,
@@ -73,7 +73,9 @@ class NetworkCost(Network, CostMeasure):
         costs = memory.empty((*pair.shape, n_disparities), np.uint8)
         scale = self.LEVELS / self.truncation
         left, right = views
-        _compare(left, right, self.distance == "dot", np.float32(scale), np.float32(self.LEVELS), costs)
+        run_bands(
+            _compare, height, left, right, self.distance == "dot", np.float32(scale), np.float32(self.LEVELS), costs
+        )
         fill_outside(costs, np.uint8(round(self.outside * self.LEVELS)))
         return CostVolume(costs, scale)
 
@@ -106,14 +108,16 @@ def _features(session: Session, target: ImageInput, image: NDArray[np.float32]) 
     return np.asarray(output.transpose(2, 0, 1) if target.channels_last else output, np.float32)
 
 
-@parallel_jit
-def _compare(left, right, products, scale, largest, costs):
-    height, width, n_disparities = costs.shape
+@jit
+def _compare(begin, end, left, right, products, scale, largest, costs):
+    _, width, n_disparities = costs.shape
     channels = left.shape[1]
     half, zero = np.float32(0.5), np.float32(0.0)
-    for y in prange(height):
+    for y in range(begin, end):
         mirror = np.zeros((channels, width + n_disparities), np.float32)
-        mirror[:, :width] = right[y, :, ::-1]
+        for c in range(channels):
+            for x in range(width):
+                mirror[c, width - 1 - x] = right[y, c, x]
         sums = np.zeros(n_disparities, np.float32)
         for x in range(width):
             at = width - 1 - x

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.cost._fill import difference_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
@@ -43,14 +43,14 @@ def rank_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint8]:
     ry, rx = window[1] // 2, window[0] // 2
     padded = np.pad(image, ((ry, ry), (rx, rx)), mode="edge")
     ranks = np.zeros(image.shape, np.uint8)
-    _rank(padded, ranks, ry, rx)
+    run_bands(_rank, len(ranks), padded, ranks, ry, rx)
     return ranks
 
 
-@parallel_jit
-def _rank(padded, ranks, ry, rx):
-    height, width = ranks.shape
-    for y in prange(height):
+@jit
+def _rank(begin, end, padded, ranks, ry, rx):
+    width = ranks.shape[1]
+    for y in range(begin, end):
         out = ranks[y]
         center = padded[y + ry, rx : rx + width]
         for dy in range(2 * ry + 1):

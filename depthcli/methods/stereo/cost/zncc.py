@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.cost import CostMeasure, Side, window_check
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
@@ -41,7 +41,10 @@ class Zncc(CostMeasure):
         padded = [np.pad(image, ((ry, ry), (rx, rx)), mode="edge") for image in pair.grey8]
         moments = [_moments(image, self.window, self.noise) for image in padded]
         scale = 1.0 / (self.window[0] * self.window[1])
-        _zncc_volume(padded[0], padded[1], *moments[0], *moments[1], scale, np.float32(self.noise**2), costs)
+        run_bands(
+            _zncc_volume, (costs.shape[0] + _BAND - 1) // _BAND, padded[0], padded[1], *moments[0], *moments[1],
+            scale, np.float32(self.noise**2), costs,
+        )  # fmt: skip
         fill_outside(costs, np.uint8(round(self.outside * self.SCALE)))
         return CostVolume(costs, float(self.SCALE))
 
@@ -62,7 +65,8 @@ def _moments(
 @jit
 def _add_products(left, right, sign, mirror, sums):
     columns, n_disparities = sums.shape
-    mirror[:columns] = right[::-1]
+    for x in range(columns):
+        mirror[columns - 1 - x] = right[x]
     for x in range(columns):
         a = sign * np.int32(left[x])
         column, other = sums[x], mirror[columns - 1 - x : columns - 1 - x + n_disparities]
@@ -70,14 +74,14 @@ def _add_products(left, right, sign, mirror, sums):
             column[i] += a * other[i]
 
 
-@parallel_jit
-def _zncc_volume(left, right, left_mean, left_factor, right_mean, right_factor, scale, floor, costs):
+@jit
+def _zncc_volume(begin, end, left, right, left_mean, left_factor, right_mean, right_factor, scale, floor, costs):
     # Sums of products of columns are updated from row to row, those of windows from column to column.
     height, width, n_disparities = costs.shape
     rows, columns = left.shape
     tall, wide = rows - height + 1, columns - width + 1
     unit, one, half = np.float32(250.0), np.float32(1.0), np.float32(0.5)
-    for band in prange((height + _BAND - 1) // _BAND):
+    for band in range(begin, end):
         sums = np.zeros((columns, n_disparities), np.int32)
         mirror = np.zeros(columns + n_disparities, np.int32)
         total = np.zeros(n_disparities, np.int32)
@@ -89,8 +93,8 @@ def _zncc_volume(left, right, left_mean, left_factor, right_mean, right_factor, 
             start = y if y == first else y + tall - 1
             for row in range(start, y + tall):
                 _add_products(left[row], right[row], np.int32(1), mirror, sums)
-            mean[:width] = right_mean[y, ::-1]
-            factor[:width] = right_factor[y, ::-1]
+            for x in range(width):
+                mean[width - 1 - x], factor[width - 1 - x] = right_mean[y, x], right_factor[y, x]
             total[:] = 0
             for x in range(wide - 1):
                 column = sums[x]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.color_steps import color_steps
-from depthcli.kernels.jit import jit, n_threads, parallel_jit, prange
+from depthcli.kernels.jit import jit, n_threads, run_bands
 from depthcli.methods.stereo.optimization import Optimizer
 from depthcli.methods.stereo.optimization._path_step import BYTE_LANES, LANES, path_step, prefetch
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
@@ -47,7 +47,7 @@ class Scanline(Optimizer):
             costs = np.pad(costs.astype(np.uint16), padding, constant_values=_PADDING_COST)
         table = self.penalties(volume.scale, volume.costs.dtype == np.uint8)
         in_bytes = costs.dtype == np.uint8 and n_disparities >= BYTE_LANES
-        if in_bytes and int(table.max()) + _largest(costs) < _BYTE_GUARD:
+        if in_bytes and int(table.max()) + int(costs.max()) < _BYTE_GUARD:
             table = table.astype(np.uint8)
         # 1 where the pixel to the left, upper left, above, upper right differs in color.
         edges = (color_steps(pair.color8[0], _BACK, largest=True) > self.edge_threshold).view(np.uint8)
@@ -58,8 +58,7 @@ class Scanline(Optimizer):
         state = np.full((2, n_states, costs.shape[2] + 2), _BYTE_GUARD if table.itemsize == 1 else _GUARD, table.dtype)
         state[:, :, 1:-1] = 0
         minima = np.zeros((2, n_states), table.dtype)
-        tile = _TILE if n_threads() > 3 else (height, height + width)
-        _sweep_both(costs, total, edges, table, self.paths == 8, state.reshape(2, -1), minima, *tile)
+        _sweep_both(costs, total, edges, table, self.paths == 8, state.reshape(2, -1), minima)
         if n_disparities < LANES:
             total = np.ascontiguousarray(total[:, :, :n_disparities])
         return CostVolume(total, volume.scale * self.paths)
@@ -74,48 +73,51 @@ class Scanline(Optimizer):
         )
 
 
-def _largest(costs: NDArray[np.uint8]) -> int:
-    maxima = np.zeros(costs.shape[0], np.uint8)
-    _row_maxima(costs, maxima)
-    return int(maxima.max())
-
-
-@parallel_jit
-def _row_maxima(costs, maxima):
-    for y in prange(costs.shape[0]):
-        row = costs[y].reshape(costs.shape[1] * costs.shape[2])
-        largest = row[0]
-        for i in range(row.size):
-            largest = max(largest, row[i])
-        maxima[y] = largest
-
-
-@parallel_jit
-def _sweep_both(costs, total, edges, table, diagonal, state, minima, rows, columns):
+def _sweep_both(
+    costs: NDArray[Any],
+    total: NDArray[np.uint16],
+    edges: NDArray[np.uint8],
+    table: NDArray[Any],
+    diagonal: bool,
+    state: NDArray[Any],
+    minima: NDArray[Any],
+) -> None:
     # One sweep downwards, one upwards. They write their sums until they meet in the middle, and then add them to what
     # the other one has written. Each goes through bands of ``rows`` rows, cut into tiles of ``columns`` pixels that
     # move a pixel back with every row: a tile needs the one before and those of the band before up to the same place,
     # so that bands run beside each other, each a tile behind the one before.
     height, width = costs.shape[:2]
+    rows, columns = _TILE if n_threads() > 3 else (height, height + width)
     middle = (height + 1) // 2
     n_bands = (middle + rows - 1) // rows
-    for half in range(2):
+    for adds in (False, True):
         begun = ended = 0  # bands
         for turn in range(n_bands + (middle + width - 2) // columns):
             while ended < n_bands and (turn - ended) * columns >= (ended + 1) * rows + width - 1:
                 ended += 1
             while begun < n_bands and (turn - begun + 1) * columns > begun * rows:
                 begun += 1
-            for task in prange(2 * (begun - ended)):
-                k, band = np.int64(task) % 2, ended + np.int64(task) // 2
-                meeting = height - middle if k else middle
-                start, end = (meeting, height) if half else (0, meeting)
-                first = start + band * rows
-                tile = start + (turn - band) * columns
-                _sweep(
-                    costs, total, edges, table, diagonal, k == 1, half == 1, state[k], minima[k],
-                    first, min(first + rows, end), tile, tile + columns,
-                )  # fmt: skip
+            step = turn, ended, rows, columns
+            run_bands(
+                _sweep_tiles, 2 * (begun - ended), costs, total, edges, table, diagonal, adds, state, minima, step
+            )
+
+
+@jit
+def _sweep_tiles(begin, end, costs, sums, edges, table, diagonal, adds, state, minima, step):
+    # The tiles of one turn: those of the bands from ``first_band`` on, of the sweep downwards and of that upwards.
+    height = costs.shape[0]
+    turn, first_band, rows, columns = step
+    for task in range(begin, end):
+        k, band = task % 2, first_band + task // 2
+        meeting = height // 2 if k else (height + 1) // 2
+        start, stop = (meeting, height) if adds else (0, meeting)
+        first = start + band * rows
+        tile = start + (turn - band) * columns
+        _sweep(
+            costs, sums, edges, table, diagonal, k == 1, adds, state[k], minima[k],
+            first, min(first + rows, stop), tile, tile + columns,
+        )  # fmt: skip
 
 
 @jit

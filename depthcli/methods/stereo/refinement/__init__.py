@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import Method, method_of
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.volume import RefinementContext
 
 
@@ -44,13 +44,13 @@ def with_smoothed(disparity: DisparityMap, values: NDArray[np.float32]) -> Dispa
 
 def _marked(disparity: DisparityMap, values: NDArray[np.float32], status: Status) -> DisparityMap:
     marked = disparity.status.copy()
-    _mark(disparity.values, values, status == Status.FILLED, np.uint8(status), marked)
+    run_bands(_mark, marked.shape[0], disparity.values, values, status == Status.FILLED, np.uint8(status), marked)
     return DisparityMap(values, marked)
 
 
-@parallel_jit
-def _mark(before, after, filled, bit, status):
-    for y in prange(status.shape[0]):
+@jit
+def _mark(begin, end, before, after, filled, bit, status):
+    for y in range(begin, end):
         for x in range(status.shape[1]):
             old, new = before[y, x], after[y, x]
             changed = np.isnan(old) & ~np.isnan(new) if filled else ~np.isnan(old) & (new != old)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -33,7 +33,7 @@ def fill_background(disparity: DisparityMap) -> DisparityMap:
 def filled_from_background(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return (H, W) values without NaN, filled as by :class:`BackgroundFill`; all are NaN if all were."""
     values = values.copy()
-    _fill_rows(values)
+    run_bands(_fill_rows, values.shape[0], values)
     known = np.flatnonzero(~np.isnan(values[:, 0]))  # a row has all values now or none
     if 0 < known.size < len(values):
         above = np.searchsorted(known, np.arange(len(values)), side="right") - 1
@@ -41,22 +41,22 @@ def filled_from_background(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return values
 
 
-@parallel_jit
-def _fill_rows(values):
-    height, width = values.shape
-    for y in prange(height):
+@jit
+def _fill_rows(begin, end, values):
+    width = values.shape[1]
+    for y in range(begin, end):
         row = values[y]
         x = 0
         while x < width:
             if not np.isnan(row[x]):
                 x += 1
                 continue
-            end = x
-            while end < width and np.isnan(row[end]):
-                end += 1
+            stop = x
+            while stop < width and np.isnan(row[stop]):
+                stop += 1
             value = row[x - 1] if x > 0 else np.float32(np.inf)
-            if end < width:
-                value = min(value, row[end])
-            for u in range(x, end):
+            if stop < width:
+                value = min(value, row[stop])
+            for u in range(x, stop):
                 row[u] = value if value < np.inf else np.float32(np.nan)
-            x = end
+            x = stop

@@ -10,7 +10,7 @@ from pydantic import Field
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.color_steps import color_steps
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -51,7 +51,10 @@ class DirectionalFill(Refinement):
         measured = disparity.valid & ((disparity.status & np.uint8(Status.FILLED)) == 0)
         changes = color_steps(self.smoothed(context.pair), _AXES, largest=False)
         values = disparity.values.copy()
-        _replace(disparity.values, measured, changes, context.right, _AXES, *self.rates(), values)
+        run_bands(
+            _replace, disparity.values.shape[0], disparity.values, measured, changes, context.right, _AXES,
+            *self.rates(), values,
+        )  # fmt: skip
         return DisparityMap(values, disparity.status)
 
     def smoothed(self, pair: StereoPair) -> NDArray[np.uint8]:
@@ -64,11 +67,10 @@ class DirectionalFill(Refinement):
         return np.float32(1 / (3 * self.color_scale)), np.float32(1 / self.distance_scale)
 
 
-@parallel_jit
-def _replace(values, measured, changes, right, axes, color_rate, distance_rate, out):
-    height, width = values.shape
-    for row in prange(height):
-        y = np.int64(row)  # unsigned in the loop: functions would be compiled for both
+@jit
+def _replace(begin, end, values, measured, changes, right, axes, color_rate, distance_rate, out):
+    width = values.shape[1]
+    for y in range(begin, end):
         first = 0
         while first < width and not measured[y, first]:
             first += 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.refinement import Refinement, with_smoothed
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
@@ -18,16 +18,17 @@ class DiscontinuityAdjustment(Refinement):
         assert isinstance(context.volume, CostVolume)
         for axis in (1, 0):
             adjusted = values.copy()
-            _adjust(values, context.volume.costs, axis, adjusted)
+            dy, dx = 1 - axis, axis
+            run_bands(_adjust, values.shape[0] - 2 * dy, values, context.volume.costs, dy, dx, adjusted)
             values = adjusted
         return with_smoothed(disparity, values)
 
 
-@parallel_jit
-def _adjust(values, costs, axis, adjusted):
-    height, width, n_disparities = costs.shape
-    dy, dx = (0, 1) if axis == 1 else (1, 0)
-    for y in prange(dy, height - dy):
+@jit
+def _adjust(begin, end, values, costs, dy, dx, adjusted):
+    # Beside rows ``dy`` and columns ``dx`` away: the first row is the ``dy``-th.
+    _, width, n_disparities = costs.shape
+    for y in range(dy + begin, dy + end):
         for x in range(dx, width - dx):
             current = values[y, x]
             one, two = values[y - dy, x - dx], values[y + dy, x + dx]

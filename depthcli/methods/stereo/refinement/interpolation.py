@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -29,14 +29,17 @@ class Interpolation(Refinement):
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = disparity.values.copy()
         occluded = (disparity.status & np.uint8(Status.OCCLUDED)) != 0
-        _interpolate(disparity.values, occluded, context.pair.color8[0], _DIRECTIONS, values)
+        run_bands(
+            _interpolate, disparity.values.shape[0], disparity.values, occluded, context.pair.color8[0], _DIRECTIONS,
+            values,
+        )  # fmt: skip
         return with_filled(disparity, values)
 
 
-@parallel_jit
-def _interpolate(values, occluded, image, directions, filled):
+@jit
+def _interpolate(begin, end, values, occluded, image, directions, filled):
     height, width = values.shape
-    for y in prange(height):
+    for y in range(begin, end):
         for x in range(width):
             if not np.isnan(values[y, x]):
                 continue

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import partner_difference
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
@@ -32,15 +32,15 @@ class LeftRightCheck(Refinement):
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values, status = np.empty_like(disparity.values), disparity.status.copy()
         limits = np.float32(self.tolerance), context.volume.n_disparities
-        _check(disparity.values, context.right, *limits, values, status)
+        run_bands(_check, disparity.values.shape[0], disparity.values, context.right, *limits, values, status)
         return DisparityMap(values, status)
 
 
-@parallel_jit
-def _check(values, right, tolerance, n_disparities, out, status):
+@jit
+def _check(begin, end, values, right, tolerance, n_disparities, out, status):
     occluded, mismatch = np.uint8(1), np.uint8(2)
-    height, width = values.shape
-    for y in prange(height):
+    width = values.shape[1]
+    for y in range(begin, end):
         matched = np.zeros(width, np.bool_)  # by a pixel of the right view
         for u in range(width):
             d = right[y, u]

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.aggregation.cross import cross_arms
 from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
@@ -38,7 +38,9 @@ class RegionVoting(Refinement):
         values = disparity.values
         for _ in range(self.iterations):
             voted = values.copy()
-            _vote(values, arms, voted, context.volume.n_disparities, self.votes, self.majority)
+            run_bands(
+                _vote, values.shape[0], values, arms, voted, context.volume.n_disparities, self.votes, self.majority
+            )
             settled = np.array_equal(np.isnan(voted), np.isnan(values))
             values = voted
             if settled:
@@ -46,10 +48,10 @@ class RegionVoting(Refinement):
         return with_filled(disparity, values)
 
 
-@parallel_jit
-def _vote(values, arms, voted, bins, votes, majority):
-    height, width = values.shape
-    for y in prange(height):
+@jit
+def _vote(begin, end, values, arms, voted, bins, votes, majority):
+    width = values.shape[1]
+    for y in range(begin, end):
         histogram = np.zeros(bins, np.int32)
         for x in range(width):
             if not np.isnan(values[y, x]):

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_slopes import color_differences, color_planes, framed, slopes
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import (
     LANES,
     SHORT_LANES,
@@ -71,7 +71,9 @@ class SlantedMedian(Refinement):
         known, limit = values, np.float32(max_disparity)
         for _ in range(self.passes):
             out = np.empty((len(values), planes.shape[2] - 2 * radius), np.float32)
-            _filter(planes, framed(known, radius), gradient, trust, grid, distance, rate, limit, out)
+            run_bands(
+                _filter, out.shape[0], planes, framed(known, radius), gradient, trust, grid, distance, rate, limit, out
+            )
             known = out[:, : values.shape[1]]
         return np.where(valid, known, np.float32(np.nan))
 
@@ -87,8 +89,8 @@ class SlantedMedian(Refinement):
         return distance, np.float32(1 / (16 * 3 * self.color_scale))
 
 
-@parallel_jit
-def _filter(planes, values, gradient, trust, grid, distance, color_rate, max_disparity, out):
+@jit
+def _filter(begin, end, planes, values, gradient, trust, grid, distance, color_rate, max_disparity, out):
     # Inputs but ``grid`` and ``distance`` have a margin without trust. The medians of a block of pixels are found
     # together, by halving intervals.
     height, width = out.shape
@@ -100,7 +102,7 @@ def _filter(planes, values, gradient, trust, grid, distance, color_rate, max_dis
     medians = out.reshape(height * width)
     zero, one, far = splat(np.float32(0)), splat(np.float32(1)), splat(_FAR)
     part, rate = splat(np.float32(0.5)), splat(color_rate)
-    for y in prange(height):
+    for y in range(begin, end):
         votes = np.empty(count * SHORT_LANES, np.float32)
         weights = np.empty(count * SHORT_LANES, np.float32)
         for x in range(0, width, SHORT_LANES):

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from depthcli.algorithms.regions import BAND, join, root
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -26,7 +26,12 @@ class SpeckleFilter(Refinement):
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         steps = steps_of(context.volume.n_disparities)
         values, status = disparity.values.copy(), disparity.status.copy()
-        _filter(values, status, np.float32(steps), round(self.step * steps), self.size, np.uint8(Status.MISMATCH))
+        limit = round(self.step * steps)
+        fixed = np.empty(values.shape, np.int16)
+        parent, sizes = np.empty(values.size, np.int32), np.empty(values.size, np.int32)
+        run_bands(_join_inside, -(-len(values) // BAND), values, np.float32(steps), limit, fixed, parent, sizes)
+        _join_rims(fixed, limit, parent, sizes)
+        run_bands(_remove, len(values), values, status, parent, sizes, self.size, np.uint8(Status.MISMATCH))
         return DisparityMap(values, status)
 
 
@@ -35,22 +40,30 @@ def steps_of(n_disparities: int) -> int:
     return max(1, min(_MAX_STEPS, 32767 // n_disparities))
 
 
-@parallel_jit
-def _filter(values, status, steps, limit, size, mark):
-    # Regions are joined inside of bands of rows, side by side, then across the rims of the bands. Each run of similar
-    # values in a row is a node; its first pixel stands for it in ``parent``, and for its region in ``sizes``.
+# Regions are joined inside of bands of rows, side by side, then across the rims of the bands. Each run of similar
+# values in a row is a node; its first pixel stands for it in ``parent``, and for its region in ``sizes``.
+
+
+@jit
+def _join_inside(begin, end, values, steps, limit, fixed, parent, sizes):
     height, width = values.shape
-    fixed = np.empty((height, width), np.int16)
-    parent = np.empty(height * width, np.int32)
-    sizes = np.empty(height * width, np.int32)
-    for band in prange(-(-height // BAND)):
+    for band in range(begin, end):
         for y in range(band * BAND, min(height, (band + 1) * BAND)):
             _find_runs(values[y], steps, limit, y * width, fixed[y], parent, sizes)
             if y > band * BAND:
                 _join_rows(fixed, y, limit, parent, sizes)
-    for y in range(BAND, height, BAND):
+
+
+@jit
+def _join_rims(fixed, limit, parent, sizes):
+    for y in range(BAND, fixed.shape[0], BAND):
         _join_rows(fixed, y, limit, parent, sizes)
-    for y in prange(height):
+
+
+@jit
+def _remove(begin, end, values, status, parent, sizes, size, mark):
+    width = values.shape[1]
+    for y in range(begin, end):
         run, small = -1, False
         for x in range(width):
             if parent[y * width + x] != run:

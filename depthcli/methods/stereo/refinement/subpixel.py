@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import parabola_minimum
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import CostMinima, RefinementContext
@@ -26,13 +26,13 @@ class Subpixel(Refinement):
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values, best, volume = np.empty_like(disparity.values), context.minima, context.volume
         costs = None if isinstance(volume, CostMinima) else volume.costs
-        _move_to_minima(disparity.values, best.left, best.minima, costs, values)
+        run_bands(_move_to_minima, disparity.values.shape[0], disparity.values, best.left, best.minima, costs, values)
         return DisparityMap(values, disparity.status)
 
 
-@parallel_jit
-def _move_to_minima(values, left, minima, costs, out):
-    for y in prange(values.shape[0]):
+@jit
+def _move_to_minima(begin, end, values, left, minima, costs, out):
+    for y in range(begin, end):
         for x in range(values.shape[1]):
             value = values[y, x]
             if value == left[y, x]:

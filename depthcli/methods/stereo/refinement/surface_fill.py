@@ -7,7 +7,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.least_squares import huber_weight, plane_moments, plane_slopes
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.jit import jit, n_threads, parallel_jit, prange
+from depthcli.kernels.jit import jit, n_threads, run_bands
 from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -46,17 +46,18 @@ class SurfaceFill(Refinement):
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = disparity.values.copy()
         largest = np.float32(context.volume.n_disparities - 1)
-        _continue_surfaces(disparity.values, values, self.rows, self.reach, self.support, largest, n_threads())
+        limits, tasks = (self.rows, self.reach, self.support), n_threads()
+        run_bands(_continue_surfaces, tasks, disparity.values, values, *limits, largest, tasks)
         return with_filled(disparity, values)
 
 
-@parallel_jit
-def _continue_surfaces(values, filled, rows, reach, support, largest, n_tasks):
+@jit
+def _continue_surfaces(begin, end, values, filled, rows, reach, support, largest, n_tasks):
     # Gaps gather in some rows: a task takes every n-th.
     height = values.shape[0]
-    for task in prange(n_tasks):
+    for task in range(begin, end):
         sample = np.empty((4, (2 * rows + 1) * reach), np.float64)
-        for y in range(np.int64(task), height, n_tasks):
+        for y in range(task, height, n_tasks):
             _fill_row(values, y, rows, reach, support, largest, sample, filled[y])
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.lanes import (
     LANES,
     absolute_difference,
@@ -67,7 +67,10 @@ class WeightedMedian(Refinement):
             lowest = cv2.erode(np.where(valid, bins, np.uint16(0xFFFF)), window)
             highest = cv2.dilate(bins, window)
             filtered = values.copy()
-            _filter(planes, np.pad(bins, frame), trust, by_color, by_distance, lowest, highest, filtered)
+            run_bands(
+                _filter, filtered.shape[0], planes, np.pad(bins, frame), trust, by_color, by_distance, lowest,
+                highest, filtered,
+            )  # fmt: skip
             values = filtered
         return with_smoothed(disparity, values)
 
@@ -157,15 +160,14 @@ def _count(bins, weights, i, low, high, histogram):
     return k
 
 
-@parallel_jit
-def _filter(planes, bins, trust, by_color, by_distance, lowest, highest, filtered):
+@jit
+def _filter(begin, end, planes, bins, trust, by_color, by_distance, lowest, highest, filtered):
     # All inputs but the last three have a margin without trust. Weights and medians are computed for a block of pixels
     # at a time. Where a median is not sure, the weights are added in the order of the window.
-    height, width = filtered.shape
+    width = filtered.shape[1]
     size, row_size = by_distance.shape[0], bins.shape[1]
     flat, colors, known = bins.reshape(bins.size), planes.reshape(planes.size), trust.reshape(trust.size)
-    for task in prange(height):
-        y = np.int64(task)
+    for y in range(begin, end):
         histogram = np.zeros(np.max(highest[y]) + 1, np.float32)
         weights, differences = np.empty(size * size * LANES, np.float32), np.empty((size + 1) * LANES, np.int16)
         found, margin = np.empty(LANES, np.float32), np.empty(LANES, np.float32)

@@ -13,7 +13,7 @@ from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionGraph, RegionPixels, connected_components_of_labels, merge_small_regions
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
@@ -43,7 +43,7 @@ class Selection(ConfigModel):
         minima = np.empty(volume.costs.shape[:2], np.float32) if self.subpixel else None
         left, right = winners(volume.costs, minima)
         trusted = left_right_difference(left, right) <= self.tolerance
-        _distrust_constant_costs(volume.costs, trusted)
+        run_bands(_distrust_constant_costs, volume.costs.shape[0], volume.costs, trusted)
         return FirstEstimate(left.astype(np.float32) if minima is None else minima, trusted, right)
 
 
@@ -55,15 +55,15 @@ def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -
     # Up to 257 uint8 costs fit into a uint16 sum, which is twice as fast.
     small = volume.costs.dtype == np.uint8 and (2 * radius + 1) ** 2 <= 257
     total = np.zeros(1, np.uint16 if small else np.uint32)
-    _segment_window(fixed.costs, labels, radius, np.float32(refinement), total, out)
+    run_bands(_segment_window, fixed.costs.shape[0], fixed.costs, labels, radius, np.float32(refinement), total, out)
     return CostVolume(out, fixed.scale * refinement)
 
 
-@parallel_jit
-def _segment_window(costs, labels, radius, refinement, kind, out):
+@jit
+def _segment_window(begin, end, costs, labels, radius, refinement, kind, out):
     height, width, n_disparities = costs.shape
     half = np.float32(0.5)
-    for y in prange(height):
+    for y in range(begin, end):
         total = np.zeros(n_disparities, kind.dtype)
         for x in range(width):
             total[:] = 0
@@ -95,10 +95,10 @@ def has_information(costs):
     return n_disparities == 1
 
 
-@parallel_jit
-def _distrust_constant_costs(costs, trusted):
-    height, width, n_disparities = costs.shape
-    for y in prange(height):
+@jit
+def _distrust_constant_costs(begin, end, costs, trusted):
+    _, width, n_disparities = costs.shape
+    for y in range(begin, end):
         for x in range(width):
             if not trusted[y, x]:
                 continue

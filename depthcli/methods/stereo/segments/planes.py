@@ -14,7 +14,7 @@ from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, Se
 from depthcli.algorithms.regions import RegionGraph, RegionPixels, joined_regions
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.segments.first_estimate import SegmentedImage
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -135,19 +135,23 @@ class Energy(ConfigModel):
         """Return the cost of every plane in every segment, (n, L) float64."""
         first, coefficients = segments.first, planes.coefficients
         width = segments.labels.shape[1]
-        unary: NDArray[np.float64] = out_of_range(width, *segments.everything, coefficients, segments.max_disparity)
+        unary = np.zeros((segments.graph.sizes.size, len(coefficients)))
+        run_bands(out_of_range, _TASKS, unary, width, *segments.everything, coefficients, segments.max_disparity)
         if self.data_term == "dedc":
-            truncation = min(1e6 if self.truncation is None else self.truncation, 1e6)
-            discrepancy(unary, first.values, *segments.trusted, coefficients, self.data_weight, truncation)
+            limits = self.data_weight, min(1e6 if self.truncation is None else self.truncation, 1e6)
+            run_bands(discrepancy, _TASKS, unary, first.values, *segments.trusted, coefficients, *limits)
         else:
-            matching_cost(unary, volume.costs, *segments.trusted, coefficients, self.cost_weight / volume.scale)
+            weight = self.cost_weight / volume.scale
+            run_bands(matching_cost, _TASKS, unary, volume.costs, *segments.trusted, coefficients, weight)
         if self.visibility:
-            visibility(unary, first.right, *segments.untrusted, coefficients, self.visibility)
+            limits_there = np.full((first.right.shape[0], width + 2), np.inf, np.float32)  # a column beyond each side
+            limits_there[:, 1:-1] = first.right.astype(np.float32) + np.float32(1)
+            run_bands(visibility, _TASKS, unary, limits_there, *segments.untrusted, coefficients, self.visibility)
         return unary
 
 
-# The terms: costs of L planes, ``coefficients`` (L, 3), in n segments, (n, L) float64, which are added to ``unary`` or
-# returned. The pixels of segment t are ``order[starts[t] : starts[t + 1]]``, as in RegionPixels.
+# The terms: costs of L planes, ``coefficients`` (L, 3), in n segments, (n, L) float64, which are added to ``unary``.
+# The pixels of segment t are ``order[starts[t] : starts[t + 1]]``, as in RegionPixels.
 
 
 @jit
@@ -158,15 +162,15 @@ def _coordinates(pixels, width):
     return x, y
 
 
-@parallel_jit
-def discrepancy(unary, values, order, starts, coefficients, weight, truncation):
+@jit
+def discrepancy(begin, end, unary, values, order, starts, coefficients, weight, truncation):
     """Add the disparity estimate discrepancy cost (thesis, eq. 2.9), of trusted pixels.
 
     ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m pixels, n of which have the plane's disparity (to
     the nearest pixel). In a segment without pixels every plane costs 0. Differences above ``truncation`` count as it.
     """
-    for task in prange(_TASKS):
-        for t in range(np.int64(task), unary.shape[0], _TASKS):
+    for task in range(begin, end):
+        for t in range(task, unary.shape[0], _TASKS):
             pixels = order[starts[t] : starts[t + 1]]
             m = pixels.size
             if m == 0:
@@ -190,12 +194,12 @@ def discrepancy(unary, values, order, starts, coefficients, weight, truncation):
                 unary[t, label] += weight * total * (np.exp(-n / m) if n else 1.0)  # most planes have none
 
 
-@parallel_jit
-def matching_cost(unary, costs, order, starts, coefficients, weight):
+@jit
+def matching_cost(begin, end, unary, costs, order, starts, coefficients, weight):
     """Add the (H, W, D) matching costs of trusted pixels at every plane's disparity, rounded and limited, weighted."""
     _, width, n_disparities = costs.shape
-    for task in prange(_TASKS):
-        for t in range(np.int64(task), unary.shape[0], _TASKS):
+    for task in range(begin, end):
+        for t in range(task, unary.shape[0], _TASKS):
             total = np.zeros(coefficients.shape[0])
             for i in range(starts[t], starts[t + 1]):
                 x = order[i] % width
@@ -209,23 +213,19 @@ def matching_cost(unary, costs, order, starts, coefficients, weight):
                 unary[t, label] += weight * total[label]
 
 
-@parallel_jit
-def visibility(unary, right, order, starts, coefficients, weight):
-    """Add the cost of planes that put untrusted pixels in front of the ``right`` view's surface, (H, W).
+@jit
+def visibility(begin, end, unary, limits, order, starts, coefficients, weight):
+    """Add the cost of planes that put untrusted pixels in front of the right view's surface.
 
     A pixel that failed the left-right check is occluded or mismatched. With a disparity more than a pixel above that
-    of the right view at its match it would be visible there, and the right view would have matched it: every such pixel
-    costs ``weight``. A match outside the right image costs nothing.
+    of the right view at its match, its ``limits`` (H, W + 2), it would be visible there, and the right view would have
+    matched it: every such pixel costs ``weight``. A match outside the right image costs nothing.
     """
-    height, width = right.shape
+    width = limits.shape[1] - 2
     a, b, c = coefficients[:, 0].copy(), coefficients[:, 1].copy(), coefficients[:, 2].copy()
-    limits = np.full((height, width + 2), np.inf, np.float32)  # with a column beyond each side
-    for y in prange(height):
-        for x in range(width):
-            limits[y, x + 1] = np.float32(right[y, x]) + np.float32(1)
-    for task in prange(_TASKS):
+    for task in range(begin, end):
         count = np.empty(a.size, np.int32)
-        for t in range(np.int64(task), unary.shape[0], _TASKS):
+        for t in range(task, unary.shape[0], _TASKS):
             count[:] = 0
             for i in range(starts[t], starts[t + 1]):
                 px, py = float(order[i] % width), float(order[i] // width)
@@ -238,17 +238,16 @@ def visibility(unary, right, order, starts, coefficients, weight):
                 unary[t, k] += weight * count[k]
 
 
-@parallel_jit
-def out_of_range(width, order, starts, coefficients, max_disparity):
-    """Compute the prohibitive cost of planes that leave [0, ``max_disparity``] by more than a pixel, of all pixels."""
-    unary = np.zeros((starts.size - 1, coefficients.shape[0]))
+@jit
+def out_of_range(begin, end, unary, width, order, starts, coefficients, max_disparity):
+    """Set the prohibitive cost of planes that leave [0, ``max_disparity``] by more than a pixel, of all pixels."""
     lowest, highest = np.float32(-1), np.float32(max_disparity + 1)
     near_lowest, near_highest = np.float32(-0.99), np.float32(max_disparity + 0.99)
     planes = coefficients.astype(np.float32)
     a, b, c = planes[:, 0].copy(), planes[:, 1].copy(), planes[:, 2].copy()
-    for task in prange(_TASKS):
+    for task in range(begin, end):
         leaves = np.empty(a.size, np.uint8)
-        for t in range(np.int64(task), unary.shape[0], _TASKS):
+        for t in range(task, unary.shape[0], _TASKS):
             x, y = _coordinates(order[starts[t] : starts[t + 1]], width)
             x0, x1 = np.float32(width), np.float32(0)
             for i in range(x.size):
@@ -265,7 +264,6 @@ def out_of_range(width, order, starts, coefficients, max_disparity):
                     d = a[label] * x[i] + b[label] * y[i] + c[label]
                     outside += np.int32((d < lowest) | (d > highest))
                 unary[t, label] = 1000.0 * outside
-    return unary
 
 
 def smoothness(graph: RegionGraph, weight: float, color_scale: float) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.method import ConfigModel
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.stereo.keypoint_matching import Matches, nearest_points
 from depthcli.methods.stereo.segments.first_estimate import grid_parts
 from depthcli.methods.stereo.volume import CostVolume
@@ -91,7 +91,9 @@ class Ranges(ConfigModel):
         kind = np.float32 if costs.dtype == np.float32 else np.int32
         penalty = kind(min(self.penalty * volume.scale, 65535))
         penalized: NDArray[Any] = memory.empty(costs.shape, costs.dtype)
-        _penalize(costs, ranges.zones, ranges.limits, penalty, kind(min(limit, 65535)), penalized)
+        run_bands(
+            _penalize, costs.shape[0], costs, ranges.zones, ranges.limits, penalty, kind(min(limit, 65535)), penalized
+        )
         return CostVolume(penalized, volume.scale)
 
 
@@ -108,13 +110,14 @@ def _place_sums(zones, count):
     return np.maximum(sizes, 1), columns, rows
 
 
-@parallel_jit
-def _penalize(costs, zones, ranges, penalty, limit, out):
-    height, width, n_disparities = costs.shape
-    for y in prange(height):
+@jit
+def _penalize(begin, end, costs, zones, ranges, penalty, limit, out):
+    _, width, n_disparities = costs.shape
+    for y in range(begin, end):
         for x in range(width):
             row = out[y, x]
-            row[:] = costs[y, x]
+            for d in range(n_disparities):
+                row[d] = costs[y, x, d]
             low = ranges[zones[y, x], 0]
             high = ranges[zones[y, x], 1]
             if low > x:

@@ -14,7 +14,7 @@ from depthcli.core.context import Context
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement import Refinement, with_filled
@@ -69,15 +69,15 @@ class TiledWinners:
         """
         rows, columns = tile.inside
         bounds = (rows.start, rows.stop, columns.start, columns.stop)
-        corner = (tile.around[0], tile.around[2])
+        corner, n_rows = (tile.around[0], tile.around[2]), rows.stop - rows.start
         if costs.dtype == np.float32:
             if self._min_costs.size == 0:
                 self._min_costs = np.full(self.left.shape, np.inf, np.float32)
-            _add_floats(costs, spans, corner, bounds, self.left, self._min_costs, self._keys)
+            run_bands(_add_floats, n_rows, costs, spans, corner, bounds, self.left, self._min_costs, self._keys)
         else:
-            _add_integers(costs, spans, corner, bounds, self.left, self._keys)
+            run_bands(_add_integers, n_rows, costs, spans, corner, bounds, self.left, self._keys)
         if self.minima.size:
-            _add_minima(costs, spans, corner, bounds, self.left, self.minima)
+            run_bands(_add_minima, n_rows, costs, spans, corner, bounds, self.left, self.minima)
 
     def right(self) -> NDArray[np.uint16]:
         """Return the (H, W) uint16 winners of the right view, and free memory: no tile can be added afterwards."""
@@ -179,7 +179,7 @@ def _tile_volume(
         if joined is None:
             joined = CostVolume(memory.empty((*tile.shape, tile.n_disparities), volume.costs.dtype), volume.scale)
         barrier = volume.costs.dtype.type(_largest_cost(volume))
-        _copy_span(volume.costs, joined.costs, start, n_outside, barrier)
+        run_bands(_copy_span, tile.shape[0], volume.costs, joined.costs, start, n_outside, barrier)
         start += span.n + 1
         del volume
     assert joined is not None
@@ -187,7 +187,8 @@ def _tile_volume(
         clock.start("cost")
         penalty = max(1, round(_UNLIKELY_COST * stages.optimization.p1 * joined.scale))
         corner = (tile.around[0], tile.around[2])
-        _add_penalty(joined.costs, spans, prior.low, prior.high, corner, penalty, _largest_cost(joined))
+        limits = prior.low, prior.high, corner, penalty, _largest_cost(joined)
+        run_bands(_add_penalty, tile.shape[0], joined.costs, spans, *limits)
     return joined, spans
 
 
@@ -195,12 +196,12 @@ def _largest_cost(volume: CostVolume) -> float:
     return {1: 255.0, 2: float(FixedPoint.LARGEST)}.get(volume.costs.itemsize, _FLOAT_BARRIER)
 
 
-@parallel_jit
-def _copy_span(costs, joined, start, n_outside, barrier):
+@jit
+def _copy_span(begin, end, costs, joined, start, n_outside, barrier):
     # What the right image does not have costs what the measure says: the cell of pixel 0 at any disparity but 0.
-    height, width, count = costs.shape
+    _, width, count = costs.shape
     outside = costs[0, 0, count - 1]
-    for y in prange(height):
+    for y in range(begin, end):
         for x in range(width):
             source, out = costs[y, x], joined[y, x, start : start + count]
             if x < n_outside:
@@ -212,12 +213,12 @@ def _copy_span(costs, joined, start, n_outside, barrier):
                 joined[y, x, start + count] = barrier
 
 
-@parallel_jit
-def _add_penalty(costs, spans, low, high, corner, penalty, largest):
+@jit
+def _add_penalty(begin, end, costs, spans, low, high, corner, penalty, largest):
     # To disparities beyond the likely ones of the pixel at half the size.
-    height, width, _ = costs.shape
+    width = costs.shape[1]
     kind = costs.dtype.type
-    for v in prange(height):
+    for v in range(begin, end):
         for u in range(width):
             y, x = (corner[0] + v) >> 1, (corner[1] + u) >> 1
             for k in range(spans.shape[0]):
@@ -275,10 +276,10 @@ def refined_map(
     return disparity
 
 
-@parallel_jit
-def _add_integers(costs, spans, corner, bounds, left, right):
+@jit
+def _add_integers(begin, end, costs, spans, corner, bounds, left, right):
     width = left.shape[1]
-    for v in prange(bounds[0], bounds[1]):
+    for v in range(bounds[0] + begin, bounds[0] + end):
         y = corner[0] + v
         for u in range(bounds[2], bounds[3]):
             x = corner[1] + u
@@ -300,10 +301,10 @@ def _add_integers(costs, spans, corner, bounds, left, right):
                 left[y, x] = np.uint16(best & np.uint32(0xFFFF))
 
 
-@parallel_jit
-def _add_floats(costs, spans, corner, bounds, left, min_costs, right):
+@jit
+def _add_floats(begin, end, costs, spans, corner, bounds, left, min_costs, right):
     width = left.shape[1]
-    for v in prange(bounds[0], bounds[1]):
+    for v in range(bounds[0] + begin, bounds[0] + end):
         y = corner[0] + v
         for u in range(bounds[2], bounds[3]):
             x = corner[1] + u
@@ -321,9 +322,9 @@ def _add_floats(costs, spans, corner, bounds, left, min_costs, right):
                         right[y, mirror] = d
 
 
-@parallel_jit
-def _add_minima(costs, spans, corner, bounds, left, minima):
-    for v in prange(bounds[0], bounds[1]):
+@jit
+def _add_minima(begin, end, costs, spans, corner, bounds, left, minima):
+    for v in range(bounds[0] + begin, bounds[0] + end):
         y = corner[0] + v
         for u in range(bounds[2], bounds[3]):
             x = corner[1] + u

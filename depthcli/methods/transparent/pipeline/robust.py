@@ -12,7 +12,7 @@ from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import Floats, Image8, Mask
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock, DepthResult
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, run_bands
 from depthcli.methods.transparent.fitted_frame import fit_frame, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.unreliable import UnreliableRegions
@@ -36,7 +36,9 @@ class Smoothing(ConfigModel):
         height, width = values.shape
         selected = wanted & np.isfinite(values) & (samples.distance((height, width)) > self.reach * width)
         result = values.copy()
-        _smooth(values, image, selected, self.radius, np.float32(1.0 / (2.0 * self.color_scale**2)), result)
+        run_bands(
+            _smooth, height, values, image, selected, self.radius, np.float32(1.0 / (2.0 * self.color_scale**2)), result
+        )
         return result
 
 
@@ -66,10 +68,10 @@ class RobustPlanes(TransparentPipeline):
         return shape[0] * shape[1] * (4 * self.fit.neighbors + 700) + (64 << 20)
 
 
-@parallel_jit
-def _smooth(values, image, wanted, radius, rate, result):
+@jit
+def _smooth(begin, end, values, image, wanted, radius, rate, result):
     height, width = values.shape
-    for y in prange(height):
+    for y in range(begin, end):
         for x in range(width):
             if not wanted[y, x]:
                 continue
