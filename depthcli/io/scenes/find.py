@@ -101,9 +101,13 @@ def named_scenes(kind: type[Scene], options: Mapping[str, Any]) -> list[Scene]:
     of ``color`` and ``depth``, or of the latter alone; the pair of ``fixed`` and ``warped``, or of ``moving`` with its
     transform.
     """
+    values = dict(options)
+    for key, value in options.items():
+        if isinstance(value, Path):
+            values[key] = local(value)
     for base, named in _NAMED:
         if issubclass(kind, base):
-            return named({key: local(value) if isinstance(value, Path) else value for key, value in options.items()})
+            return named(values)
     return []
 
 
@@ -143,11 +147,12 @@ def discover_scenes(
     if not os.path.isdir(path):
         is_file = os.path.isfile(path)
         raise InputError(f"{path}: {'a file, expected a folder or an archive' if is_file else 'no such folder'}")
-    rows, scenes = _rows(layouts, layout), list[Scene]()
+    rows = layouts.rows if layout is None else _rows(layouts, layout)
+    scenes: list[Scene] = []
     if rows:
         scenes = _find(path, rows, layout, warn)
     if not scenes and (more := layouts.with_plugins()) != layouts:  # asked where no other fits
-        rows = _rows(more, layout)
+        rows = more.rows if layout is None else _rows(more, layout)
         scenes = _find(path, rows, layout, warn)
     if not rows:
         names = ", ".join(row.name for row in layouts.with_plugins().rows)
@@ -164,10 +169,8 @@ def discover_scenes(
     raise NoScenesError(f"{path}: no scenes found in it or two levels below (looked for {wanted})")
 
 
-def _rows(layouts: Layouts[Any], name: str | None) -> Sequence[Layout]:
-    """Return all layouts, or the one of that name, or a user's file of them for this kind of scene."""
-    if name is None:
-        return layouts.rows
+def _rows(layouts: Layouts[Any], name: str) -> Sequence[Layout]:
+    """Return the layout of a name, or a user's file of layouts for this kind of scene."""
     if name.endswith((".yaml", ".yml")):
         return [row for row in rows_in_file(Path(name)) if issubclass(row.kind, layouts.kind)]
     return [row for row in layouts.rows if row.name == name.lower().replace("_", "-")]
@@ -184,7 +187,8 @@ def _find(path: Path, rows: Sequence[Layout], layout: str | None, warn: Warn) ->
         inside = Folder(path / name, name, f"{name}/", folder.requested)
         if not any(inside.path in file.parents for file in files):
             with contextlib.suppress(InputError):
-                if not _is_run(inside) and any(not scene.problem for scene in _scenes_of(inside, rows)):
+                is_run = RUN_FILE in inside.names and _is_run(inside)
+                if not is_run and any(not scene.problem for scene in _scenes_of(inside, rows)):
                     place = f"its scenes lie beside those of {path} itself"
                     warn(f"{inside.path}: {place}, not used; to use them, give it alone")
     return scenes
@@ -200,7 +204,7 @@ def _scenes_below(folder: Folder, rows: Sequence[Layout], warn: Warn, level: int
         name = folder.prefix + child
         inside = Folder(folder.path / child, name, f"{name}/", folder.requested)
         try:
-            if _is_run(inside):
+            if RUN_FILE in inside.names and _is_run(inside):
                 place = "holds a run, its results are left out of the scenes"
                 warn(f"{inside.path}: {place}; to use them, give it as the folder")
                 continue
@@ -231,8 +235,6 @@ def _scenes_of(folder: Folder, rows: Sequence[Layout]) -> list[Scene]:
 
 def _is_run(folder: Folder) -> bool:
     """Return whether a folder has results of a run, other than of ``sample``."""
-    if RUN_FILE not in folder.names:
-        return False
     with contextlib.suppress(InputError):
         text = read_bytes(folder.path / RUN_FILE, _MAX_RUN_BYTES).decode("utf-8", "replace")
         command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
@@ -248,7 +250,7 @@ def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path 
         if scene.name == after.name:
             raise InputError(f"{place}: two scenes are called {scene.name!r} (in {scene.folder} and {after.folder})")
     for pattern in patterns:
-        if not any(matches_any(scene.name, [pattern]) for scene in ordered):
+        if not chosen or (len(patterns) > 1 and not any(matches_any(scene.name, [pattern]) for scene in ordered)):
             there = ", ".join(scene.name for scene in ordered[:6])
             raise InputError(
                 f"{place}: no scene matches {pattern!r}; there are: {there}{', ...' if len(ordered) > 6 else ''}"

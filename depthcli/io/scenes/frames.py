@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.core.cameras.camera import Place, check_place
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.io.formats.files import naming, read_bytes
 from depthcli.io.formats.plain_text import numbers, text_of
 from depthcli.io.formats.poses import Poses, read_poses
@@ -22,7 +22,6 @@ from depthcli.io.scenes.rows import (
     LayoutRow,
     Layouts,
     Meta,
-    given_together,
     name_of_file,
 )
 
@@ -293,8 +292,9 @@ FRAMES = Layouts.of(
 def named_frame(values: Mapping[str, Any]) -> list[Scene]:
     """Return the frame of the options ``color`` and ``depth``, or of the latter alone; none without them."""
     color, depth = values.get("color"), values.get("depth")
+    if depth is None and color is not None:
+        raise ConfigError("--color needs --depth, too")
     if depth is None:
-        given_together(values, "color", "depth")
         return []
     image = color or depth
     return [RgbdScene(name=name_of_file(image, *_GENERIC_NAMES), folder=image.parent, color=color, depth=depth)]

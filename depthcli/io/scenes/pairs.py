@@ -30,7 +30,6 @@ from depthcli.io.scenes.rows import (
     LayoutRow,
     Layouts,
     Match,
-    given_together,
     matches,
     name_of_file,
 )
@@ -363,9 +362,11 @@ _NAMED = LayoutRow(
 
 def named_pairs(values: Mapping[str, Any]) -> list[Scene]:
     """Return the pairs of the options ``left`` and ``right``: of two images, patterns, folders or videos."""
-    if not given_together(values, "left", "right"):
+    left, right = values.get("left"), values.get("right")
+    if left is None and right is None:
         return []
-    left, right = values["left"], values["right"]
+    if left is None or right is None:
+        raise ConfigError("--left needs --right, too" if right is None else "--right needs --left, too")
     if _is_many(left) or _is_many(right):
         return [*pairs_of_patterns(left, right)]
     one = _named(name_of_file(left, *_GENERIC_NAMES), left, right)
@@ -401,12 +402,11 @@ def pairs_of_patterns(left: Path, right: Path) -> list[StereoScene]:
         return cast(list[StereoScene], scenes)
     images = []
     for path, name in zip((left, right), names, strict=True):
-        images.append(next(matches(here, "left", name, wild=True), None))
-        if images[-1] is None:
+        images.append(matches(here, "left", name, wild=True))
+        if not images[-1]:
             query = "; a query behind its URL is read of archives alone" if ":/" in str(path) else ""
             raise ConfigError(f"{path}: matches no image{query}")
-    first = cast(Match, images[0]).file.name
-    raise ConfigError(f"{left} and {right}: no two names belong together ({first}, ...)")
+    raise ConfigError(f"{left} and {right}: no two names belong together ({images[0][0].file.name}, ...)")
 
 
 def suggested_patterns(folder: Path) -> tuple[str, str] | None:

@@ -66,6 +66,7 @@ class Folder:
     name: str
     prefix: str
     requested: str = ""
+    _below: dict[str, Folder | None] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def _is_folder(self) -> dict[str, bool]:
@@ -92,10 +93,6 @@ class Folder:
         """The names of the folders in the folder, sorted."""
         return sorted(filter(self._is_folder.__getitem__, self._is_folder))
 
-    @cached_property
-    def _below(self) -> dict[str, Folder | None]:
-        return {"": self}
-
     def has(self, *names: str) -> bool:
         """Return whether all of the names are there."""
         return set(names) <= self.names
@@ -112,6 +109,8 @@ class Folder:
 
     def below(self, place: str) -> Folder | None:
         """Return the folder at a path in this one, or None."""
+        if not place:
+            return self
         if place not in self._below:
             path = self.path / place
             if ".." in place:
@@ -323,10 +322,10 @@ class LayoutRow(Layout):
         """Yield the placeholders and the two images of every scene."""
         first, second = self._views
         is_of_many = bool(self.alike) or "{" in variant.get(second, "")
-        one = self._matches(folder, first, variant.get(first, ""))
+        one = matches(folder, first, variant.get(first, ""), wild=bool(self.alike))
         if not one and (not self.either or is_of_many):
             return  # before the others are asked, whose names may make no sense in this layout
-        other = self._matches(folder, second, variant.get(second, ""))
+        other = matches(folder, second, variant.get(second, ""), wild=bool(self.alike))
         for alike in self.alike or (None,):
             lefts, rights = _by_texts(one, alike), _by_texts(other, alike)
             if lefts.keys() & rights.keys():
@@ -335,24 +334,20 @@ class LayoutRow(Layout):
             if self.either and is_of_many:
                 return
         for key in {**lefts, **rights} if self.either else lefts:
-            views = {role: files[key] for role, files in ((first, lefts), (second, rights)) if key in files}
-            texts = dict(key)
+            texts, views = dict(key), dict[str, Path]()
+            if key in lefts:
+                views[first] = lefts[key]
+            if key in rights:
+                views[second] = rights[key]
             if "number" in texts and (digits := re.search(rf"({NUMBER})\D*$", next(iter(views.values())).stem)):
                 texts["number"] = digits[1]
             yield texts, views
-
-    def _matches(self, folder: Folder, role: str, names: str) -> list[Match]:
-        """Return the files of a role, by the first of the names that any file has."""
-        for name in (names,) if self.alike else names.split("|"):
-            if files := list(matches(folder, role, name, wild=bool(self.alike))):
-                return files
-        return []
 
     def _scene(self, folder: Folder, variant: Mapping[str, str], texts: Texts, views: dict[str, Path]) -> Scene | None:
         files, masks = dict(views), {}
         for role, names in variant.items():
             if role == _MASKS:
-                for match in matches(folder, role, _filled(names, texts)):
+                for match in matches(folder, role, _filled(names, texts) if texts else names):
                     masks[match.texts["mask"]] = match.file
             elif role not in self._views and role != "name" and (file := _file(folder, role, names, texts)) is not None:
                 if role.startswith(_MASK):
@@ -389,9 +384,9 @@ def _name(folder: Folder, name: str, texts: Texts) -> str:
 
 def _filled(name: str, texts: Mapping[str, str]) -> str:
     """Return a name with the texts of its placeholders; others stay."""
-    if "{" not in name:
-        return name
-    return _PLACEHOLDER.sub(lambda match: texts.get(match[1], "" if match[1] == "_" else match[0]), name)
+    for placeholder, text in texts.items():
+        name = name.replace(f"{{{placeholder}}}", text)
+    return name.replace("{_}", "")
 
 
 @lru_cache(maxsize=1024)  # folders of thousands of scenes have the same names in them
@@ -428,7 +423,7 @@ def _suffixes(role: str) -> Container[str]:
 def _file(folder: Folder, role: str, names: str, texts: Mapping[str, str]) -> Path | None:
     """Return the file of a role, by the first of the names that is there."""
     for name in names.split("|"):
-        place, _, last = _filled(name, texts).rpartition("/")
+        place, _, last = (_filled(name, texts) if texts else name).rpartition("/")
         inside, file = folder.below(place), None
         if inside is None:
             continue
@@ -441,38 +436,41 @@ def _file(folder: Folder, role: str, names: str, texts: Mapping[str, str]) -> Pa
     return None
 
 
-def matches(folder: Folder, role: str, name: str, wild: bool = False) -> Iterator[Match]:
-    """Yield the files whose paths in a folder fit a name with placeholders or, if ``wild``, a pattern with wildcards.
+def matches(folder: Folder, role: str, names: str, wild: bool = False) -> list[Match]:
+    """Return the files of a role whose paths in a folder fit a name, by the first of the names that any file fits.
 
-    A pattern fits images only; a name that ends in ``.*`` fits the files that have an ending of its role.
+    A name has placeholders; one that ends in ``.*`` fits the files with an ending of the role. If ``wild``, it is one
+    pattern with wildcards, which fits images only.
     """
-    open_part = (_WILDCARD if wild else _PLACEHOLDER).search(name)
-    if open_part is None and not wild:
-        if (file := _file(folder, role, name, {})) is not None:
-            yield Match(file, {})
-        return
-    head, slash, _ = name[: open_part.start() if open_part else len(name)].rpartition("/")
-    root = folder.below(head)
-    if wild:  # its paths stay as they were typed
-        path = folder.path / (head + slash)
-        root = Folder(path, "", "") if os.path.isdir(path) else None
-    *parts, last = name[len(head + slash) :].split("/")
-    places: list[tuple[Texts, Folder]] = [] if root is None else [({}, root)]
-    for number, part in enumerate(parts):
-        places = [
-            (texts | more, inside)
-            for texts, place in places
-            for more, inside in _folders(place, part, str(number) if wild else "")
-        ]
-    any_suffix = last.endswith(".*") and not wild
-    pattern = _pattern(last.removesuffix(".*") if any_suffix else last, wild)
-    suffixes = _suffixes(role)
-    for texts, place in places:
-        for each in sorted(place.names):
-            stem, suffix = os.path.splitext(each)
-            match = pattern.fullmatch(stem if any_suffix else each)
-            if match is not None and (suffix.lower() in suffixes or not (any_suffix or wild)):
-                yield Match(place.path / each, texts | _texts(match, str(len(parts)) if wild else ""))
+    files = []
+    for name in (names,) if wild else names.split("|"):
+        open_part = (_WILDCARD if wild else _PLACEHOLDER).search(name)
+        if open_part is None and not wild:
+            if (file := _file(folder, role, name, {})) is not None:
+                return [Match(file, {})]
+            continue
+        head, slash, _ = name[: open_part.start() if open_part else len(name)].rpartition("/")
+        root = folder.below(head)
+        if wild:  # its paths stay as they were typed
+            path = folder.path / (head + slash)
+            root = Folder(path, "", "") if os.path.isdir(path) else None
+        *parts, last = name[len(head + slash) :].split("/")
+        places: list[tuple[Texts, Folder]] = [] if root is None else [({}, root)]
+        for level, part in enumerate(parts):
+            inside = ((texts, _folders(place, part, str(level) if wild else "")) for texts, place in places)
+            places = [(texts | more, place) for texts, below in inside for more, place in below]
+        any_suffix = last.endswith(".*") and not wild
+        pattern = _pattern(last.removesuffix(".*") if any_suffix else last, wild)
+        suffixes = _suffixes(role)
+        for texts, place in places:
+            for entry in sorted(place.names):
+                stem, suffix = os.path.splitext(entry)
+                match = pattern.fullmatch(stem if any_suffix else entry)
+                if match is not None and (suffix.lower() in suffixes or not (any_suffix or wild)):
+                    files.append(Match(place.path / entry, texts | _texts(match, str(len(parts)) if wild else "")))
+        if files:
+            break
+    return files
 
 
 def _folders(folder: Folder, part: str, level: str) -> Iterator[tuple[Texts, Folder]]:
@@ -532,15 +530,6 @@ def _pattern(name: str, wild: bool) -> re.Pattern[str]:
         else:
             groups.append("(.)" if piece == "?" else "(.*)")
     return re.compile("".join(groups))
-
-
-def given_together(values: Mapping[str, Any], *names: str) -> bool:
-    """Return True where all of the options are given, False where none is; ConfigError otherwise."""
-    given = [name for name in names if values.get(name) is not None]
-    if given and len(given) < len(names):
-        missing = " and ".join(f"--{name}" for name in names if name not in given)
-        raise ConfigError(f"--{given[0]} needs {missing}, too")
-    return bool(given)
 
 
 def name_of_file(file: Path, *generic: str) -> str:
