@@ -149,7 +149,6 @@ def _layer(source, weights, offsets, target):
 @jit
 def _evaluate(begin, end, alone, others, mean, scale, offsets, w1, w2, b2, w3, b3, out):
     pixels, n_alone = out.size, len(alone)
-    first_planes, last_planes = alone.reshape(alone.size), others.reshape(others.size)
     for task in range(begin, end):
         inputs = np.empty(mean.size * WIDE, np.float32)
         hidden = np.empty((w1.shape[0] + w2.shape[0]) * TILE * WIDE, np.float32)
@@ -158,8 +157,8 @@ def _evaluate(begin, end, alone, others, mean, scale, offsets, w1, w2, b2, w3, b
             first = min(at, pixels - WIDE)  # the last ones overlap others, to the same effect
             for k in range(mean.size):
                 if k < n_alone:
-                    values = load_like(zero, first_planes, k * pixels + first)
+                    values = load_like(zero, alone, k * pixels + first)
                 else:
-                    values = load_like(zero, last_planes, (k - n_alone) * pixels + first)
+                    values = load_like(zero, others, (k - n_alone) * pixels + first)
                 set_input(values, mean[k], scale[k], inputs, k)
             run_layers(inputs, offsets, w1, w2, b2, w3, b3, hidden, out, first)

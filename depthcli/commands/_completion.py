@@ -72,4 +72,4 @@ def _keys(values: Mapping[str, Any]) -> Iterator[str]:
             yield from (f"{key}.{inside}" for inside in _keys(value))
 
 
-_FUNCTIONS = {"config": presets, "preset": presets, "layout": layouts, "protocol": protocols, "set": keys}
+_FUNCTIONS = {"config": presets, "names": presets, "layout": layouts, "protocol": protocols, "set": keys}

@@ -1,10 +1,11 @@
-"""List the presets, or print one with all its fields.
+"""List the presets, print one with all its fields, or compile the kernels of some before their first use.
 
 Examples:
   depthcli presets
   depthcli presets fuse
   depthcli presets thesis
   depthcli presets show stereo/accurate
+  depthcli presets compile 'stereo/*' fuse/accurate
 """
 
 from __future__ import annotations
@@ -26,25 +27,33 @@ def presets(
     printing: Printing,
     action: Annotated[
         str | None,
-        Argument(metavar="show", help="To print one preset; or a command, or thesis, of which to list the presets."),
+        Argument(
+            metavar="show|compile",
+            help="To print one preset, or compile the kernels of some; or a command, or thesis, to list its presets.",
+        ),
     ] = None,
-    preset: Annotated[
-        str | None,
-        Argument(metavar="NAME", help="The preset: NAME, or COMMAND/NAME."),
+    names: Annotated[
+        list[str] | None,
+        Argument(metavar="NAME...", help="The preset: NAME, or COMMAND/NAME; to compile: also 'stereo/*'."),
     ] = None,
 ) -> int:
-    """Print the list or the preset; return the exit code."""
-    reporter = printing.reporter
-    if action == "show" and preset:
-        reporter.data(_shown(preset))
+    """Print the list or the preset, or compile kernels; return the exit code."""
+    reporter, names = printing.reporter, names or []
+    if action == "show" and len(names) == 1:
+        reporter.data(_shown(names[0]))
         return 0
+    if action == "compile" and names:
+        from depthcli.commands._compilation import compile_presets
+
+        return compile_presets(names, reporter)
     if action == THESIS.rstrip("/"):
         found = sorted((row for row in list_presets() if row[1].startswith(THESIS)), key=lambda row: row[1])
     else:
         found = list_presets(action)
-    if action is not None and (preset or not found):
+    if action is not None and (names or not found):
         raise ConfigError(
-            "give depthcli presets, depthcli presets COMMAND, depthcli presets thesis, or depthcli presets show NAME"
+            "give depthcli presets, depthcli presets COMMAND, depthcli presets thesis, depthcli presets show NAME, or "
+            "depthcli presets compile NAME..."
         )
     if printing.json:
         reporter.data(to_json([{"command": c, "preset": p, "about": about} for c, p, about in found]))

@@ -2,9 +2,11 @@
 
 To write one:
 
-1. Decorate a function with :func:`~depthcli.kernels.jit.jit`, or with ``parallel_jit`` if its ``prange`` loop is to run
-   on all threads. It lies at module level, in the file of the method that calls it.
-2. It takes and fills plain arrays and numbers. ``np.dot`` and ``np.linalg`` cannot be called.
+1. Decorate a function with :func:`~depthcli.kernels.jit.jit`. It lies at module level, in the file of the method that
+   calls it. If it is to run on all threads, it takes a band of rows, ``kernel(begin, end, ...)``, and is called by
+   :func:`~depthcli.kernels.jit.run_bands`; what it writes for a row must not depend on the band.
+2. It takes and fills plain arrays and numbers. ``np.dot`` and ``np.linalg`` cannot be called. A loop assigns arrays to
+   slices: for ``a[:] = b`` numba compiles the text of an error message, which takes seconds.
 3. Globals that it reads are constants, compiled in; they are defined in a file that has kernels itself, so that a
    changed one compiles anew.
 4. NaN and inf keep their meaning in spite of fast math: NaN is "no value" in every map.
@@ -13,7 +15,7 @@ To write one:
 
 | module | holds |
 |---|---|
-| ``jit`` | the decorators, with the compiler's options; the number of threads; the time that compilation takes |
+| ``jit`` | the decorator, with the compiler's options; bands of rows on threads; the time that compilation takes |
 | ``cache`` | compiled kernels on disk |
 | ``winners`` | disparities of the smallest costs of both views |
 | ``exponential`` | fast exponentials; terms of confidence measures |

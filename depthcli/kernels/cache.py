@@ -27,6 +27,9 @@ from typing import Any
 # Intel's vector math library, where a machine happens to have it, would give other last digits than everywhere else.
 os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
 
+# LLVM's level 3 takes a tenth longer, and its code is no faster.
+os.environ.setdefault("NUMBA_OPT", "2")
+
 import llvmlite
 import llvmlite.binding
 import numba

@@ -6,8 +6,8 @@ become LLVM vectors, for which LLVM emits the vector instructions of the process
 
 Values are made by :func:`load` and :func:`splat`, added, subtracted, multiplied and divided by the operators, and
 written by :func:`store`. Vectors of int16 and uint8, made by :func:`load_shorts`, :func:`load_like` and :func:`splat`,
-are only added and subtracted; those of uint8 stay within 0 to 255. Indices are not checked against the bounds of an
-array.
+are only added and subtracted; those of uint8 stay within 0 to 255. Arrays are contiguous and of any shape; an index
+counts their elements in memory, and is not checked against their bounds.
 """
 
 from __future__ import annotations
@@ -73,6 +73,8 @@ def _operation(signature: Any) -> Callable[[Any], Any]:
 
 def address(context: Any, builder: Any, kind: Any, array: Any, index: Any, vector: Any) -> Any:
     """Return the pointer to a vector that begins at ``index`` of an array of numba's type ``kind``."""
+    if kind.layout != "C":
+        raise TypeError(f"vectors are of contiguous arrays, not of {kind}")
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
 
@@ -103,14 +105,14 @@ def _loader(result: Lanes) -> Any:
 
 
 load = _loader(FLOATS)
-"""Return ``array[index : index + LANES]`` of a flat array of float32, uint8 or uint16 as a vector of float32."""
+"""Return ``array[index : index + LANES]`` of an array of float32, uint8 or uint16 as a vector of float32."""
 load_shorts = _loader(_SHORTS)
-"""Return ``array[index : index + SHORT_LANES]`` of a flat int16 or uint8 array as a vector of int16."""
+"""Return ``array[index : index + SHORT_LANES]`` of an int16 or uint8 array as a vector of int16."""
 
 
 @intrinsic
 def load_like(typingctx, like, array, index):
-    """Return as many values of a flat array, from ``index`` on, as the vector ``like`` of their type has."""
+    """Return as many values of an array, from ``index`` on, as the vector ``like`` of their type has."""
 
     def codegen(context, builder, signature, args):
         place = address(context, builder, array, args[1], args[2], like.vector)
@@ -133,7 +135,7 @@ def splat_like(typingctx, like, value):
 
 @intrinsic
 def scaled(typingctx, value, array, index):
-    """Return float32 lanes times ``array[index]`` of a flat float32 array."""
+    """Return float32 lanes times ``array[index]`` of a float32 array."""
 
     def codegen(context, builder, signature, args):
         factor = builder.load(address(context, builder, array, args[1], args[2], ir.FloatType()))
@@ -156,7 +158,7 @@ def ordered_sum(builder, a, b):
 
 @intrinsic
 def store(typingctx, array, index, value):
-    """Assign a vector to ``array[index : index + its lanes]`` of a flat array.
+    """Assign a vector to ``array[index : index + its lanes]`` of an array.
 
     float32 values are stored as float32, or cut off to uint8; int16 values as int16, or their low halves as uint8;
     uint8 values as uint8.

@@ -15,6 +15,7 @@ from depthcli.core.errors import IncompleteError
 from depthcli.core.text import kind_of_warning, printable, without_file
 
 _HEARTBEAT = 30.0  # seconds between lines without a terminal
+_PROGRESS = 5.0  # the same, while nothing else can be said
 
 
 def silence_warnings() -> None:
@@ -103,6 +104,15 @@ class Reporter:
         elif time.monotonic() - self._said > _HEARTBEAT:
             self._said = time.monotonic()
             self.info(f"{self._what}: {self._done} of {self._total} scenes{failures}")
+
+    def progress(self, text: str, seconds: float) -> None:
+        """Show how far a scene is: beside the bar on a terminal, in a line every few seconds elsewhere."""
+        if self._bar is not None:
+            with contextlib.suppress(OSError, ValueError):
+                self._bar.set_postfix_str(f"{text}, {seconds:.0f} s")
+        elif time.monotonic() - self._said > _PROGRESS:
+            self._said = time.monotonic()
+            self.info(f"{text}, {seconds:.0f} s")
 
     def __enter__(self) -> Reporter:
         return self

@@ -296,8 +296,10 @@ def counted(compute: Callable[[], _T], watch: CompileWatch) -> tuple[_T, int, fl
     return row, watch.calls - kernels, watch.seconds - seconds
 
 
-def _announce_compilation(reporter: Reporter) -> None:
+def _announce_compilation(reporter: Reporter, watch: CompileWatch | None = None) -> None:
     reporter.once("first use of these settings here: compiling kernels for this machine (once; they are kept) ...")
+    if watch is not None:
+        reporter.progress(f"compiling kernels: {watch.kernels} so far", watch.seconds)
 
 
 def report_compilation(reporter: Reporter, kernels: int, seconds: float) -> None:
@@ -333,7 +335,7 @@ def compute_on_this_machine(
         return
     use_threads(how.threads_each())
     last, latest = (math.inf, math.inf), Latest()
-    with CompileWatch(lambda _: _announce_compilation(reporter)) as watch:
+    with CompileWatch(partial(_announce_compilation, reporter)) as watch:
         for number, task in enumerate(tasks, 1):
             begun, begun_busy = time.perf_counter(), time.process_time()
             row, kernels, seconds = counted(partial(compute_scene, task, work, how.memory_each(), latest), watch)

@@ -6,6 +6,7 @@ import pytest
 
 from depthcli.algorithms.keypoints import surf
 from depthcli.algorithms.keypoints.surf import Surf
+from depthcli.kernels.jit import run_bands
 from tests.contracts.inputs import blobs
 from tests.naive import segments as naive
 
@@ -22,7 +23,7 @@ def test_hessian_agrees_with_explicit_masks(size, step):
     integral = cv2.integral(image, sdepth=cv2.CV_64F)
     shape = -(-40 // step), -(-47 // step)
     responses, signs = np.zeros(shape, np.float32), np.zeros(shape, np.int8)
-    surf._hessian(integral, step, size, responses, signs)
+    run_bands(surf._hessian, shape[0], integral, step, size, responses, signs)
     half = size // 2
     for j, i in np.ndindex(shape):
         y, x = j * step, i * step

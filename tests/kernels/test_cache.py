@@ -122,12 +122,13 @@ SUMS = """
 import hashlib, numpy as np
 from depthcli.methods.stereo.segments import planes as energy
 from depthcli.algorithms.regions import RegionPixels
+from depthcli.kernels.jit import run_bands
 rng = np.random.default_rng(0)
 labels = np.arange(100, dtype=np.int32).reshape(10, 10).repeat(10, 0).repeat(10, 1)
 values = (rng.random((100, 100)) * 50).astype(np.float32)
 planes = rng.normal(size=(30, 3)) * [0.01, 0.01, 20]
 sums = np.zeros((100, 30))
-energy.discrepancy(sums, values, *RegionPixels.of(labels), planes, 10.0, 2.0)
+run_bands(energy.discrepancy, 64, sums, values, *RegionPixels.of(labels), planes, 10.0, 2.0)
 print(hashlib.sha256(sums.tobytes()).hexdigest(), energy.discrepancy.stats.cache_hits.total())
 """
 
@@ -193,7 +194,7 @@ def test_folders_that_nothing_used_for_a_month_are_removed(tmp_path: Path):
 
 @pytest.mark.slow
 def test_the_process_that_compiles_gives_the_same_bytes_as_those_that_find_the_kernel(tmp_path: Path):
-    """Sums of floats in a loop of ``prange``: numba by itself runs other code than it keeps."""
+    """Sums of floats in functions of a kernel: numba by itself runs other code than it keeps."""
     env = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
     runs = [
         subprocess.run([sys.executable, "-c", SUMS], env=env, capture_output=True, text=True, check=True).stdout.split()

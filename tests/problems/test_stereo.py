@@ -1,7 +1,6 @@
 """``stereo``, ``fuse`` and ``matcher`` from Python: results, bytes of saved files, inputs, errors."""
 
 import pickle
-import time
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ import depthcli
 from depthcli.cli import main
 from depthcli.core import memory
 from depthcli.io.formats.images import read_image
-from depthcli.kernels import jit
 from tests.command_line import contents, in_threads, refused
 
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -176,20 +174,3 @@ def test_results_can_be_pickled(pair: Images):
     found = depthcli.stereo(*pair, 12, "fast")
     again = pickle.loads(pickle.dumps(found))
     assert np.array_equal(again.values, found.values) and again.search == found.search
-
-
-def test_threads_take_turns_where_kernels_want_that(monkeypatch: pytest.MonkeyPatch):
-    inside, most = [0], [0]
-
-    def work() -> None:
-        with jit.one_at_a_time():
-            inside[0] += 1
-            most[0] = max(most[0], inside[0])
-            time.sleep(0.01)
-            inside[0] -= 1
-
-    for layer in ("workqueue", "omp"):
-        most[0] = 0
-        monkeypatch.setattr(jit.numba, "threading_layer", lambda layer=layer: layer)
-        in_threads([work] * 4)
-        assert (most[0] == 1) == (layer == "workqueue")

@@ -103,8 +103,6 @@ def _fit(begin, end, values, valid, planes, step, limits, spread, result):
     side = limits.shape[0]
     row_size = values.shape[1]
     plane_size = values.shape[0] * row_size
-    colors, value_of, known = planes.reshape(planes.size), values.reshape(plane_size), valid.reshape(plane_size)
-    slope_of = result.reshape(2 * height * width)
     margin = _STEPS * step
     zero, color_limit = splat(np.float32(0)), splat(_COLOR_THRESHOLD)
     for y in range(begin, end):
@@ -112,17 +110,17 @@ def _fit(begin, end, values, valid, planes, step, limits, spread, result):
         weights = np.empty(side * side * SHORT_LANES, np.float32)
         for x in range(0, width, SHORT_LANES):
             center = (y + margin) * row_size + x + margin
-            red, green = load_shorts(colors, center), load_shorts(colors, center + plane_size)
-            blue = load_shorts(colors, center + 2 * plane_size)
+            red, green = load_shorts(planes, center), load_shorts(planes, center + plane_size)
+            blue = load_shorts(planes, center + 2 * plane_size)
             for i in range(side):
                 for j in range(side):
                     there = (y + i * step) * row_size + x + j * step
-                    color = color_differences(colors, there, plane_size, red, green, blue)
+                    color = color_differences(planes, there, plane_size, red, green, blue)
                     limit, at = splat(limits[i, j]), (i * side + j) * SHORT_LANES
                     for half in range(2):
                         shift = half * LANES
-                        difference = load(value_of, there + shift) - load(value_of, center + shift)
-                        weight = load(known, there + shift)
+                        difference = load(values, there + shift) - load(values, center + shift)
+                        weight = load(valid, there + shift)
                         weight = where_at_most(color[half], color_limit, weight, zero)
                         distance = maximum(difference, zero - difference)
                         store(apart, at + shift, difference)
@@ -134,17 +132,17 @@ def _fit(begin, end, values, valid, planes, step, limits, spread, result):
                 variance = _residual_variance(weights, apart, side, step, shift, slope_x, slope_y, offset)
                 steep = slope_x * slope_x + slope_y * slope_y
                 uncertainty = splat(_SHRINKAGE * spread) * (variance + splat(_NOISE_VARIANCE))
-                share = load(known, center + shift) * steep / (steep + uncertainty)
+                share = load(valid, center + shift) * steep / (steep + uncertainty)
                 at = y * width + x + shift
-                store(slope_of, at, slope_x * share)
-                store(slope_of, at + height * width, slope_y * share)
+                store(result, at, slope_x * share)
+                store(result, at + height * width, slope_y * share)
 
 
 @jit
 def color_differences(colors: Any, at: int, plane_size: int, red: Any, green: Any, blue: Any) -> Any:
     """Return the sums over the channels of the differences of two runs of pixels, as two vectors of float32.
 
-    One run of SHORT_LANES pixels begins at ``at`` in each plane of the flat ``colors`` (see :func:`color_planes`); the
+    One run of SHORT_LANES pixels begins at ``at`` in each plane of ``colors`` (see :func:`color_planes`); the
     colors of the other one are vectors of int16.
     """
     return halves(

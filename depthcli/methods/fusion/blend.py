@@ -24,13 +24,14 @@ def normalize_costs(volume: CostVolume, scale: float | None, outside: float | No
     """
     costs = volume.costs
     out: NDArray[np.uint8] = memory.empty(costs.shape, np.uint8)
+    rows = costs.reshape(len(costs), -1)
     if costs.dtype == np.float32:
         offset = min(0.0, float(costs.min()))
         inside = np.arange(costs.shape[2])[None, :] <= np.arange(costs.shape[1])[:, None]
         sample = costs[::4][:, inside] - np.float32(offset)  # every fourth row: enough for a median
         middle = float(np.median(sample)) if scale is None else scale * volume.scale
         rate = 1.0 / middle if middle > 0 else 1.0
-        run_bands(_squash, costs.shape[0], costs, np.float32(offset), np.float32(rate), out)
+        run_bands(_squash, len(rows), rows, np.float32(offset), np.float32(rate), out.reshape(rows.shape))
         mean = 1.0 - float(np.mean(np.exp(-sample.astype(np.float64) * rate)))
     else:
         counts = np.zeros(256 if costs.dtype == np.uint8 else 65536, np.int64)
@@ -39,7 +40,7 @@ def normalize_costs(volume: CostVolume, scale: float | None, outside: float | No
         total = np.cumsum(counts)
         middle = float(np.searchsorted(total, (total[-1] + 1) // 2)) if scale is None else scale * volume.scale
         squashed = 1.0 - np.exp(-np.arange(counts.size) / (middle if middle > 0 else 1.0))
-        run_bands(_look_up, costs.shape[0], costs, np.round(squashed * UNIT).astype(np.uint8), out)
+        run_bands(_look_up, len(rows), rows, np.round(squashed * UNIT).astype(np.uint8), out.reshape(rows.shape))
         mean = float(squashed @ counts) / max(float(total[-1]), 1.0)
     fill_outside(out, np.uint8(round(UNIT * (mean if outside is None else outside))))
     return CostVolume(out, float(UNIT))
@@ -107,21 +108,17 @@ def _histogram(costs, counts):
 
 @jit
 def _look_up(begin, end, costs, table, out):
-    _, width, n_disparities = costs.shape
     for y in range(begin, end):
-        source = costs[y].reshape(width * n_disparities)
-        cells = out[y].reshape(width * n_disparities)
+        source, cells = costs[y], out[y]
         for i in range(cells.size):
             cells[i] = table[source[i]]
 
 
 @jit
 def _squash(begin, end, costs, offset, rate, out):
-    _, width, n_disparities = costs.shape
     unit, one, half = np.float32(255.0), np.float32(1.0), np.float32(0.5)
     for y in range(begin, end):
-        source = costs[y].reshape(width * n_disparities)
-        cells = out[y].reshape(width * n_disparities)
+        source, cells = costs[y], out[y]
         for i in range(cells.size):
             cells[i] = np.uint8(np.int32(unit * (one - exp_minus((source[i] - offset) * rate)) + half))
 

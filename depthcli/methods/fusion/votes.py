@@ -225,42 +225,40 @@ def _separate(begin, end, block, factor, planes):
 @jit
 def _recurse_rows(begin, end, block, steps, decay):
     # Forwards, then backwards; 16 values a pixel, which are one vector.
-    height, width, _ = block.shape
-    cells = block.reshape(height * width * LANES)
+    width = block.shape[1]
     for y in range(begin, end):
         first, last = y * width, (y + 1) * width - 1
-        total = load(cells, first * LANES)
+        total = load(block, first * LANES)
         for i in range(first + 1, last + 1):
-            total = load(cells, i * LANES) + splat(decay[steps[y, i - first]]) * total
-            store(cells, i * LANES, total)
+            total = load(block, i * LANES) + splat(decay[steps[y, i - first]]) * total
+            store(block, i * LANES, total)
         for i in range(last - 1, first - 1, -1):
-            total = load(cells, i * LANES) + splat(decay[steps[y, i - first + 1]]) * total
-            store(cells, i * LANES, total)
+            total = load(block, i * LANES) + splat(decay[steps[y, i - first + 1]]) * total
+            store(block, i * LANES, total)
 
 
 @jit
 def _recurse_columns(begin, end, block, steps, decay):
     # Strips of columns, whose cells stay in the second-level cache between both directions.
     height, width, _ = block.shape
-    source = block.reshape(height * width * LANES)
     for strip in range(begin, end):
         left = strip * _STRIP
         columns = min(_STRIP, width - left)
         cells = np.empty(height * _STRIP * LANES, np.float32)
         for x in range(columns):
-            store(cells, x * LANES, load(source, (left + x) * LANES))
+            store(cells, x * LANES, load(block, (left + x) * LANES))
         for y in range(1, height):
             for x in range(columns):
                 at = (y * _STRIP + x) * LANES
                 above = load(cells, at - _STRIP * LANES)
-                here = load(source, (y * width + left + x) * LANES)
+                here = load(block, (y * width + left + x) * LANES)
                 store(cells, at, here + splat(decay[steps[y, left + x]]) * above)
         for x in range(columns):
             at = ((height - 1) * _STRIP + x) * LANES
-            store(source, ((height - 1) * width + left + x) * LANES, load(cells, at))
+            store(block, ((height - 1) * width + left + x) * LANES, load(cells, at))
         for y in range(height - 2, -1, -1):
             for x in range(columns):
                 at = (y * _STRIP + x) * LANES
                 below = (y + 1) * width + left + x
-                total = load(cells, at) + splat(decay[steps[y + 1, left + x]]) * load(source, below * LANES)
-                store(source, (below - width) * LANES, total)
+                total = load(cells, at) + splat(decay[steps[y + 1, left + x]]) * load(block, below * LANES)
+                store(block, (below - width) * LANES, total)

@@ -111,17 +111,16 @@ def as_fixed_point(volume: CostVolume) -> CostVolume:
             costs, high = costs - np.float32(low), high - low
         factor = FixedPoint.LARGEST / high if high > 0 else 1.0
     fixed: NDArray[np.uint16] = memory.empty(costs.shape, np.uint16)
-    run_bands(_scale, costs.shape[0], costs, np.float32(factor), fixed)
+    rows = costs.shape[0]
+    run_bands(_scale, rows, costs.reshape(rows, -1), np.float32(factor), fixed.reshape(rows, -1))
     return CostVolume(fixed, volume.scale * factor)
 
 
 @jit
 def _scale(begin, end, costs, factor, fixed):
-    _, width, n_disparities = costs.shape
     half = np.float32(0.5)
     for y in range(begin, end):
-        source = costs[y].reshape(width * n_disparities)
-        out = fixed[y].reshape(width * n_disparities)
+        source, out = costs[y], fixed[y]
         for i in range(out.size):
             out[i] = np.uint16(np.int32(np.float32(source[i]) * factor + half))
 

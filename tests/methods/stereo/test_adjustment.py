@@ -9,6 +9,7 @@ import pytest
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
+from depthcli.kernels.jit import run_bands
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo import adjustment
 from depthcli.methods.stereo.adjustment import adjusted, right_view
@@ -86,17 +87,17 @@ def test_sums_agree_with_the_naive_references(shape):
     cells = tuple(-(-side // CELL) for side in shape)
     gains = rng.uniform(0.5, 2, (*cells, 3)).astype(np.float32)
     sums = np.zeros((3, *cells, 3), np.float32)
-    right_view.sum_light(disparity, left, right, gains, np.float32(1.4), sums)
+    run_bands(right_view.sum_light, sums.shape[1], disparity, left, right, gains, np.float32(1.4), sums)
     expected = naive.light_sums(disparity, left, right, gains, 1.4, CELL, 8)
     np.testing.assert_allclose(sums, expected, rtol=1e-4, atol=1e-3)
     sums = np.zeros((2, *cells), np.float32)
-    right_view.sum_differences(disparity, left, right, sums)
+    run_bands(right_view.sum_differences, sums.shape[1], disparity, left, right, sums)
     expected = naive.difference_sums(disparity, left, right, CELL)
     np.testing.assert_allclose(sums, expected, rtol=1e-4, atol=1e-3)
     left_details, right_details = (right_view.Details.of(image) for image in (left // 8, right // 8))
     blocks = tuple(-(-side // BLOCK) for side in shape)
     sums = np.zeros((8, *blocks))
-    right_view.sum_blocks(disparity, left_details, right_details, TILTED, sums)
+    run_bands(right_view.sum_blocks, sums.shape[1], disparity, left_details, right_details, TILTED, sums)
     expected = naive.block_sums(disparity, left_details, right_details, TILTED, BLOCK, 4, 20)
     np.testing.assert_allclose(sums, expected, rtol=1e-3, atol=0.1)
 

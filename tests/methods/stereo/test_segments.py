@@ -7,6 +7,7 @@ from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, Se
 from depthcli.algorithms.regions import RegionPixels, region_graph
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
+from depthcli.kernels.jit import run_bands
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.cost.intensity_gradient import IntensityGradient
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
@@ -150,7 +151,7 @@ def test_discrepancy_is_equation_2_9(truncation):
     rows = [(0.1, 0.0, 2.0), (0.0, 0.2, 1.0), (0.0, 0.0, 3.0)]
     members = RegionPixels.of(_labels(), trusted, 4)
     unary = np.zeros((4, 3))
-    energy.discrepancy(unary, values, *members, np.array(rows), 10.0, min(truncation, 1e6))
+    run_bands(energy.discrepancy, 64, unary, values, *members, np.array(rows), 10.0, min(truncation, 1e6))
     assert np.allclose(unary, naive.discrepancy(values, trusted, _labels(), rows, 10.0, truncation), rtol=1e-4)
     assert np.all(unary[3] == 0)  # nothing trusted: any plane
 
@@ -163,16 +164,18 @@ def test_matching_cost_sums_the_volume():
     members = RegionPixels.of(_labels(), trusted, 4)
     expected = naive.matching_cost(costs, trusted, _labels(), rows)
     unary = np.ones((4, 3))
-    energy.matching_cost(unary, costs, *members, np.array(rows), 1.5)
+    run_bands(energy.matching_cost, 64, unary, costs, *members, np.array(rows), 1.5)
     assert np.allclose(unary, 1 + expected * 1.5)
 
 
 def test_visibility_charges_planes_in_front_of_what_the_right_view_sees():
     labels = np.zeros((1, 10), np.int32)
-    right = np.full((1, 10), 3, np.uint16)
+    limits = np.full((1, 12), 4, np.float32)  # the right view's disparities and one pixel, with a column beyond
+    limits[:, [0, -1]] = np.inf
     members = RegionPixels.of(labels, np.arange(10)[None] >= 6)
     unary = np.zeros((1, 4))
-    energy.visibility(unary, right, *members, np.array([(0, 0, 3), (0, 0, 4), (0, 0, 5), (0, 0, 9.0)]), 2.0)
+    planes = np.array([(0, 0, 3), (0, 0, 4), (0, 0, 5), (0, 0, 9.0)])
+    run_bands(energy.visibility, 64, unary, limits, *members, planes, 2.0)
     assert unary.tolist() == [[0, 0, 8, 2]]  # at 9 only x = 9 points into the right image
 
 

@@ -227,7 +227,9 @@ def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.fl
     own, shared, values = (at_least_wide(planes) for planes in (inputs.own, inputs.shared, inputs.values))
     odds = np.empty(values.shape, np.float32)
     network = trained.mean, trained.scale, trained.layers[0][1], *kernel_layers(trained)
-    run_bands(_evaluate, -(-values.shape[1] // CHUNK), own, shared, values, _RELATIVE_INDICES, *network, odds)
+    run_bands(
+        _evaluate, -(-values.shape[1] // CHUNK), own, shared, values, _RELATIVE_INDICES, *network, odds.reshape(-1)
+    )
     return odds[:, : inputs.values.shape[1]]
 
 
@@ -237,8 +239,6 @@ def _evaluate(begin, end, own, shared, values, relative, mean, scale, offsets, w
     count, pixels = values.shape
     n_own, n_relative = own.shape[0], relative.size
     last = mean.size - shared.shape[0]
-    own_planes, pixel_planes = own.reshape(own.size), shared.reshape(shared.size)
-    maps, odds = values.reshape(values.size), out.reshape(values.size)
     for task in range(begin, end):
         inputs = np.empty(mean.size * WIDE, np.float32)
         lowest = np.empty(n_relative * WIDE, np.float32)
@@ -248,28 +248,28 @@ def _evaluate(begin, end, own, shared, values, relative, mean, scale, offsets, w
         for at in range(start, min(pixels, start + CHUNK), WIDE):
             first = min(at, pixels - WIDE)  # the last ones overlap others, to the same effect
             for k in range(shared.shape[0]):
-                plane = load_like(zero, pixel_planes, k * pixels + first)
+                plane = load_like(zero, shared, k * pixels + first)
                 set_input(plane, mean[last + k], scale[last + k], inputs, last + k)
             for k in range(n_relative):
-                smallest = load_like(zero, own_planes, relative[k] * count * pixels + first)
+                smallest = load_like(zero, own, relative[k] * count * pixels + first)
                 for n in range(1, count):
-                    plane = load_like(zero, own_planes, (relative[k] * count + n) * pixels + first)
+                    plane = load_like(zero, own, (relative[k] * count + n) * pixels + first)
                     smallest = minimum(smallest, plane)
                 store(lowest, k * WIDE, smallest)
             for n in range(count):
                 for k in range(n_own):
-                    plane = load_like(zero, own_planes, (k * count + n) * pixels + first)
+                    plane = load_like(zero, own, (k * count + n) * pixels + first)
                     set_input(plane, mean[k], scale[k], inputs, k)
                 for k in range(n_own, n_own + n_relative):
-                    plane = load_like(zero, own_planes, (relative[k - n_own] * count + n) * pixels + first)
+                    plane = load_like(zero, own, (relative[k - n_own] * count + n) * pixels + first)
                     above = plane - load_like(zero, lowest, (k - n_own) * WIDE)
                     set_input(above, mean[k], scale[k], inputs, k)
-                value = load_like(zero, maps, n * pixels + first)
+                value = load_like(zero, values, n * pixels + first)
                 for k in range(n_own + n_relative, last):
-                    other = load_like(zero, maps, (k - n_own - n_relative) * pixels + first)
+                    other = load_like(zero, values, (k - n_own - n_relative) * pixels + first)
                     distance = minimum(absolute_difference(other, value), largest)
                     set_input(distance, mean[k], scale[k], inputs, k)
-                run_layers(inputs, offsets[n], w1, w2, b2, w3, b3, hidden, odds, n * pixels + first)
+                run_layers(inputs, offsets[n], w1, w2, b2, w3, b3, hidden, out, n * pixels + first)
 
 
 @jit

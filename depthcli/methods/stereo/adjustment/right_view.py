@@ -90,7 +90,9 @@ def resample(
     """
     along = np.empty((gains.shape[0], image[0].size), np.float32)  # gains interpolated along the rows of the grid
     run_bands(_interpolate_gains, gains.shape[0], gains, cell, along)
-    run_bands(_resample, image.shape[0], image, row_shift, along, cell, top, out)
+    # All rows as one: they are interpolated in runs of pixels whose samples lie in the same rows of the image.
+    source, result = image.reshape(len(image), -1), out.reshape(len(image), -1)
+    run_bands(_resample, image.shape[0], source, image.shape[2], row_shift, along, cell, top, result)
 
 
 @jit
@@ -108,13 +110,11 @@ def _interpolate_gains(begin, end, gains, cell, along):
 
 
 @jit
-def _resample(begin, end, image, row_shift, along, cell, top, out):
-    height, width, channels = image.shape
+def _resample(begin, end, source, channels, row_shift, along, cell, top, result):
+    height, width = source.shape[0], source.shape[1] // channels
     grid_height = along.shape[0]
     half = np.float32(0.5)
-    kind = image.dtype.type
-    # All rows as one: they are interpolated in runs of pixels whose samples lie in the same rows of the image.
-    source, result = image.reshape(height, width * channels), out.reshape(height, width * channels)
+    kind = source.dtype.type
     for y in range(begin, end):
         gy = min(max((np.float32(y) + half) / np.float32(cell) - half, np.float32(0)), np.float32(grid_height - 1))
         i0 = int(gy)

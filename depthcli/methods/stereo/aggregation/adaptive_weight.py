@@ -114,9 +114,6 @@ def _aggregate(begin, end, costs, left, right, radius, gamma_color, gamma_space,
         cost = np.zeros((width, padded), np.float32)
         left_weights = np.zeros((side, stride), np.float32)
         right_weights = np.zeros((side, stride), np.float32)
-        flat_cost = cost.reshape(-1)
-        flat_left = left_weights.reshape(-1)
-        flat_right = right_weights.reshape(-1)
         for yq in range(max(0, y - radius), min(height, y + radius + 1)):
             row = costs[yq]
             for x in range(width):
@@ -149,12 +146,12 @@ def _aggregate(begin, end, costs, left, right, radius, gamma_color, gamma_space,
                     at = x * padded + d
                     left_at, right_at, cost_at = k + x, k + width - 1 - x + d, (x + first) * padded + d
                     if padded - d >= WIDE:
-                        _add_taps(wide, num, den, at, flat_left, left_at, stride, flat_right, right_at, stride,
-                                  flat_cost, cost_at, padded, taps)  # fmt: skip
+                        _add_taps(wide, num, den, at, left_weights, left_at, stride, right_weights, right_at, stride,
+                                  cost, cost_at, padded, taps)  # fmt: skip
                         d += WIDE
                     else:
-                        _add_taps(narrow, num, den, at, flat_left, left_at, stride, flat_right, right_at, stride,
-                                  flat_cost, cost_at, padded, taps)  # fmt: skip
+                        _add_taps(narrow, num, den, at, left_weights, left_at, stride, right_weights, right_at, stride,
+                                  cost, cost_at, padded, taps)  # fmt: skip
                         d += LANES
         for x in range(width):
             source, target = costs[y, x], out[y, x]

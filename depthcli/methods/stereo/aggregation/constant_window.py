@@ -29,7 +29,9 @@ class ConstantWindow(Aggregator):
         factor = FixedPoint.FRACTION if volume.costs.dtype == np.uint8 else 1
         means = memory.empty(volume.costs.shape, np.uint16)
         bands = max(1, min(volume.costs.shape[0] // 32, 64))
-        run_bands(_box_means, bands, volume.costs, means, self.window // 2, np.float32(factor), bands)
+        run_bands(
+            _box_means, bands, volume.costs.reshape(len(means), -1), means, self.window // 2, np.float32(factor), bands
+        )
         return CostVolume(means, volume.scale * factor)
 
 
@@ -68,18 +70,18 @@ def _row_means(columns, window, means, radius, rows, factor):
 def _box_means(begin, end, costs, means, radius, factor, bands):
     # One band of rows per task: a running sum of rows (columns), then along x a running sum of columns.
     # Every band begins with new column sums, so the result does not depend on the number of bands.
-    height, width, n_disparities = costs.shape
+    height, width, n_disparities = means.shape
     for band in range(begin, end):
         first = band * height // bands
         last = (band + 1) * height // bands
         columns = np.zeros(width * n_disparities, np.uint32)
         window = np.zeros(n_disparities, np.uint32)
         for y in range(max(0, first - radius), min(height, first + radius)):
-            _add(columns, costs[y].reshape(width * n_disparities))
+            _add(columns, costs[y])
         for y in range(first, last):
             if y + radius < height:
-                _add(columns, costs[y + radius].reshape(width * n_disparities))
+                _add(columns, costs[y + radius])
             if y - radius - 1 >= 0 and y > first:
-                _subtract(columns, costs[y - radius - 1].reshape(width * n_disparities))
+                _subtract(columns, costs[y - radius - 1])
             rows = min(height, y + radius + 1) - max(0, y - radius)
             _row_means(columns, window, means[y], radius, rows, factor)

@@ -78,9 +78,9 @@ class Cross(Aggregator):
                 # A copy of the costs is overwritten, to save memory.
                 means = memory.empty(source.shape, np.uint16) if source is input_costs else source
                 blocks = _n_blocks(source.shape, along_rows)
-                run_bands(_intersected_spans, blocks, source, arms, target, along_rows, spans)
+                run_bands(_intersected_spans, blocks, source.reshape(-1), arms, target, along_rows, spans)
                 blocks = _n_blocks(source.shape, not along_rows)
-                run_bands(_intersected_means, blocks, spans, arms, target, not along_rows, means)
+                run_bands(_intersected_means, blocks, spans.reshape(-1), arms, target, not along_rows, means)
                 source = means
             return CostVolume(source, volume.scale)
         sums, means = (memory.empty(source.shape, np.uint16) for _ in range(2))
@@ -90,9 +90,9 @@ class Cross(Aggregator):
             along_rows = iteration % 2 == 0
             inverse = _inverse_areas(arms, along_rows)
             blocks = _n_blocks(source.shape, along_rows)
-            run_bands(_arm_sums, blocks, source, arms, inverse, sums, shift, False, along_rows)
+            run_bands(_arm_sums, blocks, source.reshape(-1), arms, inverse, sums, shift, False, along_rows)
             blocks = _n_blocks(source.shape, not along_rows)
-            run_bands(_arm_sums, blocks, sums, arms, inverse, means, shift, True, not along_rows)
+            run_bands(_arm_sums, blocks, sums.reshape(-1), arms, inverse, means, shift, True, not along_rows)
             source = means
         return CostVolume(means, volume.scale)
 
@@ -122,8 +122,8 @@ def _write(low, high, inverse, out, shift, last):
             out[i] = np.uint16(np.uint32(high[i] - low[i] + half) >> amount)
 
 
-# Prefix sums are computed along lines: rows or columns. A block of columns is summed side by side, so that they stay in
-# cache while memory is still read in runs.
+# Prefix sums of a flat volume are computed along lines: rows or columns. A block of columns is summed side by side, so
+# that they stay in cache while memory is still read in runs.
 
 
 def _n_blocks(shape: tuple[int, ...], along_rows: bool) -> int:
@@ -142,9 +142,9 @@ def _lines(shape, along_rows):
 @jit
 def _arm_sums(begin, end, source, arms, inverse, out, shift, last, along_rows):
     # Sums over the arms along a line; the last ones are divided by the number of pixels of the support.
-    n_disparities = source.shape[2]
-    n_lines, length, block, line_step, step = _lines(source.shape, along_rows)
-    flat, side = source.reshape(source.size), 0 if along_rows else 2
+    n_disparities = out.shape[2]
+    n_lines, length, block, line_step, step = _lines(out.shape, along_rows)
+    side = 0 if along_rows else 2
     for k in range(begin, end):
         first_line = k * block
         n_here = min(block, n_lines - first_line)
@@ -153,7 +153,7 @@ def _arm_sums(begin, end, source, arms, inverse, out, shift, last, along_rows):
         prefix[0] = 0
         for n in range(length):
             start = first_line * line_step + n * step
-            costs, sums, next_sums = flat[start : start + run], prefix[n], prefix[n + 1]
+            costs, sums, next_sums = source[start : start + run], prefix[n], prefix[n + 1]
             for i in range(next_sums.size):
                 next_sums[i] = sums[i] + np.uint32(costs[i])
         for n in range(length):
@@ -188,9 +188,9 @@ def _cut_differences(prefix, arms, target, y, x, side, at, step, out):
 def _intersected_spans(begin, end, source, arms, target, along_rows, spans):
     # Words of the sum over the arms along a line and, in the lower bits, their length. Prefix sums may overflow: a
     # difference is right again.
-    n_disparities = source.shape[2]
-    n_lines, length, block, line_step, step = _lines(source.shape, along_rows)
-    flat, side = source.reshape(source.size), 0 if along_rows else 2
+    n_disparities = spans.shape[2]
+    n_lines, length, block, line_step, step = _lines(spans.shape, along_rows)
+    side = 0 if along_rows else 2
     bits, one = np.uint32(_LENGTH_BITS), np.uint32(1)
     for k in range(begin, end):
         first_line = k * block
@@ -199,7 +199,7 @@ def _intersected_spans(begin, end, source, arms, target, along_rows, spans):
         prefix = np.zeros((length + 1) * run, np.uint32)
         for n in range(length):
             start = first_line * line_step + n * step
-            costs = flat[start : start + run]
+            costs = source[start : start + run]
             here, there = prefix[n * run : (n + 1) * run], prefix[(n + 1) * run : (n + 2) * run]
             for i in range(costs.size):
                 there[i] = here[i] + ((np.uint32(costs[i]) << bits) | one)
@@ -212,9 +212,9 @@ def _intersected_spans(begin, end, source, arms, target, along_rows, spans):
 @jit
 def _intersected_means(begin, end, spans, arms, target, along_rows, means):
     # Means from the words of all pixels on the arms along a line. Prefix sums are sum << 32 | number.
-    n_disparities = spans.shape[2]
-    n_lines, length, block, line_step, step = _lines(spans.shape, along_rows)
-    flat, side = spans.reshape(spans.size), 0 if along_rows else 2
+    n_disparities = means.shape[2]
+    n_lines, length, block, line_step, step = _lines(means.shape, along_rows)
+    side = 0 if along_rows else 2
     bits, mask, half_word = np.uint64(_LENGTH_BITS), np.uint64((1 << _LENGTH_BITS) - 1), np.uint64(32)
     for k in range(begin, end):
         first_line = k * block
@@ -224,7 +224,7 @@ def _intersected_means(begin, end, spans, arms, target, along_rows, means):
         total = np.empty(n_disparities, np.uint64)
         for n in range(length):
             start = first_line * line_step + n * step
-            packed = flat[start : start + run]
+            packed = spans[start : start + run]
             here, there = prefix[n * run : (n + 1) * run], prefix[(n + 1) * run : (n + 2) * run]
             for i in range(packed.size):
                 word = np.uint64(packed[i])

@@ -110,6 +110,7 @@ def _difference_volume(begin, end, left, right, ranges, costs, half, shift, limi
     n_disparities = costs.shape[2]
     padded = max(n_disparities, SHORT_LANES)
     row_size = width + padded
+    views = channels * row_size  # of the right image, and of its smallest and largest values around
     largest = splat(limit)
     zero = largest - largest
     for y in range(begin, end):
@@ -119,29 +120,27 @@ def _difference_volume(begin, end, left, right, ranges, costs, half, shift, limi
                 mirror[0, c, width - 1 - x] = right[c, y, x]
                 if ranges is not None:
                     mirror[1, c, width - 1 - x], mirror[2, c, width - 1 - x] = ranges[2][c, y, x], ranges[3][c, y, x]
-        flat = mirror.reshape(3 * channels * row_size)
         row = np.empty(padded, np.uint8)
-        out = costs[y].reshape(width * n_disparities)
         for x in range(width):
-            at = x * n_disparities
+            at = (y * width + x) * n_disparities
             for first in range(0, padded, SHORT_LANES):
                 first = min(first, padded - SHORT_LANES)  # the last vector ends at the last disparity
                 total = splat(half)
                 for c in range(channels):
                     value, place = splat(left[c, y, x]), c * row_size + width - 1 - x + first
-                    other = load_like(value, flat, place)
+                    other = load_like(value, mirror, place)
                     if ranges is None:
                         total = total + absolute_difference(value, other)
                     else:
                         low, high = splat(ranges[0][c, y, x]), splat(ranges[1][c, y, x])
-                        other_low = load_like(value, flat, place + channels * row_size)
-                        other_high = load_like(value, flat, place + 2 * channels * row_size)
+                        other_low = load_like(value, mirror, place + views)
+                        other_high = load_like(value, mirror, place + 2 * views)
                         forth, back = maximum(value - other_high, other_low - value), maximum(other - high, low - other)
                         total = total + maximum(minimum(forth, back), zero)
                 total = minimum(shifted_right(total, shift), largest)
                 if n_disparities < SHORT_LANES:
                     store(row, 0, total)
                     for i in range(n_disparities):
-                        out[at + i] = row[i]
+                        costs[y, x, i] = row[i]
                 else:
-                    store(out, at + first, total)
+                    store(costs, at + first, total)

@@ -87,15 +87,14 @@ def _add_exponential(begin, end, costs, rate, units, adds, total):
     # vectorize.
     _, n_runs, length = costs.shape
     for y in range(begin, end):
-        sources, sums = costs[y].reshape(n_runs * length), total[y].reshape(n_runs * length)
         for x in range(n_runs):
-            at = x * length
-            stop = at + length - LANES
-            # The last vector ends at the stop of the run. It overlaps the one before and is added to what was there.
-            last = _with_share(sources, sums, stop, rate, units[y, x], adds)
-            for first in range(at, stop, LANES):
-                store(sums, first, _with_share(sources, sums, first, rate, units[y, x], adds))
-            store(sums, stop, last)
+            at = (y * n_runs + x) * length
+            last = at + length - LANES
+            # The last vector ends at the end of the run. It overlaps the one before and is added to what was there.
+            share = _with_share(costs, total, last, rate, units[y, x], adds)
+            for first in range(at, last, LANES):
+                store(total, first, _with_share(costs, total, first, rate, units[y, x], adds))
+            store(total, last, share)
 
 
 @jit

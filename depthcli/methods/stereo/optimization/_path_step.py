@@ -26,13 +26,13 @@ def path_step(
 
     Parameters
     ----------
-    costs : flat uint8 or uint16; the pixel's D costs start at ``cost_at``
+    costs : uint8 or uint16; the pixel's D costs start at ``cost_at``
     state : flat uint16 path costs; uint8 where the largest cost and P2 together are less than 256, which gives the
         same sums in half of the time. ``before`` and ``after`` (K offsets each) point at D + 2 cells: D path costs
         between two guard cells, whose value is not reached by any path
     minima : flat minima of the path costs, read at ``minima_before``, written at ``minima_after``; typed as ``state``
     p1, p2 : K penalties, typed as ``state``
-    total : flat uint16; the pixel's D sums over the K paths are written from ``total_at`` on, or added to what is there
+    total : uint16; the pixel's D sums over the K paths are written from ``total_at`` on, or added to what is there
     adds : bool, whether they are added
     n_disparities : D, at least LANES, or BYTE_LANES
     """

@@ -129,8 +129,6 @@ def _sweep(costs, sums, edges, table, diagonal, upwards, adds, state, minima, fi
     # margin pixels.
     height, width, n_disparities = costs.shape
     cells = n_disparities + 2
-    flat_costs = costs.reshape(height * width * n_disparities)
-    flat_sums = sums.reshape(height * width * n_disparities)
     step = -1 if upwards else 1
     to_next_row = step * width * n_disparities
     for row in range(first, last):
@@ -142,9 +140,9 @@ def _sweep(costs, sums, edges, table, diagonal, upwards, adds, state, minima, fi
             x = width - 1 - column if upwards else column
             at = (y * width + x) * n_disparities
             for i in range(0, n_disparities, 64):  # the pixel's cache lines in the next row
-                prefetch(flat_costs, at + to_next_row + i)
+                prefetch(costs, at + to_next_row + i)
             for i in range(0, n_disparities, 32):
-                prefetch(flat_sums, at + to_next_row + i)
+                prefetch(sums, at + to_next_row + i)
             back, front = 2 * row + (column & 1), 2 * row + 1 - (column & 1)
             above_old, above_new = old + width + 2 + x + 1, new + width + 2 + x + 1
             e = f = 0
@@ -154,9 +152,9 @@ def _sweep(costs, sums, edges, table, diagonal, upwards, adds, state, minima, fi
                 f = edges[2, edge_row, x]
             if not diagonal:
                 path_step(
-                    flat_costs, at, state, (back * cells, above_old * cells), (front * cells, above_new * cells),
+                    costs, at, state, (back * cells, above_old * cells), (front * cells, above_new * cells),
                     minima, (back, above_old), (front, above_new),
-                    (table[e, 0], table[f, 0]), (table[e, 1], table[f, 1]), flat_sums, at, adds, n_disparities,
+                    (table[e, 0], table[f, 0]), (table[e, 1], table[f, 1]), sums, at, adds, n_disparities,
                 )  # fmt: skip
                 continue
             u, v = x - step, x + step
@@ -168,10 +166,10 @@ def _sweep(costs, sums, edges, table, diagonal, upwards, adds, state, minima, fi
             if row > 0 and 0 <= v < width:
                 h = edges[3, edge_row, v if upwards else x]
             path_step(
-                flat_costs, at, state,
+                costs, at, state,
                 (back * cells, above_old * cells, left_old * cells, right_old * cells),
                 (front * cells, above_new * cells, left_new * cells, right_new * cells),
                 minima, (back, above_old, left_old, right_old), (front, above_new, left_new, right_new),
                 (table[e, 0], table[f, 0], table[g, 0], table[h, 0]),
-                (table[e, 1], table[f, 1], table[g, 1], table[h, 1]), flat_sums, at, adds, n_disparities,
+                (table[e, 1], table[f, 1], table[g, 1], table[h, 1]), sums, at, adds, n_disparities,
             )  # fmt: skip

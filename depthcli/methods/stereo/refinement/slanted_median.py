@@ -93,13 +93,10 @@ class SlantedMedian(Refinement):
 def _filter(begin, end, planes, values, gradient, trust, grid, distance, color_rate, max_disparity, out):
     # Inputs but ``grid`` and ``distance`` have a margin without trust. The medians of a block of pixels are found
     # together, by halving intervals.
-    height, width = out.shape
+    width = out.shape[1]
     count, radius = grid.shape[0], distance.shape[0] // 2
     row_size = values.shape[1]
     plane_size = values.shape[0] * row_size
-    colors, known = planes.reshape(planes.size), trust.reshape(plane_size)
-    value_of, slope_of = values.reshape(plane_size), gradient.reshape(2 * plane_size)
-    medians = out.reshape(height * width)
     zero, one, far = splat(np.float32(0)), splat(np.float32(1)), splat(_FAR)
     part, rate = splat(np.float32(0.5)), splat(color_rate)
     for y in range(begin, end):
@@ -107,18 +104,18 @@ def _filter(begin, end, planes, values, gradient, trust, grid, distance, color_r
         weights = np.empty(count * SHORT_LANES, np.float32)
         for x in range(0, width, SHORT_LANES):
             center = (y + radius) * row_size + x + radius
-            red, green = load_shorts(colors, center), load_shorts(colors, center + plane_size)
-            blue = load_shorts(colors, center + 2 * plane_size)
+            red, green = load_shorts(planes, center), load_shorts(planes, center + plane_size)
+            blue = load_shorts(planes, center + 2 * plane_size)
             low0, low1, high0, high1 = far, far, zero - far, zero - far
             half0, half1 = zero, zero
             for k in range(count):
                 dy, dx = grid[k, 0], grid[k, 1]
                 there = (y + dy) * row_size + x + dx
-                color0, color1 = color_differences(colors, there, plane_size, red, green, blue)
+                color0, color1 = color_differences(planes, there, plane_size, red, green, blue)
                 near = splat(distance[dy, dx])
                 back_x, back_y = splat(np.float32(radius - dx)), splat(np.float32(radius - dy))
                 at = k * SHORT_LANES
-                trust0, trust1 = load(known, there), load(known, there + LANES)
+                trust0, trust1 = load(trust, there), load(trust, there + LANES)
                 weight = lane_exp_minus_16(near + color0 * rate) * trust0
                 store(weights, at, weight)
                 half0 = half0 + part * weight
@@ -126,11 +123,11 @@ def _filter(begin, end, planes, values, gradient, trust, grid, distance, color_r
                 store(weights, at + LANES, weight)
                 half1 = half1 + part * weight
                 # A vote without a value has no weight, and must not widen the interval either.
-                vote = _extrapolated(value_of, slope_of, there, plane_size, back_x, back_y)
+                vote = _extrapolated(values, gradient, there, plane_size, back_x, back_y)
                 store(votes, at, vote)
                 low0 = minimum(low0, vote + (one - trust0) * far)
                 high0 = maximum(high0, vote - (one - trust0) * far)
-                vote = _extrapolated(value_of, slope_of, there + LANES, plane_size, back_x, back_y)
+                vote = _extrapolated(values, gradient, there + LANES, plane_size, back_x, back_y)
                 store(votes, at + LANES, vote)
                 low1 = minimum(low1, vote + (one - trust1) * far)
                 high1 = maximum(high1, vote - (one - trust1) * far)
@@ -144,8 +141,8 @@ def _filter(begin, end, planes, values, gradient, trust, grid, distance, color_r
                 low0, high0 = where_at_most(half0, below0, low0, middle0), where_at_most(half0, below0, middle0, high0)
                 low1, high1 = where_at_most(half1, below1, low1, middle1), where_at_most(half1, below1, middle1, high1)
                 widest *= np.float32(0.5)
-            store(medians, y * width + x, part * (low0 + high0))
-            store(medians, y * width + x + LANES, part * (low1 + high1))
+            store(out, y * width + x, part * (low0 + high0))
+            store(out, y * width + x + LANES, part * (low1 + high1))
         row = out[y]
         for x in range(width):
             row[x] = np.rint(row[x] * np.float32(_STEPS_PER_PIXEL)) / np.float32(_STEPS_PER_PIXEL)

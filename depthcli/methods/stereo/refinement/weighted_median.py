@@ -166,7 +166,6 @@ def _filter(begin, end, planes, bins, trust, by_color, by_distance, lowest, high
     # at a time. Where a median is not sure, the weights are added in the order of the window.
     width = filtered.shape[1]
     size, row_size = by_distance.shape[0], bins.shape[1]
-    flat, colors, known = bins.reshape(bins.size), planes.reshape(planes.size), trust.reshape(trust.size)
     for y in range(begin, end):
         histogram = np.zeros(np.max(highest[y]) + 1, np.float32)
         weights, differences = np.empty(size * size * LANES, np.float32), np.empty((size + 1) * LANES, np.int16)
@@ -175,8 +174,8 @@ def _filter(begin, end, planes, bins, trust, by_color, by_distance, lowest, high
             x1, first = min(width, x0 + LANES), y * row_size + x0
             if _equal(lowest[y, x0:x1], highest[y, x0:x1]):
                 continue
-            _weigh(colors, known, (bins.size, row_size), by_color, by_distance, first, differences, weights)
-            _halve(flat, row_size, first, size, weights, found, margin)
+            _weigh(planes, trust, (bins.size, row_size), by_color, by_distance, first, differences, weights)
+            _halve(bins, row_size, first, size, weights, found, margin)
             for x in range(x0, x1):
                 low, high = np.int64(lowest[y, x]), np.int64(highest[y, x])
                 if low >= high or np.isnan(filtered[y, x]):
