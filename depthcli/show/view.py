@@ -93,11 +93,10 @@ class View:
 
         def cut(value: Any) -> Any:
             if isinstance(value, np.ndarray):
-                return value[index][::step, ::step]
+                return value[index][::step, ::step].copy()  # so that the whole is not kept
             return {name: cut(plane) for name, plane in value.items()} if isinstance(value, dict) else value
 
-        arrays = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "palette"}
-        return replace(self, **{name: cut(value) for name, value in arrays.items()})
+        return replace(self, **{each.name: cut(getattr(self, each.name)) for each in fields(self)})
 
 
 def spread(values: NDArray[np.floating[Any]]) -> Range:
