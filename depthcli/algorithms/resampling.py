@@ -89,7 +89,7 @@ def gaussian(volume: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     if volume.shape[0] > 1:
         padded = np.pad(smooth, ((radius, radius), (0, 0), (0, 0)), mode="edge")
         smooth = np.empty_like(volume)
-        run_bands(_along_first, smooth.shape[0], padded, weights, smooth)
+        run_bands(_along_first, len(smooth), padded, weights, smooth)
     planes = np.empty_like(volume)
     row, column = (weights if n > 1 else np.ones(1, np.float32) for n in volume.shape[:0:-1])
     for plane, source in zip(planes, smooth, strict=True):

@@ -15,7 +15,7 @@ To write one:
 
 | module | holds |
 |---|---|
-| ``jit`` | the decorator, with the compiler's options; bands of rows on threads; the time that compilation takes |
+| ``jit`` | the decorator, with the compiler options; bands of rows on threads; the time of compilation |
 | ``cache`` | compiled kernels on disk |
 | ``winners`` | disparities of the smallest costs of both views |
 | ``exponential`` | fast exponentials; terms of confidence measures |

@@ -30,9 +30,9 @@ def winners(
     left = np.empty(costs.shape[:2], np.uint16)
     right = np.empty(costs.shape[:2], np.uint16)
     if costs.dtype == np.float32:
-        run_bands(_float_winners, costs.shape[0], costs, left, right, minima)
+        run_bands(_float_winners, len(costs), costs, left, right, minima)
     else:
-        run_bands(_integer_winners, costs.shape[0], costs, left, right, minima)
+        run_bands(_integer_winners, len(costs), costs, left, right, minima)
     return left, right
 
 
@@ -131,7 +131,7 @@ def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np
     (H, W) float32, pixels; inf where the match lies outside the right image
     """
     difference = np.empty(left.shape, np.float32)
-    run_bands(_left_right_difference, left.shape[0], left, right, difference)
+    run_bands(_left_right_difference, len(left), left, right, difference)
     return difference
 
 

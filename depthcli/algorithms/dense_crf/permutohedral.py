@@ -110,7 +110,7 @@ class Lattice:
             partial.reshape(-1, width),
         )  # fmt: skip
         blur(self, width, partial, near, far)
-        run_bands(_read, self.slots.shape[0], near.reshape(-1, width), self.slots, self.vertex, self.weights, result)
+        run_bands(_read, len(self.slots), near.reshape(-1, width), self.slots, self.vertex, self.weights, result)
         return result
 
 

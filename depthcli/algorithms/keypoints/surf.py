@@ -33,7 +33,7 @@ class Surf(Detector):
         descriptors = np.zeros((len(points), 64), np.float32)
         if len(points):
             margin = 2 + int(13 * points[:, 2].max())  # boxes of a descriptor may be partly outside of the image
-            run_bands(_describe, points.shape[0], np.pad(integral, margin, "edge"), margin, points, descriptors)
+            run_bands(_describe, len(points), np.pad(integral, margin, "edge"), margin, points, descriptors)
         x, y, scale, response, sign = points.T.copy()
         return KeyPoints(x, y, scale, response, sign.astype(np.int8), descriptors)
 

@@ -35,7 +35,7 @@ class Surfaces:
     def at(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return, at every pixel, the value of the surface of its label; (H, W) float32, NaN for negative labels."""
         values = np.empty(labels.shape, np.float32)
-        run_bands(_evaluate, labels.shape[0], labels, self.coefficients, self.center, self.bounds, self.unit, values)
+        run_bands(_evaluate, len(labels), labels, self.coefficients, self.center, self.bounds, self.unit, values)
         return values
 
 

@@ -61,7 +61,7 @@ def window_planes(
     side = 2 * RADIUS + 1
     affected = cv2.dilate(changed.astype(np.uint8), np.ones((side, side), np.uint8))
     first, growth, gate = (np.float32(g * noise) for g in (_FIRST_GATE, _FIRST_GATE_GROWTH, _GATE))
-    run_bands(_fit, disparity.shape[0], padded, weight, affected, first, growth, gate, *planes)
+    run_bands(_fit, len(disparity), padded, weight, affected, first, growth, gate, *planes)
     planes.value[~known] = np.nan
     return planes
 

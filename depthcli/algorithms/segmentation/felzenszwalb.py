@@ -36,7 +36,7 @@ class Felzenszwalb(Segmenter):
             smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), self.sigma, borderType=cv2.BORDER_REFLECT), np.float32)
         smooth = smooth.reshape(*image.shape[:2], -1)
         costs = np.full((*image.shape[:2], len(_STEPS)), _NO_EDGE, np.uint16)
-        run_bands(_edge_costs, smooth.shape[0], smooth, costs)
+        run_bands(_edge_costs, len(smooth), smooth, costs)
         costs = costs.ravel()
         order = np.argsort(costs, kind="stable")  # of 16-bit numbers: in linear time
         order = order[: np.searchsorted(costs, _NO_EDGE, sorter=order)]

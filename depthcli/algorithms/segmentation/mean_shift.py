@@ -40,14 +40,8 @@ def mode_colors(image: NDArray[np.uint8], spatial_radius: float, color_radius: f
     """
     planes = np.pad(image.transpose(2, 0, 1), ((0, 0), (0, 0), (0, _LANES)))
     modes = np.empty(image.shape, np.uint8)
-    run_bands(
-        _shift,
-        len(modes),
-        planes,
-        max(float(spatial_radius), 1.0),
-        np.int32(round(color_radius * color_radius)),
-        modes,
-    )
+    limit = np.int32(round(color_radius * color_radius))
+    run_bands(_shift, len(modes), planes, max(float(spatial_radius), 1.0), limit, modes)
     return modes
 
 

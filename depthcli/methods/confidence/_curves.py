@@ -63,14 +63,14 @@ class CostCurves:
         rows = self.costs.reshape(-1, *self.costs.shape[-2:])
         counts = self.valid.reshape(rows.shape[:2])
         sums = np.empty((rows.shape[0], 2))
-        run_bands(_moments, rows.shape[0], rows, counts, sums)
+        run_bands(_moments, len(rows), rows, counts, sums)
         mean, square = (float(v) for v in sums.sum(axis=0) / max(1, int(counts.sum(dtype=np.int64))))
         deviation = float(np.sqrt(max(square - mean * mean, 0.0)))
         if deviation <= 1e-6 * abs(mean):  # but for rounding all costs are the same
             deviation = 1.0
         planes = np.empty((9, *rows.shape[:2]), np.float32)
         winner, second = (np.empty(rows.shape[:2], np.int32) for _ in range(2))
-        run_bands(_measure_curves, rows.shape[0], rows, counts, np.float32(1.0 / deviation), planes, winner, second)
+        run_bands(_measure_curves, len(rows), rows, counts, np.float32(1.0 / deviation), planes, winner, second)
         eps = float(np.float32(1e-3 * abs(mean) or 1e-3))
         known: Any = [*(array.reshape(shape) for array in (*planes, winner, second)), eps]
         return CurveStatistics(*known)

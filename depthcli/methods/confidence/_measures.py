@@ -31,7 +31,7 @@ def _average_peak_ratio(curves: CostCurves) -> Map:
     out = np.empty(known.winner.shape, np.float32)
     winners = known.winner, known.second_winner
     run_bands(
-        _fill_peak_ratio, curves.costs.shape[0], curves.costs, curves.valid, *winners, np.float32(known.eps),
+        _fill_peak_ratio, len(curves.costs), curves.costs, curves.valid, *winners, np.float32(known.eps),
         _PEAK_RADIUS, out,
     )  # fmt: skip
     return out
@@ -50,14 +50,14 @@ def _left_right_difference(curves: CostCurves) -> Map:
 def _agreement(curves: CostCurves, radius: int = _AGREEMENT_RADIUS) -> Map:
     winner = curves.statistics.winner
     out = np.empty(winner.shape, np.float32)
-    run_bands(_fill_agreement, winner.shape[0], winner, radius, out)
+    run_bands(_fill_agreement, len(winner), winner, radius, out)
     return out
 
 
 def _agreement_and_peak(curves: CostCurves) -> Map:
     winner = curves.statistics.winner
     mutual = np.empty(winner.shape, np.float32)
-    run_bands(_fill_mutual_agreement, winner.shape[0], winner, curves.stereo_winners[1], _MUTUAL_RADIUS, mutual)
+    run_bands(_fill_mutual_agreement, len(winner), winner, curves.stereo_winners[1], _MUTUAL_RADIUS, mutual)
     distinct = np.sqrt(np.maximum(1 - 1 / _average_peak_ratio(curves), 0))
     return (_agreement(curves, _MUTUAL_RADIUS) * mutual * distinct).astype(np.float32)
 

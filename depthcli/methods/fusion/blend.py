@@ -88,13 +88,13 @@ def blend(volumes: list[CostVolume], weights: NDArray[np.float32]) -> CostVolume
     Weights are rounded to 1/256, the largest one takes what is left over.
     """
     out: NDArray[np.uint8] = memory.empty(volumes[0].costs.shape, np.uint8)
-    run_bands(_blend, out.shape[0], tuple(volume.costs for volume in volumes), weights, out)
+    run_bands(_blend, len(out), tuple(volume.costs for volume in volumes), weights, out)
     return CostVolume(out, volumes[0].scale)
 
 
 def add_weighted(total: NDArray[np.float32], volume: CostVolume, weights: NDArray[np.float32]) -> None:
     """Add ``weights`` (H, W) times the volume's costs, in units of the measure, to float32 ``total``."""
-    run_bands(_add_weighted, volume.costs.shape[0], volume.costs, weights * np.float32(1.0 / volume.scale), total)
+    run_bands(_add_weighted, len(volume.costs), volume.costs, weights * np.float32(1.0 / volume.scale), total)
 
 
 @jit

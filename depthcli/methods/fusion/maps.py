@@ -148,7 +148,7 @@ def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint
     # Measured if the right view agrees within one pixel; filled otherwise, and hidden from it or mismatched.
     status = np.empty(values.shape, np.uint8)
     hidden, wrong = Status.OCCLUDED | Status.FILLED, Status.MISMATCH | Status.FILLED
-    run_bands(_judge, values.shape[0], values, right, np.uint8(hidden), np.uint8(wrong), status)
+    run_bands(_judge, len(values), values, right, np.uint8(hidden), np.uint8(wrong), status)
     return status
 
 

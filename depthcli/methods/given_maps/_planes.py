@@ -188,7 +188,7 @@ def pixel_planes(evidence: Evidence) -> NDArray[np.float32]:
     plane["light_trust"][:] = evidence.light_trust
     unit = np.float32(1 / evidence.optimized.scale)
     run_bands(
-        _peaks, evidence.optimized.costs.shape[0], evidence.optimized.costs, evidence.left, unit, plane["min_cost"],
+        _peaks, len(evidence.optimized.costs), evidence.optimized.costs, evidence.left, unit, plane["min_cost"],
         plane["peak"],
     )  # fmt: skip
     return out
@@ -379,7 +379,7 @@ def _relate(begin, end, maps, nearest, middle, farthest, above):
 def hidden_by_map(values: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return the pixels (H, W) whose match a nearer pixel of the same map covers, by more than one pixel."""
     hidden = np.empty(values.shape, np.bool_)
-    run_bands(_find_hidden, values.shape[0], values, hidden)
+    run_bands(_find_hidden, len(values), values, hidden)
     return hidden
 
 

@@ -271,7 +271,7 @@ def hidden_openings(
     shape = trusted.shape
     hidden = np.zeros((-(-shape[0] // _OPENING_GRID), -(-shape[1] // _OPENING_GRID)), np.uint8)
     run_bands(
-        _test_openings, hidden.shape[0], lab, planes, *voters, trusted, color_similarity(sigma_color), space,
+        _test_openings, len(hidden), lab, planes, *voters, trusted, color_similarity(sigma_color), space,
         np.float32(jump), hidden,
     )  # fmt: skip
     spread = np.zeros(shape, np.uint8)

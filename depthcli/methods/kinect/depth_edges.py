@@ -52,7 +52,7 @@ def _along_rows(lab: Image8, disparity: Floats, jump: float, gap_probability: fl
     widths = np.array([(side.scale, side.covered) for side in sides], np.float32)
     shadowed = np.array([side.confidence > 0 for side in sides])
     run_bands(
-        _probability, disparity.shape[0], disparity, np.float32(jump), near, far, np.float32(gap_probability), widths,
+        _probability, len(disparity), disparity, np.float32(jump), near, far, np.float32(gap_probability), widths,
         shadowed, result,
     )  # fmt: skip
     return result
@@ -66,7 +66,7 @@ def outline_offsets(lab: Image8, disparity: Floats, jump: float) -> Doubles:
     """
     sums = np.zeros((len(disparity), 2, 2 * _PROFILE_REACH))
     counts = np.zeros((len(disparity), 2), np.int64)
-    run_bands(_contrast_profiles, disparity.shape[0], lab, disparity, np.float32(jump), sums, counts)
+    run_bands(_contrast_profiles, len(disparity), lab, disparity, np.float32(jump), sums, counts)
     offsets = np.arange(MIN_OFFSET, MAX_OFFSET + 1)
     prior = np.exp(-np.abs(offsets - 2.5) / 2.5)
     prior /= prior.sum()

@@ -60,7 +60,7 @@ def shadow_limits(
         hidden = shadow.confidence * (1 - shadows.p_hole)
         factors = np.array([SHADOW_FACTOR**shadow.confidence, GAP_FACTOR**hidden, HOLE_FACTOR**hidden], np.float32)
         run_bands(
-            _limits, disparity.shape[0], limits.value[turn], limits.factor[turn], holes, factors,
+            _limits, len(disparity), limits.value[turn], limits.factor[turn], holes, factors,
             _Sizes.of(shadow, jump), np.float32(tolerance), *given,
         )  # fmt: skip
     return limits
@@ -113,7 +113,7 @@ def max_disparity_in_gaps(disparity: Floats, jump: float, shadows: Shadows, tole
     for shadow, step, _ in shadows.sides():
         turned, behind = np.ascontiguousarray(disparity[:, ::step]), shadows.p_hole < 0.5
         run_bands(
-            _max_in_gaps, turned.shape[0], limit[:, ::step], turned, behind, _Sizes.of(shadow, jump),
+            _max_in_gaps, len(turned), limit[:, ::step], turned, behind, _Sizes.of(shadow, jump),
             np.float32(tolerance),
         )  # fmt: skip
     return limit
@@ -145,7 +145,7 @@ def shadow_background(disparity: Floats, planes: WindowPlanes, jump: float, shad
         given = [np.ascontiguousarray(m[turn]) for m in (disparity, planes.value, step * planes.slope_x)]
         low, high = (np.float32(shadow.confidence * share) for share in (_MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE))
         run_bands(
-            _background, disparity.shape[0], background[turn], extra_share[turn], _Sizes.of(shadow, jump), low, high,
+            _background, len(disparity), background[turn], extra_share[turn], _Sizes.of(shadow, jump), low, high,
             *given,
         )  # fmt: skip
     return background, extra_share

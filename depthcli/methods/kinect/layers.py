@@ -249,7 +249,7 @@ def add_detail(surface: Floats, known: Floats, labels: Ints, scale: Floats, reac
     """
     weights, residuals = (np.empty(surface.shape, np.float32) for _ in range(2))
     decay = np.float32(np.exp(-1 / reach))
-    run_bands(_residuals, surface.shape[0], surface, known, labels, scale, decay, residuals, weights)
+    run_bands(_residuals, len(surface), surface, known, labels, scale, decay, residuals, weights)
     run_bands(_spread_down, (labels.shape[1] + _COLUMNS - 1) // _COLUMNS, labels, decay, residuals, weights)
     surface += residuals / (weights + np.float32(0.5))
 

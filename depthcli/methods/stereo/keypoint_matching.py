@@ -139,7 +139,7 @@ def nearest_points(
     if count:
         center_x, center_y, x, y = (np.asarray(one, np.float64) for one in (center_x, center_y, x, y))
         by_row = np.argsort(y)
-        run_bands(_insert_nearest, index.shape[0], center_x, center_y, x[by_row], y[by_row], by_row, index, squared)
+        run_bands(_insert_nearest, len(index), center_x, center_y, x[by_row], y[by_row], by_row, index, squared)
     return index, squared
 
 

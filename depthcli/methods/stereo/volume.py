@@ -127,7 +127,7 @@ def _scale(begin, end, costs, factor, fixed):
 
 def fill_outside(costs: NDArray[Any], outside: np.generic) -> None:
     """Set the cells of (H, W, D) costs whose match lies outside the right image, d > x."""
-    run_bands(_fill_outside, costs.shape[0], costs, outside)
+    run_bands(_fill_outside, len(costs), costs, outside)
 
 
 @jit

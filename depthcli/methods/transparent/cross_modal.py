@@ -173,7 +173,7 @@ def faded_costs(volume: CostVolume, left: Image8, right: Image8, structure_thres
     threshold = np.float32(structure_threshold)
     shares = [np.minimum(local_deviation(image) / threshold, np.float32(1)) for image in (left, right)]
     out: NDArray[np.uint16] = memory.empty(volume.costs.shape, np.uint16)
-    run_bands(_fade, volume.costs.shape[0], volume.costs, shares[0], shares[1], out)
+    run_bands(_fade, len(volume.costs), volume.costs, shares[0], shares[1], out)
     return CostVolume(out, volume.scale)
 
 

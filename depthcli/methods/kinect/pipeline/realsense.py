@@ -65,7 +65,7 @@ class Realsense(SequencePipeline):
             for lines in (values, values.T):
                 run_bands(
                     _smooth_lines,
-                    lines.shape[0],
+                    len(lines),
                     lines,
                     np.float32(self.spatial_alpha),
                     np.float32(self.spatial_delta / _FRACTION),
@@ -75,7 +75,7 @@ class Realsense(SequencePipeline):
         min_valid, n_frames = (9, 8) if self.persistency == 0 else _PERSISTENCE.get(self.persistency, (0, 8))
         alpha, delta = np.float32(self.temporal_alpha), np.float32(self.temporal_delta / _FRACTION)
         carried = np.zeros(frame.shape, np.bool_)
-        run_bands(_temporal, values.shape[0], values, last, history, alpha, delta, min_valid, n_frames, carried)
+        run_bands(_temporal, len(values), values, last, history, alpha, delta, min_valid, n_frames, carried)
         clock.start("holes")
         if self.hole_filling != "off":
             _fill(values, _HOLES[self.hole_filling])

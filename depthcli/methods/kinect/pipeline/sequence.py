@@ -92,7 +92,7 @@ class Sequence(SequencePipeline, Dsrm):
         refined = self.combined(carried, measurement)
         drift = np.float32(self.drift * state.noise)
         run_bands(
-            _blend, refined.disparity.shape[0], refined.disparity, refined.scale, refined.status, previous, still, drift
+            _blend, len(refined.disparity), refined.disparity, refined.scale, refined.status, previous, still, drift
         )
         clock.start("result")
         result = refined.to_depth(frame)
@@ -168,7 +168,7 @@ def carried_labels(layer: Layer, still: Mask, color: Image8, measurement: Measur
     shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
     cost, given = np.empty(still.shape, np.float32), (measurement.reliable, measurement.limit)
     run_bands(
-        _held, layer.labels.shape[0], layer.labels, still, *given, *shapes, surfaces.scale,
+        _held, len(layer.labels), layer.labels, still, *given, *shapes, surfaces.scale,
         np.float32(measurement.jump), cost,
     )  # fmt: skip
     labels, own = np.where(cost > 0, np.int32(-1), layer.labels), layer.own.copy()

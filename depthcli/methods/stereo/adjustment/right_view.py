@@ -76,7 +76,7 @@ def cubic(p0, p1, p2, p3, t):
 
 
 def resample(
-    image: Image,
+    image: NDArray[Any],
     row_shift: NDArray[np.float64],
     gains: NDArray[np.float32],
     cell: int,
@@ -89,10 +89,10 @@ def resample(
     seem to have a slope.
     """
     along = np.empty((gains.shape[0], image[0].size), np.float32)  # gains interpolated along the rows of the grid
-    run_bands(_interpolate_gains, gains.shape[0], gains, cell, along)
+    run_bands(_interpolate_gains, len(gains), gains, cell, along)
     # All rows as one: they are interpolated in runs of pixels whose samples lie in the same rows of the image.
     source, result = image.reshape(len(image), -1), out.reshape(len(image), -1)
-    run_bands(_resample, image.shape[0], source, image.shape[2], row_shift, along, cell, top, result)
+    run_bands(_resample, len(image), source, image.shape[2], row_shift, along, cell, top, result)
 
 
 @jit

@@ -54,7 +54,7 @@ class AdaptiveWeight(Aggregator):
         left, right = (self.planes(image) for image in pair.color8)
         rounding = np.float32(0.0 if costs.dtype == np.float32 else 0.5)
         run_bands(
-            _aggregate, costs.shape[0], costs, left, np.ascontiguousarray(right[:, :, ::-1]), self.window // 2,
+            _aggregate, len(costs), costs, left, np.ascontiguousarray(right[:, :, ::-1]), self.window // 2,
             np.float32(self.gamma_color), np.float32(self.gamma_space), self.norm == "squared", np.float32(fixed_point),
             rounding, out,
         )  # fmt: skip

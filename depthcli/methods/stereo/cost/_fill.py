@@ -36,7 +36,7 @@ def popcount(typingctx, value):
 
 def hamming_volume(left: NDArray[np.uint64], right: NDArray[np.uint64], costs: NDArray[np.uint8]) -> None:
     """Write the Hamming distance of (H, W) uint64 bit strings into (H, W, D) uint8."""
-    run_bands(_count_bits, costs.shape[0], left, right, costs)
+    run_bands(_count_bits, len(costs), left, right, costs)
 
 
 @jit
@@ -83,7 +83,7 @@ def _half_pixel_range(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     # Smallest and largest value within half a pixel along the row, linear between pixels.
     rows = np.ascontiguousarray(image).reshape(-1, image.shape[-1])
     low, high = np.empty_like(rows), np.empty_like(rows)
-    run_bands(_extremes, rows.shape[0], rows, low, high)
+    run_bands(_extremes, len(rows), rows, low, high)
     return low.reshape(image.shape), high.reshape(image.shape)
 
 

@@ -44,7 +44,7 @@ def census_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint64
     ry, rx = window[1] // 2, window[0] // 2
     padded = cv2.copyMakeBorder(image, ry, ry, rx, rx, cv2.BORDER_REPLICATE)
     bits: NDArray[np.uint64] = memory.empty(image.shape, np.uint64)
-    run_bands(_census, bits.shape[0], padded, bits, ry, rx)
+    run_bands(_census, len(bits), padded, bits, ry, rx)
     return bits
 
 

@@ -44,7 +44,7 @@ def with_smoothed(disparity: DisparityMap, values: NDArray[np.float32]) -> Dispa
 
 def _marked(disparity: DisparityMap, values: NDArray[np.float32], status: Status) -> DisparityMap:
     marked = disparity.status.copy()
-    run_bands(_mark, marked.shape[0], disparity.values, values, status == Status.FILLED, np.uint8(status), marked)
+    run_bands(_mark, len(marked), disparity.values, values, status == Status.FILLED, np.uint8(status), marked)
     return DisparityMap(values, marked)
 
 

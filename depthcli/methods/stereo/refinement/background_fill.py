@@ -33,7 +33,7 @@ def fill_background(disparity: DisparityMap) -> DisparityMap:
 def filled_from_background(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return (H, W) values without NaN, filled as by :class:`BackgroundFill`; all are NaN if all were."""
     values = values.copy()
-    run_bands(_fill_rows, values.shape[0], values)
+    run_bands(_fill_rows, len(values), values)
     known = np.flatnonzero(~np.isnan(values[:, 0]))  # a row has all values now or none
     if 0 < known.size < len(values):
         above = np.searchsorted(known, np.arange(len(values)), side="right") - 1

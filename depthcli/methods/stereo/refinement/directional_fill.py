@@ -52,7 +52,7 @@ class DirectionalFill(Refinement):
         changes = color_steps(self.smoothed(context.pair), _AXES, largest=False)
         values = disparity.values.copy()
         run_bands(
-            _replace, disparity.values.shape[0], disparity.values, measured, changes, context.right, _AXES,
+            _replace, len(disparity.values), disparity.values, measured, changes, context.right, _AXES,
             *self.rates(), values,
         )  # fmt: skip
         return DisparityMap(values, disparity.status)

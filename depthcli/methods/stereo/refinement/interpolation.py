@@ -30,7 +30,7 @@ class Interpolation(Refinement):
         values = disparity.values.copy()
         occluded = (disparity.status & np.uint8(Status.OCCLUDED)) != 0
         run_bands(
-            _interpolate, disparity.values.shape[0], disparity.values, occluded, context.pair.color8[0], _DIRECTIONS,
+            _interpolate, len(disparity.values), disparity.values, occluded, context.pair.color8[0], _DIRECTIONS,
             values,
         )  # fmt: skip
         return with_filled(disparity, values)

@@ -32,7 +32,7 @@ class LeftRightCheck(Refinement):
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values, status = np.empty_like(disparity.values), disparity.status.copy()
         limits = np.float32(self.tolerance), context.volume.n_disparities
-        run_bands(_check, disparity.values.shape[0], disparity.values, context.right, *limits, values, status)
+        run_bands(_check, len(disparity.values), disparity.values, context.right, *limits, values, status)
         return DisparityMap(values, status)
 
 

@@ -38,9 +38,7 @@ class RegionVoting(Refinement):
         values = disparity.values
         for _ in range(self.iterations):
             voted = values.copy()
-            run_bands(
-                _vote, values.shape[0], values, arms, voted, context.volume.n_disparities, self.votes, self.majority
-            )
+            run_bands(_vote, len(values), values, arms, voted, context.volume.n_disparities, self.votes, self.majority)
             settled = np.array_equal(np.isnan(voted), np.isnan(values))
             values = voted
             if settled:

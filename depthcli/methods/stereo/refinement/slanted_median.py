@@ -72,7 +72,7 @@ class SlantedMedian(Refinement):
         for _ in range(self.passes):
             out = np.empty((len(values), planes.shape[2] - 2 * radius), np.float32)
             run_bands(
-                _filter, out.shape[0], planes, framed(known, radius), gradient, trust, grid, distance, rate, limit, out
+                _filter, len(out), planes, framed(known, radius), gradient, trust, grid, distance, rate, limit, out
             )
             known = out[:, : values.shape[1]]
         return np.where(valid, known, np.float32(np.nan))

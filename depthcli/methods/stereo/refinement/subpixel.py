@@ -26,7 +26,7 @@ class Subpixel(Refinement):
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values, best, volume = np.empty_like(disparity.values), context.minima, context.volume
         costs = None if isinstance(volume, CostMinima) else volume.costs
-        run_bands(_move_to_minima, disparity.values.shape[0], disparity.values, best.left, best.minima, costs, values)
+        run_bands(_move_to_minima, len(disparity.values), disparity.values, best.left, best.minima, costs, values)
         return DisparityMap(values, disparity.status)
 
 

@@ -68,7 +68,7 @@ class WeightedMedian(Refinement):
             highest = cv2.dilate(bins, window)
             filtered = values.copy()
             run_bands(
-                _filter, filtered.shape[0], planes, np.pad(bins, frame), trust, by_color, by_distance, lowest,
+                _filter, len(filtered), planes, np.pad(bins, frame), trust, by_color, by_distance, lowest,
                 highest, filtered,
             )  # fmt: skip
             values = filtered

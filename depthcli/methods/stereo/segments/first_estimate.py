@@ -43,7 +43,7 @@ class Selection(ConfigModel):
         minima = np.empty(volume.costs.shape[:2], np.float32) if self.subpixel else None
         left, right = winners(volume.costs, minima)
         trusted = left_right_difference(left, right) <= self.tolerance
-        run_bands(_distrust_constant_costs, volume.costs.shape[0], volume.costs, trusted)
+        run_bands(_distrust_constant_costs, len(volume.costs), volume.costs, trusted)
         return FirstEstimate(left.astype(np.float32) if minima is None else minima, trusted, right)
 
 
@@ -55,7 +55,7 @@ def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -
     # Up to 257 uint8 costs fit into a uint16 sum, which is twice as fast.
     small = volume.costs.dtype == np.uint8 and (2 * radius + 1) ** 2 <= 257
     total = np.zeros(1, np.uint16 if small else np.uint32)
-    run_bands(_segment_window, fixed.costs.shape[0], fixed.costs, labels, radius, np.float32(refinement), total, out)
+    run_bands(_segment_window, len(fixed.costs), fixed.costs, labels, radius, np.float32(refinement), total, out)
     return CostVolume(out, fixed.scale * refinement)
 
 

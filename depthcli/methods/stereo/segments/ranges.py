@@ -92,7 +92,7 @@ class Ranges(ConfigModel):
         penalty = kind(min(self.penalty * volume.scale, 65535))
         penalized: NDArray[Any] = memory.empty(costs.shape, costs.dtype)
         run_bands(
-            _penalize, costs.shape[0], costs, ranges.zones, ranges.limits, penalty, kind(min(limit, 65535)), penalized
+            _penalize, len(costs), costs, ranges.zones, ranges.limits, penalty, kind(min(limit, 65535)), penalized
         )
         return CostVolume(penalized, volume.scale)
 
