@@ -120,9 +120,11 @@ def saved_by_python(command: str, name: str, scenes: Path, output: Path) -> None
         depthcli.complete_transparent(*frame, preset=name, **given).save(output / "glass_0")
     else:
         sitk = pytest.importorskip("SimpleITK", reason="no SimpleITK, which reads volumes")
-        files = [next((scenes / "pair_0").glob(f"{role}.*")) for role in ("fixed", "warped")]
-        pair = [sitk.ReadImage(str(file)) for file in files]
-        depthcli.registration_confidence(*pair, preset=name, max_voxels=40000).save(output / "pair_0")
+        fixed, warped, mask = (
+            sitk.ReadImage(str(scenes / "pair_0" / f"{role}.nii.gz")) for role in ("fixed", "moving_warped", "mask")
+        )
+        result = depthcli.registration_confidence(fixed, warped, preset=name, mask=mask, max_voxels=40000)
+        result.save(output / "pair_0")
 
 
 @pytest.mark.slow
