@@ -1,4 +1,4 @@
-"""List the presets, print one with all its fields, or compile the kernels of some before their first use.
+"""List the presets, print one, or compile their kernels before first use.
 
 Examples:
   depthcli presets

@@ -89,15 +89,15 @@ def resample(
     seem to have a slope.
     """
     along = np.empty((gains.shape[0], image[0].size), np.float32)  # gains interpolated along the rows of the grid
-    run_bands(_interpolate_gains, len(gains), gains, cell, along)
+    run_bands(_interpolate_gains, len(gains), gains, cell, image.shape[2], along)
     # All rows as one: they are interpolated in runs of pixels whose samples lie in the same rows of the image.
     source, result = image.reshape(len(image), -1), out.reshape(len(image), -1)
     run_bands(_resample, len(image), source, image.shape[2], row_shift, along, cell, top, result)
 
 
 @jit
-def _interpolate_gains(begin, end, gains, cell, along):
-    _, grid_width, channels = gains.shape
+def _interpolate_gains(begin, end, gains, cell, channels, along):
+    grid_width = gains.shape[1]
     half = np.float32(0.5)
     for i in range(begin, end):
         for x in range(along.shape[1] // channels):
