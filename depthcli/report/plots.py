@@ -93,12 +93,12 @@ def _times(section: Section, what: str) -> str:
                 axes.plot([seconds], [score.value], label=_plain(run), **_dot(i, 8))
         axes.set_xscale("log")
         low, high = axes.dataLim.intervalx
-        if low > 0:  # room for two round numbers at least
+        if 0 < low < math.inf:  # room for two round numbers at least
             axes.set_xlim(low / 2, 2 * high)
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("")
-        axes.set_ylim(0, 1.08 * axes.dataLim.ymax if axes.dataLim.ymax > 0 else 1)
+        axes.set_ylim(0, 1.08 * axes.dataLim.y1 if axes.dataLim.y1 > 0 else 1)
     return out[0]
 
 

@@ -4,6 +4,8 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
 from depthcli.evaluation.scores import in_order
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import StereoTruth
+from depthcli.report import plots
 from depthcli.report.plots import Line, curve_plot, line_plot
 
 
@@ -45,6 +48,13 @@ def test_a_plot_has_six_curves_at_most_the_best():
     best = sorted(curves, key=lambda name: curves[name].auc)[:6]
     assert {name for name in curves if f"{name} " in svg} == set(best)
     assert "the best 6 of 9" in svg
+
+
+def test_times_are_drawn_where_no_run_has_a_mean():
+    section: Any = SimpleNamespace(
+        runs=("a",), overall=lambda run: SimpleNamespace(value=float("nan")), results_of=lambda run: ()
+    )
+    ElementTree.fromstring(plots._times(section, "bad"))
 
 
 @pytest.mark.slow
