@@ -105,9 +105,8 @@ def main(arguments: list[str] | None = None) -> int:
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGTERM, _terminate)
     try:
-        Reporter.command_line = shlex.join(["depthcli", *words])
         _load_plugins(words)
-        code = int(app(words, prog_name="depthcli", standalone_mode=False) or 0)
+        code = int(app(words, prog_name="depthcli", standalone_mode=False, obj=shlex.join(["depthcli", *words])) or 0)
         if code == 130:
             raise KeyboardInterrupt
         return code

@@ -16,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, get_type_hints
 
-from typer import Argument, BadParameter, Option
+from typer import Argument, BadParameter, Context, Option
 
 from depthcli.core.errors import ConfigError
 from depthcli.run.console import Reporter
@@ -81,11 +81,12 @@ class Printing:
     json: bool = option(False, "--json", help="Print one JSON document instead of a table.")
     verbose: bool = option(False, "--verbose", "-v", help="Print details on stderr.")
     quiet: bool = option(False, "--quiet", "-q", help="Print only errors, and no table.")
+    command_line: str = ""  # of this call, as a shell takes it
 
     @cached_property
     def reporter(self) -> Reporter:
         """What takes messages and data."""
-        return Reporter(-1 if self.quiet else int(self.verbose))
+        return Reporter(-1 if self.quiet else int(self.verbose), self.command_line)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +123,7 @@ def with_groups(function: Callable[..., int]) -> Callable[..., int]:
     """Return a command's function with the signature that typer reads: fields of groups are options of their own."""
     groups: dict[str, tuple[type, list[str]]] = {}
     make = functools.partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
-    parameters = [make("plugin", default=None, annotation=PluginOption)]
+    parameters = [make("plugin", default=None, annotation=PluginOption), make("context", annotation=Context)]
     hints = get_type_hints(function, include_extras=True)
     for name, parameter in inspect.signature(function).parameters.items():
         kind = hints[name]
@@ -140,10 +141,11 @@ def with_groups(function: Callable[..., int]) -> Callable[..., int]:
         groups[name] = kind, own  # type: ignore[assignment]
 
     @functools.wraps(function)
-    def callback(**values: Any) -> int:
+    def callback(context: Context, **values: Any) -> int:
         values.pop("plugin")
         for name, (kind, names) in groups.items():
-            values[name] = kind(**{each: values.pop(each) for each in names})
+            line = {"command_line": context.obj or ""} if issubclass(kind, Printing) else {}
+            values[name] = kind(**{each: values.pop(each) for each in names}, **line)
         return function(**values)
 
     callback.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]

@@ -9,7 +9,7 @@ import sys
 import time
 import warnings
 from collections.abc import Sequence
-from typing import Any, ClassVar, TextIO
+from typing import Any, TextIO
 
 from depthcli.core.errors import IncompleteError
 from depthcli.core.text import kind_of_warning, printable, without_file
@@ -31,10 +31,8 @@ class Reporter:
     1: also details. ``command_line`` has the words of this call as a shell takes them, for reports.
     """
 
-    command_line: ClassVar[str] = ""
-
-    def __init__(self, level: int = 0) -> None:
-        self.level = level
+    def __init__(self, level: int = 0, command_line: str = "") -> None:
+        self.level, self.command_line = level, command_line
         self._once: set[str] = set()
         self._what, self._total, self._done, self._failed = "", 0, 0, 0
         self._said = 0.0
