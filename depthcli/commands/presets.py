@@ -1,4 +1,4 @@
-"""List the presets, print one, or compile their kernels before first use.
+"""List the presets, print one, or compile their kernels.
 
 Examples:
   depthcli presets
