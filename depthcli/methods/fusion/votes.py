@@ -47,11 +47,11 @@ class Support(ABC):
         last = len(planes) // BLOCK_DEPTH * BLOCK_DEPTH  # in this block is room for a plane of ones
         for first in range(last, -1, -BLOCK_DEPTH):
             part = slice(first, first + BLOCK_DEPTH)
-            run_bands(_interleave, len(self), planes[part], block)
+            run_bands(_interleave, self.shape[0], planes[part], block)
             self.sum(block)
             if first == last:
                 np.divide(np.float32(1.0), block[:, :, -1], out=inverse_sum)
-            run_bands(_separate, len(self), block, inverse_sum, out[part])
+            run_bands(_separate, self.shape[0], block, inverse_sum, out[part])
         return out
 
     @cached_property
@@ -76,7 +76,7 @@ class ColorSupport(Support):
         self._decay = np.exp(-(1.0 / reach + np.arange(256) / softness)).astype(np.float32)
 
     def sum(self, block: NDArray[np.float32]) -> None:
-        run_bands(_recurse_rows, len(self), block, self._across, self._decay)
+        run_bands(_recurse_rows, self.shape[0], block, self._across, self._decay)
         run_bands(_recurse_columns, (self.shape[1] + _STRIP - 1) // _STRIP, block, self._down, self._decay)
 
 

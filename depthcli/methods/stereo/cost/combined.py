@@ -59,7 +59,7 @@ class Combined(CostMeasure):
             volume = part.cost.checked_costs(pair, n_padded)
             rate = _rate(volume.scale * part.lambda_)
             terms = volume.costs.reshape(runs), rate, np.float32(unit) * weight
-            run_bands(_add_exponential, len(pair), *terms, k > 0, total.reshape(runs))
+            run_bands(_add_exponential, pair.shape[0], *terms, k > 0, total.reshape(runs))
         fill_outside(total, np.uint8(min(255, round(self.outside * unit))))
         return CostVolume(np.ascontiguousarray(total[:, :, :n_disparities]), float(unit))
 

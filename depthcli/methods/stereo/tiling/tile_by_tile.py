@@ -179,7 +179,7 @@ def _tile_volume(
         if joined is None:
             joined = CostVolume(memory.empty((*tile.shape, tile.n_disparities), volume.costs.dtype), volume.scale)
         barrier = volume.costs.dtype.type(_largest_cost(volume))
-        run_bands(_copy_span, len(tile), volume.costs, joined.costs, start, n_outside, barrier)
+        run_bands(_copy_span, tile.shape[0], volume.costs, joined.costs, start, n_outside, barrier)
         start += span.n + 1
         del volume
     assert joined is not None
@@ -188,7 +188,7 @@ def _tile_volume(
         penalty = max(1, round(_UNLIKELY_COST * stages.optimization.p1 * joined.scale))
         corner = (tile.around[0], tile.around[2])
         limits = prior.low, prior.high, corner, penalty, _largest_cost(joined)
-        run_bands(_add_penalty, len(tile), joined.costs, spans, *limits)
+        run_bands(_add_penalty, tile.shape[0], joined.costs, spans, *limits)
     return joined, spans
 
 
