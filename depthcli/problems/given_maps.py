@@ -219,6 +219,7 @@ class Confidence(GivenMaps[MapConfidence]):
 
     def load(self, scene: MapsScene, context: Context) -> MapInputs:
         """Return the images and the maps of a scene, the one that is judged first."""
+        context.clock.start("load")
         if scene.right is None and len(scene.maps) > 1:
             raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
         images = read_image(scene.left) if scene.right is None else load_pair(scene)
@@ -295,6 +296,7 @@ class FuseMaps(GivenMaps[Disparity]):
 
     def load(self, scene: MapsScene, context: Context) -> MapInputs:
         """Return the pair and the maps of a scene, with the status of those that a run of this program made."""
+        context.clock.start("load")
         pair = load_pair(scene)
         maps = {one.run: loaded(one, pair.shape) for one in scene.maps}
         status = {one.run: read_status(one.status) for one in scene.maps if one.status is not None}

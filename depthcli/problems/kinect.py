@@ -158,6 +158,7 @@ class RefineKinect(Problem[FrameOrSequence, FrameInputs, RefinedDepth]):
     def load(self, scene: FrameOrSequence, context: Context) -> FrameInputs:
         """Return the frame of a scene, with depth registered to color."""
         assert isinstance(scene, RgbdScene)
+        context.clock.start("load")
         config = self.config
         if not scene.raw:
             scale, intrinsics = config.depth_scale or scene.depth_scale, config.intrinsics or scene.intrinsics

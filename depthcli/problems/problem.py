@@ -110,7 +110,6 @@ class Problem(SceneJob[SceneT], Generic[SceneT, InputsT, ResultT]):
 
     def compute(self, scene: SceneT, folder: Path, context: Context) -> Outcome:
         """Load a scene, solve it, write the result, and return its row of the report."""
-        context.clock.start("load")
         inputs = self.load(scene, context)
         with ThreadPoolExecutor(1) as side:  # which starts no thread before it has work
             writing = None if inputs.later is None else side.submit(inputs.later, folder)

@@ -271,6 +271,7 @@ class Register(Problem[VolumePairScene, VolumePair, RegistrationConfidence]):
 
     def load(self, scene: VolumePairScene, context: Context) -> VolumePair:
         """Return both volumes and the landmarks; a warning where the landmarks cannot be used."""
+        context.clock.start("load")
         loaded = load_volumes(scene, self.config.field, self.config.pipeline.voxel_limit)
         warnings, points = [scene.lacks_for_truth] if scene.lacks_for_truth else [], None
         try:

@@ -138,6 +138,7 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
 
     def load(self, scene: RgbdScene, context: Context) -> GlassInputs:
         """Return the frame of a scene with its sparse depth, its mask of objects, or its infrared image."""
+        context.clock.start("load")
         config, stereo = self.config, self.config.stereo
         scale, intrinsics = config.depth_scale or scene.depth_scale, config.intrinsics or scene.intrinsics
         scene = replace(scene, depth_scale=scale, intrinsics=intrinsics)
