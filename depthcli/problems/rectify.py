@@ -122,7 +122,7 @@ def _flatness_warnings(left: Points, right: Points) -> list[str]:
         return []
     return [
         f"the disparities of most matched key points are within {high - low:.1f} px: the cameras are at one "
-        "place, or see one flat thing; there is no depth to be rectified"
+        "place, or see one flat thing; there is no depth to be found"
     ]
 
 
