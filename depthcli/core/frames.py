@@ -105,9 +105,9 @@ def _eight_bit(image: Image) -> NDArray[np.uint8]:
     return ((image.astype(np.uint32) + 128) // 257).astype(np.uint8)
 
 
-def color8(image: Image) -> NDArray[np.uint8]:
-    """Return any image as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey ones repeated."""
-    image = _eight_bit(image)
+def color8(image: Image, bits: int | None = None) -> NDArray[np.uint8]:
+    """Return any image as (H, W, 3) uint8 RGB; 16-bit images are scaled by their ``bits``, grey ones repeated."""
+    image = _eight_bit(StereoPair(image, image, bits).full_range[0])
     return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
 
 

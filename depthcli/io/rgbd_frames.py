@@ -14,13 +14,13 @@ from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import UNKNOWN_CODE, KinectCalibration, kinect_v1, sensor_fb
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
-from depthcli.core.frames import RgbdFrame, SparseFrame, color8, infrared_image
+from depthcli.core.frames import RgbdFrame, SparseFrame, infrared_image
 from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import MILLIMETERS, check_fb, codes_of, read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import naming, read_bytes, shown, warn
 from depthcli.io.formats.files_behind import kinect_files
-from depthcli.io.formats.images import image_size, read_grey, read_image
+from depthcli.io.formats.images import image_size, read_color8, read_grey, read_image
 from depthcli.io.formats.plain_text import json_object, numbers
 from depthcli.io.scenes import RgbdScene, RgbIrScene, check_same_size
 
@@ -55,9 +55,9 @@ def load_frame(scene: RgbdScene) -> RgbdFrame:
         known = color_camera or depth_camera
         frame = RgbdFrame.without_color(_visible_depth(scene), scene.fb or sensor_fb(known), known)
     elif scene.raw:
-        frame = _registered_raw(scene, color8(read_image(scene.color)))
+        frame = _registered_raw(scene, read_color8(scene.color))
     else:
-        color, depth = color8(read_image(scene.color)), _visible_depth(scene)
+        color, depth = read_color8(scene.color), _visible_depth(scene)
         with naming(scene.depth):
             found = registered(depth, color.shape[:2], color_camera, depth_camera, scene.depth_to_color)
         if found.note:

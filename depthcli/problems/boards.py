@@ -32,11 +32,11 @@ from depthcli.algorithms.calibration import (
 )
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.frames import color8, luma
+from depthcli.core.frames import luma
 from depthcli.io.calibration_photos import find_photos
 from depthcli.io.formats.calibrations import UNITS, write_calibration
 from depthcli.io.formats.files import collected_warnings, remove_temporaries, write_text
-from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.images import read_color8, write_png
 from depthcli.run.console import Reporter
 from depthcli.run.json_csv import Row, to_json
 from depthcli.show.draw import draw_text
@@ -183,7 +183,7 @@ def _look(view: CameraPhotos, board: Board, files: Mapping[str, Path | None], re
             view.left_out[name] = "no such photo"
             continue
         try:
-            grey = np.ascontiguousarray(luma(color8(read_image(file))), np.uint8)
+            grey = np.ascontiguousarray(luma(read_color8(file)), np.uint8)
         except InputError as error:
             reporter.error(str(error))
             view.left_out[name], view.unreadable = "cannot be read", True

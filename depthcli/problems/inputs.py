@@ -13,11 +13,11 @@ from pydantic import BaseModel
 
 from depthcli.core import config_file
 from depthcli.core.errors import InputError
-from depthcli.core.frames import Image, StereoPair
+from depthcli.core.frames import Image, StereoPair, color8
 from depthcli.core.method import RootConfig, used_files
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.depth import meters
-from depthcli.io.formats.images import pair_of
+from depthcli.io.formats.images import bits_said, pair_of
 from depthcli.run.presets import find_config, find_preset
 
 ModelT = TypeVar("ModelT", bound=RootConfig)
@@ -114,6 +114,12 @@ def as_image(array: ArrayLike, name: str) -> Image:
     elif image.dtype.kind != "u" or image.dtype.itemsize > 2:
         raise InputError(f"{name}: expected uint8, uint16, or floats from 0 to 1, got {image.dtype}")
     return cast(Image, np.require(image, image.dtype.newbyteorder("="), ["C", "A", "W"]))
+
+
+def as_color8(array: ArrayLike, name: str) -> NDArray[np.uint8]:
+    """Return an image, as :func:`as_image` takes it, as (H, W, 3) uint8 RGB; uint16 by the bits of its samples."""
+    image = as_image(array, name)
+    return color8(image, bits_said((image,), name, 16 if np.asarray(array).dtype.kind in "bf" else None))
 
 
 def as_pair(left: ArrayLike, right: ArrayLike) -> StereoPair:

@@ -18,7 +18,7 @@ from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.context import Context
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.core.frames import RgbdFrame, color8
+from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, DepthResult
 from depthcli.io.formats.depth import MILLIMETERS, sensor_warning
@@ -32,7 +32,7 @@ from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.kinect.bounds import BYTES_PER_PIXEL
 from depthcli.methods.kinect.pipeline import Pipeline, SequencePipeline, frame_by_frame
 from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typical_cameras, with_cloud
-from depthcli.problems.inputs import Overrides, as_depth, as_image, load_config
+from depthcli.problems.inputs import Overrides, as_color8, as_depth, load_config
 from depthcli.problems.problem import Problem, Shown
 from depthcli.problems.results import check_limits, empty_cloud, parse_mask
 from depthcli.run.console import Reporter
@@ -291,7 +291,7 @@ def refine_depth(
         where = "" if single else f"frame {index}: "
         with collected_warnings() as lines:
             measured = as_depth(one_depth, f"{where}depth", scale)
-        image = None if one_color is None else color8(as_image(one_color, f"{where}color"))
+            image = None if one_color is None else as_color8(one_color, f"{where}color")
         height, width = measured.shape if image is None else image.shape[:2]
         if results and (height, width) != results[0].values.shape:
             first_height, first_width = results[0].values.shape

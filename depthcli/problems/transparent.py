@@ -16,7 +16,7 @@ from depthcli.core.cameras.kinect import sensor_fb
 from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.frames import SparseFrame, color8, infrared_image
+from depthcli.core.frames import SparseFrame, infrared_image
 from depthcli.core.maps import DepthStatus
 from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import MILLIMETERS
@@ -27,7 +27,7 @@ from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.transparent.cross_modal import CrossModal
 from depthcli.methods.transparent.pipeline import Pipeline
 from depthcli.problems.frames import DepthConfig, RefinedDepth, refined, say_typical_cameras, with_cloud
-from depthcli.problems.inputs import Overrides, as_depth, as_image, as_map, load_config
+from depthcli.problems.inputs import Overrides, as_color8, as_depth, as_image, as_map, load_config
 from depthcli.problems.problem import Problem, Shown
 from depthcli.problems.results import check_limits, empty_cloud, parse_mask
 from depthcli.run.console import Reporter
@@ -257,9 +257,9 @@ def complete_transparent(
     chosen = preset if preset is not None else default
     config = load_config(TransparentConfig, chosen, overrides, **fields)
     scale = config.depth_scale or MILLIMETERS
-    image = color8(as_image(color, "color"))
-    height, width = image.shape[:2]
     with collected_warnings() as lines:
+        image = as_color8(color, "color")
+        height, width = image.shape[:2]
         measured = as_depth(depth, "depth", scale, (height, width))
         second = None if sparse is None or config.stereo else as_depth(sparse, "sparse", scale, measured.shape)
     camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)

@@ -12,12 +12,12 @@ import numpy as np
 
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.errors import ConfigError
-from depthcli.core.frames import Image, color8
+from depthcli.core.frames import Image
 from depthcli.core.maps import Mask
 from depthcli.core.volumes import Grid
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import write_text
-from depthcli.io.formats.images import read_image, write_png
+from depthcli.io.formats.images import read_color8, write_png
 from depthcli.io.formats.volumes import write_array
 from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes import Layouts, RgbdScene, Scene, StereoScene
@@ -186,7 +186,7 @@ def _make_kinect(values: Values, scene: SampleScene, folder: Path) -> dict[str, 
         samples = make_kinect_sequence(kind, values["frames"], seed, *size, fattening=fattening)
     else:
         if isinstance(scene.origin, StereoScene):
-            color, truth = color8(read_image(scene.origin.left)), true_disparity(scene.origin).disparity
+            color, truth = read_color8(scene.origin.left), true_disparity(scene.origin).disparity
         else:
             color, truth = make_kinect_scene(kind, seed, *size)
         samples = [simulate_kinect(color, truth, seed, fattening=fattening)]

@@ -22,13 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.frames import color8
 from depthcli.core.registry import Registry, registered_name
 from depthcli.evaluation.curves import ConfidenceCurve, is_probability, reliability, sparsifications
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.scores import MapResult, Metric, Score, mean_of_scenes, pooled
 from depthcli.io.formats.disparity import read_plane
-from depthcli.io.formats.images import read_image
+from depthcli.io.formats.images import read_color8
 from depthcli.io.scenes import Scene
 from depthcli.show.draw import KIND_COLORS, draw
 from depthcli.show.table import Table
@@ -63,7 +62,7 @@ def _first_image(scene: Scene) -> NDArray[np.uint8] | None:
     """Return the left image of a scene, or its first, (H, W, 3) uint8 RGB; None if it is no picture."""
     try:
         files = scene.input_files
-        return color8(read_image(files.get("left") or next(iter(files.values()))))
+        return read_color8(files.get("left") or next(iter(files.values())))
     except (InputError, StopIteration):
         return None
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn, write_bytes
-from depthcli.io.formats.images import NPY_MAGIC, decode_floats, decode_grey, image_kind, pfm_header, png_bytes
+from depthcli.io.formats.images import NPY_MAGIC, decode_numbers, image_kind, pfm_header, png_bytes, read_grey
 from depthcli.io.formats.map_format import read_by_plugin
 
 KITTI_SCALE = 256.0
@@ -170,8 +170,8 @@ def read_plane(path: Path | str) -> NDArray[Any]:
             return _decode_npy(data)
         if image_kind(data) == "Pfm":
             return _decode_pfm(data, path)
-        floats = decode_floats(data)
-        return decode_grey(data) if floats is None else floats
+        numbers = decode_numbers(data)
+        return read_grey(path) if numbers is None else numbers
 
 
 def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import logging
 import re
 import struct
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
@@ -21,7 +23,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image as Image
-from depthcli.core.frames import StereoPair, luma
+from depthcli.core.frames import StereoPair, color8, luma
 from depthcli.io.formats.files import naming, open_regular, read_bytes, shown, warn, write_bytes
 
 if TYPE_CHECKING:
@@ -51,6 +53,10 @@ _MAX_DECODED_BYTES = 1 << 30
 _MAX_EXPANSION = 3000
 _MAX_TEXT_BYTES = 1 << 25  # of a plain PGM or PPM: every number takes 50 bytes while it is read
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILES, _FORMAT, _FLOATS = 256, 257, 258, 277, (322, 323), 339, 3  # tags of TIFF
+_PHOTOMETRIC, _PLANAR, _SUBFILE, _EXTRA = 262, 284, 254, 338  # further tags of TIFF
+_SIGNED, _SEPARATE, _MIN_IS_WHITE, _RGB = 2, 2, 0, 2  # values of the tags
+_PART_OF_PAGE = 5  # bits of _SUBFILE: a page of less resolution, or a mask of another page
+_MAX_PAGES = 10_000  # of a TIFF that are counted
 _ORIENTATION = 274  # tag of TIFF and EXIF: how an image as stored has to be turned or mirrored to be upright
 _TURNS: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     2: lambda image: image[:, ::-1],
@@ -77,14 +83,28 @@ def _read(path: Path | str) -> tuple[Image, bytes]:
         pixels, turn = _decoded(data)
     if turn:
         warn(f"{shown(path)}: turned upright, as its EXIF orientation says ({turn})")
+    for text in (_left_over(data), _looks_raw(pixels)):
+        if text:
+            warn(f"{shown(path)}: {text}")
     return pixels, data
+
+
+def read_color8(path: Path | str) -> NDArray[np.uint8]:
+    """Return any image as (H, W, 3) uint8 RGB; 16-bit ones by the bits that their samples have."""
+    image, data = _read(path)
+    with naming(path):
+        bits = bits_said((image,), path, _declared_bits(data))
+    return color8(image, bits)
 
 
 def read_grey(path: Path | str) -> Image:
     """Return an image of codes (disparities, a mask), which may be stored with three equal channels."""
     data = read_bytes(path)
     with naming(path):
-        return decode_grey(data)
+        codes = decode_grey(data)
+    if text := _left_over(data):
+        warn(f"{shown(path)}: {text}")
+    return codes
 
 
 def decode_grey(data: bytes) -> Image:
@@ -107,35 +127,90 @@ def _decoded(data: bytes) -> tuple[Image, int]:
         raise InputError(f"a map of numbers ({kind.lower()}), expected an image")
     if kind == "Pnm":
         return _decode_pnm(data), turn
-    if kind == "Tiff":
-        bits, is_float = _check_tiff(data)
-        if is_float or bits > 16:
-            raise InputError(
-                f"samples of {bits} bit ({'floating point' if is_float else 'integers'}), expected 8 or 16"
-            )
+    header = _check_tiff(data) if kind == "Tiff" else None
+    if header is not None:
+        header.check_image()
     with _decoding(kind):
+        if header is not None and not header.is_usual:
+            return header.oriented(_with_tifffile(data, header)), header.turn
         image = _opened(data, kind)
+        if getattr(image, "n_frames", 1) > 1 and kind == "Png":
+            raise InputError(f"an animation of {image.n_frames} frames, expected one image")  # type: ignore[attr-defined]
         if (turn := _orientation(image)) and kind == "Tiff":
             # Pillow and OpenCV turn a TIFF wrongly where its sides change places: the tag becomes 1.
             order = "<" if data.startswith(b"II") else ">"
             entry, upright = (struct.pack(f"{order}HHIHH", _ORIENTATION, 3, 1, k, 0) for k in (turn, 1))
             data = data.replace(entry, upright, 1)
             image = _opened(data, kind)
+        size, mode, bands = (image.height, image.width), image.mode, len(image.getbands())
         is_wide = ";16" in str(image.tile[0][3]) and (kind == "Png" or not image.mode.startswith("I;16"))
-        _check_size(image.height, image.width, len(image.getbands()) * (2 if is_wide else 1), len(data))
+        _check_size(*size, bands * (2 if is_wide else 1), len(data))
         if is_wide:
             pixels = _with_opencv(data)
             if pixels.ndim == 3:  # grey with transparency comes as color
-                pixels = pixels[..., 0] if image.mode in ("LA", "La", "I;16") else pixels[..., 2::-1]
+                pixels = pixels[..., 0] if mode in ("LA", "La", "I;16") else pixels[..., 2::-1]
         else:  # a copy: kernels are compiled apart for read-only arrays
-            is_plain = image.mode in ("L", "RGB") or image.mode.startswith("I;16")
-            plain = "L" if image.mode in ("1", "LA", "La") else "RGB"
+            is_plain = mode in ("L", "RGB") or mode.startswith("I;16")
+            plain = "L" if mode in ("1", "LA", "La") else "RGB"
             pixels = np.array(image if is_plain else image.convert(plain))
-    if pixels.dtype.kind != "u" or pixels.dtype.itemsize > 2 or image.mode == "F":
+    if pixels.dtype.kind != "u" or pixels.dtype.itemsize > 2 or mode == "F":
         raise InputError("samples of 32 bit, or signed ones; expected 8 or 16 bit")
+    is_deep = is_wide or mode.startswith("I") if header is None else header.bits > 8
+    _check_decoded(pixels, size, 1 if bands <= 2 and mode != "P" else 3, 16 if is_deep else 8)
     if turn:
         pixels = _TURNS[turn](pixels)
     return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype.itemsize == 1 else np.uint16)), turn
+
+
+def _check_decoded(pixels: NDArray[Any], size: tuple[int, int], channels: int, bits: int) -> None:
+    """Raise InputError if a decoder's array is not of the size, channels and bits of the file's header."""
+    shape = (*size, *((channels,) if channels > 1 else ()))
+    if pixels.shape != shape or pixels.dtype.itemsize != bits // 8:
+        got, want = (" x ".join(map(str, each)) for each in (pixels.shape, shape))
+        raise InputError(
+            f"decoded as {got} {pixels.dtype}, but its header says {want} of {bits} bit; store it as an 8- or 16-bit "
+            "PNG, grey or RGB"
+        )
+
+
+def _left_over(data: bytes) -> str:
+    """Return a warning of what a file has beside the one image that is read, or empty."""
+    kind = image_kind(data)
+    if kind == "Pnm" and data[:2] in (b"P5", b"P6"):
+        (height, width, channels), top, start = pnm_header(data)
+        rest = data[start + height * width * channels * (2 if top > 255 else 1) :]
+        return f"{len(rest)} bytes follow its image; they are ignored" if rest.strip() else ""
+    if kind == "Tiff" and _tiff_tags(BytesIO(data)).get(_EXTRA, ())[:1] == (0,):
+        return "a further channel of unknown meaning is left out"
+    if kind != "Jpeg" or b"MPF\0" not in data[: 1 << 16]:
+        return ""
+    from PIL.MpoImagePlugin import MpoImageFile
+
+    with contextlib.suppress(Exception):  # a damaged index harms no pixel of the first image
+        image = MpoImageFile(BytesIO(data))
+        first, n_same = image.size, 0
+        for number in range(1, image.n_frames):
+            image.seek(number)
+            n_same += image.size == first  # smaller ones are previews and gain maps
+        return f"has {n_same + 1} images of one size (MPO); only the first is read" if n_same else ""
+    return ""
+
+
+_MIN_MOSAIC = 64  # pixels a side, below which the period of a mosaic is not looked for
+_MOSAIC_RATIO = 1.3  # mean step between neighbors over that between pixels of one color; 0.4 to 1 of images and noise
+_MOSAIC_LINES = 200  # rows and columns that are looked at
+
+
+def _looks_raw(image: Image) -> str:
+    """Return a warning if a grey image has a period of two pixels along both axes, as a Bayer mosaic; or empty."""
+    if image.ndim != 2 or min(image.shape) < _MIN_MOSAIC:
+        return ""
+    for lines in (image, image.T):
+        some = lines[:: max(1, len(lines) // _MOSAIC_LINES)].astype(np.int32)
+        near, same = (float(np.abs(some[:, k:] - some[:, :-k]).mean()) for k in (1, 2))
+        if near <= _MOSAIC_RATIO * same:
+            return ""
+    return "neighboring pixels differ more than those two apart: a raw Bayer mosaic? demosaic it to color or grey first"
 
 
 def _orientation(image: ImageFile) -> int:
@@ -159,19 +234,25 @@ def decode_bits(data: bytes) -> NDArray[np.uint8]:
         return np.array(image, np.uint8)
 
 
-def decode_floats(data: bytes) -> NDArray[np.float32] | None:
-    """Return the (H, W) numbers of a TIFF with samples of floating point, by its bytes; None for any other file.
+def decode_numbers(data: bytes) -> NDArray[Any] | None:
+    """Return the (H, W) numbers of a TIFF of one channel that are floating point, signed or longer than 16 bit.
 
-    Numbers of 64 bit become the nearest of 32 bit, infinite beyond their range.
+    Numbers of 64-bit floating point become the nearest of 32 bit, infinite beyond their range. None for other files.
     """
-    if image_kind(data) != "Tiff" or not _check_tiff(data)[1]:
+    header = _check_tiff(data) if image_kind(data) == "Tiff" else None
+    if header is None or header.is_image:
         return None
+    header.check_numbers()
     with _decoding("Tiff"):
-        pixels = _with_opencv(data)  # Pillow knows no numbers of 64 bit, and swaps some bytes twice
-    if pixels.ndim != 2 or pixels.dtype not in (np.float32, np.float64):
-        raise InputError(f"floating point, {pixels.shape} {pixels.dtype}: expected one channel of 32 or 64 bit")
+        if header.code not in ("f4", "f8", "i2", "i4"):
+            pixels = _with_tifffile(data, header)
+        else:
+            pixels = _with_opencv(data)  # Pillow knows no numbers of 64 bit, and swaps some bytes twice
+    if pixels.dtype.newbyteorder("=") != np.dtype(header.code):
+        raise InputError(f"decoded as {pixels.dtype}, but its header says {header.words}")
+    _check_decoded(pixels, header.size if header.turn < 5 else header.size[::-1], 1, header.bits)
     with np.errstate(over="ignore"):
-        return pixels.astype(np.float32)
+        return pixels.astype(np.float32 if header.is_float else pixels.dtype.newbyteorder("="))
 
 
 def image_size(path: Path | str) -> tuple[int, int]:
@@ -233,7 +314,9 @@ def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int |
             for image in (left, right)
         )
         raise InputError(f"{shown(paths[1])}: {second}, but {shown(paths[0].name)} is {first}; the pair must agree")
-    bits = sample_bits(left, right, declared=declared)
+    bits = bits_said((left, right), paths[0], declared)
+    if bits <= 8 < 8 * left.itemsize and declared is None:
+        left, right = left.astype(np.uint8), right.astype(np.uint8)
     if left.ndim != right.ndim:
         # Grey levels of one scale: luma of the color image, in as many bits as it is stored.
         left, right = luma(left), luma(right)
@@ -241,11 +324,20 @@ def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int |
 
 
 def sample_bits(*images: Image, declared: int | None = None) -> int:
-    """Return the bits of samples of one scale: 8; or those declared, 10, 12, or 16, the first that fit the largest."""
+    """Return the bits of samples of one scale: those declared, 8, 10, 12, or 16, the first that fit the largest."""
     if images[0].dtype == np.uint8:
         return 8
     top = max(int(image.max()) for image in images)
-    return next((bits for bits in (declared or 0, 10, 12) if bits <= 16 and top < 1 << bits), 16)
+    return next((bits for bits in (declared or 0, 8, 10, 12) if bits <= 16 and top < 1 << bits), 16)
+
+
+def bits_said(images: Sequence[Image], path: Path | str, declared: int | None) -> int:
+    """Return :func:`sample_bits`, with a warning where a 16-bit file has samples of 8 bit."""
+    bits = sample_bits(*images, declared=declared)
+    if bits == 8 and declared is None and images[0].itemsize > 1:
+        top = max(int(image.max()) for image in images)
+        warn(f"{shown(path)}: a 16-bit file with samples up to {top}: taken as 8-bit ones")
+    return bits
 
 
 def _declared_bits(data: bytes) -> int | None:
@@ -318,17 +410,121 @@ def _check_size(height: int, width: int, bytes_a_pixel: int, stored: int) -> Non
         raise InputError(f"too large: {width} x {height} pixels take {decoded >> 20} MiB when decoded")
 
 
-def _check_tiff(data: bytes) -> tuple[int, bool]:
-    """Return the bits of a sample of a TIFF, and whether it is of floating point; refuse one that is too large."""
+@dataclass(frozen=True)
+class _TiffHeader:
+    """What the first page of a TIFF says of its samples."""
+
+    size: tuple[int, int]  # height, width as stored
+    samples: int  # of a pixel
+    bits: int  # of a sample
+    format: int  # of a sample: 1 unsigned, 2 signed, 3 floating point
+    photometric: int
+    is_separate: bool  # the channels are stored one after another
+    turn: int  # key of ``_TURNS``, or 0
+
+    @property
+    def is_float(self) -> bool:
+        """True for samples of floating point."""
+        return self.format == _FLOATS
+
+    @property
+    def is_image(self) -> bool:
+        """True for unsigned samples of at most 16 bit."""
+        return self.format not in (_FLOATS, _SIGNED) and self.bits <= 16
+
+    @property
+    def code(self) -> str:
+        """Code of the dtype of a sample."""
+        return f"{'f' if self.is_float else 'i' if self.format == _SIGNED else 'u'}{self.bits // 8}"
+
+    @property
+    def words(self) -> str:
+        """The samples in words."""
+        kind = "floating point" if self.is_float else "signed integers" if self.format == _SIGNED else "integers"
+        return f"{self.samples} channel{'s' * (self.samples > 1)} of {self.bits}-bit {kind}"
+
+    @property
+    def is_usual(self) -> bool:
+        """True if Pillow, or OpenCV for color of 16 bit, decodes it as it is."""
+        wide_grey = self.bits == 16 and (self.samples == 2 or self.photometric == _MIN_IS_WHITE)
+        return not wide_grey and not (self.is_separate and self.samples > 1)
+
+    def check_image(self) -> None:
+        """Raise InputError if it is no grey or color image of 8 or 16 bit."""
+        if not self.is_image:
+            raise InputError(f"{self.words}, expected an image of 8 or 16 bit")
+        is_color = self.photometric > 1
+        if self.samples not in ((1, 3, 4) if is_color else (1, 2)):
+            raise InputError(f"{self.words}; expected one (grey) or three (RGB), with or without transparency")
+
+    def check_numbers(self) -> None:
+        """Raise InputError if it is no map of one channel."""
+        if self.samples != 1 or self.bits not in ((16, 32, 64) if self.is_float else (8, 16, 32, 64)):
+            raise InputError(f"{self.words}; expected a map of one channel, floating point of 16, 32 or 64 bit")
+
+    def oriented(self, pixels: NDArray[Any]) -> Image:
+        """Return decoded pixels upright."""
+        upright = _TURNS[self.turn](pixels) if self.turn else pixels
+        return cast(Image, np.ascontiguousarray(upright, np.uint8 if upright.dtype.itemsize == 1 else np.uint16))
+
+
+def _check_tiff(data: bytes) -> _TiffHeader:
+    """Return the header of a TIFF; InputError if it has several pages, or is too large."""
     tags = _tiff_tags(BytesIO(data))
     with _decoding("Tiff"):
         height, width, samples = int(tags[_HEIGHT]), int(tags[_WIDTH]), int(tags.get(_SAMPLES, 1))
         bits, tile = int(tags.get(_BITS, (1,))[0]), [int(tags.get(tag, 0)) for tag in _TILES]
-        is_float = _FLOATS in tuple(tags.get(_FORMAT, (1,)))
+        turn, photometric = int(tags.get(_ORIENTATION, 1)), int(tags.get(_PHOTOMETRIC, 1))
+        kind, separate = max(tags.get(_FORMAT, (1,))), int(tags.get(_PLANAR, 1)) == _SEPARATE
+        kind = kind if kind in (_SIGNED, _FLOATS) else 1
     if tile[0] * tile[1] > max(4 * width * height, 1 << 22):
         raise InputError(f"damaged TIFF image (tiles of {tile[0]} x {tile[1]} pixels)")
     _check_size(height, width, samples * max(bits // 8, 1), len(data))
-    return bits, is_float
+    if (n_pages := _n_pages(data)) > 1:
+        raise InputError(f"{n_pages} pages, expected a single image; store each, or a volume as NIfTI or MetaImage")
+    turn = turn if turn in _TURNS else 0
+    return _TiffHeader((height, width), samples, bits, kind, photometric, separate, turn)
+
+
+def _n_pages(data: bytes) -> int:
+    """Return the number of pages of a TIFF, without those of less resolution and masks."""
+    file, seen, pages = BytesIO(data), set[int](), 0
+    with contextlib.suppress(InputError):  # damaged later pages harm none of the first
+        tags = _tiff_tags(file)
+        while True:
+            pages += not int(tags.get(_SUBFILE, 0)) & _PART_OF_PAGE
+            if not tags.next or tags.next in seen or len(seen) > _MAX_PAGES:
+                break
+            seen.add(tags.next)
+            file.seek(tags.next)
+            with _decoding("Tiff"):
+                tags.load(file)
+    return pages
+
+
+def _with_tifffile(data: bytes, header: _TiffHeader) -> NDArray[Any]:
+    """Return (H, W) or (H, W, 3) samples of the layouts that Pillow and OpenCV do not decode, as stored."""
+    import tifffile
+
+    if header.samples > 1 and header.photometric > _RGB:
+        raise InputError(f"{header.words} of photometric interpretation {header.photometric}; store it as RGB")
+    logging.getLogger("tifffile").disabled = True  # what it says of damaged files is in the error
+    try:
+        with tifffile.TiffFile(BytesIO(data)) as file:
+            pixels: NDArray[Any] = file.pages[0].asarray()
+    except (ValueError, KeyError) as error:
+        compressed = "imagecodecs" in str(error)
+        why = "compressed, which is not read of such samples; store it uncompressed" if compressed else str(error)[:200]
+        raise InputError(f"{header.words}: {why}") from None
+    if header.samples > 1:
+        pixels = np.moveaxis(pixels, 0, -1) if header.is_separate else pixels
+        _check_decoded(pixels, header.size, header.samples, header.bits)
+        pixels = pixels[..., :3] if header.samples > 2 else pixels[..., 0]
+    else:
+        _check_decoded(pixels, header.size, 1, header.bits)
+    if header.photometric == _MIN_IS_WHITE and header.is_image:
+        pixels = np.iinfo(pixels.dtype).max - pixels
+    return pixels
 
 
 def _tiff_tags(file: IO[bytes]) -> Any:

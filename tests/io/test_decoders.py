@@ -1,0 +1,147 @@
+"""What decoders give is compared with the header: values of every layout of samples, or one clear line."""
+
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+import PIL.Image
+import pytest
+import tifffile
+
+from depthcli.core.errors import InputError
+from depthcli.core.frames import color8
+from depthcli.io.formats.disparity import read_plane
+from depthcli.io.formats.files import collected_warnings
+from depthcli.io.formats.images import read_color8, read_grey, read_image, read_pair, write_png
+from depthcli.problems.inputs import as_color8
+
+RNG = np.random.default_rng(0)
+WIDE = RNG.integers(0, 65536, (40, 50, 4)).astype(np.uint16)
+RGB, GREY = WIDE[..., :3], WIDE[..., 0]
+
+
+def stored(tmp_path: Path, values: np.ndarray, **options) -> Path:
+    tifffile.imwrite(tmp_path / "a.tif", values, **options)
+    return tmp_path / "a.tif"
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_separate_planes(tmp_path: Path, dtype, compression):
+    values = (RGB >> (0 if dtype == np.uint16 else 8)).astype(dtype)
+    planes = np.moveaxis(values, -1, 0)
+    path = stored(tmp_path, planes, photometric="rgb", planarconfig="separate", compression=compression)
+    np.testing.assert_array_equal(read_image(path), values)
+    assert read_image(path).dtype == dtype
+
+
+def test_transparency_and_inverse_grey_of_sixteen_bits(tmp_path: Path):
+    grey_alpha = {"photometric": "minisblack", "planarconfig": "contig", "extrasamples": ["unassalpha"]}
+    np.testing.assert_array_equal(read_image(stored(tmp_path, WIDE[..., :2], **grey_alpha)), GREY)
+    np.testing.assert_array_equal(read_image(stored(tmp_path, GREY, photometric="miniswhite")), 65535 - GREY)
+    np.testing.assert_array_equal(read_image(stored(tmp_path, WIDE, photometric="rgb")), RGB)
+    with collected_warnings() as lines:
+        path = stored(tmp_path, WIDE, photometric="rgb", extrasamples=["unspecified"])
+        np.testing.assert_array_equal(read_image(path), RGB)
+    assert "a.tif" in lines[0] and "channel" in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("values", "options", "words"),
+    [
+        (WIDE, {"photometric": "minisblack", "planarconfig": "contig"}, "4 channels of 16-bit integers"),
+        ((WIDE >> 8).astype(np.uint8), {"photometric": "minisblack", "planarconfig": "contig"}, "4 channels of 8-bit"),
+        ((GREY >> 8).astype(np.float16), {}, "16-bit floating point, expected an image"),
+        (RGB.astype(np.float32), {"photometric": "rgb"}, "3 channels of 32-bit floating point"),
+        (GREY.astype(np.int16), {}, "16-bit signed integers"),
+    ],
+)
+def test_what_is_no_image_is_said_with_what_is_expected(tmp_path: Path, values, options, words):
+    with pytest.raises(InputError, match=rf"a\.tif: .*{words}.*; expected|a\.tif: .*{words}"):
+        read_image(stored(tmp_path, values, **options))
+
+
+@pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "i1", "i2", "i4", "u4", ">i2", ">f4", ">f2"])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_maps_of_every_kind_of_number(tmp_path: Path, dtype, compression):
+    values = RNG.integers(-100, 100, (40, 50)) if "u" not in dtype else RNG.integers(0, 1 << 31, (40, 50))
+    values = values.astype(dtype) / 8 if "f" in dtype else values.astype(dtype)
+    values = values.astype(dtype)
+    order = {"byteorder": ">"} if dtype.startswith(">") else {}
+    read = read_plane(stored(tmp_path, values, compression=compression, **order))
+    np.testing.assert_array_equal(read, values)
+    assert read.dtype.kind == values.dtype.kind
+
+
+def test_maps_of_several_channels_are_refused(tmp_path: Path):
+    with pytest.raises(InputError, match=r"a\.tif: 3 channels of 32-bit floating point; expected a map of one"):
+        read_plane(stored(tmp_path, RGB.astype(np.float32), photometric="rgb"))
+
+
+def test_values_of_eight_bits_in_files_of_sixteen(tmp_path: Path):
+    image = RNG.integers(0, 256, (40, 50, 3)).astype(np.uint8)
+    write_png(tmp_path / "l8.png", image)
+    write_png(tmp_path / "l.png", image.astype(np.uint16))
+    with collected_warnings() as lines:
+        pair = read_pair(tmp_path / "l.png", tmp_path / "l.png")
+        np.testing.assert_array_equal(pair.left, image)
+        np.testing.assert_array_equal(read_color8(tmp_path / "l.png"), image)
+        np.testing.assert_array_equal(as_color8(image.astype(np.uint16), "color"), image)
+    assert pair.left.dtype == np.uint8
+    assert all("taken as 8-bit" in line for line in lines) and len(lines) == 2
+    write_png(tmp_path / "r.png", image.astype(np.uint16) * 4)  # of 10 bits: the views count together
+    pair = read_pair(tmp_path / "l.png", tmp_path / "r.png")
+    assert (pair.left.dtype, pair.bits) == (np.uint16, 10)
+    np.testing.assert_array_equal(read_color8(tmp_path / "r.png"), color8(image.astype(np.uint16) * 4, 10))
+
+
+def test_a_mosaic_is_named_and_textures_are_not(tmp_path: Path):
+    small = RNG.integers(0, 256, (30, 40, 3)).astype(np.uint8)
+    scene = cv2.resize(small, (160, 120), interpolation=cv2.INTER_CUBIC)
+    mosaic = np.zeros((120, 160), np.uint8)
+    for y, x, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        mosaic[y::2, x::2] = scene[y::2, x::2, channel]
+    images = {
+        "mosaic": mosaic,
+        "mosaic16": mosaic.astype(np.uint16) * 16,
+        "noise": RNG.integers(0, 256, (120, 160)).astype(np.uint8),
+        "grey": cv2.cvtColor(scene, cv2.COLOR_RGB2GRAY),
+        "stripes": np.tile(np.array([0, 200], np.uint8), (120, 80)),
+        "flat": np.full((120, 160), 7, np.uint8),
+    }
+    for name, image in images.items():
+        write_png(tmp_path / f"{name}.png", image)
+        with collected_warnings() as lines:
+            read_image(tmp_path / f"{name}.png")
+        assert any("Bayer" in line for line in lines) == name.startswith("mosaic"), name
+
+
+def test_the_rest_of_a_file_of_several_images_is_refused_or_named(tmp_path: Path):
+    grey = (GREY >> 8).astype(np.uint8)
+    pages = stored(tmp_path, np.stack([grey] * 3), photometric="minisblack")
+    for read in (read_image, read_grey, read_plane):
+        with pytest.raises(InputError, match=r"a\.tif: 3 pages"):
+            read(pages)
+    with pytest.raises(InputError, match=r"a\.tif: 3 pages"):
+        read_plane(stored(tmp_path, np.stack([grey] * 3).astype(np.float32), photometric="minisblack"))
+    with tifffile.TiffWriter(tmp_path / "b.tif") as file:  # a pyramid has one image
+        file.write(grey, photometric="minisblack")
+        file.write(grey[::2, ::2], photometric="minisblack", subfiletype=1)
+    np.testing.assert_array_equal(read_image(tmp_path / "b.tif"), grey)
+    frames = [PIL.Image.fromarray(np.roll(grey, k)) for k in range(3)]
+    frames[0].save(tmp_path / "a.png", save_all=True, append_images=frames[1:])
+    with pytest.raises(InputError, match=r"a\.png: an animation of 3 frames"):
+        read_image(tmp_path / "a.png")
+    for kind in ("GIF", "WEBP"):
+        file = BytesIO()
+        frames[0].save(file, kind, save_all=True, append_images=frames[1:])
+        (tmp_path / "g.png").write_bytes(file.getvalue())
+        with pytest.raises(InputError, match=r"g\.png: not a PNG"):
+            read_image(tmp_path / "g.png")
+    frames[0].save(tmp_path / "m.jpg", "MPO", save_all=True, append_images=frames[1:])
+    (tmp_path / "n.pgm").write_bytes(2 * (b"P5 2 1 255\n" + bytes([7, 9])))
+    for name, words in (("m.jpg", "3 images"), ("n.pgm", "bytes follow")):
+        with collected_warnings() as lines:
+            read_image(tmp_path / name)
+        assert any(f"{name}: " in line and words in line for line in lines)
