@@ -15,7 +15,6 @@ from depthcli.io.scenes.rows import Folder
 from depthcli.run.console import Reporter
 
 _DEFAULT_PROTOCOLS = "middlebury-v2", "depth"  # of a truth file in no scene's folder, without --protocol
-_MILLIMETERS = 1000.0  # codes a meter of a depth map that is the truth, if the settings have no scale
 
 
 def scenes_with_truth(
@@ -69,6 +68,6 @@ def _scene_of_file(
         codes = None if truth.suffix.lower() == ".pfm" else meta.positive("disp_scale") or settings.scale
         return StereoScene(**common, left=truth, disparity_left=truth, disparity_scale=codes)
     if issubclass(protocol.kind, RgbdScene):
-        scale = meta.positive("depth_scale") or settings.scale or _MILLIMETERS
-        return RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=scale)
+        alone = RgbdScene(**common, color=truth, depth=truth, depth_true=truth, depth_scale=settings.scale)
+        return alone.with_scale(meta.positive("depth_scale"))
     raise InputError(f"{truth}: {protocol.name} needs a folder of scenes as the ground truth")

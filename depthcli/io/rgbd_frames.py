@@ -16,7 +16,7 @@ from depthcli.core.color_and_infrared import RgbIrFrame
 from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbdFrame, SparseFrame, infrared_image
 from depthcli.io.formats.calibrations import read_color_infrared_rig
-from depthcli.io.formats.depth import MILLIMETERS, check_fb, codes_of, read_depth
+from depthcli.io.formats.depth import check_fb, codes_of, read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import naming, read_bytes, shown, warn
 from depthcli.io.formats.files_behind import kinect_files
@@ -151,9 +151,9 @@ def true_depth(scene: RgbdScene) -> RgbdTruth:
 
 
 def _read_depth(scene: RgbdScene, path: Path) -> NDArray[np.float32]:
-    # The default scale is not passed on: 8-bit codes, which would give no usable depth, need one of their own.
-    scale = None if path.suffix in (".pfm", ".npy") or scene.depth_scale == MILLIMETERS else scene.depth_scale
-    return read_depth(path, scale, 3 if scene.rotated else 0)
+    # Beside codes of the sensor, floats of another map are meters.
+    floats = scene.scale_floats and (path == scene.depth or read_plane(scene.depth).dtype.kind == "f")
+    return read_depth(path, scene.depth_scale, 3 if scene.rotated else 0, scale_floats=floats)
 
 
 def _visible_depth(scene: RgbdScene) -> NDArray[np.float32]:

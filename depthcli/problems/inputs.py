@@ -143,14 +143,20 @@ def as_map(array: ArrayLike, name: str, shape: tuple[int, int] | None = None) ->
     return values
 
 
-def as_depth(array: ArrayLike, name: str, scale: float, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
+def as_depth(
+    array: ArrayLike,
+    name: str,
+    scale: float | None,
+    shape: tuple[int, int] | None = None,
+    scale_floats: bool = True,
+) -> NDArray[np.float32]:
     """Return depths as (H, W) float32, meters, NaN = unknown; InputError as for :func:`as_map`, or where all are.
 
-    Floats are meters, integers ``scale`` codes a meter; what is not a positive number is unknown.
+    There are ``scale`` codes a meter; None: floats are meters, integers millimeters, as floats are without
+    ``scale_floats``. What is unknown, :func:`depthcli.io.formats.depth.meters` says.
     """
     as_map(array, name, shape)
-    codes = np.asarray(array)
-    depth = meters(codes, scale if codes.dtype.kind in "iu" else 1.0, name)
+    depth = meters(np.asarray(array), scale, name, scale_floats=scale_floats)
     if np.isnan(depth).all():
         raise InputError(f"{name}: no pixel has a depth")
     return depth

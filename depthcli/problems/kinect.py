@@ -91,13 +91,13 @@ class RefineKinect(Problem[FrameOrSequence, FrameInputs, RefinedDepth]):
     def truth_scenes(self, scenes: Sequence[FrameOrSequence]) -> Sequence[Scene]:
         """Return the frames, of sequences, too."""
         frames = [each for scene in scenes for each in (scene.frames if isinstance(scene, SequenceScene) else (scene,))]
-        return sorted(frames, key=lambda frame: frame.name)
+        return sorted((frame.with_scale(self.config.depth_scale) for frame in frames), key=lambda frame: frame.name)
 
     def settings(self, scene: FrameOrSequence) -> dict[str, str]:
         """Return the cameras that the layout or the options describe."""
         frames = scene.frames if isinstance(scene, SequenceScene) else (scene,)
         first = frames[0]
-        scale = self.config.depth_scale or first.depth_scale
+        scale = self.config.depth_scale or first.depth_scale or MILLIMETERS
         found = {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
         if first.depth_intrinsics is not None:
             found["depth_camera"] = f"{first.depth_intrinsics} {first.depth_to_color}"
@@ -161,13 +161,12 @@ class RefineKinect(Problem[FrameOrSequence, FrameInputs, RefinedDepth]):
         context.clock.start("load")
         config = self.config
         if not scene.raw:
-            scale, intrinsics = config.depth_scale or scene.depth_scale, config.intrinsics or scene.intrinsics
-            scene = replace(scene, depth_scale=scale, intrinsics=intrinsics)
+            scene = replace(scene, intrinsics=config.intrinsics or scene.intrinsics).with_scale(config.depth_scale)
         frame, way = load_frame(scene), ""
         if frame.interpolated or scene.depth_intrinsics is not None:
             way = "by both cameras" if scene.depth_intrinsics else "assumed"
         warnings = [] if scene.raw else _scale_warnings(scene, frame)
-        return FrameInputs(frame, scene.depth_scale, 3 if scene.rotated else 0, way, warnings)
+        return FrameInputs(frame, scene.depth_scale or MILLIMETERS, 3 if scene.rotated else 0, way, warnings)
 
     def solve(self, inputs: FrameInputs, context: Context) -> RefinedDepth:
         """Refine the frame, and choose the pixels of its cloud; InputError where the memory does not suffice."""
@@ -213,7 +212,7 @@ def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
     is_image = scene.depth.suffix.lower() in IMAGE_SUFFIXES
     if not scene.rotated and is_image and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
         return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
-    text = sensor_warning(scene.depth, frame.depth, scene.depth_scale)
+    text = sensor_warning(scene.depth, frame.depth, scene.depth_scale or MILLIMETERS)
     return [text] if text else []
 
 
@@ -246,8 +245,9 @@ def refine_depth(
     ----------
     color : (H, W, 3) RGB or (H, W) grey, as for :func:`depthcli.stereo`; None: there is depth alone, whose gaps are
         filled and noise removed by geometry; or a list of the frames of a sequence
-    depth : (H, W), registered to the color image: floats are meters, integers ``depth_scale`` codes a meter; what is
-        not a positive number is unknown. A smaller one of the same aspect ratio is scaled. Or a list of as many
+    depth : (H, W), registered to the color image: floats are meters, integers millimeters, or both are ``depth_scale``
+        codes a meter if that is given; what is not a positive number is unknown. A smaller one of the same aspect
+        ratio is scaled. Or a list of as many
     preset : name of a preset of ``depthcli refine-kinect``, path of a YAML file, or a config. ``"sequence"`` carries
         a state along a list; others refine each frame alone
     overrides : config keys -> values, as ``--set`` has them
@@ -290,7 +290,7 @@ def refine_depth(
     for index, (one_color, one_depth) in enumerate(zip(colors, depths, strict=True)):
         where = "" if single else f"frame {index}: "
         with collected_warnings() as lines:
-            measured = as_depth(one_depth, f"{where}depth", scale)
+            measured = as_depth(one_depth, f"{where}depth", config.depth_scale)
             image = None if one_color is None else as_color8(one_color, f"{where}color")
         height, width = measured.shape if image is None else image.shape[:2]
         if results and (height, width) != results[0].values.shape:

@@ -107,12 +107,16 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
     def truth_scenes(self, scenes: Sequence[RgbdScene]) -> Sequence[RgbdScene]:
         """Return the frames, without the source of a sparse depth that is not read."""
         read = self.config.stereo is None and not self._by_mask
+        scenes = [scene.with_scale(self.config.depth_scale) for scene in scenes]
         return scenes if read else [replace(scene, sparse_source="") for scene in scenes]
 
     def settings(self, scene: RgbdScene) -> dict[str, str]:
         """Return the scale of the depth, and the largest disparity of color and infrared image."""
-        scale, max_disparity = self.config.depth_scale or scene.depth_scale, getattr(scene, "max_disparity", None)
-        found = {"depth_scale": str(scale), "max_disparity": str(max_disparity)}
+        scale, max_disparity = (
+            scene.with_scale(self.config.depth_scale).depth_scale,
+            getattr(scene, "max_disparity", None),
+        )
+        found = {"depth_scale": str(scale or MILLIMETERS), "max_disparity": str(max_disparity)}
         return found | ({"camera": str(scene.intrinsics)} if self.config.ply else {})
 
     def memory(self, scene: RgbdScene) -> int:
@@ -140,8 +144,8 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
         """Return the frame of a scene with its sparse depth, its mask of objects, or its infrared image."""
         context.clock.start("load")
         config, stereo = self.config, self.config.stereo
-        scale, intrinsics = config.depth_scale or scene.depth_scale, config.intrinsics or scene.intrinsics
-        scene = replace(scene, depth_scale=scale, intrinsics=intrinsics)
+        intrinsics = config.intrinsics or scene.intrinsics
+        scene = replace(scene, intrinsics=intrinsics).with_scale(config.depth_scale)
         frame: SparseFrame | RgbIrFrame
         if self._by_mask:
             frame = load_masked_frame(scene)
@@ -154,7 +158,7 @@ class Transparent(Problem[RgbdScene, GlassInputs, RefinedDepth]):
             if stereo.max_disparity is None and scene.max_disparity is not None:
                 stereo = stereo.model_copy(update={"max_disparity": scene.max_disparity})
         camera = None if intrinsics is None else Intrinsics(*intrinsics)
-        return GlassInputs(frame, stereo, camera, scene.depth_scale, 3 if scene.rotated else 0)
+        return GlassInputs(frame, stereo, camera, scene.depth_scale or MILLIMETERS, 3 if scene.rotated else 0)
 
     def solve(self, inputs: GlassInputs, context: Context) -> RefinedDepth:
         """Match color and infrared if there is no sparse depth, and complete the frame.
@@ -260,8 +264,11 @@ def complete_transparent(
     with collected_warnings() as lines:
         image = as_color8(color, "color")
         height, width = image.shape[:2]
-        measured = as_depth(depth, "depth", scale, (height, width))
-        second = None if sparse is None or config.stereo else as_depth(sparse, "sparse", scale, measured.shape)
+        measured = as_depth(depth, "depth", config.depth_scale, (height, width))
+        floats = np.asarray(depth).dtype.kind == "f"  # beside codes of the sensor, other floats are meters
+        second = None
+        if sparse is not None and not config.stereo:
+            second = as_depth(sparse, "sparse", config.depth_scale, measured.shape, floats)
     camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
     frame: SparseFrame | RgbIrFrame
     if config.stereo is None and config.pipeline.needs == "objects":

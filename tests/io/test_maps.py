@@ -177,9 +177,9 @@ def test_npz_files(tmp_path: Path):
 
 def test_codes_of_depth_are_divided_by_their_scale(tmp_path: Path):
     path = tmp_path / "depth.png"
-    write_png(path, np.array([[0, 1, 1500, 65535]], np.uint16))
-    np.testing.assert_array_equal(read_depth(path), np.array([[np.nan, 0.001, 1.5, 65.535]], np.float32))
-    np.testing.assert_array_equal(read_depth(path, 5000), np.array([[np.nan, 0.0002, 0.3, 13.107]], np.float32))
+    write_png(path, np.array([[0, 1, 1500, 65534]], np.uint16))
+    np.testing.assert_array_equal(read_depth(path), np.array([[np.nan, 0.001, 1.5, 65.534]], np.float32))
+    np.testing.assert_array_equal(read_depth(path, 5000), np.array([[np.nan, 0.0002, 0.3, 13.1068]], np.float32))
     write_png(path, np.array([[0, 100]], np.uint8))
     np.testing.assert_array_equal(read_depth(path, 50), np.array([[np.nan, 2]], np.float32))
     refused(InputError, r"depth\.png: 8-bit depth needs a scale", read_depth, path)
@@ -207,7 +207,7 @@ def test_far_depths_are_no_sensors_whatever_the_median():
 
 
 def test_rotated_codes_and_what_are_none(tmp_path: Path):
-    codes = np.array([[0, 7, 0x1234, 65535]], np.uint16)
+    codes = np.array([[0, 7, 0x1234, 65534]], np.uint16)
     write_png(tmp_path / "sun.png", (codes << 3) | (codes >> 13))
     np.testing.assert_array_equal(read_depth(tmp_path / "sun.png", rotate=3)[0, 1:], codes[0, 1:] / np.float32(1000))
     for bad in (np.array([[-1]]), np.array([[70000]]), np.array([[1.5]])):
@@ -230,7 +230,7 @@ def test_png_round_trip(tmp_path: Path):
     depth[0, :5] = np.nan, np.inf, 0, -2, 1e-9
     depth[1, 0] = 70  # meters: no code of a millimeter
     for scale in (1000.0, 5000.0):
-        depth[1, 1] = 65535 / scale
+        depth[1, 1] = 65534 / scale
         write_depth_png(tmp_path / "d.png", depth, scale)
         read = read_depth(tmp_path / "d.png", scale)
         assert np.isnan(read[0, :4]).all() and np.isnan(read[1, 0])
@@ -239,6 +239,38 @@ def test_png_round_trip(tmp_path: Path):
         known[0, 4] = False
         assert known.sum() == 7 * 9 - 6
         assert np.abs(read - depth)[known].max() <= 0.5001 / scale
+
+
+@pytest.mark.parametrize(
+    ("stored", "mark"),
+    [
+        (np.array([[1500, 65535, 2000]], np.uint16), "65535"),
+        (np.array([[1.5, 1e10, 2]], np.float32), "1e+10"),
+        (np.array([[1.5, 65504, 2]], np.float16), "65504"),
+        (np.array([[1.5, 1e6, 2]], np.float64), "1e+06"),
+    ],
+)
+def test_largest_numbers_are_no_depth(tmp_path: Path, stored, mark):
+    np.save(tmp_path / "d.npy", stored)
+    with collected_warnings() as lines:
+        read = read_depth(tmp_path / "d.npy")
+    np.testing.assert_array_equal(read, np.array([[1.5, np.nan, 2]], np.float32))
+    assert "d.npy: 33.3 %" in lines[0] and mark in lines[0]
+
+
+def test_raw_codes_of_a_kinect_are_no_millimeters(tmp_path: Path):
+    codes = np.full((20, 30), 917, np.uint16)
+    write_png(tmp_path / "d.png", codes)
+    assert read_depth(tmp_path / "d.png")[0, 0] == np.float32(0.917)
+    codes[:3] = 2047
+    write_png(tmp_path / "d.png", codes)
+    np.save(tmp_path / "d.npy", codes.astype(np.int32))
+    for name in ("d.png", "d.npy"):
+        refused(InputError, rf"{name}: 15 % .* 2047, .*kinect-raw.*--depth-scale", read_depth, tmp_path / name)
+        assert read_depth(tmp_path / name, 1000)[0, 0] == np.float32(2.047)
+    codes[5, 5] = 2048  # not the largest code
+    write_png(tmp_path / "d.png", codes)
+    assert read_depth(tmp_path / "d.png")[0, 0] == np.float32(2.047)
 
 
 def test_point_cloud(tmp_path: Path):

@@ -28,6 +28,9 @@ from depthcli.io.rgbd_frames import (
 from depthcli.io.scenes import RgbdScene, RgbIrScene, SequenceScene, sequences
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.frames import FRAMES
+from depthcli.problems.inputs import load_config
+from depthcli.problems.kinect import RefineKinect
+from depthcli.problems.transparent import Transparent
 from tests.command_line import refused, run
 from tests.contracts.layouts import check_layout
 from tests.scenes import DATA, load, needs_data, true
@@ -493,3 +496,40 @@ def test_sixteen_bits_use_their_own_range(tmp_path):
 def test_what_cannot_be_used_says_why_in_a_line(tmp_path, change, infrared, said):
     write_infrared(tmp_path, None if change is None else {**RIG, **change}, infrared)
     refused(InputError, said, loaded, tmp_path)
+
+
+@pytest.mark.parametrize("scale", [1000.0, 4000.0])
+@pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.float32])
+def test_a_scale_that_is_given_holds_for_every_kind_of_file(tmp_path: Path, scale: float, dtype):
+    codes = (DEPTH / 2000.0 * scale).astype(dtype)
+    write(tmp_path / "a")
+    (tmp_path / "a" / "depth.png").unlink()
+    np.save(tmp_path / "a" / "depth.npy", codes)
+    np.save(tmp_path / "a" / "depth_true.npy", codes)
+    np.save(tmp_path / "a" / "sparse.npy", codes)
+    (scene,) = find(tmp_path)
+    given = scene.with_scale(scale)
+    (tmp_path / "a" / "meta.json").write_text(json.dumps({"depth_scale": scale}))
+    for one in (given, *find(tmp_path)):
+        np.testing.assert_array_equal(load(one).depth[1:], 1)
+        np.testing.assert_array_equal(true(one).depth[1:], 1)
+        np.testing.assert_array_equal(load_sparse_frame(one).sparse[1:], 1)
+
+
+def test_beside_codes_floats_are_meters(tmp_path: Path):
+    write(tmp_path / "a", depth_scale=4000)
+    np.save(tmp_path / "a" / "depth_true.npy", np.full(DEPTH.shape, 0.5, np.float32))
+    (scene,) = find(tmp_path)
+    np.testing.assert_array_equal(load(scene).depth[1:], 0.5)
+    np.testing.assert_array_equal(true(scene).depth, 0.5)
+
+
+def test_truth_is_read_by_the_scale_of_the_run(tmp_path: Path):
+    write(tmp_path / "a")
+    (scene,) = find(tmp_path)
+    for problem in (RefineKinect, Transparent):
+        config = load_config(
+            problem.model, {"refine-kinect": "nearest"}.get(problem.command, "sensor"), depth_scale=4000
+        )
+        (one,) = problem.ready(config).truth_scenes([scene])
+        assert (one.depth_scale, one.scale_floats) == (4000, True)

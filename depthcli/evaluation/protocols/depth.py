@@ -17,7 +17,7 @@ from depthcli.core.maps import DepthStatus
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.protocols import Presentation, Protocol, ShownMap, beside
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, in_order
-from depthcli.io.formats.depth import MILLIMETERS, read_depth
+from depthcli.io.formats.depth import read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import collected_warnings, warn
 from depthcli.io.rgbd_frames import load_frame, true_depth
@@ -37,7 +37,7 @@ class DepthTruth:
     depth: Depth  # (H, W) float32, meters, NaN = unknown
     regions: dict[str, NDArray[np.bool_]]  # name -> (H, W), pixels with known truth
     fb: float | None  # focal length x baseline, pixel meters
-    scale: float  # codes a meter of the truth's files
+    scale: float | None  # codes a meter of the truth's files; None: by their kind
     looks_like: str = ""
 
     @property
@@ -53,7 +53,7 @@ class DepthTruth:
 
 def _shown_map(path: Path, scene: Scene, files: MapFiles) -> ShownMap:
     """Return a run's map and its bound in mm."""
-    scale = getattr(scene, "depth_scale", MILLIMETERS)
+    scale = getattr(scene, "depth_scale", None)
     values = 1000.0 * read_depth(path, scale, scale_floats=False).astype(np.float64)
     figures = {"no value, %": 100.0 * float(np.isnan(values).mean())}
     return ShownMap(values, figures=figures, **beside(path, files, 1000.0))

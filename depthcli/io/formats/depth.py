@@ -28,8 +28,12 @@ _ROOM = (0.2, 20.0)  # median depths that are plausible for a room, meters
 MIN_DEPTH, MAX_DEPTH = 0.01, 100.0
 """Median depths that are plausible at all, meters: from a macro lens to a street."""
 
-# Codes per meter of common files: millimeters, TUM RGB-D, eighths and tenths of millimeters, KITTI, centimeters.
-_COMMON_SCALES = (1000.0, 5000.0, 8000.0, 10_000.0, 256.0, 100.0)
+# Codes per meter of common files: millimeters, TUM RGB-D, RealSense L515, eighths and tenths of millimeters, KITTI,
+# centimeters, meters.
+_COMMON_SCALES = (1000.0, 5000.0, 4000.0, 8000.0, 10_000.0, 256.0, 100.0, 1.0)
+
+_NO_DEPTH = (65504.0, 65535.0)  # largest numbers of half precision and of 16 bit, which mean no depth
+_RAW_CODE, _MIN_RAW_SHARE = 2047, 0.005  # the first Kinect's code of no depth; share of pixels that have it in raw maps
 
 
 def codes_of(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
@@ -50,33 +54,60 @@ def read_depth(
 
     Codes (PNG, PGM, TIFF, integer npy) are rotated right by ``rotate`` bits (SUN RGB-D: 3) and divided by ``scale``,
     codes per meter: None is 1000 for 16-bit codes. PFM, float npy, TIFF are in meters unless a scale is given and
-    ``scale_floats``. Values that are not positive numbers, or are ``invalid``, are unknown.
+    ``scale_floats``. Unknown is what :func:`meters` says.
     """
-    values = read_plane(path)
+    return meters(read_plane(path), scale, path, rotate, invalid, scale_floats)
+
+
+def meters(
+    values: NDArray[Any],
+    scale: float | None,
+    name: Path | str,
+    rotate: int = 0,
+    invalid: float | None = None,
+    scale_floats: bool = True,
+) -> NDArray[np.float32]:
+    """Return (H, W) depths as float32 meters, NaN = unknown, of the numbers and options that :func:`read_depth` has.
+
+    Unknown are values that are no positive numbers, are ``invalid``, or the largest of 16 bit and half precision, and
+    depths beyond these, with a warning. There is a warning, which begins with ``name``, where the depths are
+    implausible. InputError: 8-bit codes, or what seem to be raw codes of a Kinect, without a scale.
+    """
     if values.dtype.kind == "b":
-        raise InputError(f"{shown(path)}: true or false, expected depths")
+        raise InputError(f"{shown(name)}: true or false, expected depths")
     if values.dtype.kind in "iu":
         if scale is None and values.dtype.itemsize == 1:
-            raise InputError(f"{shown(path)}: 8-bit depth needs a scale (codes per meter)")
-        values, scale = codes_of(values, path), scale or MILLIMETERS
+            raise InputError(f"{shown(name)}: 8-bit depth needs a scale (codes per meter): --depth-scale")
+        values = codes_of(values, name)
         if rotate:
             values = (values >> np.uint16(rotate)) | (values << np.uint16(16 - rotate))
+        elif scale is None and (share := _raw_share(values)):
+            raise InputError(
+                f"{shown(name)}: {100 * share:.3g} % of the pixels have the largest code, {_RAW_CODE}, as in raw maps "
+                "of a Kinect: call it disparity.* for layout kinect-raw, or give the scale, such as --depth-scale 1000"
+            )
+        scale = scale or MILLIMETERS
     elif not scale_floats:
         scale = None
-    return meters(values, scale or 1.0, path, invalid)
-
-
-def meters(values: NDArray[Any], scale: float, name: Path | str, invalid: float | None = None) -> NDArray[np.float32]:
-    """Return (H, W) codes, ``scale`` of them a meter, as float32 meters; NaN = unknown: no positive number.
-
-    There is a warning, which begins with ``name``, where the depths are implausible.
-    """
+    scale = scale or 1.0
     with np.errstate(all="ignore"):  # infinite results are unknown, like infinite values
         depth = (values / np.float64(scale)).astype(np.float32)
-    depth[without_value(values, invalid) | without_value(depth, positive=True)] = np.nan
+        marked = np.isin(values, _NO_DEPTH) | (np.isfinite(values) & (depth > _NO_DEPTH[0]))
+    none = without_value(values, invalid)
+    marked &= ~none
+    if marked.any():
+        share, mark = 100 * np.mean(marked), values[marked].max()
+        warn(f"{shown(name)}: {share:.3g} % of the pixels are {mark:g}: taken as no depth")
+    depth[none | marked | without_value(depth, positive=True)] = np.nan
     if text := implausible_depth(name, depth, scale):
         warn(text)
     return depth
+
+
+def _raw_share(codes: NDArray[np.uint16]) -> float:
+    """Return the share of the largest code of raw maps of a Kinect, 0 where the codes are others."""
+    share = float(np.mean(codes == _RAW_CODE))
+    return share if codes.max() == _RAW_CODE and share >= _MIN_RAW_SHARE else 0.0
 
 
 def implausible_depth(

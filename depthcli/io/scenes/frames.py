@@ -75,7 +75,7 @@ def _meta(folder: Folder) -> dict[str, Any]:
     scale = meta.positive("depth_scale")
     facts = {"fb": meta.positive("fb"), "pose": meta.pose(), "protocol": meta.text("protocol", "depth")}
     facts["sparse_source"] = meta.text("sparse_source", "")
-    return cameras(meta) | facts | ({"depth_scale": scale} if scale else {})
+    return cameras(meta) | facts | ({"depth_scale": scale, "scale_floats": True} if scale else {})
 
 
 def _frame(found: Found) -> dict[str, Any] | None:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,7 +158,8 @@ class RgbdScene(Scene):
 
     color: Path | None  # None where there is depth alone
     depth: Path
-    depth_scale: float = 1000.0  # codes a meter of integer depth files
+    depth_scale: float | None = None  # codes a meter of integer depth files; None: by the file's kind
+    scale_floats: bool = False  # the scale was given for these files, and holds for floating point, too
     rotated: bool = False  # the codes' bits are rotated left by 3 (SUN RGB-D)
     raw: bool = False  # ``depth`` has raw codes of a first-generation Kinect, in the depth camera's frame
     calibration: Path | None = None  # Kinect calibration for raw codes, or None for a typical one
@@ -189,6 +190,10 @@ class RgbdScene(Scene):
     def has_truth(self) -> bool:
         """True where the true depth is known."""
         return self.depth_true is not None
+
+    def with_scale(self, scale: float | None) -> Self:
+        """Return the scene with a number of codes a meter that was given; None: as it is."""
+        return self if scale is None or self.raw else replace(self, depth_scale=scale, scale_floats=True)
 
     @property
     def image(self) -> Path:
