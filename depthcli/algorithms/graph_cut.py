@@ -8,7 +8,7 @@ import maxflow
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.kernels.jit import jit, run_bands
+from depthcli.kernels.jit import jit
 
 
 def binary_cut(
@@ -90,19 +90,8 @@ def alpha_expansion(
     labels = labels.astype(np.int32)
     energy = potts_energy(labels, costs, ends, strength)
     # Transposed: a column of a large matrix misses the cache at every node.
-    transposed = np.empty(costs.shape[::-1], costs.dtype)
-    run_bands(_transpose, -(-costs.shape[1] // 8), costs, transposed)
-    _expand(labels, transposed, _arcs(len(costs), ends, strength), energy, max_sweeps)
+    _expand(labels, np.ascontiguousarray(costs.T), _arcs(len(costs), ends, strength), energy, max_sweeps)
     return labels, potts_energy(labels, costs, ends, strength)
-
-
-@jit
-def _transpose(begin, end, matrix, out):
-    rows, columns = matrix.shape
-    for block in range(begin, end):  # a line of the cache
-        for i in range(rows):
-            for j in range(8 * block, min(8 * block + 8, columns)):
-                out[j, i] = matrix[i, j]
 
 
 class _Arcs(NamedTuple):

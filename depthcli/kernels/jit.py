@@ -11,8 +11,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from queue import SimpleQueue
 from typing import Any, TypeVar, cast
 
 from depthcli.kernels.cache import KernelCache, cache_folder  # before numba: it sets where kernels are kept
@@ -115,12 +115,25 @@ class _Threads:
     def forget(self) -> None:
         """Begin anew: a process that is a copy of this one has none of its threads."""
         self._lock = threading.Lock()
-        self._pool: ThreadPoolExecutor | None = None
+        self._started = 0
+        self._tasks: SimpleQueue[Callable[[], None]] = SimpleQueue()
 
-    def pool(self) -> ThreadPoolExecutor:
-        with self._lock:
-            self._pool = self._pool or ThreadPoolExecutor(self.most - 1, "depthcli-kernels")
-            return self._pool
+    def offer(self, task: Callable[[], None], times: int) -> None:
+        """Let up to ``times`` threads call ``task``, as soon as they have nothing else to do."""
+        if self._started < times:
+            with self._lock:
+                for _ in range(self._started, times):
+                    threading.Thread(
+                        target=self._work, args=(self._tasks,), name="depthcli-kernels", daemon=True
+                    ).start()
+                self._started = max(self._started, times)
+        for _ in range(times):
+            self._tasks.put(task)
+
+    @staticmethod
+    def _work(tasks: SimpleQueue[Callable[[], None]]) -> None:
+        while True:
+            tasks.get()()
 
 
 _threads = _Threads()
@@ -129,23 +142,35 @@ _threads = _Threads()
 def run_bands(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
     """Call ``kernel(begin, end, *arguments)`` on all threads, each for a band of the numbers 0 .. ``count`` - 1.
 
-    What a kernel writes for a number, such as a row, must not depend on the band that it is in. Any thread may call
-    this at any time: it takes over the bands that no other one has begun, so that it never waits for one in a queue.
+    The values that a kernel writes for one number, e.g. a row, must not depend on the band. Any thread may call this
+    function at any time: it runs the bands that no other thread has begun itself, so it never waits in a queue.
     """
     n_bands = min(_threads.used, count)
     if n_bands <= 1:
         if count > 0:
             kernel(0, count, *arguments)
         return
-    ends = [count * k // n_bands for k in range(n_bands + 1)]
-    submit = _threads.pool().submit
-    others = [(submit(kernel, *band, *arguments), band) for band in pairwise(ends[1:])]
-    kernel(0, ends[1], *arguments)
-    for future, band in others:
-        if future.cancel():
+    bands = list(pairwise([count * k // n_bands for k in range(n_bands + 1)]))
+    finished: SimpleQueue[BaseException | None] = SimpleQueue()
+
+    def run_one() -> None:
+        try:
+            band = bands.pop()
+        except IndexError:  # all have begun
+            return
+        try:
             kernel(*band, *arguments)
+        except BaseException as error:
+            finished.put(error)
         else:
-            future.result()
+            finished.put(None)
+
+    _threads.offer(run_one, n_bands - 1)
+    for _ in range(n_bands):
+        run_one()
+    errors = [error for error in [finished.get() for _ in range(n_bands)] if error]
+    if errors:
+        raise errors[0]
 
 
 class CompileWatch(numba.core.event.Listener):

@@ -130,14 +130,8 @@ def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np
     -------
     (H, W) float32, pixels; inf where the match lies outside the right image
     """
-    difference = np.empty(left.shape, np.float32)
-    run_bands(_left_right_difference, len(left), left, right, difference)
+    match = np.arange(left.shape[1]) - (left + np.float32(0.5)).astype(np.intp)
+    partner = np.take_along_axis(right, np.maximum(match, 0), axis=1)
+    difference = np.abs(left.astype(np.float32) - partner.astype(np.float32))
+    difference[match < 0] = np.inf
     return difference
-
-
-@jit
-def _left_right_difference(begin, end, left, right, difference):
-    width = left.shape[1]
-    for y in range(begin, end):
-        for x in range(width):
-            difference[y, x] = partner_difference(left[y, x], x, right[y])

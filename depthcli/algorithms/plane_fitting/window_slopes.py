@@ -36,24 +36,10 @@ _STEPS = 4  # samples from the center of the window to its side
 def framed(array: NDArray[Any], margin: int) -> NDArray[Any]:
     """Return (..., H, W) padded with 0, by ``margin`` on all sides, and on the right up to whole vectors; NaN is 0."""
     *others, height, width = array.shape
-    result = np.empty((*others, height + 2 * margin, width + 2 * margin + -width % SHORT_LANES), array.dtype)
-    planes, padded = array.reshape(-1, height, width), result.reshape(-1, *result.shape[-2:])
-    run_bands(_frame, padded.shape[1], planes, margin, padded)
+    result = np.zeros((*others, height + 2 * margin, width + 2 * margin + -width % SHORT_LANES), array.dtype)
+    inside = result[..., margin : margin + height, margin : margin + width]
+    np.copyto(inside, array, where=array == array)
     return result
-
-
-@jit
-def _frame(begin, end, planes, margin, out):
-    count, height, width = planes.shape
-    for task in range(begin, end):
-        y = task - margin
-        for n in range(count):
-            row = out[n, task]
-            row[:] = 0
-            if 0 <= y < height:
-                for x in range(width):
-                    value = planes[n, y, x]
-                    row[margin + x] = value if value == value else 0
 
 
 def color_planes(image: NDArray[np.uint8], margin: int) -> NDArray[np.uint8]:

@@ -81,10 +81,11 @@ def difference_volume(
 
 def _half_pixel_range(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     # Smallest and largest value within half a pixel along the row, linear between pixels.
-    rows = np.ascontiguousarray(image).reshape(-1, image.shape[-1])
-    low, high = np.empty_like(rows), np.empty_like(rows)
-    run_bands(_extremes, len(rows), rows, low, high)
-    return low.reshape(image.shape), high.reshape(image.shape)
+    rows = np.ascontiguousarray(image, np.int16).reshape(-1, image.shape[-1])  # one type: compiled once
+    ends = np.empty((2, *rows.shape), np.int16)
+    run_bands(_extremes, len(rows), rows, *ends)
+    low, high = ends.astype(image.dtype).reshape(2, *image.shape)
+    return low, high
 
 
 @jit
