@@ -62,13 +62,33 @@ class PairOptions(SceneOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RangeOptions(PairOptions):
-    """Image pairs with what else is known of them: calibration and search range, which override keys of the config."""
+class CalibrationOptions:
+    """A calibration of two cameras, and how it is read: one group of all commands that take one."""
 
     calibration: list[Path] | None = option(
-        None, metavar="FILE", help="Calibration, for pairs that are not rectified, as rectify takes it; repeatable."
+        None,
+        metavar="FILE",
+        help="Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain, KITTI "
+        "calib_cam_to_cam or ZED conf; repeatable.",
     )
-    unit: str | None = option(None, metavar="UNIT", help="Unit of an OpenCV calibration's translation: m, cm or mm.")
+    unit: str | None = option(
+        None,
+        metavar="UNIT",
+        help="Unit of its lengths: m, cm, mm, or a length such as 24mm. Default: the format's, m of most.",
+    )
+    fisheye: bool = option(False, "--fisheye", help="The lenses of an OpenCV file are fisheye.")
+    cameras: str | None = option(
+        None, metavar="L,R", help="Numbers of the left and right camera in a KITTI file. Default: 2,3."
+    )
+    alpha: float | None = option(
+        None, metavar="SHARE", min=0, max=1, help="0: keep only what both images show; 1: keep all. Default: 0."
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangeOptions(CalibrationOptions, PairOptions):
+    """Image pairs with what else is known of them: calibration and search range, which override keys of the config."""
+
     max_disparity: MaxDisparityOption = None
     min_disparity: str | None = option(None, metavar="N", help="Smallest disparity searched, or auto. Default: 0.")
 
@@ -256,28 +276,16 @@ class BoardOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RectifyOptions:
+class RectifyOptions(CalibrationOptions):
     """By what pairs are rectified."""
 
-    calibration: list[Path] | None = option(
-        None,
-        metavar="FILE",
-        help="Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain or KITTI "
-        "calib_cam_to_cam; repeatable.",
-    )
     uncalibrated: bool = option(
         False, "--uncalibrated", help="Rectify by matched key points alone; depths stay unknown."
-    )
-    unit: str = option("m", metavar="UNIT", help="Unit of the translation in an OpenCV calibration: m, cm or mm.")
-    fisheye: bool = option(False, "--fisheye", help="The lenses of an OpenCV file are fisheye.")
-    cameras: str = option("2,3", metavar="L,R", help="Numbers of the left and right camera in a KITTI file.")
-    alpha: float = option(
-        0.0, metavar="SHARE", min=0, max=1, help="0: keep only what both images show; 1: keep all of both."
     )
 
 
 @dataclass(frozen=True, kw_only=True)
-class MapOptions:
+class MapOptions(CalibrationOptions):
     """The maps of a run, or a single one, and their calibration."""
 
     run: Annotated[Path, Argument(metavar="RUN", help="Run folder of stereo or fuse, or one disparity map.")]
@@ -285,10 +293,6 @@ class MapOptions:
     layout: LayoutOption = None
     scenes: ScenesOption = None
     left: Path | None = option(None, metavar="FILE", help="Left image of a single map, for the point cloud.")
-    calibration: list[Path] | None = option(
-        None, metavar="FILE", help="Calibration of all scenes: calib.txt, KITTI's, or as rectify takes it; repeatable."
-    )
-    unit: str = option("m", metavar="UNIT", help="Unit of the translation in an OpenCV calibration: m, cm or mm.")
     focal: float | None = option(None, metavar="PIXELS", min=1e-6, help="Focal length, if there is no calibration.")
     baseline: float | None = option(None, metavar="METERS", min=1e-9, help="Distance of the cameras, with --focal.")
     doffs: float | None = option(None, metavar="PIXELS", help="x of the right principal point minus the left one's.")

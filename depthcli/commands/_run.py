@@ -25,7 +25,8 @@ from depthcli.io.scenes.rows import Layouts
 from depthcli.problems.given_maps import GivenMaps, with_maps
 from depthcli.problems.inputs import config_with_options
 from depthcli.problems.problem import SceneJob
-from depthcli.problems.stereo import PairConfig, with_unit
+from depthcli.problems.rectified import reading_fields
+from depthcli.problems.stereo import PairConfig, with_reading
 from depthcli.run.console import Reporter
 from depthcli.run.flags import Flags, flag_rows
 from depthcli.run.folder import EVALUATION, LEGEND_FILE, refusal, saved_config, staging_folder
@@ -77,8 +78,9 @@ def prepared(
         files = [str(path) for path in source.calibration or ()]
         options["calibration"] = files[0] if len(files) == 1 else json.dumps(files) if files else None
     checked = config_with_options(problem.model, config, settings, options)
-    if isinstance(checked, PairConfig):
-        checked = with_unit(checked, getattr(source, "unit", None))
+    if isinstance(checked, PairConfig) and isinstance(source, RangeOptions):
+        fields = reading_fields(source.unit, source.fisheye, source.cameras, source.alpha)
+        checked = with_reading(checked, fields)
     job = problem.ready(checked)
     return job, job.units(adapted(find_scenes(problem.rows, source, run)), run.reporter)
 

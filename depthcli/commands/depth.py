@@ -34,7 +34,7 @@ def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     from depthcli.io.scenes.pairs import PAIRS
     from depthcli.io.scenes.places import local
     from depthcli.problems.depth import ToDepth, find_maps
-    from depthcli.problems.rectified import check_unit
+    from depthcli.problems.rectified import calibration_of, reading_fields
 
     numbers = {name: getattr(maps, name) for name in ("focal", "baseline", "doffs")}
     given = [name for name, value in numbers.items() if value is not None]
@@ -43,11 +43,12 @@ def depth(maps: MapOptions, clouds: CloudOptions, run: DepthRunOptions) -> int:
     coding: dict[str, Any] = {name: v for name in ("scale", "invalid") if (v := getattr(maps, name)) is not None}
     if coding and not os.path.isfile(local(maps.run)):
         raise ConfigError(f"--{next(iter(coding))} belongs to a single map; maps of a run are in pixels")
-    check_unit(maps.unit)
+    fields = reading_fields(maps.unit, maps.fisheye, maps.cameras, maps.alpha)
+    if given and fields:
+        raise ConfigError(f"--{next(iter(fields))} and --{given[0]} exclude each other")
     files = maps.calibration or []
-    if len(files) > 2:
-        raise ConfigError("--calibration: at most two files belong together")
-    coding |= {"unit": maps.unit} if maps.unit != "m" else {}
+    calibration_of(files, {})
+    coding |= {name: list(value) if isinstance(value, tuple) else value for name, value in fields.items()}
     coding |= {"second_calibration": str(files[1].absolute())} if len(files) == 2 else {}
     job = ToDepth(numbers | vars(clouds) | coding)
     pairs = None

@@ -48,7 +48,8 @@ def fuse(
 
     if not 1 <= len(maps or ()) <= MAX_MAPS:
         raise ConfigError(f"--maps: give 1 to {MAX_MAPS} runs or maps (got {len(maps or ())})")
-    unused = [name for name in ("calibration", "unit", "min_disparity") if getattr(pairs, name) is not None]
+    names = ("calibration", "unit", "fisheye", "cameras", "alpha", "min_disparity")
+    unused = [name for name in names if getattr(pairs, name) not in (None, False)]
     if unused or set:
         raise ConfigError(f"--{(unused or ['set'])[0].replace('_', '-')} does not go with fuse maps")
     options: dict[str, Any] = {"max_disparity": largest(pairs.max_disparity), "surfaces": surfaces}

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Camera, Intrinsics
+from depthcli.core.cameras.camera import Camera, Intrinsics, off_center
 from depthcli.core.cameras.color_and_depth import registered
 from depthcli.core.cameras.kinect import UNKNOWN_CODE, KinectCalibration, kinect_v1, sensor_fb
 from depthcli.core.color_and_infrared import RgbIrFrame
@@ -45,6 +45,12 @@ def frame_size(scene: RgbdScene) -> tuple[int, int]:
     return image_size(scene.image)
 
 
+def check_center(where: object, camera: Intrinsics | None, shape: tuple[int, ...]) -> None:
+    """Warn if a camera is probably that of images of another size than ``shape``."""
+    if camera is not None and (doubt := off_center(camera, (shape[1], shape[0]))):
+        warn(f"{where}: {doubt}")
+
+
 def load_frame(scene: RgbdScene) -> RgbdFrame:
     """Return color and depth of one size, depth in meters and registered to the color, or depth alone."""
     scene.check()
@@ -54,10 +60,13 @@ def load_frame(scene: RgbdScene) -> RgbdFrame:
     if scene.color is None:
         known = color_camera or depth_camera
         frame = RgbdFrame.without_color(_visible_depth(scene), scene.fb or sensor_fb(known), known)
+        check_center(f"{scene.depth}: intrinsics", known, frame.shape)
     elif scene.raw:
         frame = _registered_raw(scene, read_color8(scene.color))
     else:
         color, depth = read_color8(scene.color), _visible_depth(scene)
+        check_center(f"{scene.color}: intrinsics", color_camera, color.shape)
+        check_center(f"{scene.depth}: depth_intrinsics", depth_camera, depth.shape)
         with naming(scene.depth):
             found = registered(depth, color.shape[:2], color_camera, depth_camera, scene.depth_to_color)
         if found.note:
@@ -176,6 +185,8 @@ def _registered_raw(scene: RgbdScene, color: NDArray[np.uint8]) -> RgbdFrame:
     calibration = kinect_v1() if scene.calibration is None else read_kinect_calibration(scene.calibration)
     if calibration.beta is not None and calibration.beta.shape != raw.shape:
         raise InputError(f"{scene.calibration}: its distortion map is not of the depth image's size")
+    for name, one, image in (("color", calibration.color, color), ("depth", calibration.depth, raw)):
+        check_center(f"{scene.calibration or 'calibration'}: {name}", one.intrinsics, image.shape)
     # Where the color image is finer than the depth, most of its pixels would meet no point.
     ratio = calibration.color.matrix[0, 0] / calibration.depth.matrix[0, 0]
     factor = 1.0 if ratio < 1.5 else 1.0 / round(ratio)

@@ -17,7 +17,7 @@ from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.context import Context
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.maps import DisparityMap
-from depthcli.io.formats.calibrations import read_geometry
+from depthcli.io.formats.calibrations import Reading, read_geometry
 from depthcli.io.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
 from depthcli.io.formats.disparity import check_sign, read_foreign_map, read_pfm
 from depthcli.io.formats.files import collected_warnings, naming, shown
@@ -89,7 +89,8 @@ class ToDepth(SceneJob[DisparityScene]):
         scene.check()
         disparity = read_foreign_map(scene.disparity, config.get("scale"), config.get("invalid"), says_scale=True)
         height, width = disparity.shape
-        geometry = self._geometry(scene, disparity.shape).for_size(width, height)
+        stored = self._geometry(scene, disparity.shape)
+        geometry = stored.for_size(width, height)
         with naming(scene.disparity):
             check_sign("disparities", disparity, geometry.offset)
 
@@ -128,7 +129,7 @@ class ToDepth(SceneJob[DisparityScene]):
         row |= {"doffs": geometry.offset, "beyond_png": round(beyond, 6)}
         if depth.bound is not None:
             row["median_bound"] = median_of(depth.bound)
-        warnings = []
+        warnings = [doubt] if (doubt := stored.doubts(width, height)) else []
         if config["ply"]:
             PointCloud.of(depth, geometry.left, image, in_cloud).save(folder / "points.ply")
             row["points"] = int(np.count_nonzero(valid & in_cloud))
@@ -156,7 +157,9 @@ class ToDepth(SceneJob[DisparityScene]):
         beside = scene.folder / "calib.txt"
         size = None if shape is None else (shape[1], shape[0])
         rectified = beside if os.path.isfile(beside) and os.path.isfile(scene.folder / "left.png") else None
-        return read_geometry(files, scene.cameras, size, self.config.get("unit", "m"), rectified=rectified)
+        given = {key: self.config[key] for key in ("unit", "fisheye", "cameras", "alpha") if key in self.config}
+        ours = {"unit": "mm"} if scene.calibration == rectified else {}  # known, whatever the baseline is
+        return read_geometry(files, Reading(**({"cameras": scene.cameras} | ours | given)), size, rectified)
 
 
 def find_maps(

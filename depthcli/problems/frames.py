@@ -23,6 +23,7 @@ from depthcli.core.result import DepthResult
 from depthcli.io.formats.depth import MILLIMETERS, beyond_png
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.networks import network_path, read_errors, read_network, read_numbers
+from depthcli.io.rgbd_frames import check_center
 from depthcli.io.scenes import RgbdScene
 from depthcli.methods.kinect.bounds import DepthErrors
 from depthcli.methods.kinect.bounds import depth_bounds as kinect_bounds
@@ -96,7 +97,9 @@ class RefinedDepth(Shown, DepthMap):
         ``bound`` above ``max_bound`` meters are left out.
         """
         camera = self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
-        camera = camera if intrinsics is None else Intrinsics(*intrinsics)
+        if intrinsics is not None:
+            camera = Intrinsics(*intrinsics)
+            check_center("intrinsics", camera, self.values.shape)
         chosen = chosen_pixels(self, mask)
         chosen = chosen & (self.bound <= max_bound) if max_bound < math.inf else chosen
         return PointCloud.of(self, camera, self.color, chosen, near, far)

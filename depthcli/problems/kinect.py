@@ -26,7 +26,7 @@ from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import collected_warnings, naming
 from depthcli.io.formats.images import IMAGE_SUFFIXES
 from depthcli.io.formats.plain_text import numbers
-from depthcli.io.rgbd_frames import frame_size, load_frame
+from depthcli.io.rgbd_frames import check_center, frame_size, load_frame
 from depthcli.io.scenes import RgbdScene, Scene, SequenceScene, sequences
 from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.kinect.bounds import BYTES_PER_PIXEL
@@ -292,11 +292,13 @@ def refine_depth(
         with collected_warnings() as lines:
             measured = as_depth(one_depth, f"{where}depth", config.depth_scale)
             image = None if one_color is None else as_color8(one_color, f"{where}color")
-        height, width = measured.shape if image is None else image.shape[:2]
+            height, width = measured.shape if image is None else image.shape[:2]
+            camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+            check_center(f"{where}intrinsics", camera, (height, width))
+            check_center(f"{where}depth_intrinsics", depth_camera, measured.shape)
         if results and (height, width) != results[0].values.shape:
             first_height, first_width = results[0].values.shape
             raise InputError(f"frame {index}: {width} x {height}, but frame 0 is {first_width} x {first_height}")
-        camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
         if image is None:
             camera = camera or depth_camera
             frame = RgbdFrame.without_color(measured, fb or sensor_fb(camera), camera)

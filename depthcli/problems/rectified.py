@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from depthcli.core.cameras.rig import RectifiedRig, Rig
+from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.context import Latest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.method import ConfigModel
-from depthcli.io.formats import calibrations
-from depthcli.io.formats.calibrations import UNITS, write_geometry
-from depthcli.io.formats.files import file_states
+from depthcli.io.formats.calibrations import Reading, meters_of, read_rig, write_geometry
+from depthcli.io.formats.files import collected_warnings, file_states, shown, warn
 from depthcli.io.formats.images import pair_of, write_png
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_pair, load_views
-from depthcli.methods.stereo.search_range import MatchedRange, matched_range
+from depthcli.methods.stereo.search_range import MatchedRange, SearchRange, matched_range
 from depthcli.methods.stereo.view_matching import Points, match_views, row_error
 from depthcli.run.json_csv import Row
+from depthcli.show.table import number
 
 _MAX_ROW_ERROR = 1.0  # median row error of a calibrated pair, pixels; with more a scene has a warning
 
@@ -36,10 +37,12 @@ class Calibration(ConfigModel):
     files: tuple[str, ...] = Field(
         min_length=1,
         max_length=2,
-        description="OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain or KITTI calib_cam_to_cam",
+        description="OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain, KITTI calib_cam_to_cam, "
+        "ZED conf",
     )
-    unit: Literal["m", "cm", "mm"] = Field(
-        default="m", description="unit of the translation in an OpenCV calibration file"
+    unit: str | None = Field(
+        default=None,
+        description="unit of the translation: m, cm, mm, or a length such as 24mm; null: the format's, m of most",
     )
     fisheye: bool = Field(default=False, description="whether an OpenCV calibration file describes fisheye lenses")
     cameras: tuple[Annotated[int, Field(ge=0, le=9)], Annotated[int, Field(ge=0, le=9)]] = Field(
@@ -59,15 +62,52 @@ class Calibration(ConfigModel):
             return {"files": [data]}
         return {"files": data} if isinstance(data, list) else data
 
-    def rig(self) -> Rig:
-        """Read the two cameras; InputError where they cannot be read."""
-        return calibrations.read_rig([Path(file) for file in self.files], self.unit, self.fisheye, self.cameras)
+    @field_validator("unit")
+    @classmethod
+    def _is_a_length(cls, unit: str | None) -> str | None:
+        if unit is not None:
+            try:
+                meters_of(unit)
+            except InputError as error:
+                raise ValueError(str(error)) from None
+        return unit
+
+    @property
+    def reading(self) -> Reading:
+        """How the files are read."""
+        return Reading(self.unit, self.fisheye, self.cameras, self.alpha)
+
+    def rig(self, size: tuple[int, int] | None = None) -> Rig:
+        """Read the two cameras, for images of a (width, height) if known; InputError where they cannot be read."""
+        return read_rig([Path(file) for file in self.files], self.reading, size)
 
 
-def check_unit(unit: str) -> None:
-    """Raise ConfigError where ``--unit`` names no unit of length that calibrations have."""
-    if unit not in UNITS:
-        raise ConfigError(f"--unit: must be {', '.join(UNITS)} (got {unit!r})")
+def reading_fields(unit: str | None, fisheye: bool, cameras: str | None, alpha: float | None) -> dict[str, Any]:
+    """Return the fields of a :class:`Calibration` that the options of these names give; ConfigError for wrong ones."""
+    fields: dict[str, Any] = {"fisheye": True} if fisheye else {}
+    fields |= {} if alpha is None else {"alpha": alpha}
+    if unit is not None:
+        try:
+            meters_of(unit)
+        except InputError as error:
+            raise ConfigError(f"--unit: {error}") from None
+        fields["unit"] = unit
+    if cameras is not None:
+        first, _, second = cameras.partition(",")
+        if not (first.isdigit() and second.isdigit() and len(first + second) == 2 and first != second):
+            raise ConfigError(f"--cameras: must be two numbers such as 2,3 (got {cameras!r})")
+        fields["cameras"] = int(first), int(second)
+    return fields
+
+
+def calibration_of(files: Sequence[Path], fields: Mapping[str, Any]) -> Calibration | None:
+    """Return the calibration in files, read as ``fields`` say; None for no file; ConfigError for three."""
+    names = [str(file.absolute()) for file in files]
+    if len(names) > 2:
+        raise ConfigError("--calibration: at most two files belong together")
+    if not names and fields:
+        raise ConfigError(f"--{next(iter(fields))}: there is no calibration; give --calibration FILE, too")
+    return Calibration.model_validate({"files": names, **fields}) if names else None
 
 
 def calibration_files(calibration: Calibration | None) -> dict[str, Path]:
@@ -83,7 +123,17 @@ def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[A
     """
     sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
     key = calibration, file_states(*map(Path, calibration.files)), sizes
-    return latest.get("rig", key, lambda: calibration.rig().rectified(*sizes, calibration.alpha))
+
+    def read() -> tuple[RectifiedRig, list[str]]:
+        with collected_warnings() as lines:
+            rig = calibration.rig(sizes[0])
+        lines += [f"{shown(calibration.files[0])}: {doubt}" for doubt in rig.doubts(*sizes)]
+        return rig.rectified(*sizes, calibration.alpha), lines
+
+    rig, lines = latest.get("rig", key, read)
+    for line in lines:  # which every pair gets, whichever is the first here
+        warn(line)
+    return rig
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +200,28 @@ def sequence_range(
     files = {file for frame in frames for file in frame.input_files.values()}
     files |= set(calibration_files(calibration).values())
     return latest.get("range", (calibration, tuple(frames), file_states(*sorted(files))), union)
+
+
+def metric_columns(geometry: PairGeometry, search: SearchRange | None, depth: float | None = None) -> Row:
+    """Return focal length (pixels), baseline (meters) and the range of depths (meters) that disparities stand for.
+
+    A smallest disparity of 0 or less has no largest depth. ``depth`` is the median of a map's.
+    """
+    row: Row = {"focal": geometry.left.fx, "baseline": geometry.baseline}
+    ends = {} if search is None else {"min_depth": search.max_disparity, "max_depth": search.min_disparity}
+    for name, disparity in ends.items():
+        if (apart := disparity + geometry.offset) > 0:
+            row[name] = float(f"{geometry.fb / apart:.6g}")
+    return row if depth is None else row | {"median_depth": depth}
+
+
+METRIC_COLUMNS = (
+    number("baseline", "{:.4g} m"),
+    number("min_depth", "{:.3g} m"),
+    number("max_depth", "{:.3g} m"),
+    number("median_depth", "{:.3g} m"),
+)
+"""Of the printed table."""
 
 
 def row_errors(before: tuple[Points, Points], after: tuple[Points, Points]) -> Row:

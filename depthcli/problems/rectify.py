@@ -16,20 +16,23 @@ from depthcli.core.context import Context, Latest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.io.formats.calibrations import write_geometry
-from depthcli.io.formats.files import write_text
-from depthcli.io.formats.images import write_png
+from depthcli.io.formats.files import collected_warnings, write_text
+from depthcli.io.formats.images import image_size, write_png
 from depthcli.io.scenes import StereoScene
 from depthcli.io.stereo_pairs import load_views
 from depthcli.methods.stereo.rectification import RectifyingHomographies, rectify_uncalibrated
-from depthcli.methods.stereo.search_range import matched_range
+from depthcli.methods.stereo.search_range import SearchRange, matched_range
 from depthcli.methods.stereo.view_matching import Points, match_views
 from depthcli.problems.problem import SceneJob, Shown
 from depthcli.problems.rectified import (
+    METRIC_COLUMNS,
     Calibration,
     calibration_files,
+    calibration_of,
     calibration_warnings,
-    check_unit,
     grey8,
+    metric_columns,
+    reading_fields,
     rectified_rig,
     row_errors,
     sequence_range,
@@ -46,7 +49,15 @@ class Rectify(SceneJob[StereoScene]):
     """Rectifies pairs; ``calibration`` None: by their key points alone."""
 
     command = "rectify"
-    shown = Shown((SIZE, number("row_error_before", "{:.2f} px"), number("row_error", "{:.2f} px"), percent("overlap")))
+    shown = Shown(
+        (
+            SIZE,
+            number("row_error_before", "{:.2f} px"),
+            number("row_error", "{:.2f} px"),
+            percent("overlap"),
+            *METRIC_COLUMNS,
+        )
+    )
 
     config: Mapping[str, object]
     calibration: Calibration | None
@@ -58,7 +69,8 @@ class Rectify(SceneJob[StereoScene]):
     def memory(self, scene: StereoScene) -> None:
         """Return None, since it is little more than the images; InputError where the calibration cannot be read."""
         if self.calibration is not None:
-            self.calibration.rig()
+            with collected_warnings():  # which computing says
+                self.calibration.rig(image_size(scene.left)[::-1] if scene.frame_number is None else None)
 
     def compute(self, scene: StereoScene, folder: Path, context: Context) -> Outcome:
         """Rectify the pair, and find its search range.
@@ -96,7 +108,8 @@ class Rectify(SceneJob[StereoScene]):
         row: Row = {"width": rectified.size[0], "height": rectified.size[1], **rows}
         row |= {"overlap": share(overlap), **search}
         if isinstance(rectified, RectifiedRig):
-            row |= {"focal": rectified.geometry.left.fx, "baseline": rectified.geometry.baseline}
+            span = SearchRange(search["min_disparity"], search["max_disparity"]) if search else None
+            row |= metric_columns(rectified.geometry, span)
             write_geometry(folder / "calib.txt", rectified.geometry, search.get("max_disparity"))
         for name, view in zip(("left", "right"), views, strict=True):
             write_png(folder / f"{name}.png", view)
@@ -127,21 +140,17 @@ def _flatness_warnings(left: Points, right: Points) -> list[str]:
 
 
 def rectifier(
-    calibration: Sequence[Path] | None, uncalibrated: bool, unit: str, fisheye: bool, alpha: float, cameras: str
+    calibration: Sequence[Path] | None,
+    uncalibrated: bool,
+    unit: str | None,
+    fisheye: bool,
+    alpha: float | None,
+    cameras: str | None,
 ) -> Rectify:
     """Return the job with the options of these names; ConfigError where they do not fit together."""
-    files = tuple(path.absolute() for path in calibration or ())
+    files = tuple(calibration or ())
     if uncalibrated == bool(files):
         raise ConfigError("give --calibration FILE, or --uncalibrated")
-    if len(files) > 2:
-        raise ConfigError("--calibration: at most two files belong together")
-    check_unit(unit)
-    first, _, second = cameras.partition(",")
-    if not (first.isdigit() and second.isdigit() and len(first + second) == 2 and first != second):
-        raise ConfigError(f"--cameras: must be two numbers such as 2,3 (got {cameras!r})")
-    config = {"uncalibrated": uncalibrated, "unit": unit, "fisheye": fisheye, "alpha": alpha, "cameras": cameras}
-    if uncalibrated:
-        return Rectify(config, None)
-    names = [str(file) for file in files]
-    lens = {"unit": unit, "fisheye": fisheye, "alpha": alpha, "cameras": (int(first), int(second))}
-    return Rectify(config, Calibration.model_validate({"files": names, **lens}))
+    read = calibration_of(files, reading_fields(unit, fisheye, cameras, alpha))
+    config = {"uncalibrated": uncalibrated, "unit": unit or "m", "fisheye": fisheye, "alpha": alpha or 0.0}
+    return Rectify(config | {"cameras": cameras or "2,3"}, read)

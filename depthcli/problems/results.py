@@ -16,10 +16,10 @@ from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.core.frames import Image, color8
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
 from depthcli.core.result import Result
-from depthcli.io.formats.calibrations import read_geometry
+from depthcli.io.formats.calibrations import Reading, read_geometry
 from depthcli.io.formats.depth import MILLIMETERS, write_depth_png, write_points
 from depthcli.io.formats.disparity import write_disparity_png, write_pfm
-from depthcli.io.formats.files import write_text
+from depthcli.io.formats.files import warn, write_text
 from depthcli.io.formats.images import png_bytes, write_png
 from depthcli.io.formats.status import write_status
 from depthcli.methods.stereo.search_range import SearchRange
@@ -271,6 +271,7 @@ class Disparity(Shown, DisparityMap):
         doffs: float = 0.0,
         principal_point: tuple[float, float] | None = None,
         mask: Pixels = "all",
+        unit: str | None = None,
     ) -> Depth:
         """Return the metric depth of the map; its ``bound`` is the wider side, behind the value, of that of the map.
 
@@ -287,6 +288,7 @@ class Disparity(Shown, DisparityMap):
         principal_point : x and y of the left camera's, pixels; None: the center of the image
         mask : ``all``, ``measured``, ``confident:0.8:NAME`` (the surest 80 % of the measured ones, by a measure of
             ``confidence``), or (H, W) bool: the pixels that get a depth
+        unit : of the lengths in the file: m, cm, mm, or a length such as 24mm; None: the format's
 
         Examples
         --------
@@ -304,9 +306,11 @@ class Disparity(Shown, DisparityMap):
             geometry = None if calibration else PairGeometry(Intrinsics(focal, focal, x, y), baseline, doffs)
         elif calibration is not None:
             files = [calibration] if isinstance(calibration, str | Path) else calibration
-            geometry = read_geometry([Path(file) for file in files], size=(width, height))
+            geometry = read_geometry([Path(file) for file in files], Reading(unit), (width, height))
         if geometry is None:
             raise ConfigError("to_depth needs either a calibration file, or focal (pixels) and baseline (meters)")
+        if doubt := geometry.doubts(width, height):
+            warn(f"calibration: {doubt}")
         chosen = chosen_pixels(self, mask, self.confidence)
         return depth_of(self, geometry.for_size(width, height), self.left, chosen, self.bound)
 

@@ -24,6 +24,7 @@ from depthcli.core.maps import Status
 from depthcli.core.method import RootConfig, parts_of
 from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceError
+from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import image_size, pair_of
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.pairs import PAIRS
@@ -40,10 +41,11 @@ from depthcli.problems.given_maps import networks
 from depthcli.problems.inputs import Overrides, as_image, load_config, paired
 from depthcli.problems.problem import Problem, Shown
 from depthcli.problems.rectified import (
+    METRIC_COLUMNS,
     Calibration,
     Rectified,
     calibration_files,
-    check_unit,
+    metric_columns,
     rectified_scene,
     sequence_range,
 )
@@ -124,14 +126,13 @@ class StereoConfig(PairConfig):
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
 
-def with_unit(config: PairConfigT, unit: str | None) -> PairConfigT:
-    """Return the config with the unit of its calibration; ConfigError where it is none, or there is no calibration."""
-    if unit is None:
+def with_reading(config: PairConfigT, fields: Mapping[str, Any]) -> PairConfigT:
+    """Return the config with these fields of its calibration; ConfigError if it has no calibration."""
+    if not fields:
         return config
-    check_unit(unit)
     if config.calibration is None:
-        raise ConfigError("--unit: there is no calibration; give --calibration FILE, too")
-    return config.model_copy(update={"calibration": config.calibration.model_copy(update={"unit": unit})})
+        raise ConfigError(f"--{next(iter(fields))}: there is no calibration; give --calibration FILE, too")
+    return config.model_copy(update={"calibration": config.calibration.model_copy(update=dict(fields))})
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +165,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     model: ClassVar[type[PairConfig]]
     rows = PAIRS
     shown = Shown(
-        (SIZE, *map(percent, ("density", "measured")), number("median_bound", "{:.3g} px")),
+        (SIZE, *map(percent, ("density", "measured")), number("median_bound", "{:.3g} px"), *METRIC_COLUMNS),
         palette=STATUS_PALETTE,
         # Each reason, alone and filled.
         legend=(0, int(Status.SMOOTHED), *_REASONS, *(bit | int(Status.FILLED) for bit in _REASONS)),
@@ -177,7 +178,8 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
     def ready(cls, config: PairConfigT) -> Self:
         """Return the problem of a config; ConfigError or InputError where its calibration cannot be read."""
         if config.calibration is not None:
-            config.calibration.rig()
+            with collected_warnings():  # which every pair has
+                config.calibration.rig()
         return cls(config)
 
     @abstractmethod
@@ -298,7 +300,7 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
             "height": pair.shape[0],
             "max_disparity": search.max_disparity,
             **({"min_disparity": search.min_disparity} if search.min_disparity or key_points else {}),
-            **({} if inputs.rectified is None else inputs.rectified.facts),
+            **({} if inputs.rectified is None else inputs.rectified.facts | self._depths(inputs.rectified, result)),
             **key_points,
             "density": share(result.valid),
             "measured": share(result.measured),
@@ -307,6 +309,12 @@ class Pairs(Problem[StereoScene, PairInputs, Disparity], Generic[PairConfigT]):
             **{name: float(value) for name, value in result.details.figures.items()},
             **self.device_column(),
         }
+
+    @staticmethod
+    def _depths(rectified: Rectified, result: Disparity) -> Row:
+        """Return the report's columns of what the disparities of a rectified pair are in meters."""
+        geometry = rectified.rig.geometry
+        return metric_columns(geometry, result.search, median(geometry.depth(result.values)[result.valid]))
 
     def notes(self, scenes: Sequence[StereoScene], rows: Sequence[Row]) -> list[str]:
         """Return a line with the search range of scenes for which neither the config nor their files give one."""

@@ -21,7 +21,14 @@ from depthcli.core.maps import DepthStatus
 from depthcli.io.formats.calibrations import read_color_infrared_rig
 from depthcli.io.formats.depth import MILLIMETERS
 from depthcli.io.formats.files import collected_warnings
-from depthcli.io.rgbd_frames import TRANSPARENT, frame_size, load_infrared_frame, load_masked_frame, load_sparse_frame
+from depthcli.io.rgbd_frames import (
+    TRANSPARENT,
+    check_center,
+    frame_size,
+    load_infrared_frame,
+    load_masked_frame,
+    load_sparse_frame,
+)
 from depthcli.io.scenes import RgbdScene, RgbIrScene
 from depthcli.io.scenes.frames import FRAMES
 from depthcli.methods.transparent.cross_modal import CrossModal
@@ -269,7 +276,8 @@ def complete_transparent(
         second = None
         if sparse is not None and not config.stereo:
             second = as_depth(sparse, "sparse", config.depth_scale, measured.shape, floats)
-    camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+        camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+        check_center("intrinsics", camera, measured.shape)
     frame: SparseFrame | RgbIrFrame
     if config.stereo is None and config.pipeline.needs == "objects":
         if objects is None:

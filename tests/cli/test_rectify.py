@@ -1,20 +1,25 @@
 """Rigs with known cameras and a known room: rectified by every kind of calibration, matched, turned into meters."""
 
 import json
+import re
+import shutil
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 import depthcli
 from depthcli.core.cameras.camera import Camera
-from depthcli.core.cameras.rig import Rig
+from depthcli.core.cameras.rig import RectifiedRig, Rig
 from depthcli.core.errors import InputError
-from depthcli.io.formats.calibrations import read_geometry, read_rig
+from depthcli.io.formats.calibrations import Reading, read_geometry, read_rig
 from depthcli.io.formats.disparity import read_pfm, write_pfm
+from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.formats.status import read_status
 from depthcli.methods.stereo.rectification import rectify_uncalibrated
@@ -53,8 +58,9 @@ def photo(lens: Camera, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
     noise = np.random.default_rng(5).random((2, 1024, 1024, 3)).astype(np.float32)
     noise = np.stack([cv2.GaussianBlur(each, (0, 0), 2.2) for each in noise])
     noise = (noise - noise.min()) / (noise.max() - noise.min())
-    x, y = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
-    total = np.zeros((SIZE[1], SIZE[0], 3))
+    width, height = lens.size or SIZE
+    x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    total = np.zeros((height, width, 3))
     eye = np.hstack([np.eye(3), np.zeros((3, 1))])
     for dx in (-1 / 3, 0, 1 / 3):
         for dy in (-1 / 3, 0, 1 / 3):
@@ -169,28 +175,139 @@ def same_rig(one: Rig, other: Rig) -> None:
 def test_every_kind_of_file_gives_the_rig(fisheye: bool, tmp_path: Path):
     taken = rig(fisheye)
     for suffix in ("yml", "xml", "json"):
-        same_rig(read_rig([opencv(tmp_path / f"a.{suffix}", taken)], fisheye=fisheye), taken)
+        same_rig(read_rig([opencv(tmp_path / f"a.{suffix}", taken)], Reading(fisheye=fisheye)), taken)
     old = opencv(tmp_path / "old.yml", taken, "M1 D1 M2 D2 R T", 0.001)
-    same_rig(read_rig([old], "mm", fisheye), taken)
-    refused(InputError, "unit mm", read_rig, [old], fisheye=fisheye)
+    same_rig(read_rig([old], Reading("mm", fisheye)), taken)
+    refused(InputError, "unit mm", read_rig, [old], Reading(fisheye=fisheye))
     same_rig(read_rig(ros(tmp_path, taken)), taken)
     same_rig(read_rig([kalibr(tmp_path / "chain.yaml", taken)]), taken)
     if not fisheye:
         same_rig(read_rig([kitti(tmp_path / "calib_cam_to_cam.txt", taken)]), taken)
 
 
+@pytest.mark.parametrize(
+    ("baseline", "unit", "said"),
+    [
+        (4.3, None, "a baseline of 4.3 m: if the translation has another unit, give the unit"),
+        (4.3, "m", ""),
+        (4.3, "mm", ""),  # an endoscope
+        (4.17, "24mm", ""),
+        (0.0043, None, "which unit has the translation?"),
+        (0.0043, "m", ""),
+        (140, None, "which unit has the translation?"),
+        (140, "mm", ""),
+    ],
+)
+def test_an_unusual_baseline_asks_for_its_unit(baseline: float, unit: str | None, said: str, tmp_path: Path):
+    """By every reader of rigs and of rectified pairs, in depth and in Python's to_depth, too."""
+    taken = rig()
+    far = replace(taken, translation=taken.translation / taken.baseline * baseline)
+    meters = {None: 1.0, "m": 1.0, "mm": 0.001, "24mm": 0.024}[unit]
+    files = [[opencv(tmp_path / "a.yml", far)], ros(tmp_path, far), [kalibr(tmp_path / "b.yaml", far)]]
+    files += [[kitti(tmp_path / "c.txt", far)]]
+    (tmp_path / "K.txt").write_text(f"200 0 119.5 0 200 89.5 0 0 1\n{baseline}\n")
+    write_pfm(tmp_path / "map.pfm", np.full((180, 240), 10, np.float32))
+    for one in [*files, [tmp_path / "K.txt"]]:
+        with collected_warnings() as lines:
+            if "which" in said:
+                refused(InputError, f"{one[0].name}: .*{re.escape(said)}", read_geometry, one, Reading(unit))
+                continue
+            geometry = read_geometry(one, Reading(unit))
+        assert geometry.baseline == pytest.approx(baseline * meters, rel=1e-3)
+        assert bool(said) == any(line.startswith(f"{one[0]}: a baseline") for line in lines)
+    words = ["--calibration", tmp_path / "a.yml", *(["--unit", unit] if unit else []), "-q"]
+    code = run("depth", tmp_path / "map.pfm", *words, "-o", tmp_path / "out")
+    assert code == (3 if "which" in said else 0)
+    (row,) = json.loads((tmp_path / "out/report.json").read_text())["scenes"]
+    assert said in " ".join([row["error"], *(row["warnings"] or [])])
+
+
+def test_units_that_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    opencv(tmp_path / "a.yml", rig())
+    write_pfm(tmp_path / "map.pfm", np.full((180, 240), 10, np.float32))
+    calibration = ("--calibration", tmp_path / "a.yml")
+    pair = ("--left", "l.png", "--right", "r.png")
+    lines = [
+        ("depth", tmp_path / "map.pfm"),
+        ("stereo", "fast", *pair),
+        ("fuse", "consensus", *pair),
+        ("rectify", *pair),
+    ]
+    for line in lines:
+        for wrong in ("inch", "0mm", "5", "-2mm"):
+            assert run(*line, *calibration, "--unit", wrong, "-o", tmp_path / "out") == 2
+            assert "--unit: expected m, cm, mm, or a length" in capsys.readouterr().err
+        for option in (("--unit", "mm"), ("--fisheye",), ("--cameras", "0,1"), ("--alpha", "1")):
+            assert run(*line, *option, "-o", tmp_path / "out", "-q") in (2, 3)  # there is no calibration
+
+
+@pytest.mark.parametrize("command", ["rectify", "stereo", "fuse"])
+def test_all_commands_read_a_calibration_as_rectify_does(command: str, fish: Shot, tmp_path: Path):
+    """With --fisheye, --alpha, --cameras and --unit."""
+    file = opencv(tmp_path / "mm.yml", fish.rig, unit=0.001)
+    words = (*fish.words, "--calibration", file, "--unit", "mm", "--fisheye", "--alpha", "0.5", "-q")
+    line = {"rectify": ("rectify",), "stereo": ("stereo", "fast"), "fuse": ("fuse", "consensus")}[command]
+    assert run(*line, *words, "-o", tmp_path / "out") == 0
+    found = read_geometry(tmp_path / "out/room/calib.txt")
+    expected = fish.rig.rectified(SIZE, SIZE, 0.5).geometry
+    assert (found.left.fx, found.baseline) == pytest.approx((expected.left.fx, expected.baseline))
+    if command == "rectify":
+        return
+    map_file = tmp_path / "out/room/disp_left.pfm"
+    (tmp_path / "alone").mkdir()
+    shutil.copy(map_file, tmp_path / "alone/map.pfm")
+    words = ("--calibration", file, "--unit", "mm", "--fisheye", "--alpha", "0.5", "-q")
+    assert run("depth", tmp_path / "alone/map.pfm", *words, "-o", tmp_path / "alone/depth") == 0
+    assert run("depth", tmp_path / "out", "-q", "-o", tmp_path / "depth") == 0
+    one, other = read_pfm(tmp_path / "alone/depth/map/depth.pfm"), read_pfm(tmp_path / "depth/room/depth.pfm")
+    np.testing.assert_allclose(one, other, rtol=1e-5)
+
+
+def test_a_camera_of_images_of_another_size_is_warned_of(pinhole: Shot, tmp_path: Path):
+    """If the file has no size: by rectify, stereo, depth and to_depth; one with its size is refused or scaled."""
+    double = Rig(*(lens.scaled(2.0) for lens in (pinhole.rig.left, pinhole.rig.right)),
+                 pinhole.rig.rotation, pinhole.rig.translation)  # fmt: skip
+    half = Rig(*(lens.scaled(0.5) for lens in (pinhole.rig.left, pinhole.rig.right)),
+               pinhole.rig.rotation, pinhole.rig.translation)  # fmt: skip
+    write_pfm(tmp_path / "map.pfm", np.full((180, 240), 10, np.float32))
+    for name, taken, count in (("own", pinhole.rig, 0), ("double", double, 2), ("half", half, 2)):
+        file = opencv(tmp_path / f"{name}.yml", taken)
+        for command in (("rectify",), ("stereo", "fast")):
+            out = tmp_path / name / command[0]
+            run(*command, *pinhole.words, "--calibration", file, "-o", out, "-q")
+            (row,) = json.loads((out / "report.json").read_text())["scenes"]
+            lines = [line for line in row["warnings"] or [] if "far from the center of images of 240 x 180" in line]
+            assert len(lines) == count and (count or row["status"] == "done")
+        k = taken.left.matrix
+        (tmp_path / f"{name}.txt").write_text(" ".join(map(str, k.ravel())) + "\n0.14\n")
+        words = ("--calibration", tmp_path / f"{name}.txt", "-o", tmp_path / name / "depth", "-q")
+        assert run("depth", tmp_path / "map.pfm", *words) == 0
+        (row,) = json.loads((tmp_path / name / "depth/report.json").read_text())["scenes"]
+        assert bool(count) == any("far from the center" in line for line in row["warnings"] or [])
+
+
 def check_depth(scenes: Path, taken: Rig, tmp_path: Path, alpha: float = 0.0) -> None:
     """Match the rectified pair, turn it into meters, compare with where the rays meet the room."""
     assert run("stereo", "fast", "-i", scenes, "-o", tmp_path / "run", "-q") == 0
-    assert run("depth", tmp_path / "run", "-o", tmp_path / "depth", "--mask", "measured", "-q") == 0
-    (scene,) = (path.parent.name for path in scenes.glob("*/left.png"))
-    depth = read_pfm(tmp_path / "depth" / scene / "depth.pfm")
-    found = taken.rectified(SIZE, SIZE, alpha)
+    check_meters(tmp_path / "run", taken, tmp_path, alpha)
+
+
+def true_depth(taken: Rig, alpha: float = 0.0) -> np.ndarray:
+    """What the rectified left camera sees: the depth (H, W), meters."""
+    width, height = size = taken.left.size or SIZE
+    found = taken.rectified(size, size, alpha)
     k = found.geometry.left
-    x, y = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
+    x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     rays = np.stack([(x - k.cx) / k.fx, (y - k.cy) / k.fy, np.ones_like(x)], 2).reshape(-1, 3) @ found.rotation
     points, _ = seen(rays, np.zeros(3))
-    true = (points @ found.rotation.T)[:, 2].reshape(x.shape)
+    return (points @ found.rotation.T)[:, 2].reshape(x.shape)
+
+
+def check_meters(maps: Path, taken: Rig, tmp_path: Path, alpha: float = 0.0) -> None:
+    """Turn the one map of a run into meters, compare with where the rays meet the room."""
+    assert run("depth", maps, "-o", tmp_path / "depth", "--mask", "measured", "-q") == 0
+    (file,) = (tmp_path / "depth").glob("*/depth.pfm")
+    depth, true = read_pfm(file), true_depth(taken, alpha)
     measured = np.isfinite(depth)
     assert measured.mean() > 0.6
     error = (depth - true)[measured] / true[measured]
@@ -198,6 +315,144 @@ def check_depth(scenes: Path, taken: Rig, tmp_path: Path, alpha: float = 0.0) ->
     assert abs(np.median(error)) < 0.004
     assert np.median(np.abs(error)) < 0.015
     assert np.mean(np.abs(error) < 0.04) > 0.93
+
+
+def echo(folder: Path, taken: Rig, upper: bool = False) -> list[Path]:
+    """Messages as ROS 2 prints them, two of each topic, or in lists and upper case as ROS 1 does."""
+    files = []
+    for file in ros(folder, taken):
+        fields = yaml.safe_load(file.read_text())
+        names = {"d": "distortion_coefficients", "k": "camera_matrix", "r": "rectification_matrix",
+                 "p": "projection_matrix"}  # fmt: skip
+        texts = []
+        for second in (1, 2):
+            text = f"header:\n  stamp:\n    sec: {second}\n    nanosec: {second}00\n  frame_id: optical\n"
+            text += f"height: {SIZE[1]}\nwidth: {SIZE[0]}\ndistortion_model: {fields['distortion_model']}\n"
+            for key, name in names.items():
+                values = fields[name]["data"]
+                listed = "\n" + "".join(f"- {value}\n" for value in values)
+                text += f"{key.upper()}: {values}\n" if upper else f"{key}:{listed}"
+            text += "binning_x: 0\nbinning_y: 0\nroi:\n  x_offset: 0\n  y_offset: 0\n  height: 0\n  width: 0\n"
+            texts.append(text + "  do_rectify: false\n---\n")
+        files.append(file.with_suffix(".echo.yaml"))
+        files[-1].write_text("".join(texts))
+    return files
+
+
+def zed(file: Path, taken: Rig) -> Path:
+    """The file of Stereolabs, with another size before that of the rig; distortions in either place."""
+    turn, shift = cv2.Rodrigues(taken.rotation)[0].ravel(), taken.translation * 1000
+    text = ""
+    for mode, factor in (("FHD", 2.5), ("VGA", 1.0)):
+        for side, lens in (("LEFT", taken.left), ("RIGHT", taken.right)):
+            values = dict(zip(("fx", "fy", "cx", "cy"), lens.matrix[[0, 1, 0, 1], [0, 1, 2, 2]] * factor, strict=True))
+            if not lens.fisheye:
+                values |= dict(zip(("k1", "k2", "p1", "p2", "k3"), lens.distortion, strict=True))
+            text += f"[{side}_CAM_{mode}]\n" + "".join(f"{key}={value}\n" for key, value in values.items()) + "\n"
+    if taken.left.fisheye:
+        for side, lens in (("LEFT", taken.left), ("RIGHT", taken.right)):
+            text += f"[{side}_DISTO]\n" + "".join(f"k{k} = {v}\n" for k, v in enumerate(lens.distortion, 1)) + "\n"
+    text += f"[STEREO]\nBaseline={-shift[0]}\nTY={shift[1]}\nTZ_VGA={shift[2]}\n"
+    text += "".join(f"{key}_VGA={value}\n{key}_FHD=0.5\n" for key, value in zip(("RX", "CV", "RZ"), turn, strict=True))
+    file.write_text(text)
+    return file
+
+
+RIGS = {  # name -> the files of a calibration in a folder, and the options that they need; "lens": of fisheye lenses
+    **{f"opencv {end}": lambda at, taken, end=end: ([opencv(at / f"a.{end}", taken)], ["lens"])
+       for end in ("yml", "xml", "json")},
+    "opencv, old names, mm": lambda at, taken: (
+        [opencv(at / "mm.yml", taken, "M1 D1 M2 D2 R T", 0.001)], ["lens", "--unit", "mm"]),
+    "opencv, squares of 24 mm": lambda at, taken: (
+        [opencv(at / "squares.yml", taken, unit=0.024)], ["lens", "--unit", "24mm"]),
+    "opencv, two files": lambda at, taken: (halves(at, opencv(at / "c.yml", taken)), ["lens"]),
+    "ros": lambda at, taken: (ros(at, taken), []),
+    "ros2 topic echo": lambda at, taken: (echo(at, taken), []),
+    "rostopic echo": lambda at, taken: (echo(at, taken, upper=True), []),
+    "kalibr": lambda at, taken: ([kalibr(at / "chain.yaml", taken)], []),
+    "kitti": lambda at, taken: ([kitti(at / "calib_cam_to_cam.txt", taken)], []),
+    "zed": lambda at, taken: ([zed(at / "SN123.conf", taken)], []),
+}  # fmt: skip
+
+
+def zed_rig(fisheye: bool) -> Rig:
+    """The rig with images of ZED's size VGA."""
+    lenses = []
+    for lens in (rig(fisheye).left, rig(fisheye).right):
+        moved = lens.scaled(2.0).matrix
+        moved[:2, 2] += (90, 10)
+        lenses.append(Camera(moved, lens.distortion, (672, 376), fisheye))
+    return Rig(*lenses, rig().rotation, rig().translation)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lens", ["pinhole", "fish"])
+@pytest.mark.parametrize("kind", RIGS)
+def test_every_calibration_of_a_rig_leads_to_meters(
+    kind: str, lens: str, request: pytest.FixtureRequest, tmp_path: Path
+):
+    fisheye = lens == "fish"
+    if kind == "kitti" and fisheye:
+        pytest.skip("the format has no fisheye lenses")
+    taken = shot(tmp_path / "zed", zed_rig(fisheye)) if kind == "zed" else request.getfixturevalue(lens)
+    files, options = RIGS[kind](tmp_path, taken.rig)
+    options = ["--fisheye"] * (fisheye and "lens" in options) + [word for word in options if word != "lens"]
+    words = [*taken.words, *both(files), *options, "-q"]
+    assert run("rectify", *words, "-o", tmp_path / "scenes") == 0
+    (row,) = json.loads((tmp_path / "scenes/report.json").read_text())["scenes"]
+    assert row["row_error"] < 0.3 and row["baseline"] == pytest.approx(taken.rig.baseline) and not row["warnings"]
+    assert run("stereo", "fast", *words, "-o", tmp_path / "run") == 0
+    (row,) = json.loads((tmp_path / "run/report.json").read_text())["scenes"]
+    assert row["baseline"] == pytest.approx(taken.rig.baseline)
+    assert row["min_depth"] < row["median_depth"] == pytest.approx(np.median(true_depth(taken.rig)), rel=0.02)
+    check_meters(tmp_path / "run", taken.rig, tmp_path)
+    # The map of another program, which is told how the pair was rectified by the same file.
+    known = true_depth(taken.rig)
+    geometry = taken.rig.rectified(taken.rig.left.size, taken.rig.left.size).geometry
+    write_pfm(tmp_path / "map.pfm", (geometry.fb / known - geometry.offset).astype(np.float32))
+    assert run("depth", tmp_path / "map.pfm", *both(files), *options, "-q", "-o", tmp_path / "other") == 0
+    np.testing.assert_allclose(read_pfm(tmp_path / "other/map/depth.pfm"), known, rtol=1e-4)
+
+
+def geometries(found: RectifiedRig) -> dict[str, tuple[str, str, list[str]]]:
+    """Name of a format -> file name, its content for a rectified pair, and the options that it needs."""
+    left, right = found.projection, found.projection_right.copy()
+    right[0, 2] += 3  # of the right principal point
+    numbers = [" ".join(f"{value:.12e}" for value in each.ravel()) for each in (left, right)]
+    k, zero = left[:, :3], np.zeros((3, 4))
+    cams = [f"cam{n}=[{k[0, 0]} 0 {k[0, 2] + 3 * n}; 0 {k[1, 1]} {k[1, 2]}; 0 0 1]" for n in (0, 1)]
+    baseline = -right[0, 3] / right[0, 0]
+    others = " ".join(map(str, zero.ravel()))
+    data = "<proj_mat{0} type_id='opencv-matrix'><rows>3</rows><cols>4</cols><dt>d</dt><data>{1}</data></proj_mat{0}>"
+    booster = "".join(data.format(side, text) for side, text in zip("LR", numbers, strict=True))
+    middlebury = "\n".join(cams) + "\n{}baseline={}\n{}"
+    size = f"width={SIZE[0]}\nheight={SIZE[1]}\nndisp=64\n"
+    return {
+        "middlebury": ("calib.txt", middlebury.format("doffs=3\n", baseline * 1000, size), []),
+        "eth3d, without doffs and size": ("calib.txt", middlebury.format("", baseline * 1000, ""), []),
+        "middlebury in meters": ("calib.txt", middlebury.format("doffs=3\n", baseline, size), ["--unit", "m"]),
+        "kitti, color": ("a.txt", f"P0: {others}\nP1: {others}\nP2: {numbers[0]}\nP3: {numbers[1]}\n", []),
+        "kitti, grey": (
+            "a.txt", f"P0: {numbers[0]}\nP1: {numbers[1]}\nP2: {others}\nP3: {others}\n", ["--cameras", "0,1"]),
+        "kitti, raw": ("a.txt", f"P_rect_02: {numbers[0]}\nP_rect_03: {numbers[1]}\n", []),
+        "booster": ("a.xml", f"<a>{booster}<baselineLR>{baseline * 1000}</baselineLR></a>", []),
+        "foundation stereo": ("K.txt", f"{' '.join(map(str, k.ravel()))}\n{baseline}\n", ["no offset"]),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", geometries(rig().rectified(SIZE, SIZE)))
+def test_every_calibration_of_a_rectified_pair_gives_meters(kind: str, tmp_path: Path):
+    found = rig().rectified(SIZE, SIZE)
+    name, text, options = geometries(found)[kind]
+    offset = 0 if options == ["no offset"] else 3
+    (tmp_path / name).write_text(text)
+    true = true_depth(rig())
+    write_pfm(tmp_path / "map.pfm", (found.fb / true - offset).astype(np.float32))
+    words = ["--calibration", tmp_path / name, *(word for word in options if word != "no offset")]
+    assert run("depth", tmp_path / "map.pfm", *words, "-o", tmp_path / "out", "-q") == 0
+    np.testing.assert_allclose(read_pfm(tmp_path / "out/map/depth.pfm"), true, rtol=1e-4)
+    (row,) = json.loads((tmp_path / "out/report.json").read_text())["scenes"]
+    assert row["baseline"] == pytest.approx(found.rig.baseline) and not row["warnings"]
 
 
 def test_a_rectified_pair_has_rows_that_correspond_and_the_right_depth(pinhole: Shot, tmp_path: Path):

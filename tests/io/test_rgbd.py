@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import depthcli
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.kinect import KinectCalibration
 from depthcli.core.cameras.rig import Rig
@@ -103,6 +104,36 @@ def test_implausible_inputs_are_warned_of(tmp_path: Path, meta: dict[str, float]
         assert len(lines) == len(warned)
         for line, text in zip(lines, warned, strict=True):
             assert text.replace("depth.png", end) in line
+
+
+@pytest.mark.parametrize("key", ["intrinsics", "depth_intrinsics"])
+@pytest.mark.parametrize(("center", "warned"), [((29.5, 19.5), False), ((60, 40), True), ((14.5, 9.5), True)])
+def test_intrinsics_of_another_size_are_warned_of(tmp_path: Path, key: str, center: tuple[float, float], warned: bool):
+    """Of meta.json and of options, of color and of depth, with a color image and without; from Python, too."""
+    own = {"fx": 60.0, "fy": 60.0, "cx": 29.5, "cy": 19.5}
+    cameras = {"intrinsics": own, key: own | {"cx": center[0], "cy": center[1]}}
+    color, depth = np.full((40, 60, 3), 90, np.uint8), np.full((40, 60), 1000, np.uint16)
+    write(tmp_path / "in/a", color, depth, **cameras)
+
+    def said(*words: str | Path) -> bool:
+        assert run("refine-kinect", "nearest", *words, "-o", tmp_path / "out", "--overwrite", "-q") == 0
+        (row,) = json.loads((tmp_path / "out/report.json").read_text())["scenes"]
+        return any(f"{key}: the principal point" in line for line in row["warnings"] or [])
+
+    assert said("-i", tmp_path / "in") is warned
+    camera = f"60,60,{center[0]},{center[1]}"
+    option = ["--intrinsics", camera] if key == "intrinsics" else ["--depth-intrinsics", camera]
+    option += [] if key == "intrinsics" else ["--intrinsics", "60,60,29.5,19.5"]
+    (tmp_path / "in/a/meta.json").unlink()
+    assert said("-i", tmp_path / "in", *option) is warned
+    if key == "intrinsics":
+        assert said("--depth", tmp_path / "in/a/depth.png", *option) is warned
+    fields = {name: tuple(value.values()) for name, value in cameras.items()}
+    result = depthcli.refine_depth(color, depth, preset="nearest", **fields)
+    assert warned is any(f"{key}: the principal point" in line for line in result.warnings)
+    with collected_warnings() as lines:
+        result.to_points(intrinsics=(60, 60, *center))
+    assert warned is bool(lines)
 
 
 def test_meters_and_a_missing_fb(tmp_path: Path):

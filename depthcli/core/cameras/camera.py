@@ -14,7 +14,10 @@ from depthcli.core.errors import InputError
 # How many distortion coefficients OpenCV's models take, by whether it is the fisheye model.
 _COEFFICIENT_COUNTS = {False: (4, 5, 8, 12, 14), True: (4,)}
 
-_MAX_TRANSLATION = 10.0  # meters between the cameras of one sensor; a longer one is in another unit
+_MAX_TRANSLATION = 1.0  # meters between the cameras of one sensor; a longer one is in another unit
+# Share of the width or height; a third of the way from the center to the border. Images of 2/3 the size of those that a
+# camera is calibrated for have it at 1/4, images of 3/2 the size at 1/6.
+_MAX_OFF_CENTER = 0.15
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,22 @@ class Intrinsics:
         z = depth[chosen].astype(np.float64)
         x, y = (columns - self.cx) / self.fx * z, (rows - self.cy) / self.fy * z
         return np.stack([x, y, z], axis=-1).astype(np.float32)
+
+
+def off_center(camera: Intrinsics, size: tuple[int, int]) -> str:
+    """Return why a camera is probably not that of images of a (width, height); "" if it may be.
+
+    Its principal point is far from their center, as that of a camera of images of another size is.
+    """
+    center = ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    # Half a pixel lies between conventions of where a pixel's center is.
+    apart = max((abs(camera.cx - center[0]) - 0.5) / size[0], (abs(camera.cy - center[1]) - 0.5) / size[1])
+    if not apart > _MAX_OFF_CENTER:
+        return ""
+    return (
+        f"the principal point ({camera.cx:.1f}, {camera.cy:.1f}) is far from the center of images of {size[0]} x "
+        f"{size[1]}: are these numbers for images of another size, about {2 * camera.cx:.0f} x {2 * camera.cy:.0f}?"
+    )
 
 
 def typical_intrinsics(width: int, height: int) -> Intrinsics:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Camera, Intrinsics, is_rotation
+from depthcli.core.cameras.camera import Camera, Intrinsics, is_rotation, off_center
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
 
@@ -30,6 +30,8 @@ class Rig:
     translation: NDArray[np.float64]  # (3,), meters
 
     def __post_init__(self) -> None:
+        for name in ("rotation", "translation"):  # OpenCV refuses views of larger arrays
+            object.__setattr__(self, name, np.array(getattr(self, name), np.float64))
         if self.rotation.shape != (3, 3) or self.translation.shape != (3,):
             raise InputError("calibration: expected R (3, 3) and T (3,)")
         if not is_rotation(self.rotation):
@@ -43,6 +45,12 @@ class Rig:
     def baseline(self) -> float:
         """Distance of the cameras, meters."""
         return float(np.linalg.norm(self.translation))
+
+    def doubts(self, size: tuple[int, int], right_size: tuple[int, int]) -> list[str]:
+        """Return why cameras whose calibration has no size of images are probably not those of images of these."""
+        cameras = (("left", self.left, size), ("right", self.right, right_size))
+        reasons = ((name, off_center(camera.intrinsics, at)) for name, camera, at in cameras if camera.size is None)
+        return [f"{name} camera: {reason}" for name, reason in reasons if reason]
 
     def rectified(
         self,

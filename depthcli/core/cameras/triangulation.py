@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.camera import Intrinsics, off_center
 from depthcli.core.errors import InputError
 
 _ROUNDING = 0.01  # relative difference of two factors of size that rounding to whole pixels explains
@@ -75,6 +75,10 @@ class PairGeometry:
         smallest = disparity - bound
         behind = self.depth(smallest) - self.depth(disparity)
         return np.where(smallest + np.float32(self.offset) > 0, behind, disparity * np.float32(0) + np.float32(np.inf))
+
+    def doubts(self, width: int, height: int) -> str:
+        """Return why numbers that are for images of no known size are probably not for this one; "": they may be."""
+        return off_center(self.left, (width, height)) if self.size is None else ""
 
     def for_size(self, width: int, height: int) -> PairGeometry:
         """Return the same cameras with images of that size; InputError where they are of another shape."""

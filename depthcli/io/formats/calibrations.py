@@ -1,15 +1,16 @@
 """Calibrations as programs and data sets store them.
 
-Two cameras that are not rectified (OpenCV, ROS, Kalibr, KITTI), rectified pairs (Middlebury's ``calib.txt``, KITTI's
-projections, Booster's XML), and color with infrared.
+Two cameras that are not rectified (OpenCV, ROS, Kalibr, KITTI, ZED), rectified pairs (Middlebury's ``calib.txt``,
+KITTI's projections, Booster's XML, FoundationStereo's ``K.txt``), and color with infrared.
 """
 
 from __future__ import annotations
 
+import configparser
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 from xml.etree import ElementTree
@@ -23,22 +24,27 @@ from depthcli.core.cameras.camera import Camera, Intrinsics
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
-from depthcli.io.formats.files import naming, read_bytes, shown, warn, write_text
-from depthcli.io.formats.plain_text import image_sides, json_object, key_values, numbers, text_of
+from depthcli.io.formats.files import naming, read_bytes, shown, warn, warnings_naming, write_text
+from depthcli.io.formats.plain_text import image_sides, is_number, json_object, key_values, numbers, text_of
 
 ValueT = TypeVar("ValueT")
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Meters of the units that a translation may be stored in."""
+"""Meters of the units that a length may be given in."""
 
-_MILLIMETERS = 1000.0
+_MILLIMETER = 0.001  # meters
+_LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+)?\s*(mm|cm|m)\s*")
 _UNKNOWN = "no calibration of a kind that is known"
 # Files with nested fields: XML, JSON, YAML of OpenCV, ROS and Kalibr. The others have a key and its numbers in a line.
-_STORAGE = re.compile(r"\A\s*[<{%]|!!opencv|^cam0:\s*(\{|$)|^(camera_matrix|[KM]1|cameraMatrix1):", re.MULTILINE)
+_STORAGE = re.compile(
+    r"\A\s*[<{%]|!!opencv|^cam0:\s*(\{|$)|^(camera_matrix|[KM]1|cameraMatrix1|distortion_model):", re.MULTILINE
+)
 _MAX_BYTES = 1 << 24  # a calibration has a few kilobytes
 _MAX_LISTS = 1000  # in YAML; a calibration has some tens
-_MAX_BASELINE = 20.0  # meters; a longer one is in another unit
-_SENSOR_BASELINES = (1e-4, 10.0)  # meters, of a color and an infrared camera; another one is in another unit
+_MAX_PARTS = 10_000  # messages of a file of ROS
+# Meters. No usual rig has a baseline outside of the first two, and few have one above the third: the translation is in
+# another unit then, unless the user says which.
+_BASELINES, _LONG_BASELINE = (0.005, 5.0), 1.0
 # Names of the parts in files of OpenCV.
 _NAMES = {
     "K1": ("K1", "M1", "cameraMatrix1", "camera_matrix_1", "left_camera_matrix", "K_left"),
@@ -50,35 +56,88 @@ _NAMES = {
 }
 # Distortion models of the programs' files: whether OpenCV's fisheye model is meant.
 _KALIBR = {"radtan": False, "equidistant": True, "equi": True, "none": False}
-_ROS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
+_ROS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True, "": False}
+_ZED = re.compile(r"^\s*\[(LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IGNORECASE)
+_ZED_LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_K_NUMBERS = 10  # of FoundationStereo's file: K, row by row, and the baseline
 
 
-def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, cameras: tuple[int, int] = (2, 3)) -> Rig:
+# ZED's names of the sizes of its images.
+_ZED_SIZES = {
+    "2K": (2208, 1242), "FHD1200": (1920, 1200), "FHD": (1920, 1080), "HD": (1280, 720), "VGA": (672, 376),
+    "SVGA": (960, 600), "QHDPLUS": (3200, 1800), "4K": (3840, 2160),
+}  # fmt: skip
+_ROS_NAMES = {  # of a message, as ``ros2 topic echo`` prints it, and of the files of ROS
+    "k": "camera_matrix", "d": "distortion_coefficients", "r": "rectification_matrix", "p": "projection_matrix",
+    "width": "image_width", "height": "image_height",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a user says of a calibration file beside its name."""
+
+    unit: str | None = None  # of its lengths; None: its format's, meters of most
+    fisheye: bool = False  # the lenses of OpenCV's file follow its fisheye model; the other formats name the model
+    cameras: tuple[int, int] = (2, 3)  # numbers of the left and the right camera, in KITTI's files
+    alpha: float = 0.0  # extent of the rectified images, see :meth:`Rig.rectified`
+
+    def meters(self, usual: float = 1.0) -> float:
+        """Return the meters of a unit of the file, ``usual`` if the user does not say."""
+        return usual if self.unit is None else meters_of(self.unit)
+
+    def check(self, baseline: float) -> None:
+        """Raise InputError if no usual rig has this baseline, in meters, and the user does not say the unit."""
+        low, high = _BASELINES
+        if self.unit is None and baseline > 0 and not low <= baseline <= high:
+            raise InputError(
+                f"a baseline of {baseline:g} m; which unit has the translation? Give the unit, as --unit mm, --unit m, "
+                "or that of squares of a board, --unit 24mm"
+            )
+        if self.unit is None and baseline > _LONG_BASELINE:
+            warn(f"a baseline of {baseline:g} m: if the translation has another unit, give the unit, as --unit mm")
+
+
+def meters_of(length: str) -> float:
+    """Return the meters of a unit, ``mm``, or of a length with its unit, ``24mm``; InputError if it is neither."""
+    match = _LENGTH.fullmatch(length)
+    meters = float(match[1] or 1) * UNITS[match[2]] if match else 0.0
+    if not meters > 0:
+        raise InputError(f"expected {', '.join(UNITS)}, or a length such as 25mm (got {length[:40]!r})")
+    return meters
+
+
+def read_rig(paths: Sequence[Path], reading: Reading | None = None, size: tuple[int, int] | None = None) -> Rig:
     """Return the two cameras of a calibration, whose kind is found by its content.
 
     Parameters
     ----------
     paths : one file, or two that belong together: OpenCV's ``FileStorage`` as YAML, XML or JSON (K1 D1 K2 D2 R T in
-        either), ROS's ``camera_info`` of the left and the right camera, Kalibr's camchain, KITTI's ``calib_cam_to_cam``
-    unit : of OpenCV's translation, a key of ``UNITS``; the others have meters
-    fisheye : the lenses of OpenCV's file follow its fisheye model; the other formats name the model
-    cameras : numbers of the left and the right one, in KITTI's file
+        either), ROS's ``camera_info`` of the left and the right camera, Kalibr's camchain, KITTI's
+        ``calib_cam_to_cam``, ZED's ``SN12345.conf``
+    size : (width, height) of the images, by which ZED's file is read; None: its first
     """
     texts = [text_of(read_bytes(path, _MAX_BYTES)) for path in paths]
-    with naming(paths[0]):
-        return _rig(texts, UNITS[unit], fisheye, cameras)
+    with naming(paths[0]), warnings_naming(paths[0]):
+        return _rig(texts, reading or Reading(), size)
 
 
-def _rig(texts: Sequence[str], meters: float, fisheye: bool, cameras: tuple[int, int]) -> Rig:
+def _rig(texts: Sequence[str], reading: Reading, size: tuple[int, int] | None = None) -> Rig:
     if re.search(r"^K_0\d:", texts[0], re.MULTILINE):
-        rig = _kitti_rig(key_values(_only(texts)), cameras)
+        rig = _kitti_rig(key_values(_only(texts)), reading.cameras)
+    elif _ZED.search(texts[0]):
+        return _zed_rig(_only(texts), reading, size)
+    elif not _STORAGE.search(texts[0]) and _rectified_geometry(texts, Reading("m")) is not None:
+        raise InputError("describes a rectified pair, which is matched as it is; depth takes this file, too")
     elif "cam0" in (files := [_storage_fields(text) for text in texts])[0]:
         rig = _kalibr_rig(_only(files))
     elif "camera_matrix" in files[0]:
         rig = _ros_rig(files)
     else:
-        rig = _opencv_rig(files, meters, fisheye)
-    _check_baseline(rig.baseline)
+        rig = _opencv_rig(files, reading.fisheye)
+    if (meters := reading.meters()) != 1.0:
+        rig = replace(rig, translation=rig.translation * meters)
+    reading.check(rig.baseline)
     return rig
 
 
@@ -87,11 +146,6 @@ def _only(files: Sequence[ValueT]) -> ValueT:
     if len(files) > 1:
         raise InputError("such a file is a whole calibration; give one of them")
     return files[0]
-
-
-def _check_baseline(baseline: float) -> None:
-    if baseline > _MAX_BASELINE:
-        raise InputError(f"a baseline of {baseline:g} m; is the translation in millimeters? give the unit mm")
 
 
 def write_calibration(path: Path, cameras: Sequence[Camera], rig: Rig | None = None) -> None:
@@ -118,49 +172,63 @@ def write_calibration(path: Path, cameras: Sequence[Camera], rig: Rig | None = N
 
 def read_geometry(
     paths: Path | Sequence[Path],
-    cameras: tuple[int, int] = (2, 3),
+    reading: Reading | None = None,
     size: tuple[int, int] | None = None,
-    unit: str = "m",
     rectified: Path | None = None,
 ) -> PairGeometry:
     """Return how the disparities of a rectified pair become depth.
 
     Files are ``calib.txt`` of Middlebury v3 or ETH3D (``cam0``, ``cam1``, ``doffs``, ``baseline`` in mm); Booster's XML
-    (``proj_matL``, ``baselineLR``); KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:``
-    (DrivingStereo: ``P_rect_101:``), of whose ``cameras`` 0, 1 are grey and 2, 3 color (DrivingStereo: 101, 103); or
-    all that :func:`read_rig` reads.
+    (``proj_matL``, ``baselineLR`` in mm); KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:``
+    (DrivingStereo: ``P_rect_101:``), of whose ``cameras`` 0, 1 are grey and 2, 3 color (DrivingStereo: 101, 103);
+    FoundationStereo's ``K.txt`` (9 numbers of K, then the baseline in meters); or all that :func:`read_rig` reads.
 
     Parameters
     ----------
     paths : a file, or two that belong together
     size : (width, height) of the map, for cameras that are not rectified
-    unit : of OpenCV's translation, a key of ``UNITS``
     rectified : ``calib.txt`` that was written when the cameras' images were rectified; it counts for those instead of
         the files' own projections (``P1``, ``P2``, ROS's ``projection_matrix``), or of what ``depthcli rectify`` does
     """
-    files = [paths] if isinstance(paths, Path) else list(paths)
+    files, reading = [paths] if isinstance(paths, Path) else list(paths), reading or Reading()
     texts = [text_of(read_bytes(path, _MAX_BYTES)) for path in files]
-    with naming(files[0]):
-        fields = {} if _STORAGE.search(texts[0]) else key_values(texts[0])
-        if "cam0" in fields:
-            _only(texts)
-            return _middlebury_geometry(fields)
-        if any(re.fullmatch(r"P(\d|_rect_\d{2,3})", key) for key in fields):
-            _only(texts)
-            return _kitti_geometry(fields, cameras)
+    with naming(files[0]), warnings_naming(files[0]):
+        if not _STORAGE.search(texts[0]) and (geometry := _rectified_geometry(texts, reading)) is not None:
+            reading.check(geometry.baseline)
+            return geometry
         stored = [_storage_fields(text) for text in texts] if _STORAGE.search(texts[0]) else []
         if stored and "proj_matL" in stored[0]:
-            return _booster_geometry(_only(stored))
-        rig = _rig(texts, UNITS[unit], False, cameras)
-        if rectified is not None:
-            return read_geometry(rectified)
-        if (geometry := _projected(stored, rig.left.size, UNITS[unit])) is not None:
-            warn(f"{shown(files[0])}: the map is taken to be of a pair that was rectified by its projections")
+            geometry = _booster_geometry(_only(stored), reading.meters(_MILLIMETER))
+            reading.check(geometry.baseline)
             return geometry
-        warn(f"{shown(files[0])}: the map is taken to be of a pair that depthcli rectify has rectified, with alpha 0")
+        rig = _rig(texts, reading, size)
+        if rectified is not None:
+            return read_geometry(rectified, Reading("mm"))
+        if (geometry := _projected(stored, rig.left.size, reading.meters())) is not None:
+            reading.check(geometry.baseline)
+            warn("the map is taken to be of a pair that was rectified by its projections")
+            return geometry
+        warn(f"the map is taken to be of a pair that depthcli rectify has rectified, with alpha {reading.alpha:g}")
         center = rig.left.matrix[:2, 2]
         known = rig.left.size or size or (round(2 * center[0]) + 1, round(2 * center[1]) + 1)
-        return rig.rectified(known, rig.right.size or known).geometry
+        return rig.rectified(known, rig.right.size or known, reading.alpha).geometry
+
+
+def _rectified_geometry(texts: Sequence[str], reading: Reading) -> PairGeometry | None:
+    """Return the geometry in a file of a rectified pair that has a line for a key, or numbers alone; else None."""
+    fields = key_values(texts[0])
+    if "cam0" in fields:
+        return _middlebury_geometry(key_values(_only(texts)), reading.meters(_MILLIMETER))
+    if any(re.fullmatch(r"P(\d|_rect_\d{2,3})", key) for key in fields):
+        return _kitti_geometry(key_values(_only(texts)), reading)
+    words = texts[0].split()
+    if len(words) == _K_NUMBERS and all(map(is_number, words)):
+        values = numbers(_only(texts), "K and baseline", (_K_NUMBERS,))
+        matrix = values[:9].reshape(3, 3)
+        if matrix[[1, 2, 2], [0, 0, 1]].any() or matrix[2, 2] != 1:
+            raise InputError("expected the 9 numbers of K, row by row, and the baseline")
+        return PairGeometry(Intrinsics.of_matrix(matrix), float(values[9]) * reading.meters())
+    return None
 
 
 def write_geometry(path: Path, geometry: PairGeometry, max_disparity: int | None = None) -> None:
@@ -170,7 +238,7 @@ def write_geometry(path: Path, geometry: PairGeometry, max_disparity: int | None
         f"cam{k}=[{left.fx:.12g} 0 {cx:.12g}; 0 {left.fy:.12g} {left.cy:.12g}; 0 0 1]"
         for k, cx in enumerate((left.cx, left.cx + offset))
     ]
-    lines += [f"doffs={offset:.12g}", f"baseline={geometry.baseline * _MILLIMETERS:.12g}"]
+    lines += [f"doffs={offset:.12g}", f"baseline={geometry.baseline / _MILLIMETER:.12g}"]
     if geometry.size is not None:
         lines += [f"width={geometry.size[0]}", f"height={geometry.size[1]}"]
     lines += [] if max_disparity is None else [f"ndisp={max_disparity}"]
@@ -189,7 +257,7 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
     text = text_of(read_bytes(path, _MAX_BYTES))
     with naming(path):
         if not text.lstrip().startswith("{") or "opencv-matrix" in text:
-            rig = _rig([text], 1.0, False, (2, 3))
+            rig = _rig([text], Reading("m"))
         else:
             fields = json_object(text)
             if fields.get("rectified") is True:
@@ -208,9 +276,11 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
                     known = {key: value for key, value in camera.items() if value is not None}
                     cameras.append(_camera({"distortion": [0.0] * 5, **known}, "K", "distortion"))
             rig = Rig(cameras[0], cameras[1], _field(fields, "R", (3, 3)), _field(fields, "t", (3,)))
-        low, high = _SENSOR_BASELINES
-        if not low < rig.baseline < high:
-            raise InputError(f"a baseline of {rig.baseline:.3g} m; the translation is in meters")
+        for line in rig.doubts(color_size, infrared_size):
+            warn(f"{shown(path)}: {line}".replace(": left camera", ": color").replace(": right camera", ": infrared"))
+        low, high = _BASELINES
+        if not low <= rig.baseline <= high:
+            raise InputError(f"a baseline of {rig.baseline:.3g} m; the translation must be in meters")
         if color_size == infrared_size or rig.left.size != rig.right.size:  # OpenCV's files have one size for both
             for name, camera, image in (("color", rig.left, color_size), ("infrared", rig.right, infrared_size)):
                 if camera.size not in (None, image):
@@ -249,7 +319,7 @@ def _storage_fields(text: str) -> dict[str, Any]:
             parts = ElementTree.fromstring(text)
             fields = {part.tag: {each.tag: each.text or "" for each in part} or part.text or "" for part in parts}
         else:
-            text = re.sub(r"\A%YAML.*|!!opencv-[\w-]+", "", text)
+            text = _first_part(re.sub(r"\A%YAML.*|!!opencv-[\w-]+", "", text))
             # Lists thousands deep take hours, and a few aliases may expand to billions of numbers.
             if text.count("[") > _MAX_LISTS or any(isinstance(each, yaml.AliasToken) for each in yaml.scan(text)):
                 raise InputError(f"{_UNKNOWN} (YAML with aliases, or too many lists)")
@@ -257,11 +327,34 @@ def _storage_fields(text: str) -> dict[str, Any]:
     except (ValueError, RecursionError, ElementTree.ParseError, yaml.YAMLError) as error:
         raise InputError(f"{_UNKNOWN} ({' '.join(str(error).split())[:200]})") from error
     if not isinstance(fields, dict):
-        raise InputError(f"{_UNKNOWN} (OpenCV, ROS, Kalibr, KITTI)")
-    return fields
+        raise InputError(f"{_UNKNOWN} (OpenCV, ROS, Kalibr, KITTI, ZED)")
+    return _ros_fields(fields)
 
 
-def _opencv_rig(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -> Rig:
+def _first_part(text: str) -> str:
+    """Return the first document of YAML, such as a message of ROS; warn if others differ but for their times."""
+    parts = [part for part in re.split(r"^---[ \t]*$", text, maxsplit=_MAX_PARTS, flags=re.MULTILINE) if part.strip()]
+    alike = {re.sub(r"^\s*(n?secs?|nanosec|seq|stamp):.*$", "", part, flags=re.MULTILINE).strip() for part in parts}
+    if len(alike) > 1:
+        warn(f"{len(parts)} parts that differ; the first one is used")
+    return parts[0] if parts else ""
+
+
+def _ros_fields(fields: dict[str, Any]) -> dict[str, Any]:
+    """Return a message of ROS with the names that ROS's files have; other fields as they are."""
+    small = {str(key).lower(): value for key, value in fields.items()}
+    if not {"k", "d", "r", "p", "width", "height"} <= small.keys():
+        return fields
+    if any(isinstance(small.get(key), int) and small[key] > 1 for key in ("binning_x", "binning_y")):
+        raise InputError("binning_x, binning_y: the camera_info of whole images is needed, without binning")
+    roi = small.get("roi")
+    if isinstance(roi, dict) and any(roi.get(key) for key in ("x_offset", "y_offset")):
+        raise InputError("roi: the camera_info of whole images is needed, not of a part of them")
+    renamed = {_ROS_NAMES.get(key, key): value for key, value in small.items()}
+    return renamed | {"distortion_coefficients": small["d"] or [0.0] * 5}
+
+
+def _opencv_rig(files: Sequence[dict[str, Any]], fisheye: bool) -> Rig:
     fields: dict[str, Any] = {}
     for file in files:
         model = f"{file.get('model')} {file.get('distortion_model')}".lower()
@@ -274,7 +367,7 @@ def _opencv_rig(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -
         unknown = f"{_UNKNOWN}: " if len(missing) == len(names) else ""
         raise InputError(
             f"{unknown}no {', '.join(missing)}; expected K1 D1 K2 D2 R T (or M1 ..., cameraMatrix1 ...) as OpenCV, "
-            "camera_matrix as ROS, cam0 as Kalibr, or K_02 as KITTI"
+            "camera_matrix or k, d, r, p as ROS, cam0 as Kalibr, K_02 as KITTI, or [LEFT_CAM_HD] as ZED"
         )
     size = None
     if {"image_width", "image_height"} <= set(fields):
@@ -285,7 +378,7 @@ def _opencv_rig(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -
     turn = _field(fields, names["R"])
     if turn.size != 9:  # a rotation vector
         turn = np.asarray(cv2.Rodrigues(numbers(turn.tolist(), names["R"], (3,)))[0], np.float64)
-    return Rig(left, right, turn.reshape(3, 3), _field(fields, names["T"], (3,)) * meters)
+    return Rig(left, right, turn.reshape(3, 3), _field(fields, names["T"], (3,)))
 
 
 def _kitti_rig(fields: dict[str, str], cameras: tuple[int, int]) -> Rig:
@@ -331,22 +424,66 @@ def _ros_rig(files: Sequence[dict[str, Any]]) -> Rig:
     with naming("right"):
         projection = _field(files[1], "projection_matrix", (3, 4))
         if projection[0, 0] <= 0 or projection[0, 3] == 0:
-            raise InputError("projection_matrix holds no baseline; is it the camera_info of a stereo calibration?")
+            raise InputError(
+                "projection_matrix holds no baseline; is it the camera_info of a stereo pair, the left one first?"
+            )
     shift = np.array([projection[0, 3] / projection[0, 0], projection[1, 3] / projection[1, 1], 0.0])
     # Both frames meet in the rectified one: R' x' = R x + shift.
     return Rig(cameras[0], cameras[1], rotations[1].T @ rotations[0], rotations[1].T @ shift)
 
 
-def _middlebury_geometry(fields: dict[str, str]) -> PairGeometry:
+def _zed_rig(text: str, reading: Reading, size: tuple[int, int] | None) -> Rig:
+    """Return the cameras for images of ``size`` (None: the first that the file has), in an ini file of Stereolabs.
+
+    ``Baseline`` is how far the right camera is to the right, ``TY`` and ``TZ`` are OpenCV's, and ``RX``, ``CV``, ``RZ``
+    are the rotation vector; lengths are in millimeters.
+    """
+    parser = configparser.ConfigParser(strict=False, interpolation=None, comment_prefixes=("#", ";"))
+    try:
+        parser.read_string(text)
+    except configparser.Error as error:
+        raise InputError(f"{_UNKNOWN} ({' '.join(str(error).split())[:200]})") from error
+    sections = {name.upper(): dict(parser[name]) for name in parser.sections()}
+    there = [name.removeprefix("LEFT_CAM_") for name in sections if name.startswith("LEFT_CAM_")]
+    known = [name for name in there if name in _ZED_SIZES and f"RIGHT_CAM_{name}" in sections]
+    if not known or "STEREO" not in sections:
+        raise InputError("expected the sections LEFT_CAM_HD, RIGHT_CAM_HD (or of another size) and STEREO of a ZED")
+    mode = next((name for name in known if _ZED_SIZES[name] == size), known[0] if size is None else "")
+    if not mode:
+        sizes = ", ".join(f"{_ZED_SIZES[name][0]} x {_ZED_SIZES[name][1]}" for name in known)
+        raise InputError(f"has cameras for images of {sizes}, got {size[0] if size else 0} x {size[1] if size else 0}")
+    stereo, cameras = sections["STEREO"], []
+    for side in ("LEFT", "RIGHT"):
+        fields = sections.get(f"{side}_DISTO", {}) | sections[f"{side}_CAM_{mode}"]
+        with naming(f"{side}_CAM_{mode}"):
+            matrix = Intrinsics(*(_number(fields, key) for key in ("fx", "fy", "cx", "cy"))).matrix
+            lens = [float(_field({"0": "0"} | fields, key if key in fields else "0")[0]) for key in _ZED_LENS]
+            fisheye = "k4" in fields and "p1" not in fields
+            kept = [lens[k] for k in (0, 1, 4, 5)] if fisheye else lens[: 8 if any(lens[5:]) else 5]
+            cameras.append(Camera(matrix, tuple(kept), _ZED_SIZES[mode], fisheye))
+    with naming("STEREO"):
+
+        def value(key: str) -> float:
+            name = next((each for each in (f"{key}_{mode}".lower(), key.lower()) if each in stereo), "")
+            return _number(stereo, name) if name else 0.0
+
+        shift = np.array([-_number(stereo, "baseline"), value("TY"), value("TZ")]) * reading.meters(_MILLIMETER)
+        turn = np.asarray(cv2.Rodrigues(np.array([value(key) for key in ("RX", "CV", "RZ")]))[0], np.float64)
+    rig = Rig(cameras[0], cameras[1], turn, shift)
+    reading.check(rig.baseline)
+    return rig
+
+
+def _middlebury_geometry(fields: dict[str, str], meters: float) -> PairGeometry:
     left = _field(fields, "cam0", (3, 3))
     offset = _number(fields, "doffs") if "doffs" in fields else float(_field(fields, "cam1", (3, 3))[0, 2] - left[0, 2])
     size = None
     if "width" in fields and "height" in fields:
         size = image_sides(f"{fields['width']} {fields['height']}", "width, height")
-    return PairGeometry(Intrinsics.of_matrix(left), _number(fields, "baseline") / _MILLIMETERS, offset, size)
+    return PairGeometry(Intrinsics.of_matrix(left), _number(fields, "baseline") * meters, offset, size)
 
 
-def _booster_geometry(fields: dict[str, Any]) -> PairGeometry:
+def _booster_geometry(fields: dict[str, Any], meters: float) -> PairGeometry:
     projections = []
     for name in ("proj_matL", "proj_matR"):  # (3, 3), (3, 4) or (4, 4)
         values = _field(fields, name)
@@ -354,23 +491,24 @@ def _booster_geometry(fields: dict[str, Any]) -> PairGeometry:
             raise InputError(f"{name}: expected a projection of 3 x 4 numbers (got {values.size})")
         projections.append(values.reshape(-1, 3 if values.size == 9 else 4))
     left, right = projections
-    baseline = _number(fields, "baselineLR") / _MILLIMETERS
+    baseline = _number(fields, "baselineLR") * meters
     return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]))
 
 
-def _kitti_geometry(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeometry:
+def _kitti_geometry(fields: dict[str, str], reading: Reading) -> PairGeometry:
+    cameras = reading.cameras
     is_raw = any(key.startswith("P_rect_") for key in fields)
     left, right = (_field(fields, f"P_rect_{n:02}" if is_raw else f"P{n}", (3, 4)) for n in cameras)
     rectified = f"S_rect_{cameras[0]:02}"
     size = image_sides(fields[rectified], rectified) if fields.get(rectified) else None
-    return _of_projections(left, right, size)
+    return _of_projections(left, right, size, reading.meters())
 
 
 def _projected(files: Sequence[dict[str, Any]], size: tuple[int, int] | None, meters: float) -> PairGeometry | None:
     """Return the geometry by the projections that files of ROS or OpenCV have of the rectified cameras, or None."""
     if files and "camera_matrix" in files[0]:
         left, right = (_field(fields, "projection_matrix", (3, 4)) for fields in files)
-        return _of_projections(left, right, size)
+        return _of_projections(left, right, size, meters)
     fields = {key: value for file in files for key, value in file.items()}
     if not {"P1", "P2"} <= fields.keys():
         return None
@@ -384,5 +522,4 @@ def _of_projections(
     if abs(left[0, 0]) < 1e-9 or abs(right[0, 0]) < 1e-9:
         raise InputError("a camera without focal length")
     baseline = float(left[0, 3] / left[0, 0] - right[0, 3] / right[0, 0]) * meters
-    _check_baseline(baseline)
     return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]), size)

@@ -80,6 +80,18 @@ def collected_warnings() -> Iterator[list[str]]:
 
 
 @contextlib.contextmanager
+def warnings_naming(path: Path | str) -> Iterator[None]:
+    """Put the file's name before the warnings of the block that do not begin with it."""
+    name = f"{shown(path)}: "
+    try:
+        with collected_warnings() as lines:
+            yield
+    finally:
+        for line in lines:
+            warn(line if line.startswith(name) else name + line)
+
+
+@contextlib.contextmanager
 def open_regular(path: Path | str) -> Iterator[BinaryIO]:
     """Open a regular file for reading; an error of the system here or inside the block becomes an InputError."""
     try:
