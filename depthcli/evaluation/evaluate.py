@@ -193,6 +193,7 @@ class _Scoring:
     hints: list[str] = field(default_factory=list)  # assumptions, one line each
     maps: set[Path] = field(default_factory=set)  # files that were read
     unlike: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # protocol -> scenes that look otherwise
+    unread: dict[str, list[str]] = field(default_factory=dict)  # run -> why maps of it cannot be read
     unwritten: dict[str, str] = field(default_factory=dict)  # file of a viewer -> why it could not be written
 
     def show(self, step: Callable[[Viewer], None]) -> None:
@@ -215,6 +216,9 @@ class _Scoring:
             of_scene = self._results(scene, names[scene.name])
             results += of_scene
             self.choices.reporter.step(any(result.error for result in of_scene))
+        for run, errors in self.unread.items():
+            if errors and len(errors) == len(scenes):
+                raise InputError(f"{run}: none of its maps can be read: {errors[0]}")
         return results
 
     def report(self, scenes: Sequence[Scene], results: Sequence[MapResult]) -> EvaluationReport:
@@ -310,6 +314,7 @@ class _Scoring:
         files = options.files(protocol.files)
         row: Row = next((rows[name] for name in names if name in rows), {})
         start = replace(start, run_warnings=tuple(row.get("warnings") or ()))
+        path = None
         try:
             path = place if place.is_file() else files.find(place, names)
             if path is None:
@@ -318,6 +323,7 @@ class _Scoring:
             self.maps.add(path)
             estimate: Any = self._reader(protocol, options).read(path, scene, truth)
         except DepthcliError as error:
+            self.unread.setdefault(start.run, []).extend([] if path is None else [str(error)])
             missing, dense = missing_scores(protocol, truth), missing_scores(protocol, truth, dense=True)
             return replace(start, scores=tuple(missing), dense=tuple(dense), error=str(error))
         confidences: dict[str, NDArray[Any]] = {}

@@ -148,7 +148,7 @@ def true_depth(scene: RgbdScene) -> RgbdTruth:
     scene.check()
     if scene.depth_true is None:
         raise InputError(f"{scene.folder}: {scene.name} has no true depth")
-    depth = _read_depth(scene, scene.depth_true)
+    depth = _read_depth(scene, scene.depth_true, scene.invalid)
     masks = {}
     for name, file in scene.masks.items():
         mask = read_grey(file)
@@ -159,10 +159,10 @@ def true_depth(scene: RgbdScene) -> RgbdTruth:
     return RgbdTruth(depth, masks, scene.fb)
 
 
-def _read_depth(scene: RgbdScene, path: Path) -> NDArray[np.float32]:
+def _read_depth(scene: RgbdScene, path: Path, invalid: float | None = None) -> NDArray[np.float32]:
     # Beside codes of the sensor, floats of another map are meters.
     floats = scene.scale_floats and (path == scene.depth or read_plane(scene.depth).dtype.kind == "f")
-    return read_depth(path, scene.depth_scale, 3 if scene.rotated else 0, scale_floats=floats)
+    return read_depth(path, scene.depth_scale, 3 if scene.rotated else 0, invalid, floats)
 
 
 def _visible_depth(scene: RgbdScene) -> NDArray[np.float32]:

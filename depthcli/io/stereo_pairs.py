@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
+from depthcli.io.formats.disparity import known_truth
 from depthcli.io.formats.images import pair_of, read_grey, read_image, read_pair
 from depthcli.io.formats.videos import read_frame
 from depthcli.io.scenes import StereoScene, check_same_size
@@ -60,10 +61,11 @@ def true_disparity(scene: StereoScene) -> StereoTruth:
     if scene.scale_by_width and scale is None:
         width = read_grey(file).shape[1]
         scale = next(scale for above, scale in _SCALE_BY_WIDTH if width > above)
-    disparity = scene.decode(file, scale)
-    right, noc = (
-        None if each is None else scene.decode(each, scale) for each in (scene.disparity_right, scene.disparity_noc)
+    disparity, right, noc = (
+        None if each is None else known_truth(each, scene.decode(each, scale), scene.invalid)
+        for each in (file, scene.disparity_right, scene.disparity_noc)
     )
+    assert disparity is not None
     objects = None if scene.objects is None else read_grey(scene.objects) > 0
     read = {name: (path, read_grey(path) == 255) for name, path in scene.masks.items()}
     for name, path in (("all", scene.ignored), ("nonocc", scene.occluded)):

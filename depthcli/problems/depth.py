@@ -87,7 +87,7 @@ class ToDepth(SceneJob[DisparityScene]):
         config, clock = self.config, context.clock
         clock.start("load")
         scene.check()
-        disparity = read_foreign_map(scene.disparity, config.get("scale"), config.get("invalid"), says_scale=True)
+        disparity = read_foreign_map(scene.disparity, config.get("scale"), config.get("invalid"))
         height, width = disparity.shape
         stored = self._geometry(scene, disparity.shape)
         geometry = stored.for_size(width, height)

@@ -171,7 +171,7 @@ def _points(
     estimate: Any, truth: ArrayLike, mask: ArrayLike | Mapping[str, ArrayLike] | None
 ) -> tuple[RegistrationTruth, NDArray[np.float32]]:
     """Return the true registration errors, and the expected ones at their points."""
-    given, wanted = np.asarray(estimate), np.asarray(truth)
+    given, wanted = np.asanyarray(estimate), np.asanyarray(truth)
     if given.shape != wanted.shape or given.size == 0:
         raise InputError(f"estimate: shape {given.shape}, but the truth has {wanted.shape}")
     if isinstance(mask, Mapping):

@@ -17,6 +17,7 @@ from depthcli.core.frames import Image, StereoPair, color8
 from depthcli.core.method import RootConfig, used_files
 from depthcli.core.yaml_source import ConfigData
 from depthcli.io.formats.depth import meters
+from depthcli.io.formats.disparity import squeezed
 from depthcli.io.formats.images import bits_said, pair_of
 from depthcli.run.presets import find_config, find_preset
 
@@ -99,6 +100,8 @@ def as_image(array: ArrayLike, name: str) -> Image:
     """
     if isinstance(array, str | PathLike):
         raise InputError(f"{name}: expected an image, got a path: read it, such as by cv2.imread(...)[..., ::-1]")
+    if np.ma.is_masked(array):
+        raise InputError(f"{name}: a masked array; an image has a value at every pixel: give array.filled(...)")
     image = np.asarray(array)
     if image.ndim == 3 and image.shape[2] in (1, 4):
         image = image[..., 0] if image.shape[2] == 1 else image[..., :3]
@@ -134,7 +137,7 @@ def paired(left: Image, right: Image, given: ArrayLike) -> StereoPair:
 
 def as_map(array: ArrayLike, name: str, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
     """Return numbers as (H, W) float32, of ``shape`` where one is given; InputError for anything else."""
-    values = _numbers(array, name)
+    values = squeezed(_numbers(array, name), 2)
     if values.ndim != 2 or values.size == 0:
         raise InputError(f"{name}: expected a map of shape (H, W), got {values.shape}")
     if shape is not None and values.shape != shape:
@@ -156,7 +159,8 @@ def as_depth(
     ``scale_floats``. What is unknown, :func:`depthcli.io.formats.depth.meters` says.
     """
     as_map(array, name, shape)
-    depth = meters(np.asarray(array), scale, name, scale_floats=scale_floats)
+    numbers = squeezed(np.ma.filled(array, 0) if isinstance(array, np.ma.MaskedArray) else np.asarray(array), 2)
+    depth = meters(numbers, scale, name, scale_floats=scale_floats)
     if np.isnan(depth).all():
         raise InputError(f"{name}: no pixel has a depth")
     return depth
@@ -176,4 +180,5 @@ def _numbers(array: ArrayLike, name: str) -> NDArray[np.float32]:
     if values.dtype.kind not in "biuf":
         raise InputError(f"{name}: expected numbers, got {values.dtype}")
     with np.errstate(over="ignore"):
-        return np.require(values, np.float32, ["C", "A", "W"])
+        numbers = np.require(values, np.float32, ["C", "A", "W"])
+    return np.where(np.ma.getmaskarray(array), np.float32(np.nan), numbers) if np.ma.is_masked(array) else numbers

@@ -254,14 +254,14 @@ def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, caps
     for name, options, says in (
         ("float.pfm", (), "20 % of the pixels are -1: taken as no value"),
         ("float.pfm", ("--invalid", "-1"), ""),
+        ("sgbm.npy", (), "int16 disparities are divided by 16, as OpenCV's"),
         ("sgbm.npy", ("--scale", "16"), ""),
         ("codes.png", ("--scale", "100"), ""),
     ):
         found, said = depth(name, *options)
         assert np.isfinite(found).mean() == 0.8 and found[0, 51] == pytest.approx(2)
         assert (says in said) if says else ("warning" not in said)
-    assert "int16 disparities are divided by 256, as KITTI's; OpenCV's have 16" in depth("sgbm.npy")[1]
-    assert "uint16 disparities are divided by 256, as KITTI's; say it" in depth("codes.png")[1]
+    assert "uint16 disparities are divided by 256, as KITTI's (OpenCV's have 16); --scale" in depth("codes.png")[1]
     by_hand = ("--focal", "400", "--baseline", "0.1", "-o", tmp_path / "none", "-q")
     assert run("depth", tmp_path / "raft.npy", *by_hand) == 3
     assert "most disparities are negative" in capsys.readouterr().err

@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import os
+import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -636,3 +637,16 @@ def test_a_page_or_sheet_that_cannot_be_written_is_said_and_costs_no_scores(
         report = json.loads(capsys.readouterr().out)
         if "evaluate" in command:
             assert list(report["unwritten"]) == [missing]
+
+
+def test_a_run_of_which_no_map_can_be_read_is_an_error(tmp_path: Path, truth: Path, capsys):
+    for name in ("a", "b"):
+        (tmp_path / "broken" / name).mkdir(parents=True)
+        np.save(tmp_path / "broken" / name / "disp_left.npy", np.zeros((2, 5, 6), np.float32))
+    good = others(tmp_path / "good", truth, "{scene}.pfm")
+    line = ["evaluate", str(good), str(tmp_path / "broken"), "--truth", str(truth), "-o", str(tmp_path / "out"), "-q"]
+    assert main(line) == 2
+    assert re.search(
+        r"broken: none of its maps can be read: .*disp_left\.npy: expected an \(H, W\)", capsys.readouterr().err
+    )
+    assert not (tmp_path / "out" / "scores.csv").exists()

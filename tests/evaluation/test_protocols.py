@@ -331,8 +331,8 @@ def test_wrong_scale_is_noticed(name, factor):
 @pytest.mark.parametrize("name", STEREO)
 @pytest.mark.parametrize("mark", [-1.0, -16.0, 0.0])
 @pytest.mark.parametrize("share", [0.002, 0.05])
-def test_what_is_no_value_depends_on_the_protocol_and_not_on_the_map(name, mark, share, tmp_path):
-    """0 is a value everywhere; below it only where the program takes it, or the truth has such disparities."""
+def test_what_is_no_value_in_a_map(name, mark, share, tmp_path):
+    """A constant of a share of the pixels, as in all commands; else 0 is a value, and less where the program has it."""
     rng = np.random.default_rng(0)
     truth = rng.uniform(5, 60, (50, 80)).astype(np.float32)
     estimate = truth + np.float32(0.3)
@@ -342,9 +342,12 @@ def test_what_is_no_value_depends_on_the_protocol_and_not_on_the_map(name, mark,
     with collected_warnings() as lines:
         values = judge.values(judge.read(tmp_path / "map.pfm", None, of_scene), of_scene)
     counts = mark == 0 or name in ("eth3d", "middlebury-v3")
-    assert np.isnan(values[estimate == mark]).all() != counts
+    assert np.isnan(values[estimate == mark]).all() == (share > 0.005 or not counts)
     assert not np.isnan(values[estimate != mark]).any()
-    assert any(f"--invalid {mark:g}" in line for line in lines) == (counts and share > 0.005)
+    assert any(f"{mark:g}: taken as no value" in line for line in lines) == (share > 0.005)
+    stays = make(name, invalid=np.nan)
+    values = stays.values(stays.read(tmp_path / "map.pfm", None, of_scene), of_scene)
+    assert np.isnan(values[estimate == mark]).all() != counts
     given = make(name, invalid=mark).read(tmp_path / "map.pfm", None, of_scene)
     assert np.isnan(given).mean() == np.mean(estimate == mark)
     truth[0, 0] = -3

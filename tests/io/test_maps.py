@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -18,7 +19,9 @@ from depthcli.core.errors import InputError
 from depthcli.io.formats.depth import SENSOR, implausible_depth, read_depth, write_depth_png, write_points
 from depthcli.io.formats.disparity import (
     encode_pfm,
+    known_truth,
     read_disparity,
+    read_foreign_map,
     read_pfm,
     read_plane,
     write_disparity_png,
@@ -27,6 +30,7 @@ from depthcli.io.formats.disparity import (
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.images import read_image, write_png
 from depthcli.io.rgbd_frames import read_kinect_raw
+from depthcli.problems.inputs import as_depth, as_image, as_map, as_volume
 from tests.command_line import refused
 from tests.scenes import DATA, needs_data
 
@@ -103,6 +107,79 @@ def test_codes_are_divided_by_their_scale(tmp_path: Path):
     write_png(path, np.array([[0, 256, 640]], np.uint16))
     np.testing.assert_array_equal(read_disparity(path, scale_8bit=8), np.array([[np.nan, 1, 2.5]], np.float32))
     assert read_image(path).dtype == np.uint16
+
+
+@pytest.mark.parametrize("dtype", ["i4", "u4", "i8", "u1", "i1", "?"])
+def test_integers_without_a_usual_scale_are_asked_for(tmp_path: Path, dtype):
+    np.save(tmp_path / "a.npy", np.full((4, 5), 3).astype(dtype))
+    refused(InputError, r"a\.npy: .*(--scale|expected disparities)", read_disparity, tmp_path / "a.npy")
+    if dtype != "?":
+        np.testing.assert_array_equal(read_disparity(tmp_path / "a.npy", 1), np.full((4, 5), 3, np.float32))
+
+
+def test_signed_codes_are_opencvs(tmp_path: Path):
+    codes = np.array([[-16, 0, 24, 320]], np.int16)
+    for name, write in (("a.npy", np.save), ("a.tif", tifffile.imwrite)):
+        write(tmp_path / name, codes)
+        with collected_warnings() as lines:
+            read = read_disparity(tmp_path / name)
+        np.testing.assert_array_equal(read, np.array([[np.nan, np.nan, 1.5, 20]], np.float32))
+        assert f"{name}: int16 disparities are divided by 16" in lines[0]
+
+
+@pytest.mark.parametrize("mark", [-9999.0, -999.0, -1.0, 1e6, 65535.0])
+@pytest.mark.parametrize("read", [read_foreign_map, lambda path: known_truth(path, read_disparity(path))])
+def test_marks_of_no_value_are_the_same_for_maps_and_truth(tmp_path: Path, mark: float, read):
+    values = np.random.default_rng(0).uniform(2, 40, (40, 60)).astype(np.float32)
+    values[:9] = mark
+    np.save(tmp_path / "a.npy", values)
+    with collected_warnings() as lines:
+        found = read(tmp_path / "a.npy")
+    np.testing.assert_array_equal(found[9:], values[9:])
+    assert np.isnan(found[:9]).all()
+    assert any(f"22.5 % of the pixels are {mark:g}" in line for line in lines)
+
+
+def test_several_marks_and_a_few_pixels(tmp_path: Path):
+    values = np.random.default_rng(0).uniform(2, 40, (40, 60)).astype(np.float32)
+    values[0, :4], values[1, :9], values[2:6], values[7, 0] = -9999, 1e6, -1, 55
+    write_pfm(tmp_path / "a.pfm", values)
+    with collected_warnings() as lines:
+        found = read_foreign_map(tmp_path / "a.pfm")
+    assert len(lines) == 3
+    np.testing.assert_array_equal(np.isnan(found), (values < 0) | (values > 100))
+
+
+def test_zero_stays_a_true_disparity_with_a_warning(tmp_path: Path):
+    values = np.random.default_rng(0).uniform(2, 40, (40, 60)).astype(np.float32)
+    values[:9] = 0
+    write_pfm(tmp_path / "a.pfm", values)
+    with collected_warnings() as lines:
+        np.testing.assert_array_equal(known_truth(tmp_path / "a.pfm", values), values)
+    assert "22.5 % of the pixels are 0" in lines[0] and "--invalid 0" in lines[0]
+    assert np.isnan(known_truth(tmp_path / "a.pfm", values, 0.0)[:9]).all()
+    np.testing.assert_array_equal(known_truth(tmp_path / "a.pfm", values, np.nan), values)
+
+
+@pytest.mark.parametrize("shape", [(1, 4, 5), (4, 5, 1), (1, 1, 4, 5), (1, 4, 5, 1)])
+def test_axes_of_length_one_are_dropped(tmp_path: Path, shape):
+    values = np.arange(20, dtype=np.float32).reshape(4, 5) + 1
+    np.save(tmp_path / "a.npy", values.reshape(shape))
+    np.savez(tmp_path / "a.npz", values.reshape(shape))
+    for name in ("a.npy", "a.npz"):
+        np.testing.assert_array_equal(read_disparity(tmp_path / name), values)
+    np.testing.assert_array_equal(as_map(values.reshape(shape), "map"), values)
+    np.testing.assert_array_equal(as_depth(values.reshape(shape), "map", None), values)
+
+
+def test_masked_arrays_keep_their_mask():
+    values = np.ma.masked_less(np.arange(1, 21, dtype=np.float32).reshape(4, 5), 6)
+    for one in (values, (values * 1000).astype(np.uint16)):
+        for read in (as_map, lambda each, name: as_depth(each, name, 1000.0)):
+            found = read(one, "map")
+            assert np.isnan(found[0]).all() and not np.isnan(found[1:]).any()
+    refused(InputError, "image: a masked array", as_image, np.ma.masked_less(np.arange(20).reshape(4, 5), 6), "image")
+    assert np.isnan(as_volume(np.ma.masked_less(np.ones((2, 3, 4)), 2), "volume")).all()
 
 
 def test_npy(tmp_path: Path):

@@ -17,8 +17,8 @@ from depthcli.core.maps import Status
 from depthcli.evaluation.map_files import DisparityFiles, MapFiles
 from depthcli.evaluation.protocols import Presentation, Protocol, Settings, ShownMap, beside
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally, in_order
-from depthcli.io.formats.disparity import foreign_constant, read_disparity, scale_of
-from depthcli.io.formats.files import shown, warn
+from depthcli.io.formats.disparity import read_disparity, read_foreign_map, scale_of
+from depthcli.io.formats.files import warn
 from depthcli.io.formats.status import read_status
 from depthcli.io.scenes import Scene, StereoScene
 from depthcli.io.stereo_pairs import StereoTruth, true_disparity
@@ -122,7 +122,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         scene.check()
         if not isinstance(scene, StereoScene):
             raise InputError(f"{scene.folder}: {scene.name} is no stereo pair, which {self.name} scores")
-        stored = self.read_truth(scene)
+        stored = self.read_truth(replace(scene, invalid=self.settings.invalid))
         known, (height, width), other = float(np.mean(~np.isnan(stored.disparity))), stored.disparity.shape, ""
         if not known:
             raise InputError(f"{scene.disparity_left}: the ground truth has no known pixel")
@@ -137,22 +137,16 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
         """Return the map in pixels; 8-bit codes have the truth's scale if the settings have none.
 
-        The setting ``invalid`` is no value. A constant of another program's map that may be meant so, but counts as a
-        value, is a warning, as is a scale that looks wrong.
+        The setting ``invalid`` is no value; without it, constants of another program's map are none, with a warning.
+        A scale that looks wrong is a warning, too.
         """
         codes = truth.scale if truth.scale is not None and truth.scale < 256 else None
         scale = scale_of(path, self.settings.scale, self.settings.any_scale)
-        estimate = read_disparity(path, scale, codes, self.settings.invalid)
+        estimate = read_foreign_map(path, scale, self.settings.invalid, codes, not self.name.startswith("kitti"))
         try:
             self.resized(estimate, truth)
         except ValueError as error:
             raise InputError(f"{path}: {error}") from None
-        constant = foreign_constant(path, estimate, self.lowest(truth)) if self.settings.invalid is None else None
-        if constant is not None:
-            warn(
-                f"{shown(path)}: {constant}, which counts as a value (evaluate --invalid {constant.code:g} if it means "
-                "none, --invalid nan if not)"
-            )
         if (warning := scale_warning(self.resized(estimate, truth), truth.values)) is not None:
             warn(warning)
         return estimate

@@ -114,7 +114,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         scene.check()
         if not isinstance(scene, RgbdScene):
             raise InputError(f"{scene.folder}: {scene.name} has no true depth, which {self.name} scores")
-        stored = self.read_truth(scene)
+        stored = self.read_truth(replace(scene, invalid=self.settings.invalid))
         depth = self._resized(stored.depth)
         known = np.isfinite(depth)
         if not known.any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from io import BytesIO
 from pathlib import Path
@@ -18,7 +19,10 @@ from depthcli.io.formats.map_format import read_by_plugin
 KITTI_SCALE = 256.0
 """Codes per pixel of 16-bit disparity PNGs (KITTI, DSEC)."""
 
-_SAY_SCALE = "say it in meta.json: disp_scale (of maps: --scale)"
+OPENCV_SCALE = 16.0
+"""Codes per pixel of OpenCV's signed 16-bit disparities (``StereoSGBM``, ``StereoBM``)."""
+
+_SAY_SCALE = "--scale gives another (of ground truth: disp_scale in meta.json)"
 _MAX_BEHIND = 0.5  # share of a map's values that may be negative
 _NPZ_MAGIC = b"PK\x03\x04"
 _MAX_UNPACKED_BYTES = 1 << 30  # of an array in an .npz file, as much as the largest images take
@@ -41,7 +45,7 @@ def without_value(stored: NDArray[Any], invalid: float | None = None, positive: 
 
 
 class ForeignConstant(NamedTuple):
-    """A constant by which another program may mean no value; what follows, each command decides."""
+    """A constant by which a program may mean no value."""
 
     code: float  # as stored
     marked: NDArray[np.bool_]  # (H, W), the pixels that have it
@@ -53,30 +57,47 @@ class ForeignConstant(NamedTuple):
 _MIN_CONSTANT_SHARE = 0.005  # of the pixels; a constant that fewer have may be measured
 _USUAL_MARKS, _MAX_MARK = (0.0, -1.0, -16.0), -999.0  # that most pixels may have; others of most are values
 _MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels of it; a mark is alone
+_MIN_FAR_RATIO = 4.0  # of a constant that is wider than the image to the next value; a mark is far from values
+_MAX_MARKS = 4  # constants of one map
 
 
-def foreign_constant(
-    path: Path | str, disparity: NDArray[np.float32], lowest: float = -math.inf
-) -> ForeignConstant | None:
-    """Return the constant at or below 0 that may mean no value in a map of another program, such as OpenCV's -1.
+def foreign_constants(path: Path | str, disparity: NDArray[np.float32]) -> list[ForeignConstant]:
+    """Return the constants that may mean no value in a map of another program, such as OpenCV's -1, -9999, or 1e6.
 
-    It is the smallest value, from ``lowest`` on, of a share of the pixels, and few others are near it. None: there is
-    no such constant, or the map is of a run of this program, which marks what has no value.
+    These are the smallest value of a share of the pixels, if it is at most 0 and few others are near it, and values of
+    several pixels that are wider than the image and far from all others. A run of this program marks what has no value.
     """
     if Path(path).with_name("record.json").is_file():
-        return None
-    known = disparity[np.isfinite(disparity) & (disparity >= np.float32(lowest))]
-    smallest = known.min(initial=np.float32(np.inf))
-    n_marked = np.count_nonzero(known == smallest)
-    if smallest > 0 or n_marked < _MIN_CONSTANT_SHARE * disparity.size:
-        return None
-    n_near = np.count_nonzero(known <= np.float32(smallest + 1)) - n_marked
-    if n_near > _MAX_NEIGHBOR_RATIO * n_marked or n_marked == known.size:
-        return None
-    if 2 * n_marked > known.size and smallest not in _USUAL_MARKS and smallest > _MAX_MARK:
-        return None
-    marked = disparity == smallest
-    return ForeignConstant(float(read_plane(path)[marked][0]), marked)
+        return []
+    left, marks = disparity[np.isfinite(disparity)], list[np.float32]()
+    while len(marks) < _MAX_MARKS and (mark := _mark_of(left, disparity.shape)) is not None:
+        marks.append(mark)
+        left = left[left != mark]
+    stored: NDArray[Any] = disparity
+    if marks:
+        with contextlib.suppress(InputError):  # such as of packed colors, which have no code of their own
+            stored = read_plane(path)
+    return [ForeignConstant(float(stored[disparity == mark][0]), disparity == mark) for mark in marks]
+
+
+def _mark_of(known: NDArray[np.float32], shape: tuple[int, ...]) -> np.float32 | None:
+    for far in (known.min, known.max) if known.size else ():
+        mark = far()
+        others = known[known != mark]
+        if abs(mark) > shape[1] and known.size - others.size > 1 and others.size:
+            nearest = np.abs(others[np.sign(others) == np.sign(mark)]).max(initial=np.float32(0))
+            if abs(mark) > _MIN_FAR_RATIO * nearest:
+                return np.float32(mark)
+    for some in (known, known[known >= 0]):
+        smallest = some.min(initial=np.float32(np.inf))
+        n_marked = np.count_nonzero(some == smallest)
+        if smallest > 0 or n_marked < _MIN_CONSTANT_SHARE * math.prod(shape) or n_marked == some.size:
+            continue
+        n_near = np.count_nonzero(some <= np.float32(smallest + 1)) - n_marked
+        is_usual = 2 * n_marked <= some.size or smallest in _USUAL_MARKS or smallest <= _MAX_MARK
+        if n_near <= _MAX_NEIGHBOR_RATIO * n_marked and is_usual:
+            return np.float32(smallest)
+    return None
 
 
 def scale_of(path: Path | str, scale: float | None, any_kind: bool) -> float | None:
@@ -85,17 +106,41 @@ def scale_of(path: Path | str, scale: float | None, any_kind: bool) -> float | N
 
 
 def read_foreign_map(
-    path: Path | str, scale: float | None = None, invalid: float | None = None, says_scale: bool = False
+    path: Path | str,
+    scale: float | None = None,
+    invalid: float | None = None,
+    scale_8bit: float | None = None,
+    says_scale: bool = True,
 ) -> NDArray[np.float32]:
-    """Return a disparity map of any program as :func:`read_disparity` does, for commands that go on with its values.
+    """Return a disparity map of any program as :func:`read_disparity` does: all commands read such maps by this.
 
-    If ``invalid`` is None, a :func:`foreign_constant` is no value, with a warning; NaN keeps it. ``says_scale`` is for
-    commands that compare the map with nothing by which a wrong scale would be seen.
+    If ``invalid`` is None, :func:`foreign_constants` are no value, with a warning; NaN keeps them. Without
+    ``says_scale``, codes of 16 bits have KITTI's scale without a word, since the ground truth has it.
     """
-    disparity = read_disparity(path, scale, invalid=invalid, says_scale=says_scale)
-    if invalid is None and (constant := foreign_constant(path, disparity)) is not None:
+    is_own = Path(path).with_name("record.json").is_file()
+    disparity = read_disparity(path, scale, scale_8bit, invalid, says_scale and not is_own)
+    for constant in foreign_constants(path, disparity) if invalid is None else ():
         disparity[constant.marked] = np.nan
         warn(f"{shown(path)}: {constant}: taken as no value (--invalid nan keeps them)")
+    return disparity
+
+
+def known_truth(path: Path | str, disparity: NDArray[np.float32], invalid: float | None = None) -> NDArray[np.float32]:
+    """Return ground truth, (H, W) pixels, NaN = unknown, without what :func:`foreign_constants` or ``invalid`` mark.
+
+    There is a warning of each constant. A constant 0 stays, since the truth may be infinitely far, with a warning.
+    """
+    if invalid is not None:
+        stored = disparity
+        with contextlib.suppress(InputError):  # of packed colors
+            stored = read_plane(path)
+        return np.where(stored == np.float32(invalid), np.float32(np.nan), disparity)
+    for constant in foreign_constants(path, disparity):
+        if constant.code == 0:
+            warn(f"{shown(path)}: {constant}, which count as true disparities (--invalid 0 if they are unknown)")
+        else:
+            disparity = np.where(constant.marked, np.float32(np.nan), disparity)
+            warn(f"{shown(path)}: {constant}: taken as unknown truth (--invalid nan keeps them)")
     return disparity
 
 
@@ -109,20 +154,25 @@ def read_disparity(
     """Return a disparity map, (H, W) float32, pixels, NaN = unknown.
 
     PFM, float npy and float TIFF are in pixels. Integer codes (PNG, PGM, integer npy) are divided by ``scale``, codes
-    per pixel: None is 256 for 16-bit codes (KITTI) and ``scale_8bit`` for 8-bit codes, which have none of their own.
-    There is a warning if a scale of 256 is only likely, or ``says_scale``. What is unknown, :func:`without_value` says
-    of the stored numbers.
+    per pixel: None is 256 for unsigned 16-bit codes (KITTI), with a warning if ``says_scale``, 16 for signed ones
+    (OpenCV), with a warning, and ``scale_8bit`` for 8-bit codes. Other integers have none. What is unknown,
+    :func:`without_value` says of the stored numbers.
     """
     values = read_plane(path)
+    if values.dtype.kind == "b":
+        raise InputError(f"{shown(path)}: true or false, expected disparities")
     codes = values.dtype.kind in "iu"
     if scale is None and codes:
-        scale = scale_8bit if values.dtype.itemsize == 1 else KITTI_SCALE
+        scale = {"u1": scale_8bit, "u2": KITTI_SCALE, "i2": OPENCV_SCALE}.get(values.dtype.str[1:])
         if scale is None:
-            raise InputError(f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); {_SAY_SCALE}")
-        is_usual = values.dtype.kind + str(values.dtype.itemsize) == "u2"
-        if values.dtype.itemsize > 1 and (says_scale or not is_usual):
-            hint = "" if is_usual else "; OpenCV's have 16 codes per pixel"
-            warn(f"{shown(path)}: {values.dtype} disparities are divided by {scale:g}, as KITTI's{hint}; {_SAY_SCALE}")
+            kind = "8-bit" if values.dtype.itemsize == 1 else values.dtype
+            raise InputError(
+                f"{shown(path)}: {kind} disparities need a scale (codes per pixel): --scale (of ground truth: "
+                "disp_scale in meta.json)"
+            )
+        if values.dtype.itemsize > 1 and (says_scale or values.dtype.kind == "i"):
+            whose = "OpenCV's" if values.dtype.kind == "i" else "KITTI's (OpenCV's have 16)"
+            warn(f"{shown(path)}: {values.dtype} disparities are divided by {scale:g}, as {whose}; {_SAY_SCALE}")
     with np.errstate(all="ignore"):  # infinite results are unknown, like infinite values
         exact = values / np.float64(scale) if codes else values.astype(np.float32) / np.float32(scale or 1)
         disparity = exact.astype(np.float32)
@@ -184,6 +234,13 @@ def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
         return _numbers(array, dimensions)
 
 
+def squeezed(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
+    """Return an array without axes of length 1 at either end, as many as it has more than ``dimensions``."""
+    while array.ndim > dimensions and 1 in (array.shape[0], array.shape[-1]):
+        array = array[0] if array.shape[0] == 1 else array[..., 0]
+    return array
+
+
 def _decode_npy(data: bytes) -> NDArray[Any]:
     """Return the (H, W) array of a ``.npy`` file, or the map of an ``.npz`` file: its only array, or the named one."""
     try:
@@ -206,6 +263,7 @@ def _decode_npy(data: bytes) -> NDArray[Any]:
 
 
 def _numbers(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
+    array = squeezed(array, dimensions)
     if array.ndim != dimensions or array.dtype.kind not in "biuf" or not array.size:
         want = "(H, W)" if dimensions == 2 else "(H, W, D)"
         raise InputError(f"expected an {want} array of numbers, got {array.dtype} of shape {array.shape}")

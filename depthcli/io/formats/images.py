@@ -265,7 +265,7 @@ def image_size(path: Path | str) -> tuple[int, int]:
             return (pnm_header if kind == "Pnm" else pfm_header)(data)[0][:2]
         with _decoding(kind):
             if kind == "Npy":
-                shape = np.load(path, mmap_mode="r").shape
+                shape = tuple(n for n in np.load(path, mmap_mode="r").shape if n > 1) or (1, 1)
                 return int(shape[0]), int(shape[1])
             if kind == "Tiff":
                 tags = _tiff_tags(file)
