@@ -43,6 +43,7 @@ from depthcli.run.records import REPORT_FILES
 METHOD_PACKAGES = [
     *(f"depthcli.methods.{name}" for name in (
         "stereo.pipeline", "stereo.cost", "stereo.aggregation", "stereo.optimization", "stereo.refinement",
+        "stereo.boundary",
         "confidence", "fusion.choice", "kinect.pipeline", "transparent.pipeline",
         "registration.pipeline", "registration.feature",
     )),
@@ -158,7 +159,8 @@ def configs() -> str:
     """Return the page of the keys that the config of each command has."""
     parts = [
         "# Configs\n\nThe keys at the root of a config; those of methods are on the pages of their families. Every "
-        "config also takes `base`, a preset or file that it begins from, and `plugins` of your own.\n"
+        "config also takes `base`, a preset or file that it begins from, `plugins` of your own, and `symbols`, "
+        "other names of its keys for `--set` and `--over`, such as `{w: energy.smoothness}`.\n"
     ]
     for command, model in CONFIGS.items():
         parts.append(f"## `{command}`\n\n{_about(model)}\n\n{_fields(model)}")

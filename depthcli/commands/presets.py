@@ -5,6 +5,7 @@ Examples:
   depthcli presets fuse
   depthcli presets thesis
   depthcli presets show stereo/accurate
+  depthcli presets thesis/ch2-kp-dedc
   depthcli presets compile 'stereo/*' fuse/accurate
 """
 
@@ -39,6 +40,8 @@ def presets(
 ) -> int:
     """Print the list or the preset, or compile kernels; return the exit code."""
     reporter, names = printing.reporter, names or []
+    if action is not None and not names and "/" in action:  # thesis/ch2-kp-dedc, stereo/fast
+        action, names = "show", [action]
     if action == "show" and len(names) == 1:
         reporter.data(_shown(names[0]))
         return 0

@@ -63,7 +63,10 @@ def sweep(
     from depthcli.run.json_csv import to_json
     from depthcli.show.table import to_csv
 
-    source, axes = SceneOptions(input=input, layout=layout, scenes=scenes), parse_axes(over)
+    source, axes = (
+        SceneOptions(input=input, layout=layout, scenes=scenes),
+        _with_keys(command, config, parse_axes(over)),
+    )
     output, reporter, chosen = run.output, run.reporter, combinations(axes, random, seed)
     runs, own_run = _runs_of(command, config, set or [], axes, chosen, source, run)
     if run.dry_run:
@@ -105,6 +108,19 @@ def sweep(
     return SOME_FAILED if failed or report.incomplete else 0
 
 
+def _with_keys(command: str, config: str, axes: Axes) -> dict[str, Sequence[str]]:
+    """Return the axes with keys in place of the symbols that a config gives them."""
+    from depthcli.core.config_file import symbols_of
+    from depthcli.run.presets import find_config, find_preset
+
+    if command not in PROBLEMS:
+        raise ConfigError(f"--command: must be one of {', '.join(PROBLEMS)} (got {command!r})")
+    symbols = symbols_of(find_config(command, config), lambda name: find_preset(command, name))
+    if twice := [key for key in axes if symbols.get(key) in axes]:
+        raise ConfigError(f"--over {twice[0]}: is {symbols[twice[0]]}, which is varied already")
+    return {symbols.get(key, key): values for key, values in axes.items()}
+
+
 def _runs_of(
     command: str,
     config: str,
@@ -117,9 +133,6 @@ def _runs_of(
     """Return name -> run, and the name of the run that has the config's own values; empty where none has."""
     from depthcli.commands._run import prepared
     from depthcli.evaluation.sweeps import OWN_VALUES, folder_names, value_text
-
-    if command not in PROBLEMS:
-        raise ConfigError(f"--command: must be one of {', '.join(PROBLEMS)} (got {command!r})")
 
     def run_of(name: str, values: Combination) -> _Run:
         place = options.output / _RUNS / name

@@ -45,7 +45,8 @@ def load_config(
     values : ``a.b`` -> plain value, after the options. A mapping that selects no method changes only the keys in it
     """
     config = source if isinstance(source, ConfigData) else _with_base(read_config(source), source, find)
-    problems = _overlay(model, config, settings, values or {}) if settings or values else []
+    symbols = _symbols(config)
+    problems = _overlay(model, config, symbols, settings, values or {}) if settings or values else []
     folder = source.parent if isinstance(source, Path) else None  # validators look for files there
     value = None
     try:
@@ -56,6 +57,11 @@ def load_config(
         lines = {text: re.match(r"[^\n]*?:(\d+): ", text) for text in problems}
         raise ConfigError("\n".join(sorted(lines, key=lambda text: int(at[1]) if (at := lines[text]) else 0)))
     return value
+
+
+def symbols_of(source: Path, find: Callable[[str], Path | None] = lambda name: None) -> dict[str, str]:
+    """Return the short names that a config gives to its keys for ``--set`` and ``--over``: symbol -> key."""
+    return _symbols(_with_base(read_config(source), source, find))
 
 
 def dump_config(model: BaseModel) -> str:
@@ -117,11 +123,24 @@ def _load_plugins(config: ConfigData, folder: Path) -> None:
             raise ConfigError(f"{place}: {name} is no file in {folder}; --plugin FILE.py says where it is")
 
 
+def _symbols(config: ConfigData) -> dict[str, str]:
+    """Take the key ``symbols`` out of a config, and return it."""
+    symbols = config.data.pop("symbols", {})
+    if not isinstance(symbols, dict) or not all(isinstance(word, str) for word in (*symbols, *symbols.values())):
+        place = f"{config.place(('symbols',))}: symbols"
+        raise ConfigError(f"{place}: expected symbols and their keys, such as w: energy.smoothness")
+    return symbols
+
+
 # Values of the command line and of Python.
 
 
 def _overlay(
-    model: type[BaseModel], config: ConfigData, settings: Sequence[str | tuple[str, str]], values: Mapping[str, Any]
+    model: type[BaseModel],
+    config: ConfigData,
+    symbols: Mapping[str, str],
+    settings: Sequence[str | tuple[str, str]],
+    values: Mapping[str, Any],
 ) -> list[str]:
     """Apply ``--set`` options and then overrides, in place; return the problems, one a line."""
     problems, defaults = list[str](), None
@@ -138,7 +157,7 @@ def _overlay(
                 value = parse_value(setting, place)
             if key.strip() != "plugins" and defaults is None:
                 defaults = _defaults(model, config)
-            _put(config, key.strip(), value, place, defaults)
+            _put(config, symbols.get(key.strip(), key.strip()), value, place, defaults)
             if key.strip() == "plugins":
                 _load_plugins(config, Path())
         except ConfigError as error:

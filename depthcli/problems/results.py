@@ -80,14 +80,17 @@ def _write_preview(folder: Path, view: View) -> None:
 
 
 def write_details(result: Result, folder: Path) -> None:
-    """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV, and pictures."""
+    """Write ``confidence_NAME.pfm`` and a picture of each confidence; tables as CSV; pictures as PNG, maps as PFM."""
     for name, confidence in result.confidence.items():
         write_pfm(folder / f"confidence_{name}.pfm", confidence)
         write_png(folder / f"confidence_{name}.png", draw(View(confidence), "confidence"))
     for name, rows in result.tables.items():
         write_text(folder / f"{name}.csv", to_csv(rows))
     for name, picture in result.pictures.items():
-        write_png(folder / f"{name}.png", picture)
+        if picture.dtype == np.float32:
+            write_pfm(folder / f"{name}.pfm", picture)
+        else:
+            write_png(folder / f"{name}.png", picture)
 
 
 def parse_mask(text: str) -> tuple[str, float, str]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.regions import region_graph
 from depthcli.kernels.winners import winners
+from depthcli.methods.stereo.boundary import BoundaryCost
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.stereo.optimization import Optimizer
 from depthcli.methods.stereo.volume import CostVolume
@@ -76,13 +79,17 @@ Smoothness: TypeAlias = Callable[[NDArray[np.uint8]], tuple[NDArray[Any], NDArra
 (H - 1, W)."""
 
 
-def check_smoothness(term: Smoothness) -> None:
+def check_smoothness(term: Smoothness | BoundaryCost) -> None:
     """Raise AssertionError unless a smoothness term keeps what energies rely on.
 
     ``term`` takes an (H, W, 3) uint8 image. It returns what it costs that two neighbors differ, such as in disparity:
-    of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W).
+    of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W). Or it is a cost of boundaries between
+    segments (a class with the base ``depthcli.methods.stereo.boundary.BoundaryCost``): then every pixel is a segment.
     """
-    run_checks(term, SMOOTHNESS_CHECKS)
+    if isinstance(term, BoundaryCost):
+        run_checks(term, BOUNDARY_CHECKS)
+    else:
+        run_checks(term, SMOOTHNESS_CHECKS)
 
 
 def images_of_any_size_have_finite_costs(term: Smoothness) -> None:
@@ -129,4 +136,30 @@ SMOOTHNESS_CHECKS = (
     rows_and_columns_count_alike,
     same_term_at_any_number_of_threads,
 )
+"""One function a promise."""
+
+
+def _of_boundaries(check: Callable[[Smoothness], None]) -> Callable[[BoundaryCost], None]:
+    @wraps(check)
+    def checked(cost: BoundaryCost) -> None:
+        def between_pixels(image: NDArray[np.uint8]) -> tuple[NDArray[Any], NDArray[Any]]:
+            height, width = image.shape[:2]
+            graph = region_graph(np.arange(height * width, dtype=np.int32).reshape(height, width), image)
+            costs = np.asarray(cost(graph))
+            assert costs.shape == (len(graph.edges),), f"expected {(len(graph.edges),)}, got {costs.shape}"
+            in_row = np.diff(graph.edges, axis=1)[:, 0] == 1
+            return costs[in_row].reshape(height, width - 1), costs[~in_row].reshape(height - 1, width)
+
+        check(between_pixels)
+
+    return checked
+
+
+def no_segment_has_no_boundary(cost: BoundaryCost) -> None:
+    """An image of one segment has no boundaries, and no costs."""
+    costs = np.asarray(cost(region_graph(np.zeros((4, 5), np.int32), texture((4, 5, 3)))))
+    assert costs.shape == (0,), f"expected (0,), got {costs.shape}"
+
+
+BOUNDARY_CHECKS = (*map(_of_boundaries, SMOOTHNESS_CHECKS), no_segment_has_no_boundary)
 """One function a promise."""

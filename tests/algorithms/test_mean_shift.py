@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.regions import RegionPixels, connected_components, merge_small_regions, region_graph
-from depthcli.algorithms.segmentation.mean_shift import mode_colors
+from depthcli.algorithms.segmentation.mean_shift import MeanShift, mode_colors
+from depthcli.algorithms.segmentation.mean_shift_rgb import mode_colors as rgb_mode_colors
 from tests.naive import segments as naive
 
 
@@ -72,4 +73,31 @@ def test_modes_are_those_of_opencv(shape, spatial_radius, color_radius):
     image = np.clip(rng.normal(120, 40, (*shape, 3)), 0, 255).astype(np.uint8)
     image[shape[0] // 2 :] //= 3
     expected = cv2.pyrMeanShiftFiltering(image, spatial_radius, color_radius, maxLevel=0)
-    np.testing.assert_array_equal(mode_colors(image, spatial_radius, color_radius), expected)
+    np.testing.assert_array_equal(rgb_mode_colors(image, spatial_radius, color_radius), expected)
+
+
+def patches(shape, noise=4):
+    """Flat patches with noise."""
+    rng = np.random.default_rng(sum(shape))
+    colors = rng.integers(40, 216, (-(-shape[0] // 6), -(-shape[1] // 6), 3)).repeat(6, axis=0).repeat(6, axis=1)
+    noisy = colors[: shape[0], : shape[1]] + rng.normal(0, noise, (*shape, 3))
+    return np.clip(noisy, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (25, 1), (14, 37)])
+@pytest.mark.parametrize(("spatial_radius", "color_radius"), [(1, 3), (5, 4), (7.5, 12), (20, 90)])
+def test_modes_are_those_of_the_paper(shape, spatial_radius, color_radius):
+    """But for pixels at which the sums in another order decide whether a color is in the window."""
+    image = patches(shape)
+    luv = cv2.cvtColor(image.astype(np.float32) * np.float32(1 / 255), cv2.COLOR_RGB2Luv)
+    found, expected = mode_colors(image, spatial_radius, color_radius), naive.modes(luv, spatial_radius, color_radius)
+    assert np.mean(np.abs(found - expected).max(axis=2) < 0.05) > 0.98
+
+
+@pytest.mark.parametrize("join_distance", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("min_size", [1, 12])
+def test_regions_of_modes_join_until_none_are_alike(join_distance, min_size):
+    image = patches((30, 41), 9)
+    method = MeanShift(spatial_radius=4, color_radius=9, join_distance=join_distance, min_size=min_size)
+    expected = naive.mean_shift_regions(mode_colors(image, 4, 9), 9 * join_distance, min_size)
+    np.testing.assert_array_equal(method(image), expected)

@@ -145,6 +145,11 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
     assert run("presets", "show", "stereo/accurate") == 0
     assert run("presets", "list") == 2
     capsys.readouterr()
+    shown = []
+    for words in (["thesis/ch2-kp-dedc"], ["show", "thesis/ch2-kp-dedc"]):
+        assert run("presets", *words) == 0
+        shown.append(capsys.readouterr().out)
+    assert shown[0] == shown[1] and "\npipeline: segments\n" in shown[0]
     assert run("presets", "fuse") == 0
     assert {line.split()[0] for line in capsys.readouterr().out.splitlines() if line} == {"fuse"}
 

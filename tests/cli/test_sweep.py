@@ -80,6 +80,23 @@ def test_draws_and_dry_runs(two_scenes: Path, tmp_path: Path, capsys: pytest.Cap
     assert not (tmp_path / "a").exists()
 
 
+def test_the_thesis_s_symbols_are_names_of_keys(two_scenes: Path, tmp_path: Path, capsys):
+    command = ["sweep", "thesis/ch2-kp-dedc", "-i", str(two_scenes), "-o", str(tmp_path / "a"), "--dry-run", "--json"]
+    over = ["--over", "alpha=0.1,0.2", "--over", "sigma=150", "--set", "w=30"]
+    assert main([*command, *over]) == 0
+    rows = json.loads(capsys.readouterr().out)["runs"]
+    assert [row["run"] for row in rows][1:] == ["margin=0.1,color_scale=150", "margin=0.2,color_scale=150"]
+    assert main([*command, *over, "--over", "ranges.margin=0.3"]) == 2
+    assert "ranges.margin" in capsys.readouterr().err
+    for name, keys in {"ch2-kp-dedc": "alpha lambda w sigma hs hr", "ch3-ad-census-cross": "tau L",
+                       "ch3-ad-aw": "gamma_c gamma_s"}.items():  # fmt: skip
+        command = ["stereo", f"thesis/{name}", "-i", str(two_scenes), "--dry-run"]
+        assert main([*command, *(f"--set={key}=3" for key in keys.split() if key not in ("alpha",))]) == 0
+        capsys.readouterr()
+        assert main([*command, *(f"--set={key}=x" for key in keys.split())]) == 2
+        assert ("ranges.margin" if "ch2" in name else "aggregation.") in capsys.readouterr().err
+
+
 def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(two_scenes: Path, tmp_path: Path, capsys):
     output = tmp_path / "run"
     command = ["stereo", "fast", "-i", str(two_scenes), "-o", str(output)]

@@ -20,6 +20,7 @@ from depthcli.testing.inputs import TINY, assert_pure, blocky_pair, changed, ins
 from tests.contracts.inputs import blobs, gaps, glass, random_proposals, soft_volume
 
 CHECKS: dict[str, list[Callable[[Any], None]]] = {
+    "methods.stereo.boundary": list(optimization.BOUNDARY_CHECKS),
     "methods.stereo.optimization": list(optimization.OPTIMIZER_CHECKS),
     "methods.stereo.refinement": list(refinement.CHECKS),
 }

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from depthcli.algorithms.regions import region_graph
 from depthcli.commands._options import SampleOptions
 from depthcli.core.method import Family
 from depthcli.io.scenes.find import ALL_KINDS, discover_scenes
 from depthcli.methods.fusion.choice.energy import neighbor_weights
-from depthcli.methods.stereo.segments.planes import smoothness as smoothness_of_segments
 from depthcli.simulate.samples import SAMPLE_KINDS, sample_scenes
 from depthcli.testing.optimization import SMOOTHNESS_CHECKS, Smoothness
 from tests.contracts.checks import CHECKS
@@ -34,22 +32,12 @@ MEMBERS = [
 ]
 
 
-def of_pixels(image: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The smoothness of segments, of which every pixel is one."""
-    height, width = image.shape[:2]
-    labels = np.arange(height * width, dtype=np.int32).reshape(height, width)
-    graph = region_graph(labels, image)
-    costs = smoothness_of_segments(graph, 25.0, 150.0)
-    in_row = np.diff(graph.edges, axis=1)[:, 0] == 1
-    return costs[in_row].reshape(height, width - 1), costs[~in_row].reshape(height - 1, width)
-
-
 def of_maps(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The smoothness of fused maps."""
     return neighbor_weights(image, 4.0, 10.0, 0.1)
 
 
-@pytest.mark.parametrize("term", [of_pixels, of_maps])
+@pytest.mark.parametrize("term", [of_maps])
 @pytest.mark.parametrize("check", SMOOTHNESS_CHECKS, ids=lambda check: check.__name__)
 def test_smoothness(term: Smoothness, check: Callable[[Any], None]):
     check(term)

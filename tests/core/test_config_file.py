@@ -48,6 +48,20 @@ def test_a_method_is_a_name_or_a_mapping_and_its_fields_stand_at_the_root():
     assert load("toy: chest\ncost: {method: census, window: [5, 5]}").toy.cost.window == (5, 5)
 
 
+def test_symbols_are_other_names_of_keys_for_options(tmp_path: Path):
+    write(tmp_path, a="toy: box\nsize: [7, 9]\nsymbols: {T: top, H: size.1}\n", b="base: a\nsymbols: {T: size.0}\n")
+    root = load_config(Root, tmp_path / "a.yaml", ["T=4", "H=3"])
+    assert (root.top, root.toy.size) == (4, (7, 3))
+    root = load_config(Root, tmp_path / "b.yaml", ["T=4", "H=3"])
+    assert (root.top, root.toy.size) == (None, (4, 3))
+    assert "symbols" not in dump_config(root)
+    with pytest.raises(ConfigError, match=r"--set T: top: "):
+        load_config(Root, tmp_path / "a.yaml", ["T=x"])
+    assert problems("toy: box\nsize: [7, 9]\nsymbols: [T]\n") == [
+        "f.yaml:3: symbols: expected symbols and their keys, such as w: energy.smoothness"
+    ]
+
+
 def test_every_problem_is_reported_with_its_line():
     got = problems(
         "toy: chest\ncost: {method: census, windw: [9, 7]}\nwidht: 3\ntop: 0\nparts:\n  - census\n  - censsus\n"
@@ -234,7 +248,8 @@ def test_the_field_s_abbreviations_are_names(tmp_path: Path):
     assert load_config(StereoConfig, tmp_path / "b.yaml").model_dump()["pipeline"] == "opencv_sgbm"
 
 
-STEREO = [f"methods.stereo.{stage}" for stage in ("cost", "aggregation", "optimization", "refinement", "pipeline")]
+STAGES = ("cost", "aggregation", "optimization", "refinement", "boundary", "pipeline")
+STEREO = [f"methods.stereo.{stage}" for stage in STAGES]
 FAMILIES = (*STEREO, "algorithms.keypoints", "algorithms.segmentation")
 METHODS = [f.load(n) for f in (Family.of(f"depthcli.{each}") for each in FAMILIES) for n in f.names()]
 MODELS: list[type[BaseModel]] = [*METHODS, FuseConfig, StereoConfig]

@@ -42,6 +42,45 @@ def components(color, max_distance):
     return labels
 
 
+def modes(luv, spatial_radius, color_radius):
+    """Mean shift of every pixel with flat kernels in a round window, until it has converged (Comaniciu and Meer)."""
+    height, width = luv.shape[:2]
+    y, x = np.mgrid[:height, :width]
+    found = np.empty(luv.shape)
+    for start in np.ndindex(height, width):
+        place, color = np.array(start, float), luv[start].astype(float)
+        for _ in range(100):
+            inside = (y - place[0]) ** 2 + (x - place[1]) ** 2 <= spatial_radius**2
+            inside &= ((luv - color) ** 2).sum(axis=2) < color_radius**2
+            if not inside.any():
+                break
+            new_place, new_color = np.array([y[inside].mean(), x[inside].mean()]), luv[inside].mean(axis=0)
+            moved = ((new_place - place) ** 2).sum() / spatial_radius**2
+            moved += ((new_color - color) ** 2).sum() / color_radius**2
+            place, color = new_place, new_color
+            if moved < 0.01**2:
+                break
+        found[start] = color
+    return found
+
+
+def mean_shift_regions(mode_colors, limit, min_size):
+    """Pieces of similar modes; then pieces with similar means in rounds; then small ones join."""
+    labels = components(np.rint(mode_colors * 16).astype(int), limit * 16)
+    for _ in range(10):
+        means = [mode_colors[labels == s].astype(float).mean(axis=0) for s in range(labels.max() + 1)]
+        pairs = [(labels[:, 1:], labels[:, :-1]), (labels[1:], labels[:-1])]
+        pairs = {(s, t) for a, b in pairs for s, t in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True)}
+        alike = [(s, t) for s, t in pairs if s != t and math.dist(means[s], means[t]) < limit]
+        if not alike:
+            break
+        group = list(range(len(means)))
+        for s, t in alike:
+            group = [group[t] if g == group[s] else g for g in group]
+        labels = components(np.array(group)[labels][..., None], 0)
+    return merge_small(labels, mode_colors.astype(float), min_size, False)
+
+
 def merge_small(labels, image, min_size, by_boundary):
     """Join small regions in rounds, as ``merge_small_regions`` does."""
     while True:
@@ -121,13 +160,17 @@ def discrepancy(values, trusted, labels, coefficients, weight, truncation):
     return unary
 
 
-def matching_cost(costs, trusted, labels, coefficients):
+def matching_cost(costs, trusted, labels, coefficients, values=None):
     count = labels.max() + 1
     unary = np.zeros((count, len(coefficients)))
     for y, x in zip(*np.nonzero(trusted), strict=True):
         for k, (a, b, c) in enumerate(coefficients):
             d = min(max(math.floor(a * x + b * y + c + 0.5), 0), costs.shape[2] - 1)
             unary[labels[y, x], k] += float(costs[y, x, d])
+    for t, k in np.ndindex(unary.shape if values is not None else (0, 0)):
+        ys, xs = np.nonzero(trusted & (labels == t))
+        a, b, c = coefficients[k]
+        unary[t, k] *= math.exp(-(np.abs(a * xs + b * ys + c - values[ys, xs]) <= 0.5).sum() / max(len(ys), 1))
     return unary
 
 

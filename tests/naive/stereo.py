@@ -87,20 +87,37 @@ def gradient(left, right, disparities, truncation, outside):
     )
 
 
-def intensity_gradient(colors, greys, disparities, outside):
-    """Eq. 2.6 + 2.7: (H, W, C) ``colors``, the mean over their channels; (H, W) ``greys``, by Sobel's filters."""
-    sobel = np.outer([1, 2, 1], [-1, 0, 1])
+def intensity_gradient(colors, greys, disparities, outside, filter="sobel", limits=None):
+    """Eq. 2.6 + 2.7: (H, W, C) ``colors``, the mean over their channels; (H, W) ``greys`` with their derivatives.
 
-    def slopes(grey):
-        around = windows(grey.astype(int), 3, 3)
-        return np.stack([(around * sobel).sum(axis=(2, 3)), (around * sobel.T).sum(axis=(2, 3))], axis=2)
+    With (H, W, C) ``greys`` both are sums over the channels. ``outside``: a cost, or "border", the first column's.
+    """
+    if filter == "sobel":
+        mask = np.outer([1, 2, 1], [-1, 0, 1])
+    else:
+        offsets = np.arange(-2, 3)
+        gauss = np.exp(-(offsets**2) / 2)
+        slope = offsets * gauss
+        mask = np.outer(gauss / gauss.sum(), slope / slope[3:].sum())
+
+    def slopes(image):
+        planes = image[..., None] if image.ndim == 2 else image
+        around = [windows(planes[..., c].astype(float), *mask.shape) for c in range(planes.shape[2])]
+        return np.stack([(each * m).sum(axis=(2, 3)) for each in around for m in (mask, mask.T)], axis=2)
 
     left, right = (color.astype(int) for color in colors)
     a, b = map(slopes, greys)
+    channels = 1 if greys[0].ndim == 3 else left.shape[2]
+    largest = limits or (np.inf, np.inf)
 
     def cost(y, x, d):
-        return np.abs(left[y, x] - right[y, x - d]).mean() + np.abs(a[y, x] - b[y, x - d]).sum()
+        there = max(x - d, 0)
+        level = np.abs(left[y, x] - right[y, there]).sum() / channels
+        return min(level, largest[0]) + min(np.abs(a[y, x] - b[y, there]).sum(), largest[1])
 
+    if outside == "border":
+        return np.array([[[cost(y, x, d) for d in range(disparities)] for x in range(left.shape[1])]
+                         for y in range(left.shape[0])])  # fmt: skip
     return volume(left.shape[:2], disparities, cost, outside)
 
 

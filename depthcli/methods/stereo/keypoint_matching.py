@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from depthcli.algorithms.keypoints import KeyPoints
+from depthcli.core.method import ConfigModel
 from depthcli.kernels.jit import jit, run_bands
 
 
@@ -25,6 +27,25 @@ class Matches:
 
     def __len__(self) -> int:
         return len(self.left)
+
+
+class KeyPointMatching(ConfigModel):
+    """Match key points along the rows of a rectified pair, see :func:`match_rectified` and :func:`consistent`."""
+
+    ratio: float = Field(
+        0.7, gt=0, le=1, description="largest distance of a match, share of that of the second candidate; 1: no test"
+    )
+    max_distance: float = Field(0.2, gt=0, le=2, description="largest distance of two descriptors of length 1")
+    max_scale_ratio: float = Field(1.1, ge=1, le=100, description="largest ratio of the scales of two key points")
+    agreeing: int = Field(
+        2, ge=0, le=8, description="matches among the nearest eight that must have a similar disparity; 0: all are kept"
+    )
+
+    def __call__(self, left: KeyPoints, right: KeyPoints, max_disparity: float) -> Matches:
+        """Return the matches of the key points of two views, with disparities up to ``max_disparity``."""
+        limits = self.ratio, self.max_distance, self.max_scale_ratio
+        found = match_rectified(left, right, max_disparity, 0.5, *limits)
+        return consistent(found, agreeing=self.agreeing) if self.agreeing else found
 
 
 def match_rectified(

@@ -88,8 +88,13 @@ class SearchRange:
             result,
             disparity=DisparityMap(values.astype(np.float32), status.astype(np.uint8)),
             confidence={name: self._to_pair(part) for name, part in result.confidence.items()},
-            pictures={name: self._to_pair(part) for name, part in result.pictures.items()},
+            pictures={name: self._picture_of_pair(part) for name, part in result.pictures.items()},
         )
+
+    def _picture_of_pair(self, picture: NDArray[Any]) -> NDArray[Any]:
+        """Return a picture of the pair; one of floats is a map of disparities."""
+        there = self._to_pair(picture)
+        return there + np.float32(self.min_disparity) if picture.dtype == np.float32 else there
 
     def _to_pair(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return values of the shifted pair, (H, W', ...), at the pair's width; new columns repeat the first one."""

@@ -46,7 +46,7 @@ _STEPS: dict[str, Any] = {
     "window_radius": 0,
     "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
     "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "max_planes": 150},
-    "energy": {"data_term": "dedc", "truncation": 2, "color_scale": 50}
+    "energy": {"data_term": "dedc", "truncation": 2, "boundary": {"method": "gaussian", "color_scale": 50}}
     | dict.fromkeys(("data_weight", "cost_weight", "visibility", "smoothness"), 10),
     "rounds": 2,
     "refinement": ["subpixel"],

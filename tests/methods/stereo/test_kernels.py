@@ -120,6 +120,18 @@ def test_intensity_gradient(height, width, disparities, color):
 
 
 @sizes
+@pytest.mark.parametrize("filter", ["sobel", "dog"])
+@pytest.mark.parametrize("channels", ["grey", "color"])
+@pytest.mark.parametrize("limits", [None, (40, 25)])
+def test_intensity_gradient_as_chapter_3_has_it(height, width, disparities, filter, channels, limits):
+    pair = random_pair(height, width, True)
+    cost = IntensityGradient(filter=filter, channels=channels, limits=limits, outside="border")
+    greys = pair.grey8 if channels == "grey" else pair.color8
+    expected = naive.intensity_gradient(pair.color8, greys, disparities, "border", filter, limits)
+    np.testing.assert_allclose(cost(pair, disparities).costs, expected, rtol=1e-4, atol=1e-3)
+
+
+@sizes
 def test_combined(height, width, disparities):
     pair = random_pair(height, width, True)
     parts = [("absolute_difference", 10.0), ("census", 30.0), ("rank", 15.0)]

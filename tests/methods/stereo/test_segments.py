@@ -7,8 +7,11 @@ from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, Se
 from depthcli.algorithms.regions import RegionPixels, region_graph
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
+from depthcli.io.formats.disparity import read_pfm
 from depthcli.kernels.jit import run_bands
 from depthcli.kernels.winners import winners
+from depthcli.methods.stereo.boundary.exponential import Exponential
+from depthcli.methods.stereo.boundary.gaussian import Gaussian
 from depthcli.methods.stereo.cost.intensity_gradient import IntensityGradient
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
 from depthcli.methods.stereo.segments import planes as energy
@@ -16,6 +19,7 @@ from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Split
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges
 from depthcli.methods.stereo.segments.steps import map_with_status
 from depthcli.methods.stereo.volume import CostVolume
+from depthcli.problems.results import write_details
 from depthcli.simulate.stereo_scenes import make_scene
 from depthcli.testing.inputs import texture
 from tests.contracts.checks import pairs_of_any_size_have_values_within_the_range_or_a_reason
@@ -156,15 +160,17 @@ def test_discrepancy_is_equation_2_9(truncation):
     assert np.all(unary[3] == 0)  # nothing trusted: any plane
 
 
-def test_matching_cost_sums_the_volume():
+@pytest.mark.parametrize("with_agreement", [False, True])
+def test_matching_cost_sums_the_volume(with_agreement):
     rng = np.random.default_rng(4)
     costs = rng.integers(0, 200, (9, 12, 6)).astype(np.uint8)
     trusted = rng.random((9, 12)) < 0.6
     rows = [(0.1, 0.0, 2.0), (0.0, 0.0, 5.0), (0.0, 0.0, 9.0)]
     members = RegionPixels.of(_labels(), trusted, 4)
-    expected = naive.matching_cost(costs, trusted, _labels(), rows)
+    values = rng.integers(0, 6, (9, 12)).astype(np.float32) if with_agreement else np.empty((0, 0), np.float32)
+    expected = naive.matching_cost(costs, trusted, _labels(), rows, values if with_agreement else None)
     unary = np.ones((4, 3))
-    run_bands(energy.matching_cost, 64, unary, costs, *members, np.array(rows), 1.5)
+    run_bands(energy.matching_cost, 64, unary, costs, values, *members, np.array(rows), 1.5)
     assert np.allclose(unary, 1 + expected * 1.5)
 
 
@@ -183,8 +189,10 @@ def test_smoothness_is_equation_2_12():
     labels = np.zeros((4, 6), np.int32)
     labels[:, 3:] = 1
     image = np.where(labels[..., None] == 1, 10, 40).astype(np.uint8).repeat(3, axis=2)
-    weights = energy.smoothness(region_graph(labels, image), 25.0, 150.0)
-    assert weights.tolist() == pytest.approx([25 * 4 * np.exp(-3 * 30**2 / 150**2)])
+    graph = region_graph(labels, image)
+    assert Gaussian()(graph).tolist() == pytest.approx([4 * np.exp(-3 * 30**2 / 150**2)])
+    assert Gaussian(color="grey", color_scale=60)(graph).tolist() == pytest.approx([4 * np.exp(-(30**2) / 60**2)])
+    assert Exponential()(graph).tolist() == pytest.approx([4 * np.exp(-(3**0.5) * 30 / 150)])
 
 
 @pytest.mark.parametrize("cut", [[True] * 4, [False] * 4, [False, True, True, False]])
@@ -230,16 +238,20 @@ def test_generated_planes_come_out():
     assert hidden[~scene.nonocc].mean() > 0.5 > hidden[scene.nonocc].mean()
 
 
-def test_details_are_written_on_request():
+def test_details_are_written_on_request(tmp_path):
     scene = make_scene("planes", seed=1, height=90, width=120, max_disparity=16)
     pair = StereoPair(scene.left, scene.right)
     assert not _preset()(pair, 16).tables
     result = _preset(details=True)(pair, 16)
     assert set(result.tables) == {"planes", "segment_labels", "keypoints"}
-    assert set(result.pictures) == {"segments", "segments_preview", "keypoints"}
+    assert set(result.pictures) == {"segments", "segments_preview", "keypoints", "initial_disparity", "trusted"}
     assert len(result.tables["planes"]) == result.figures["planes"]
     assert len(result.tables["segment_labels"]) == result.figures["segments"]
     assert len(result.tables["keypoints"]) == result.figures["keypoints"]
+    write_details(result, tmp_path)
+    initial, trusted = read_pfm(tmp_path / "initial_disparity.pfm"), result.pictures["trusted"] == 255
+    assert np.mean(np.abs(initial - scene.disparity_left)[trusted & scene.nonocc] <= 1) > 0.95
+    assert trusted.mean() == pytest.approx(result.figures["trusted"])
     segments = result.pictures["segments"]
     assert segments.dtype == np.uint16 and segments.max() + 1 == result.figures["segments"]
     assert result.pictures["keypoints"].shape == (180, 120, 3)

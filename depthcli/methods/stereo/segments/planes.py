@@ -11,10 +11,12 @@ from pydantic import BeforeValidator, Field
 
 from depthcli.algorithms.graph_cut import alpha_expansion, potts_energy
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
-from depthcli.algorithms.regions import RegionGraph, RegionPixels, joined_regions
+from depthcli.algorithms.regions import RegionPixels, joined_regions
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import jit, run_bands
+from depthcli.methods.stereo.boundary import Boundary
+from depthcli.methods.stereo.boundary.gaussian import Gaussian
 from depthcli.methods.stereo.segments.first_estimate import SegmentedImage
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -83,7 +85,7 @@ def assign(
     if own_planes is None:
         return None
     limits = candidates.same_slope, candidates.same_offset, candidates.max_planes
-    edges, weights = segments.graph.edges, smoothness(segments.graph, energy.smoothness, energy.color_scale)
+    edges, weights = segments.graph.edges, energy.smoothness * energy.boundary(segments.graph)
     planes, _ = own_planes.distinct(*limits)
     initial: NDArray[np.int32] | None = None
     for k in range(rounds):
@@ -112,6 +114,8 @@ def assign(
 class Energy(ConfigModel):
     """Costs of planes in segments, and of different planes in neighboring segments."""
 
+    renamed: ClassVar[dict[str, str]] = {"color_scale": "boundary.color_scale"}
+
     data_term: Annotated[
         Literal["dedc", "matching_cost"],
         BeforeValidator(lambda name: name.lower() if isinstance(name, str) else name),
@@ -123,12 +127,15 @@ class Energy(ConfigModel):
         None, gt=0, le=16384, description="limit of a pixel's difference in dedc, pixels; null: none"
     )
     cost_weight: float = Field(10.0, ge=0, le=1e6, description="weight of the matching_cost data term")
+    cost_agreement: bool = Field(
+        False, description="also multiply matching costs by exp(-n / m) (thesis, eq. 2.9), as dedc is"
+    )
     visibility: float = Field(
         0.0, ge=0, le=1e6, description="cost per untrusted pixel in front of the right view's surface"
     )
     smoothness: float = Field(25.0, ge=0, le=1e6, description="cost of a boundary per pixel (thesis, eq. 2.12: w)")
-    color_scale: float = Field(
-        150.0, gt=0, le=1e6, description="color scale of smoothness (thesis, eq. 2.12: sigma), grey levels"
+    boundary: Boundary = Field(
+        default_factory=Gaussian, description="cost of a boundary by length and colors, times smoothness"
     )
 
     def __call__(self, segments: SegmentedImage, volume: CostVolume, planes: SegmentPlanes) -> NDArray[np.float64]:
@@ -142,7 +149,8 @@ class Energy(ConfigModel):
             run_bands(discrepancy, _TASKS, unary, first.values, *segments.trusted, coefficients, *limits)
         else:
             weight = self.cost_weight / volume.scale
-            run_bands(matching_cost, _TASKS, unary, volume.costs, *segments.trusted, coefficients, weight)
+            values = first.values if self.cost_agreement else np.empty((0, 0), np.float32)
+            run_bands(matching_cost, _TASKS, unary, volume.costs, values, *segments.trusted, coefficients, weight)
         if self.visibility:
             limits_there = np.full((first.right.shape[0], width + 2), np.inf, np.float32)  # a column beyond each side
             limits_there[:, 1:-1] = first.right.astype(np.float32) + np.float32(1)
@@ -195,12 +203,18 @@ def discrepancy(begin, end, unary, values, order, starts, coefficients, weight, 
 
 
 @jit
-def matching_cost(begin, end, unary, costs, order, starts, coefficients, weight):
-    """Add the (H, W, D) matching costs of trusted pixels at every plane's disparity, rounded and limited, weighted."""
+def matching_cost(begin, end, unary, costs, values, order, starts, coefficients, weight):
+    """Add the (H, W, D) matching costs of trusted pixels at every plane's disparity, rounded and limited, weighted.
+
+    With first disparities ``values`` (H, W), or (0, 0) for none, they are multiplied by ``exp(-n / m)``, as in
+    :func:`discrepancy`.
+    """
     _, width, n_disparities = costs.shape
+    half = np.float32(0.5)
     for task in range(begin, end):
+        total, agreeing = np.empty(coefficients.shape[0]), np.empty(coefficients.shape[0], np.int32)
         for t in range(task, unary.shape[0], _TASKS):
-            total = np.zeros(coefficients.shape[0])
+            total[:], agreeing[:] = 0, 0
             for i in range(starts[t], starts[t + 1]):
                 x = order[i] % width
                 y = order[i] // width
@@ -209,8 +223,16 @@ def matching_cost(begin, end, unary, costs, order, starts, coefficients, weight)
                     a, b, c = coefficients[label, 0], coefficients[label, 1], coefficients[label, 2]
                     d = min(max(int(np.floor(a * x + b * y + c + 0.5)), 0), n_disparities - 1)
                     total[label] += row[d]
+                if values.size:
+                    for label in range(total.size):
+                        a = np.float32(coefficients[label, 0])
+                        b = np.float32(coefficients[label, 1])
+                        c = np.float32(coefficients[label, 2])
+                        difference = abs(a * np.float32(x) + b * np.float32(y) + c - values[y, x])
+                        agreeing[label] += np.int32(difference <= half)
             for label in range(total.size):
-                unary[t, label] += weight * total[label]
+                share = agreeing[label] / max(starts[t + 1] - starts[t], 1)
+                unary[t, label] += weight * total[label] * np.exp(-share)
 
 
 @jit
@@ -264,12 +286,3 @@ def out_of_range(begin, end, unary, width, order, starts, coefficients, max_disp
                     d = a[label] * x[i] + b[label] * y[i] + c[label]
                     outside += np.int32((d < lowest) | (d > highest))
                 unary[t, label] = 1000.0 * outside
-
-
-def smoothness(graph: RegionGraph, weight: float, color_scale: float) -> NDArray[np.float64]:
-    """Compute the cost of different planes in neighboring segments (thesis, eq. 2.12), (E,) float64.
-
-    ``w beta exp(-tau^2 / sigma^2)``, where beta is the length of the common boundary in pixels, tau the distance of
-    the mean colors.
-    """
-    return np.asarray(weight * graph.boundary * np.exp(-graph.distances / color_scale**2), np.float64)

@@ -17,7 +17,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import ConfigModel
 from depthcli.core.result import Clock
-from depthcli.methods.stereo.keypoint_matching import Matches, consistent, match_rectified
+from depthcli.methods.stereo.keypoint_matching import KeyPointMatching, Matches
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import RefinementStep
@@ -46,6 +46,9 @@ class SegmentSteps(ConfigModel):
     keypoints: Annotated[Detection | None, BeforeValidator(_none)] = Field(
         None, description="key points (surf, sift or none) whose matches limit the disparities of their segment"
     )
+    matching: KeyPointMatching = Field(
+        default_factory=KeyPointMatching, description="which key points of the views match"
+    )
     window_radius: int = Field(4, ge=0, le=20, description="half side of the averaging window, pixels; 0: no averaging")
     ranges: Ranges = Field(default_factory=Ranges, description="search ranges of segments, from matched key points")
     optimization: Optimization = Field(
@@ -60,7 +63,9 @@ class SegmentSteps(ConfigModel):
         20, ge=1, le=1000, description="largest number of passes over all planes in the last assignment"
     )
     refinement: tuple[RefinementStep, ...] = Field((), description="refinement steps on the finished map, in order")
-    details: bool = Field(False, description="also write segments, key points, planes and labels")
+    details: bool = Field(
+        False, description="also write first disparities and which are trusted, segments, key points, planes"
+    )
 
     def from_volume(self, pair: StereoPair, volume: CostVolume, max_disparity: int, clock: Clock) -> StereoResult:
         """Return the map of ``pair`` from its costs, (H, W, ``max_disparity`` + 1); ``clock`` receives the seconds."""
@@ -71,7 +76,7 @@ class SegmentSteps(ConfigModel):
         matches = None
         if self.keypoints is not None:
             left, right = map(self.keypoints, pair.grey8)
-            matches = consistent(match_rectified(left, right, max_disparity))
+            matches = self.matching(left, right, max_disparity)
         clock.start("window")
         informative = has_information(volume.costs)
         of_pixels = volume
@@ -111,7 +116,10 @@ class SegmentSteps(ConfigModel):
         if self.details:
             clock.start("details")
             result.tables = _tables(segments, assignment, matches, ranges.by_segment(labels))
-            result.pictures = _pictures(pair, labels, matches)
+            result.pictures = _pictures(pair, labels, matches) | {
+                "initial_disparity": first.values,
+                "trusted": np.where(first.trusted, np.uint8(255), np.uint8(0)),
+            }
         result.seconds = clock.seconds
         return result
 

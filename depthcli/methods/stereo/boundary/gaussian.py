@@ -1,0 +1,15 @@
+"""Costs of boundaries by a Gaussian of the color difference (thesis, eq. 2.12)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.methods.stereo.boundary import ColorBoundary
+
+
+class Gaussian(ColorBoundary):
+    """``beta exp(-tau^2 / sigma^2)``: beta is the length of the boundary in pixels, tau the color difference."""
+
+    def falloff(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.exp(-squared)
