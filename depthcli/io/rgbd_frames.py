@@ -20,7 +20,8 @@ from depthcli.io.formats.depth import check_fb, codes_of, read_depth
 from depthcli.io.formats.disparity import read_plane
 from depthcli.io.formats.files import naming, read_bytes, shown, warn
 from depthcli.io.formats.files_behind import kinect_files
-from depthcli.io.formats.images import image_size, read_color8, read_grey, read_image
+from depthcli.io.formats.images import image_size, read_color8, read_image
+from depthcli.io.formats.masks import read_filled_mask, read_mask
 from depthcli.io.formats.plain_text import json_object, numbers
 from depthcli.io.scenes import RgbdScene, RgbIrScene, check_same_size
 
@@ -88,7 +89,7 @@ def load_masked_frame(scene: RgbdScene) -> SparseFrame:
             f"{scene.folder}: {scene.name} has no mask of the objects (mask_{TRANSPARENT}.*, 255 inside), which this "
             "config needs"
         )
-    objects = read_grey(file) == 255
+    objects = read_filled_mask(file)
     check_same_size(file, objects.shape, scene.image, frame.shape)
     if not (np.isfinite(frame.depth) & ~objects).any():
         raise InputError(f"{scene.depth}: no pixel outside of {file.name} has a depth")
@@ -151,9 +152,11 @@ def true_depth(scene: RgbdScene) -> RgbdTruth:
     depth = _read_depth(scene, scene.depth_true, scene.invalid)
     masks = {}
     for name, file in scene.masks.items():
-        mask = read_grey(file)
+        mask = read_mask(file)
         check_same_size(file, mask.shape, scene.depth_true, depth.shape)
-        masks[name] = mask == 255
+        masks[name] = mask
+        if not mask.any():
+            warn(f"{shown(file)}: no pixel is inside the mask")
     if scene.fb:
         check_fb(scene.folder / "meta.json", scene.fb, depth)
     return RgbdTruth(depth, masks, scene.fb)
@@ -170,9 +173,9 @@ def _visible_depth(scene: RgbdScene) -> NDArray[np.float32]:
     depth = _read_depth(scene, scene.depth)
     if scene.hidden is None:
         return depth
-    mask = read_grey(scene.hidden)
+    mask = read_filled_mask(scene.hidden)
     check_same_size(scene.hidden, mask.shape, scene.depth, depth.shape)
-    return np.where(mask == 255, np.float32(np.nan), depth)
+    return np.where(mask, np.float32(np.nan), depth)
 
 
 def _pose(scene: RgbdScene) -> NDArray[np.float64] | None:

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 from depthcli.io.formats.disparity import known_truth
+from depthcli.io.formats.files import shown, warn
 from depthcli.io.formats.images import pair_of, read_grey, read_image, read_pair
+from depthcli.io.formats.masks import read_mask
 from depthcli.io.formats.videos import read_frame
 from depthcli.io.scenes import StereoScene, check_same_size
 
@@ -67,7 +69,7 @@ def true_disparity(scene: StereoScene) -> StereoTruth:
     )
     assert disparity is not None
     objects = None if scene.objects is None else read_grey(scene.objects) > 0
-    read = {name: (path, read_grey(path) == 255) for name, path in scene.masks.items()}
+    read = {name: (path, read_mask(path)) for name, path in scene.masks.items()}
     for name, path in (("all", scene.ignored), ("nonocc", scene.occluded)):
         if path is not None:
             read[name] = path, read_grey(path) == 0
@@ -77,6 +79,9 @@ def true_disparity(scene: StereoScene) -> StereoTruth:
     for path, array in ((scene.disparity_noc, noc), (scene.objects, objects), *read.values()):
         if path is not None and array is not None:
             check_same_size(path, array.shape, file, disparity.shape)
+    for path, mask in read.values():
+        if path in scene.masks.values() and not mask.any():
+            warn(f"{shown(path)}: no pixel is inside the mask")
     counted = np.True_ if scene.ignored is None else read["all"][1]
     masks = {name: mask & counted for name, (_, mask) in read.items()}
     return StereoTruth(disparity, right, noc, objects, masks, scale)

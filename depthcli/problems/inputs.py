@@ -181,4 +181,6 @@ def _numbers(array: ArrayLike, name: str) -> NDArray[np.float32]:
         raise InputError(f"{name}: expected numbers, got {values.dtype}")
     with np.errstate(over="ignore"):
         numbers = np.require(values, np.float32, ["C", "A", "W"])
-    return np.where(np.ma.getmaskarray(array), np.float32(np.nan), numbers) if np.ma.is_masked(array) else numbers
+    if isinstance(array, np.ma.MaskedArray):
+        numbers = np.where(np.ma.getmaskarray(array), np.float32(np.nan), numbers)
+    return numbers

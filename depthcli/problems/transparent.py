@@ -282,7 +282,10 @@ def complete_transparent(
     if config.stereo is None and config.pipeline.needs == "objects":
         if objects is None:
             raise InputError("this config needs a mask of the transparent objects: give objects")
-        inside, nothing = as_map(objects, "objects", measured.shape) != 0, np.full_like(measured, np.nan)
+        inside = np.nan_to_num(as_map(objects, "objects", measured.shape)) != 0
+        if not inside.any():
+            raise InputError("objects: no pixel is inside the mask")
+        nothing = np.full_like(measured, np.nan)
         if not (np.isfinite(measured) & ~inside).any():
             raise InputError("objects: no pixel outside of them has a depth")
         frame = SparseFrame(image, measured, fb or sensor_fb(camera), camera, sparse=nothing, objects=inside)

@@ -74,7 +74,7 @@ class StereoScene(Scene):
     disparity_noc: Path | None = None  # the truth of the visible pixels alone (KITTI)
     disparity_scale: float | None = None  # codes per pixel of the ground truth; None = by the file's kind
     scale_by_width: bool = False  # the scale follows from the map's width, as in the Middlebury 2005 and 2006 sets
-    masks: dict[str, Path] = field(default_factory=dict, hash=False)  # name -> file; a pixel counts where it is 255
+    masks: dict[str, Path] = field(default_factory=dict, hash=False)  # name -> file; a pixel counts where it is inside
     occluded: Path | None = None  # mask of pixels that the right view does not show (> 0); ``nonocc`` are the others
     ignored: Path | None = None  # mask of pixels that do not count (> 0); ``all`` are the others
     objects: Path | None = None  # KITTI 2015 object map (> 0: foreground)
@@ -165,7 +165,7 @@ class RgbdScene(Scene):
     raw: bool = False  # ``depth`` has raw codes of a first-generation Kinect, in the depth camera's frame
     calibration: Path | None = None  # Kinect calibration for raw codes, or None for a typical one
     depth_true: Path | None = None  # true depth, in the same codes
-    masks: dict[str, Path] = field(default_factory=dict)  # name -> file; a pixel counts where the value is 255
+    masks: dict[str, Path] = field(default_factory=dict)  # name -> file; a pixel counts where it is inside
     intrinsics: tuple[float, float, float, float] | None = None  # fx, fy, cx, cy of the color camera
     # Those of the depth camera, whose map is then registered to the color image; None: it is already.
     depth_intrinsics: tuple[float, float, float, float] | None = None
