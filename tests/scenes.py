@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from skimage.data import stereo_motorcycle
 
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation import protocols
+from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.io.rgbd_frames import load_frame, true_depth
 from depthcli.io.scenes import RgbdScene, Scene, StereoScene
 from depthcli.io.scenes.find import discover_scenes
@@ -43,6 +45,14 @@ def real_scenes(folder: str = V2, protocol: str = "middlebury_v2") -> dict[str, 
             assert scene.max_disparity is not None
             found[scene.name] = RealScene(load(scene), judge.truth(scene), scene.max_disparity)
     return found
+
+
+@cache
+def real_pair() -> RealScene:
+    """The real pair of scikit-image's wheel, which every machine has; its masks are ``all`` alone."""
+    left, right, disparity = stereo_motorcycle()
+    truth = np.where(np.isfinite(disparity), disparity, np.nan).astype(np.float32)
+    return RealScene(StereoPair(left, right), DisparityTruth(truth, {"all": ~np.isnan(truth)}), 70)
 
 
 def rates(values: NDArray[Any], truth: Any, protocol: str = "middlebury_v2") -> dict[str, float]:

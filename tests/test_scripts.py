@@ -75,22 +75,30 @@ def test_a_python_that_is_too_old_is_told_in_a_line(checkout: Path, tmp_path: Pa
     assert done.stderr == "depthcli needs Python 3.11 or newer; Python 3.8.1 is too old (set PYTHON)\n"
 
 
-@pytest.mark.parametrize("words", [[], ["--all"]])
-def test_the_demo_ends_with_the_address_of_its_page(checkout: Path, tmp_path: Path, words: list[str]):
+@pytest.mark.parametrize(("words", "lacks_real"), [([], False), (["--all"], False), ([], True)])
+def test_the_demo_ends_with_the_addresses_of_its_pages(
+    checkout: Path, tmp_path: Path, words: list[str], lacks_real: bool
+):
+    """The real pair comes first; without it the demo shows generated scenes alone."""
     log = tmp_path / "log"
     tool = checkout / ".venv" / "bin" / "depthcli"
+    code = '[ "$2" != --real ]' if lacks_real else "true"
     # One write a call: two of the commands run side by side.
-    tool.write_text(f'#!/bin/sh\nline=$(printf "%s\\t" "$@")\necho "$line" >> "{log}"\n')
+    tool.write_text(f'#!/bin/sh\nline=$(printf "%s\\t" "$@")\necho "$line" >> "{log}"\n{code}\n')
     tool.chmod(0o755)
     command = [str(checkout / "scripts" / "demo"), *words, "my demo"]
     done = subprocess.run(command, cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    page = tmp_path / "my demo" / "evaluation" / "report.html"
-    assert done.stderr.splitlines()[-1] == page.as_uri()
+    parts = ["generated"] if lacks_real else ["real", "generated"]
+    pages = [tmp_path / "my demo" / part / "evaluation" / "report.html" for part in parts]
+    shown = done.stderr.splitlines()
+    assert shown[-len(pages) :] == [page.as_uri() for page in pages]
+    previews = [line for line in shown if line.endswith("preview.png")]
+    assert ("Motorcycle" in previews[0]) is not lacks_real
     called = [line.rstrip("\t").split("\t") for line in log.read_text().splitlines()]
-    (evaluation,) = (line for line in called if line[0] == "evaluate")
-    assert "--html" in evaluation
-    assert evaluation[evaluation.index("--output") + 1] == str(page.parent)
+    evaluations = [line for line in called if line[0] == "evaluate"]
+    assert [line[line.index("--output") + 1] for line in evaluations] == [str(page.parent) for page in pages]
+    assert all("--html" in line for line in evaluations)
     for name, *rest in called:
         get_command(app).get_command(None, name).make_context(name, rest)  # type: ignore[attr-defined, arg-type]
 

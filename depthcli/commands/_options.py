@@ -252,6 +252,7 @@ class SampleOptions:
     radiometric: float = option(0.0, metavar="SHARE", min=0, max=1, help="Change of light in the right image.")
     brightness: float = option(1.0, metavar="SHARE", min=0, max=1, help="Factor on all levels; 0.08: a night scene.")
     wall_contrast: float = option(1.0, metavar="SHARE", min=0, max=1, help="Texture of the walls, 0 (bare) to 1.")
+    real: bool = option(False, "--real", help="A real pair with ground truth: Motorcycle of Middlebury 2014.")
     cross_modal: bool = option(False, "--cross-modal", help="Right image as an infrared camera's.")
     kinect: bool = option(False, "--kinect", help="Color, and depth as a Kinect measures it.")
     registration: bool = option(False, "--registration", help="Volumes with a known smooth registration error.")

@@ -1,8 +1,10 @@
-"""Generate scenes with exact ground truth.
+"""Generate scenes with exact ground truth, or write a real one.
 
-Without the name of a kind these are stereo pairs; options of another kind are errors.
+By default the scenes are stereo pairs. Options of another kind of scenes are errors. ``--real`` downloads nothing: the
+pair is part of scikit-image.
 
 Examples:
+  depthcli sample --real --output real
   depthcli sample --output scenes --count 4 --noise 2
   depthcli sample --kinect --output frames
 """
@@ -15,7 +17,7 @@ from depthcli.commands._options import RunOptions, SampleOptions
 
 
 def sample(run: RunOptions, scenes: SampleOptions) -> int:
-    """Generate the scenes of one kind into a run folder."""
+    """Write the scenes of one kind into a run folder."""
     from depthcli.commands._run import run_job
     from depthcli.problems.sample import sampled
 

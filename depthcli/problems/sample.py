@@ -1,4 +1,4 @@
-"""Sample: generated scenes with their ground truth."""
+"""Sample: generated scenes, or a real one, with their ground truth."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BY_SCENE = frozenset({"count", "kind", "seed", "from_"})
 
 @dataclass(frozen=True)
 class Sample(SceneJob[SampleScene]):
-    """Generates scenes."""
+    """Writes scenes."""
 
     command = "sample"
     shown = Shown((SIZE, percent("nonocc", "visible")))
@@ -32,14 +32,14 @@ class Sample(SceneJob[SampleScene]):
         return {key: str(value) for key, value in scene.settings.items()}
 
     def compute(self, scene: SampleScene, folder: Path, context: Context) -> Outcome:
-        """Generate one scene."""
+        """Write one scene."""
         context.clock.start("make")
         row = SAMPLE_KINDS[self.config["sample"]].make(self.config, scene, folder)
         return Outcome(row, context.clock.seconds)
 
 
 def sampled(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> tuple[Sample, list[SampleScene]]:
-    """Return the job that generates scenes of the kind that the options ``values`` name, and these scenes.
+    """Return the job that writes scenes of the kind that the options ``values`` name, and these scenes.
 
     ConfigError for several kinds, or options that the kind does not take or that do not fit together.
     """

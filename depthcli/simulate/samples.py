@@ -1,7 +1,8 @@
-"""The scenes of ``depthcli sample``: what each kind generates, written in our own layouts."""
+"""The scenes of ``depthcli sample``, generated or real, written in our own layouts."""
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -10,11 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from depthcli.core.cameras.triangulation import depth_of_disparity
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.triangulation import PairGeometry, depth_of_disparity
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import Image
 from depthcli.core.maps import Mask
 from depthcli.core.volumes import Grid
+from depthcli.io.formats.calibrations import write_geometry
 from depthcli.io.formats.disparity import write_pfm
 from depthcli.io.formats.files import write_text
 from depthcli.io.formats.images import read_color8, write_png
@@ -44,6 +47,22 @@ _SPACING = (1.5, 1.5, 2.0)  # of volumes, x, y, z, mm
 _SHAPE = (40, 56, 56)  # of volumes, z, y, x, voxels
 _LARGEST_ERRORS = (3.0, 6.0, 1.0)  # of registration, voxels, in turn
 
+_REAL_FILES = {"left": "motorcycle_left.png", "right": "motorcycle_right.png", "disparity_left": "motorcycle_disp.npz"}
+_REAL_RANGE = 70  # px: ``ndisp`` of the benchmark's training scene at this size
+# The calibration that ``skimage.data.stereo_motorcycle`` documents for its size.
+_REAL_GEOMETRY = PairGeometry(Intrinsics(994.978, 994.978, 311.193, 254.877), 0.193001, 31.086, (741, 500))
+_REAL_META = {
+    "protocol": "middlebury_v2",
+    "disp_scale": 1,
+    "max_disparity": _REAL_RANGE,
+    "masks": "none",
+    "source": "Middlebury stereo data sets 2014, Motorcycle, a quarter of the full size, from scikit-image "
+    "(skimage.data.stereo_motorcycle)",
+    "citation": "D. Scharstein, H. Hirschmueller, Y. Kitajima, G. Krathwohl, N. Nesic, X. Wang, P. Westling: "
+    "High-resolution stereo datasets with subpixel-accurate ground truth, GCPR 2014",
+    "notes": "Real photographs; true disparities of the left view, inf where unknown.",
+}
+
 Values = Mapping[str, Any]
 """Options of ``sample`` by name."""
 
@@ -64,6 +83,8 @@ class SampleScene(Scene):
 
 def sample_scenes(sample: str, values: Values) -> list[SampleScene]:
     """Return the scenes of a kind of sample that the options ask for; ConfigError where options do not fit together."""
+    if sample == "real":
+        return [_real_scene()]
     seed, folder = values["seed"], values.get("from_")
     if folder is not None:
         layouts = Layouts.of(Scene, *PAIRS.rows, *FRAMES.rows) if sample == "transparent" else PAIRS
@@ -88,6 +109,16 @@ def sample_scenes(sample: str, values: Values) -> list[SampleScene]:
         turns = [(chosen[i % len(chosen)], seed + i // len(chosen)) for i in range(values["count"])]
         settings = {f"{kind}_{each}": {"kind": kind, "seed": each} for kind, each in turns}
     return [SampleScene(name=name, folder=Path(), settings=own) for name, own in settings.items()]
+
+
+def _real_scene() -> SampleScene:
+    """Return the real pair in the wheel of scikit-image; ConfigError if this version lacks it."""
+    package = importlib.util.find_spec("skimage")
+    assert package is not None and package.origin is not None
+    files = {role: Path(package.origin).parent / "data" / name for role, name in _REAL_FILES.items()}
+    if missing := [file for file in files.values() if not file.is_file()]:
+        raise ConfigError(f"--real: {missing[0]} is missing: this build of scikit-image has no stereo pair")
+    return SampleScene(name="Motorcycle", folder=files["left"].parent, files=files)
 
 
 def _scene_from(scene: Scene, seed: int, lack: str) -> SampleScene:
@@ -250,8 +281,20 @@ def _make_registration(values: Values, scene: SampleScene, folder: Path) -> dict
     return {"width": width, "height": height, "slices": depth, "mean_error": mean}
 
 
+def _make_real(values: Values, scene: SampleScene, folder: Path) -> dict[str, Any]:
+    """Write the real pair of scikit-image, its true disparities, calib.txt and meta.json."""
+    from skimage.data import stereo_motorcycle
+
+    left, right, disparity = stereo_motorcycle()
+    _write(folder, {"left": left, "right": right}, {"disp_left": disparity}, {})
+    write_geometry(folder / "calib.txt", _REAL_GEOMETRY, _REAL_RANGE)
+    height, width = disparity.shape
+    _write_meta(folder, width=width, height=height, **_REAL_META)
+    return {"width": width, "height": height}
+
+
 class SampleKind(NamedTuple):
-    """A kind of generated scenes."""
+    """A kind of scenes."""
 
     make: Callable[[Values, SampleScene, Path], dict[str, Any]]
     """Writes one scene into an empty folder and returns facts for the report."""
@@ -265,6 +308,7 @@ _OF_KINECT = ("seed", "width", "height", "frames", "fattening", "from_")
 _OF_GLASS = ("seed", "width", "height", "share", "outliers", "speckles", "at_edges", "from_")
 SAMPLE_KINDS = {
     "stereo": SampleKind(_make_stereo, _OF_STEREO),
+    "real": SampleKind(_make_real, ()),
     "cross_modal": SampleKind(_make_stereo, (*_OF_STEREO, "speckles", "from_")),
     "kinect": SampleKind(_make_kinect, _OF_KINECT),
     "registration": SampleKind(_make_registration, ("count", "seed", "noise")),

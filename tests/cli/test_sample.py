@@ -5,13 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from skimage.data import stereo_motorcycle
 
 from depthcli.cli import main
+from depthcli.io.formats.calibrations import read_geometry
 from depthcli.io.formats.images import read_image
 from depthcli.io.formats.volumes import read_volume
 from depthcli.io.scenes import StereoScene
 from depthcli.io.scenes.find import discover_scenes
 from depthcli.io.scenes.pairs import PAIRS
+from depthcli.simulate import samples
 from depthcli.simulate.deformed_volumes import make_deformed_pair
 from depthcli.simulate.stereo_scenes import Radiometry, make_scene
 from tests.command_line import contents
@@ -51,6 +54,34 @@ def test_scenes_are_what_the_generator_made(tmp_path: Path):
     assert stored.protocol == "middlebury_v2"
     meta = json.loads((tmp_path / "planes_1" / "meta.json").read_text())
     assert set(meta) == {"protocol", "disp_scale", "max_disparity", "width", "height", "masks", "source", "notes"}
+
+
+def test_the_real_pair_is_written_with_its_source(tmp_path: Path):
+    assert main(["sample", "--real", "-o", str(tmp_path), "-q"]) == 0
+    stored = scenes(tmp_path)["Motorcycle"]
+    pair, truth = load(stored), true(stored).disparity
+    left, right, disparity = stereo_motorcycle()
+    np.testing.assert_array_equal(pair.left, left)
+    np.testing.assert_array_equal(pair.right, right)
+    np.testing.assert_array_equal(np.isnan(truth), ~np.isfinite(disparity))
+    np.testing.assert_array_equal(truth[~np.isnan(truth)], disparity[np.isfinite(disparity)])
+    assert stored.max_disparity == 70 > np.nanmax(truth)
+    assert "GCPR 2014" in json.loads((tmp_path / "Motorcycle" / "meta.json").read_text())["citation"]
+    assert stored.calibration is not None
+    geometry = read_geometry(stored.calibration)
+    assert (geometry.left.fx, geometry.left.cx, geometry.left.cy) == (994.978, 311.193, 254.877)
+    assert (geometry.baseline, geometry.offset, geometry.size) == (0.193001, 31.086, (741, 500))
+
+
+def test_a_build_of_scikit_image_without_the_pair_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setitem(samples._REAL_FILES, "left", "missing.png")
+    assert main(["sample", "--real", "-o", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "missing.png" in error and "--real" in error and error.count("\n") == 1
+    assert main(["sample", "--real", "--count", "3", "-o", str(tmp_path / "out")]) == 2
+    assert "--count" in capsys.readouterr().err
 
 
 @pytest.mark.slow

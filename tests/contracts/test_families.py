@@ -53,7 +53,7 @@ def test_layout_of_our_own_scenes(made_scenes: Path):
     check_layout("scenes", made_scenes)
 
 
-@pytest.mark.parametrize("name", ["stereo", "kinect", "cross_modal", "registration"])
+@pytest.mark.parametrize("name", ["stereo", "real", "kinect", "cross_modal", "registration"])
 def test_samples_are_found_with_their_truth_and_are_the_same_again(name: str, tmp_path: Path):
     sample = SAMPLE_KINDS[name]
     small = {"count": 2, "width": 96, "height": 64, "max_disparity": 12}
