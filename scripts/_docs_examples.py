@@ -1,7 +1,7 @@
 """Code blocks of the documentation's Markdown pages: run in order, and what they print compared or written.
 
 A page runs from top to bottom in an empty folder of its own. If docs/examples has a shell script of the page's name
-(docs/examples/how_to/rig.sh for docs/how_to/rig.md), it runs first, and makes what the page supposes to be there.
+(docs/examples/rig.sh for docs/rig.md), it runs first, and makes what the page supposes to be there.
 What follows the language of a block says how it is run:
 
 | block | what happens |

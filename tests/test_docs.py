@@ -203,7 +203,7 @@ def test_an_example_that_fails_stops_the_page(page, block: str, said: str):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("name", ["tutorial", "how_to/rig", "how_to/batches"])
+@pytest.mark.parametrize("name", ["tutorial", "rig", "batches"])
 def test_pages_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A few pages; ``scripts/docs --check`` runs all of them."""
     for key, value in _docs_examples.environment(tmp_path).items():

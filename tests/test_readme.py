@@ -34,7 +34,7 @@ def test_the_commands_of_the_readme_have_these_options():
 
 
 def _makefile() -> str:
-    page = (ROOT / "docs/how_to/batches.md").read_text("utf-8")
+    page = (ROOT / "docs/batches.md").read_text("utf-8")
     return page.partition("```make file=Makefile\n")[2].partition("```")[0]
 
 

@@ -1,4 +1,4 @@
-"""Pictures of the pages below docs/how_it_works."""
+"""Pictures of how the methods work."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

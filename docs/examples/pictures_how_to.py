@@ -1,4 +1,4 @@
-"""Pictures of the tutorial, of the pages below docs/how_to and of docs/my_map_is_wrong.md."""
+"""Pictures of the tutorial, of the pages on tasks and of docs/my_map_is_wrong.md."""
 
 import functools
 from pathlib import Path
