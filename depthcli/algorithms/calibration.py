@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import single_thread
-from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.camera import Camera, Intrinsics
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 
@@ -32,6 +33,10 @@ _REFINEMENT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
 _FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _OUTLIER_DEVIATIONS = 3.0
 _MAX_CHANGE = 1.05  # of focal lengths and baseline of a doubtful rig, against those by the cameras alone; a factor
+_MAX_UNCERTAINTY = 0.05  # standard deviation of the focal length over itself; with more a camera is not determined
+_MIN_NOISE = 0.05  # pixels, of corners; fits to few photos have smaller residuals
+_MIN_MOVE = 0.005  # of the image's width: a view in which corners moved less than that is the same view
+_STEP, _MIN_CONDITION = 1e-5, 1e-10  # of derivatives, relative; of the equations, beyond which they are singular
 _DEVIATION = 1.4826  # median absolute deviations to standard deviations
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-9)
 _cv2: Any = cv2  # its stubs know the lists neither of cv2 nor of cv2.fisheye
@@ -203,6 +208,8 @@ class CameraFit:
     residuals: dict[str, NDArray[np.float64]]  # name -> (N, 2), pixels
     tilt: float  # largest angle between the board in two photos, degrees
     outliers: dict[str, float]  # name -> error, of the photos that were left out
+    # standard deviation of the focal length over itself, by the condition of all equations; infinite: undetermined
+    focal_uncertainty: float = 0.0
 
     @property
     def error(self) -> float:
@@ -232,8 +239,42 @@ def fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: bo
     estimated from the median of absolute deviations. The worst one is left out and the camera found anew, until there
     is none or half of the photos are left. InputError: fewer than three photos, or they do not determine the camera.
     """
+    _check_distinct(photos.values(), size, "photos")
     with single_thread():  # OpenCV's solvers sum over threads as those come
-        return _without_outliers(photos, lambda used: _fit_camera(board, used, size, fisheye))
+        fit = _without_outliers(photos, lambda used: _fit_camera(board, used, size, fisheye))
+    _check_determined(fit, "photos")
+    return fit
+
+
+def _check_distinct(views: Iterable[Corners], size: Size, what: str) -> None:
+    """Raise InputError if the views show a board at fewer than three places, such as copies of one photo."""
+    views, distinct = list(views), list[Corners]()
+    for view in views:
+        if all(_is_another(view, other, size[0]) for other in distinct):
+            distinct.append(view)
+    if len(views) >= MIN_PHOTOS > len(distinct):
+        raise InputError(
+            f"{len(views)} {what} show the board at {len(distinct)} different places; at least {MIN_PHOTOS} are "
+            "needed, better 15 or more, with the board tilted to all sides"
+        )
+
+
+def _check_determined(fit: CameraFit, what: str) -> None:
+    if not fit.focal_uncertainty < _MAX_UNCERTAINTY:
+        raise InputError(
+            f"the {what} do not determine the camera: the focal length is {fit.camera.matrix[0, 0]:.4g} px with a "
+            f"standard deviation of {100 * fit.focal_uncertainty:.2g} %; add {what} with the board tilted by 30 "
+            "degrees or more, to all sides"
+        )
+
+
+def _is_another(one: Corners, other: Corners, width: int) -> bool:
+    """Return whether two views show the board at different places, by the corners that both show."""
+    ids = np.intersect1d(one.ids, other.ids)
+    if len(ids) < MIN_CORNERS:
+        return True
+    here, there = (each.pixels[np.isin(each.ids, ids)] for each in (one, other))
+    return float(np.median(np.linalg.norm(here - there, axis=1))) > _MIN_MOVE * width
 
 
 def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], alone: tuple[CameraFit, CameraFit]) -> RigFit:
@@ -252,8 +293,15 @@ def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], alone: tupl
             left, right = (Corners(ids, view.pixels[np.isin(view.ids, ids)]) for view in pair)
             usable[name] = left, right
     cameras = alone[0].camera, alone[1].camera
+    size = cameras[0].size
+    assert size is not None
+    _check_distinct((left for left, _ in usable.values()), size, "pairs")
     with single_thread():
         rough = _without_outliers(usable, lambda used: _fit_rig(board, used, cameras, False))
+        for k, each in enumerate(alone):
+            if each.errors.keys() - rough.errors.keys():  # the pairs are fewer than the photos
+                views = {name: usable[name][k] for name in rough.errors}
+                _check_determined(_fit_camera(board, views, size, cameras[k].fisheye), "pairs")
         fine = _fit_rig(board, {name: usable[name] for name in rough.errors}, cameras, True)
     error = max(each.error for each in alone)
     if not fine.error <= MAX_ERROR_RATIO * max(error, OUTLIER_PX):
@@ -320,7 +368,50 @@ def _fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: b
     errors = {name: _rms(each) for name, each in residuals.items()}
     if tilt < MIN_TILT:
         deviations = None
-    return CameraFit(camera, deviations, errors, residuals, tilt, {})
+    poses = [np.concatenate([np.ravel(turn), np.ravel(shift)]) for turn, shift in zip(turns, shifts, strict=True)]
+    noise = max(_rms(np.concatenate(list(residuals.values()))), _MIN_NOISE)
+    uncertainty = noise * _focal_sensitivity(camera, objects, poses)
+    return CameraFit(camera, deviations, errors, residuals, tilt, {}, uncertainty)
+
+
+def _focal_sensitivity(
+    camera: Camera, objects: Sequence[NDArray[np.float32]], poses: Sequence[NDArray[np.float64]]
+) -> float:
+    """Return the relative standard deviation of the focal length for corners with one of a pixel.
+
+    The normal equations of all parameters decide, those of the places of the boards eliminated.
+    """
+    lens = np.concatenate([camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.coefficients])
+
+    def project(points: NDArray[np.float32], values: NDArray[np.float64], pose: NDArray[np.float64]) -> Any:
+        matrix = Intrinsics(*values[:4].tolist()).matrix
+        model = Camera(matrix, tuple(values[4:].tolist()), None, camera.fisheye)
+        return _projected(model, points, pose[:3], pose[3:]).ravel()
+
+    def jacobian(of: Callable[[NDArray[np.float64]], Any], at: NDArray[np.float64]) -> NDArray[np.float64]:
+        columns = []
+        for k, value in enumerate(at):
+            step = np.zeros(len(at))
+            step[k] = _STEP * max(abs(value), 1e-2)
+            columns.append((of(at + step) - of(at - step)) / (2 * step[k]))
+        return np.stack(columns, axis=1)
+
+    rows = []
+    for points, pose in zip(objects, poses, strict=True):
+        by_pose = jacobian(lambda at, points=points: project(points, lens, at), pose)  # type: ignore[misc]
+        by_lens = jacobian(lambda at, points=points, pose=pose: project(points, at, pose), lens)  # type: ignore[misc]
+        scale = np.linalg.norm(by_pose, axis=0)
+        basis = np.linalg.qr(by_pose / np.where(scale > 0, scale, 1))[0]
+        rows.append(by_lens - basis @ (basis.T @ by_lens))
+    stacked = np.concatenate(rows)
+    scale = np.linalg.norm(stacked, axis=0)
+    if not (np.isfinite(stacked).all() and (scale > 0).all()):
+        return math.inf
+    _, spread, turned = np.linalg.svd(stacked / scale, full_matrices=False)
+    if spread[-1] < spread[0] * _MIN_CONDITION:
+        return math.inf
+    variances = np.sum((turned / spread[:, None]) ** 2, axis=0)[:2]
+    return float(np.sqrt(np.max(variances / (scale[:2] * lens[:2]) ** 2)))
 
 
 def _fit_rig(

@@ -272,8 +272,8 @@ def _doubts(view: CameraPhotos) -> list[str]:
     """Return why a camera is doubtful."""
     fit, which = view.fit, "" if view.name == "camera" else f"{view.name}: "
     lines, why, focal = [], "", float(fit.camera.matrix[0, 0])
-    if fit.focal_deviations is not None and max(fit.focal_deviations) > _MAX_DEVIATION * focal:
-        why = f"{focal:.1f} px with a standard deviation of {max(fit.focal_deviations):.1f}"
+    if fit.focal_uncertainty > _MAX_DEVIATION:
+        why = f"{focal:.1f} px with a standard deviation of {fit.focal_uncertainty * focal:.1f}"
     elif fit.tilt < MIN_TILT:
         why = f"between photos the board is tilted by {fit.tilt:.0f} degrees at most"
     if why:

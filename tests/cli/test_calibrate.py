@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.algorithms.calibration import CameraFit, Chessboard, Corners, fit_rig
+from depthcli.algorithms.calibration import CameraFit, Chessboard, Corners, _projected, fit_camera, fit_rig
 from depthcli.core.cameras.rig import RectifiedRig, Rig
 from depthcli.core.errors import InputError
 from depthcli.io.calibration_photos import find_photos
@@ -109,16 +109,61 @@ def test_fisheye_lenses(tmp_path: Path) -> None:
     assert abs(found.baseline / rig.baseline - 1) < 0.003
 
 
-def test_one_camera_whose_boards_are_all_parallel_is_doubted(tmp_path: Path, capsys) -> None:
-    camera, texture = boards.rig().left, boards.chessboard(9, 6)
+@pytest.mark.parametrize("kind", ["parallel", "copies", "nearly copies"])
+@pytest.mark.parametrize("lens", [(), ("--fisheye",)])
+def test_photos_that_do_not_determine_the_camera_are_refused(
+    kind: str, lens: tuple[str, ...], tmp_path: Path, capsys
+) -> None:
+    camera, texture = boards.rig(bool(lens)).left, boards.chessboard(9, 6)
     for k, (_, shift) in enumerate(boards.poses(8, EXTENT, tilt=0.0)):
-        write_png(tmp_path / "photos" / f"{k}.png", boards.photo(camera, texture, np.eye(3), shift, k))
-    assert run("calibrate", tmp_path / "photos", *CHESS, "-o", tmp_path / "c.yml") == 0
+        if kind == "parallel":
+            image = boards.photo(camera, texture, np.eye(3), shift, k)
+        elif k == 0:
+            turn = cv2.Rodrigues(np.radians([10.0, -12.0, 2.0]))[0]
+            place = np.array([0, 0, 0.5]) - turn @ np.array([*EXTENT, 0]) / 2
+            first = image = boards.photo(camera, texture, turn, place, 0)
+        else:
+            image = np.roll(first, k % 3, 1) if kind == "nearly copies" else first
+        write_png(tmp_path / "photos" / f"{k}.png", image)
+    assert run("calibrate", tmp_path / "photos", *CHESS, *lens, "-o", tmp_path / "c.yml") == 2
     err = capsys.readouterr().err
-    assert "warning: the focal length is not determined: between photos the board is tilted by 0 degrees" in err
-    assert " +- " not in err
-    report = json.loads((tmp_path / "c_report.json").read_text())
-    assert len(report["cameras"]) == 1 and "rig" not in report
+    assert ("do not determine the camera" if kind == "parallel" else "8 photos show the board at 1 diff") in err
+    assert [each.name for each in tmp_path.iterdir()] == ["photos"]
+
+
+@pytest.mark.parametrize("fisheye", [False, True])
+@pytest.mark.parametrize("tilt", [2.0, 8.0, 15.0, 30.0])
+def test_the_uncertainty_of_a_focal_length_is_that_of_its_errors(tilt: float, fisheye: bool) -> None:
+    """Refused where the error may exceed 15 %; else the errors of 8 fits are within three of its deviations."""
+    board, camera, errors = Chessboard(9, 6, SQUARE), boards.rig(fisheye).left, []
+    for seed in range(4):
+        photos, rng = {}, np.random.default_rng(seed)
+        for k, (turn, shift) in enumerate(boards.poses(8, EXTENT, tilt=tilt)):
+            pixels = _projected(camera, board.points, cv2.Rodrigues(turn)[0].ravel(), np.ravel(shift))
+            photos[str(k)] = Corners(np.arange(54), pixels + rng.normal(0, 0.1, pixels.shape))
+        try:
+            fit = fit_camera(board, photos, SIZE, fisheye)
+        except InputError:
+            assert tilt < 15
+            continue
+        errors.append(abs(fit.camera.matrix[0, 0] / camera.matrix[0, 0] - 1) / fit.focal_uncertainty)
+    assert len(errors) == 0 if tilt < 5 else len(errors) == 4 if tilt > 10 else True
+    assert max(errors, default=0.0) < 4
+
+
+def test_pairs_that_are_copies_are_refused() -> None:
+    """Though the photos of each camera alone determine it."""
+    board, true = Chessboard(9, 6, SQUARE), boards.rig()
+    pairs = {}
+    turn, shift = next(iter(boards.poses(6, EXTENT)))
+    for k in range(5):
+        points = board.points @ turn.T + shift
+        seen = true.left.project(points), true.right.project(points @ true.rotation.T + true.translation)
+        pairs[str(k)] = tuple(Corners(np.arange(54), each) for each in seen)
+    residuals = {"0": np.full((54, 2), 0.02)}
+    alone = tuple(CameraFit(each, None, {}, residuals, 30.0, {}) for each in (true.left, true.right))
+    with pytest.raises(InputError, match="5 pairs show the board at 1 diff"):
+        fit_rig(board, pairs, alone)
 
 
 @pytest.fixture
