@@ -1,4 +1,4 @@
-"""Devices beside the processor that run kernels: GPUs, through OpenCL or CUDA.
+"""Devices other than the processor that run kernels: GPUs, through OpenCL or CUDA.
 
 :func:`open_device` gives the :class:`Device` that the text of ``--device`` names; :func:`devices` lists all without
 opening any. Kernels are C text that is written once, in OpenCL C, with macros by which CUDA understands it
@@ -30,7 +30,7 @@ class DeviceError(DepthcliError):
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What is known of a device without using it."""
+    """Properties of a device that are known without using it."""
 
     address: str  # how ``--device`` names it, such as ``opencl:0``
     name: str  # what its driver calls it
@@ -206,16 +206,16 @@ def devices() -> list[DeviceInfo]:
 
 
 def why_no_device() -> str:
-    """Return why OpenCL or CUDA has no device here; "" where both have one."""
+    """Return why OpenCL or CUDA has no device here; "" if both have one."""
     return "; ".join(f"{kind}: {_found(kind)[1]}" for kind in KINDS if not _found(kind)[0])
 
 
 def find_device(wanted: str) -> DeviceInfo | None:
     """Return the device that ``wanted`` names; None for the processor.
 
-    ``cpu``; ``auto``: the first GPU, else the processor; ``opencl`` or ``cuda``: the first device of this kind, GPUs
-    first; ``opencl:1``: the device with this address. ConfigError where it is none of these, DeviceError where no such
-    device is there.
+    ``cpu``; ``auto``: the first GPU, otherwise the processor; ``opencl`` or ``cuda``: the first device of this kind,
+    GPUs first; ``opencl:1``: the device with this address. Raise ConfigError for any other text, DeviceError if there
+    is no such device.
     """
     if wanted == "cpu":
         return None

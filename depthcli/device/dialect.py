@@ -1,8 +1,8 @@
-"""The C that kernels are written in: OpenCL C, with macros for what CUDA spells otherwise.
+"""The C dialect of device kernels: OpenCL C, with macros for the differences of CUDA.
 
 A kernel is ``KERNEL void name(GLOBAL const uchar *RESTRICT in, ...)``. In its body:
 
-| macro | what it stands for |
+| macro | meaning |
 |---|---|
 | ``GLOBAL_ID(n)``, ``LOCAL_ID(n)``, ``GROUP_ID(n)``, ``LOCAL_SIZE(n)`` | ints, of dimension n = 0, 1 or 2 |
 | ``OWN_PIXEL`` | declares x and y of the thread; ends threads outside ``width`` x ``height`` |
@@ -11,7 +11,7 @@ A kernel is ``KERNEL void name(GLOBAL const uchar *RESTRICT in, ...)``. In its b
 | ``LOCAL`` | memory that the threads of a group share |
 | ``BARRIER()`` | waits until all threads of the group are here |
 
-Sums and products are never fused, so that results are those of the processor's kernels.
+Sums and products are never fused, so that results equal those of the CPU kernels.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def _try_out(cl: Any, handle: Any) -> None:
     """Compile and run a kernel; raise the driver's error where the device cannot."""
     context = cl.Context([handle])
     with warnings.catch_warnings(), cl.CommandQueue(context) as queue:
-        warnings.simplefilter("ignore")  # what the compiler says
+        warnings.simplefilter("ignore")  # compiler messages
         program = cl.Program(context, "__kernel void one(__global int *a) { a[0] = 1; }").build()
         program.one(queue, (1,), None, cl.Buffer(context, cl.mem_flags.READ_WRITE, 4))
         queue.finish()

@@ -21,10 +21,10 @@ from depthcli.evaluation.protocols import AnyProtocol, shown_pixels
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, mean_of_scenes, pooled
 
 COVERAGE, WORST, COVERING = "bound coverage", "bound coverage, worst map", "bound coverage, maps"
-"""Share of pixels inside the bound; the smallest of all maps; the share of maps near or above the level."""
+"""Share of pixels inside the bound; smallest share of all maps; share of maps near or above the level."""
 BAD = "bad of surest"
 """Share of wrong pixels among the pixels of the smallest bounds, whose share is the threshold."""
-_SUREST = (100, 90, 80, 50)  # percent of the pixels, those of the smallest bound
+_SUREST = (100, 90, 80, 50)  # percent of the pixels, smallest bounds first
 _TOLERANCE = 10.0  # percentage points below the level from which on a map covers too little
 
 
@@ -45,15 +45,16 @@ def judged(
     status: NDArray[np.uint8] | None,
     promise: Bound | None,
 ) -> tuple[list[ConfidenceCurve], list[Score], NDArray[np.bool_] | None]:
-    """Return the curves of a map's confidences, the scores of its bound, and True where the truth lies outside it.
+    """Return the curves of a map's confidences, the scores of its bound, and True where the truth is outside it.
 
-    A value without a bound lies outside. Regions are those of the truth, and by the map's status ``said NAME``. The
-    bound has a curve, too. By the confidence ``PROBABILITY`` a value is right if its error is within what the run says.
+    A value without a bound is outside. Regions are the truth's regions, and ``said NAME`` by the map's status. The
+    bound has a curve, too. For the confidence ``PROBABILITY``, a value is correct if its error is within the run's
+    promise.
 
     Parameters
     ----------
     bound : of the regions' shape, in the unit of the run's maps; None: the map has none
-    promise : of the run; None: the usual level, and the protocol's error of a right value
+    promise : of the run; None: the default level, and the protocol's threshold of a correct value
     """
     curves = protocol.curves(estimate, truth, {**confidences, **({} if bound is None else {"bound": -bound})})
     if bound is None and PROBABILITY not in confidences:

@@ -200,7 +200,7 @@ class ConfidenceCurve:
 
 
 class HiddenPixels(NamedTuple):
-    """How well a map's status marks pixels that the right view does not see; numbers of pixels with known truth."""
+    """Counts of pixels that a map marks as hidden from the right view, against the ground truth."""
 
     both: int  # marked as hidden, and hidden in truth
     said: int
@@ -219,7 +219,7 @@ class HiddenPixels(NamedTuple):
         return cls(*map(sum, zip(*parts, strict=True)))
 
     def shares(self) -> dict[str, float]:
-        """Return precision, recall and F1, and the shares of pixels marked as hidden and hidden, percent."""
+        """Return precision, recall, F1, and the shares of marked and of truly hidden pixels, percent."""
         parts = {"precision": (self.both, self.said), "recall": (self.both, self.true),
                  "F1": (2 * self.both, self.said + self.true), "said": (self.said, self.pixels),
                  "true": (self.true, self.pixels)}  # fmt: skip
@@ -227,9 +227,9 @@ class HiddenPixels(NamedTuple):
 
 
 def hidden_pixels(status: NDArray[np.uint8], regions: Mapping[str, NDArray[np.bool_]]) -> HiddenPixels | None:
-    """Compare the pixels that a status map marks as unseen by the right view with the truth: ``all`` less ``nonocc``.
+    """Compare the pixels that a status map marks as hidden from the right view with ``all`` without ``nonocc``.
 
-    None if that is not known, nothing is hidden, or the status has another size.
+    Return None if the truth is unknown, no pixel is hidden, or the status has another size.
     """
     if not {"all", "nonocc"} <= set(regions) or status.shape != regions["all"].shape:
         return None

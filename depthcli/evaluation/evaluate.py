@@ -58,7 +58,7 @@ class Viewer:
     """A file that shows the maps, such as the page; it gets them while they are scored."""
 
     file: ClassVar[str]
-    needed: ClassVar[bool] = False  # an evaluation without the file fails; else it counts as incomplete
+    needed: ClassVar[bool] = False  # True: an evaluation without the file fails; False: it is incomplete
     folder: Path
 
     def begin(self, folder: Path) -> None:

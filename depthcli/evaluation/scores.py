@@ -1,7 +1,7 @@
-"""Scores: single numbers, each with all that it takes to read it rightly, and the results of one map.
+"""Scores: single numbers with their conventions, and the results of one map.
 
-Benchmarks differ in what counts as an error, and above all in how they treat missing values. A :class:`Score`
-therefore carries its region, denominator and density, and its :class:`Metric` the threshold and the convention.
+Benchmarks define errors differently, and above all treat missing values differently. A :class:`Score` therefore has
+its region, denominator and density, and its :class:`Metric` the threshold and the convention.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MISSING_APART = "missing counted apart (invalid)"
 ESTIMATED_ONLY = "estimated pixels only"
 
 MEAN, COMMON_MEAN = "*mean", "*common mean"
-"""Scenes of the records of means: over all scenes, and over scenes of which every run has a map."""
+"""Scene names of means: over all scenes, and over the scenes for which every run has a map."""
 
 
 @dataclass(frozen=True)

@@ -77,8 +77,8 @@ class PairedTest:
     ties: int
     mean_difference: float  # of b - a (negative: b is better)
     worst_ratio: float  # largest b / a over the scenes (NaN where a is 0 everywhere)
-    # Rank-biserial correlation, -1 to 1: b's ranks of losses less those of wins, as a share of all ranks; the
-    # sign shows which of the two is better (negative: b). 0 if all are ties.
+    # Rank-biserial correlation, -1 to 1: (ranks of b's losses - ranks of b's wins) / all ranks. Negative if b is
+    # better, 0 if all are ties.
     rank_difference: float
     p_value: float  # two-sided Wilcoxon signed-rank test; ties are left out. NaN where no scene is compared
 

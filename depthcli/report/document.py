@@ -1,4 +1,4 @@
-"""``report.md``: an evaluation to read as text, with the plots of its confidence curves beside it."""
+"""``report.md``: an evaluation to read as text, with the plots of its confidence curves."""
 
 from __future__ import annotations
 

@@ -352,7 +352,7 @@ def _significant(value: float, digits: int) -> float:
 
 
 def _step(width: int, height: int) -> int:
-    """Return how many pixels of an image one of its small picture stands for."""
+    """Return the number of image pixels per pixel of the small picture, along each axis."""
     return max(1, -(-max(width, height) // _MAX_THUMB))
 
 

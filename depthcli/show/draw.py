@@ -19,7 +19,7 @@ KIND_COLORS = (
     ("grey", "#dcdcdc", "#9b9b9b"), ("purple", "#dba2cf", "#5c1f57"), ("black", "#000000", "#000000"),
 )  # fmt: skip
 _N_SHADES = 64
-_SHADE = 16  # of these, that stands for a kind of pixel whatever its error
+_SHADE = 16  # shade of a kind of pixel regardless of its error
 _MARGIN, _LINE = 8, 20  # pixels: between two pictures, and height of a line of text
 _FONT = cv2.FONT_HERSHEY_SIMPLEX, 0.5  # of lines of text: capitals are 11 pixels high
 _INK = (0, 0, 0)
@@ -31,7 +31,7 @@ def draw(view: View, what: str, scale: Range | None = None) -> Picture:
     Parameters
     ----------
     view : of an image, or of a slice of a volume
-    what : ``preview``: the values from blue, the lowest of the scale, to red, with any bound beside them; ``values``:
+    what : ``preview``: the values from blue, the lowest of the scale, to red, next to any bound; ``values``:
         from violet to yellow, over the image; ``bound``: likewise, logarithmic; ``error``: kinds of pixel, shaded by
         any error, over the image; ``status``; ``confidence:NAME``, or ``confidence`` of values that are one: grey
         levels from the 1st to the 99th percentile
@@ -90,7 +90,7 @@ def _over_image(view: View, picture: Picture, nothing: NDArray[np.bool_]) -> Pic
 
 
 def _with_bound(picture: Picture, view: View) -> Picture:
-    """Return the picture of a map, its bounds beside it, and below these their colors in the unit."""
+    """Return the picture of a map next to its bounds, with the color bar of the bounds below."""
     bound = view.bound
     assert bound is not None
     (low, high), (height, width) = bound_range(bound), bound.shape

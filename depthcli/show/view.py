@@ -1,4 +1,4 @@
-"""A map as it is shown: its values and all that stands beside them, with the meaning of statuses and kinds of pixel."""
+"""A map as it is shown: values, bounds, statuses and kinds of pixels, with their meanings."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ class DeformedPair(NamedTuple):
 
     fixed: Floats  # (Z, Y, X)
     warped: Floats
-    residual: Floats  # (Z, Y, X, 3), x, y, z, voxels: what the registration is off by
+    residual: Floats  # (Z, Y, X, 3), x, y, z, the registration error in voxels
     mask: Mask  # the body
 
 

@@ -1,9 +1,9 @@
-"""What a Kinect-like sensor measures of a scene whose disparity is known.
+"""Simulate a Kinect-like sensor on a scene with known disparity.
 
-The sensor looks through the color camera's pixels. The two systematic faults of triangulating sensors are that surfaces
-in front look wider than they are, since a matching window that sees both takes the better textured or nearer one
-(mismatch), and that the far side of every left edge lies in the projector's shadow (gap). Sensors differ in both, in
-their noise, and in how well color and depth are registered.
+The sensor measures at the color camera's pixels. Triangulating sensors have two systematic faults. Near surfaces look
+wider than they are, since a matching window that sees both surfaces takes the better textured or nearer one (mismatch).
+The far side of every left edge is in the projector's shadow (gap). Sensors differ in both faults, in their noise, and
+in the registration of color and depth.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from depthcli.core.maps import Doubles, Floats, Image8, Mask
 
 @dataclass(frozen=True)
 class KinectSample:
-    """A simulated frame and what is known about it. Every mask keeps to pixels with known truth."""
+    """A simulated frame with its ground truth. Masks contain only pixels with known ground truth."""
 
     color: Image8  # (H, W, 3) RGB
-    disparity: Floats  # what the sensor measured
+    disparity: Floats  # as measured by the sensor
     truth: Floats
     occluded: Mask  # in the shadow of something nearer, without a measurement
     specular: Mask  # in a disc without a measurement, and not in shadow
@@ -51,15 +51,15 @@ class KinectSample:
 
 @dataclass(frozen=True)
 class Sensor:
-    """How a simulated depth sensor measures. Lengths are in pixels, along the rows unless said otherwise."""
+    """Parameters of a simulated depth sensor. Lengths are in pixels, along the rows unless stated otherwise."""
 
     fattening: int = 4  # width by which nearer surfaces grow over farther ones
     sides: Literal["both", "left", "right"] = "both"  # of near surfaces, on which they grow
     noise: float = 0.3  # standard deviation of the disparity
     correlation: float = 0.0  # standard deviation of the Gaussian that smooths the noise; 0: white noise
     shadows: Literal["left", "right", "none"] = "left"  # of near surfaces; a time-of-flight sensor has none
-    covered: bool = False  # the near surface grows over its shadow, which is narrower then; else the shadow moves
-    baseline: float = 1.0  # width of a shadow over the step of disparity beside it
+    covered: bool = False  # True: the near surface grows over its shadow; False: the shadow moves
+    baseline: float = 1.0  # width of a shadow / the disparity step at its edge
     step: float = 0.0  # disparities are rounded to multiples of this; 0: not rounded
     # Pixels on both sides of a step, along rows and columns, with any value between both surfaces: time of flight.
     mixed: int = 0
@@ -80,17 +80,17 @@ def simulate_kinect(
 ) -> KinectSample:
     """Return a Kinect-like measurement of a scene.
 
-    At every step of more than ``jump`` between neighbors of a row, the nearer surface's edge value is written over
-    some pixels of the farther one. Then what lies in shadow is taken out: left of every such edge, as many pixels as
-    the disparity jumps (a pixel x whose ``x - d`` is not left of every nearer pixel's on its right), and some random
-    discs. What is left gets Gaussian noise. Where the truth is unknown nothing is measured.
+    At every step larger than ``jump`` between neighbors in a row, the edge value of the nearer surface replaces some
+    pixels of the farther one. Then the shadow is removed: as many pixels left of every such edge as the disparity
+    jumps (a pixel x is in shadow if its ``x - d`` is not left of that of every nearer pixel to its right). Some random
+    discs are removed, too. The remaining pixels get Gaussian noise. Pixels with unknown truth are not measured.
 
     Parameters
     ----------
     color : (H, W, 3) uint8 RGB
-    truth : (H, W) float, pixels of disparity, NaN or infinite = unknown; ValueError where nothing is known
+    truth : (H, W) float, pixels of disparity, NaN or infinite = unknown; ValueError if no pixel is known
     seed : of discs and noise
-    sensor : how it measures; None: as a Kinect
+    sensor : its parameters; None: a Kinect's
     jump : pixels of disparity, > 0; smaller steps are slopes
     changed : attributes of ``sensor`` that differ, such as ``fattening=2``
     """

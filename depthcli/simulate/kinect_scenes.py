@@ -117,7 +117,7 @@ class CutOut:
     def seen_after(self, motion: Doubles, camera: Doubles, fb: float) -> CutOut:
         """Return the board as a moved camera sees it: its plane of disparity, and its picture by the homography.
 
-        ``motion`` (4, 4) brings coordinates of the camera that sees the board to those of the moved one, meters;
+        ``motion`` (4, 4) transforms coordinates of the original camera to coordinates of the moved one, meters;
         ``camera`` is the matrix (3, 3) of both, ``fb`` is in pixel meters.
         """
         height, width = size = self.disparity.shape
@@ -134,7 +134,7 @@ class CutOut:
 
 
 class Workshop:
-    """What makes a wall and boards before it, for pictures of one size."""
+    """Generator of a wall with boards in front of it, for pictures of one size."""
 
     def __init__(self, rng: np.random.Generator, width: int, height: int, paint: Floats, far: float):
         self._rng = rng

@@ -120,7 +120,7 @@ def _light(facing: Array, lit: Array | float = 1.0) -> Floats:
 
 
 def _shade(room: Room, surface: Surface, light_map: Floats | None, point: Vector) -> Floats:
-    """Return the colors of points that lie on a surface (others in the rectangle get some color)."""
+    """Return the colors of the points on a surface (other points in the rectangle get an arbitrary color)."""
     x, y, z = surface.local(point)
     if surface.shape != "plane":
         x = np.arctan2(x, -z) / np.pi
@@ -128,7 +128,7 @@ def _shade(room: Room, surface: Surface, light_map: Floats | None, point: Vector
             y = np.arcsin(np.clip(y, -1, 1)) * (2 / np.pi)
     height, width = surface.texture.shape[:2]
     column, row = (((part + 1) * ((size - 1) / 2)).astype(np.float32) for part, size in ((x, width), (y, height)))
-    # Rays of the rectangle that hit something else can lie far off, beyond what remap can index.
+    # Rays that hit another surface can be far outside the picture, beyond the indices that remap supports.
     column, row = np.clip(column, -20000, 20000), np.clip(row, -20000, 20000)
     paint = cv2.remap(surface.texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
     if light_map is not None:

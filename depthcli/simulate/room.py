@@ -50,7 +50,7 @@ class Surface:
     outline: Outline | None = None  # which (x, y) of a plane belong to it; None = the whole square
     unbounded: bool = False  # an infinite plane (its picture is repeated, mirrored each time)
     period: float = 0.0  # width of one repetition of the picture along local x, in baselines; 0 = none
-    gloss: float = 0.0  # share of the far surroundings that is mirrored; they lie at the same pixel of both views
+    gloss: float = 0.0  # share of the mirrored far surroundings, which appear at the same pixel in both views
 
     def local(self, vector: Vector, point: bool = True) -> Vector:
         """Return world points (or, with ``point=False``, directions) in the scaled local frame."""

@@ -71,7 +71,7 @@ Values = Mapping[str, Any]
 class SampleScene(Scene):
     """A scene to be generated, from the scene ``origin`` and its files if there is one."""
 
-    settings: dict[str, Any] = field(default_factory=dict)  # beside the options that all scenes share
+    settings: dict[str, Any] = field(default_factory=dict)  # in addition to the options that all scenes share
     files: dict[str, Path] = field(default_factory=dict)
     origin: Scene | None = None
 
@@ -82,7 +82,7 @@ class SampleScene(Scene):
 
 
 def sample_scenes(sample: str, values: Values) -> list[SampleScene]:
-    """Return the scenes of a kind of sample that the options ask for; ConfigError where options do not fit together."""
+    """Return the scenes of a kind of sample that the options ask for; ConfigError if options conflict."""
     if sample == "real":
         return [_real_scene()]
     seed, folder = values["seed"], values.get("from_")
@@ -122,7 +122,7 @@ def _real_scene() -> SampleScene:
 
 
 def _scene_from(scene: Scene, seed: int, lack: str) -> SampleScene:
-    """Return a scene to be generated from another one; ``lack`` says what one without truth lacks, if it needs it."""
+    """Return a scene to generate from another one; ``lack`` names the truth that it needs and may lack, or is empty."""
     truth = {role: getattr(scene, role, None) for role in ("depth_true", "disparity_left", "disparity_right")}
     files = scene.input_files | {role: file for role, file in truth.items() if file is not None}
     files |= {f"mask_{name}": file for name, file in getattr(scene, "masks", {}).items()}

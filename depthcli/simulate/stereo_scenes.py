@@ -32,7 +32,7 @@ class SyntheticScene:
     right: Image8
     disparity_left: Floats  # pixels, at pixel centers; every pixel has a value
     disparity_right: Floats
-    nonocc: Mask  # the left pixel's surface point lies in the right image and is visible there
+    nonocc: Mask  # the left pixel's surface point is inside the right image and visible there
     disc: Mask  # non-occluded and near a depth discontinuity or an occlusion
     repetition: Floats  # after how many pixels along x the left picture repeats; NaN = it does not
     max_disparity: int  # to search, inclusive
@@ -84,8 +84,8 @@ def make_scene(
         ``repetitive`` (a wall whose pattern repeats inside the search range, with unique stickers here and
         there), ``curved`` (balls, cones, tubs), ``street`` (a road between house fronts, cars, poles and trees under
         a bare sky: large slopes, and depths from the nearest to almost infinity)
-    width, height : pixels, at least 16, else ValueError
-    max_disparity : pixels, at least 4 and at most ``width / 2``, else ValueError; nothing in the scene is nearer
+    width, height : pixels, at least 16, otherwise ValueError
+    max_disparity : pixels, at least 4 and at most ``width / 2``, otherwise ValueError; no surface is nearer
     noise : standard deviation in grey levels of the noise of each camera
     radiometry : of the right camera; None = both cameras are alike
     wall_contrast : contrast of the walls' pictures: 1 = full, 0 = walls without texture (the repeated pattern
@@ -188,7 +188,7 @@ def _repetitive(room: Room) -> None:
     # In baselines the period is the share of the disparity by which a wrong match is off: below 1, d - period
     # is a disparity, and at these depths so is d + period.
     tile = max(4, round(texels * rng.uniform(0.5, 0.75)))
-    # The picture covers what the two views see of the wall and little more, so that its stickers are seen.
+    # The picture covers little more than the visible part of the wall, so that the stickers are visible.
     skirting = room.center[1] + room.floor * texels
     wide, tall = int(w + 3 * texels), int(skirting * 1.15)
     picture = textures.repeated(rng, tall, wide, tile, int(rng.integers(16, 25)), min(w, h) * 0.13)
@@ -272,4 +272,4 @@ _FURNISH: dict[Kind, Callable[[Room], None]] = {
     "curved": _curved,
     "street": _street,
 }
-"""What puts the surfaces of a kind of scene into an empty room."""
+"""Kind of scene -> function that adds its surfaces to an empty room."""

@@ -1,7 +1,7 @@
 """Scenes with transparent objects, as a color camera, an infrared camera and a depth sensor record them, with truth.
 
-Disparities are exact. What is behind an object shines through, displaced as by a lens; of the object itself a faint
-picture is seen. The sensor measures what lies behind the object, or nothing.
+Disparities are exact. The background shines through an object, displaced as by a lens, mixed with a faint picture of
+the object itself. The sensor measures the surface behind the object, or nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from depthcli.core.maps import Floats, Image8, Mask
 from depthcli.simulate.rendering import disparities, levels8, render
 from depthcli.simulate.room import Room, rotation
 
-_OWN_SHARE = 0.55  # share of an object's own picture in what is seen of it
+_OWN_SHARE = 0.55  # share of an object's own picture in its visible color
 _LENS = 0.35  # how far the picture behind is drawn towards an object's center
 _BLIND, _SENSOR_NOISE = 0.5, 0.1  # share of an object where the sensor measures nothing; deviation, pixels
 _BLOB = 0.02  # size of the spots where the sensor sees through or nothing, over the image's width
@@ -35,7 +35,7 @@ class TransparentScene:
     color: Image8  # (H, W, 3), left view
     infrared: Image8  # right view
     disparity: Floats  # true, of the left view, pixels; NaN = unknown
-    sensor: Floats  # what the sensor measured, as disparity; NaN = nothing
+    sensor: Floats  # disparity measured by the sensor; NaN = no measurement
     mask: Mask  # transparent
 
 
@@ -63,7 +63,7 @@ def make_transparent_scene(
         image = np.where((owner >= opaque)[:, :, None], front, view)
         for index in range(opaque, int(owner.max()) + 1):
             v, u = np.nonzero(owner == index)
-            if v.size:  # a lens shows what is behind it turned towards its center
+            if v.size:  # a lens displaces the background towards its center
                 down, across = ((part + _LENS * (part.mean() - part)).astype(np.float32)[:, None] for part in (v, u))
                 shifted = cv2.remap(view, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
                 image[v, u] = _OWN_SHARE * front[v, u] + (1 - _OWN_SHARE) * shifted[:, 0]
@@ -75,9 +75,9 @@ def make_transparent_scene(
 
 
 def sensor_through(truth: Floats, behind: Floats, mask: Mask, seed: int) -> Floats:
-    """Return the disparity that a sensor measures: the truth, and in spots of the mask what lies behind it, or nothing.
+    """Return the disparity that a sensor measures: in spots of the mask the background or nothing, elsewhere the truth.
 
-    ``truth`` is the disparity with the object ``mask``, ``behind`` that without it.
+    ``truth`` is the disparity with the object ``mask``, ``behind`` the disparity without the object.
     """
     rng = np.random.default_rng([seed, 0xB1])
     height, width = truth.shape
@@ -94,12 +94,12 @@ def glass_of_pair(
 ) -> TransparentScene:
     """Return a pair with known disparity as color and infrared; to the sensor, one of its surfaces is glass.
 
-    The surface is the connected one (steps of at most a pixel) of 1 to 15 % of the image that both views see and that
-    stands in front of most of its surroundings; where there is none, an ellipse in the middle. Behind it lies a
-    plane through the farther third of what surrounds it.
+    The surface is connected (by steps of at most one pixel), covers 1 to 15 % of the image, is visible in both views,
+    and is in front of most of its surroundings. If there is no such surface, an ellipse in the middle is used. The
+    background is a plane through the farther third of the surroundings.
 
-    ``left`` and ``right`` are (H, W) grey or (H, W, 3) RGB, uint8 or uint16, ``disparity`` (H, W) that of the left
-    view, pixels, NaN = unknown; a share ``speckles`` of the infrared image's pixels has a projected dot.
+    ``left`` and ``right`` are (H, W) grey or (H, W, 3) RGB, uint8 or uint16. ``disparity`` (H, W) belongs to the left
+    view, pixels, NaN = unknown. A share ``speckles`` of the infrared image's pixels has a projected dot.
     """
     mask, best_share = np.zeros(disparity.shape, np.bool_), 0.4
     for surface in _surfaces(disparity):

@@ -20,7 +20,7 @@ TINY = [(1, 1, 1), (1, 1, 5), (1, 9, 4), (9, 1, 4), (2, 3, 1), (3, 2, 17), (5, 3
 
 
 def run_checks(tested: TestedT, checks: Iterable[Callable[[TestedT], None]]) -> None:
-    """Run all checks; AssertionError names the class, and what it does not keep or raises."""
+    """Run all checks; AssertionError names the class and the broken promise or the exception."""
     for check in checks:
         try:
             check(tested)
@@ -31,7 +31,7 @@ def run_checks(tested: TestedT, checks: Iterable[Callable[[TestedT], None]]) -> 
 
 
 def texture(shape: tuple[int, ...], seed: int = 0, dtype: Any = np.uint8) -> NDArray[Any]:
-    """Return random values of all that ``dtype`` holds."""
+    """Return random values over the full range of the integer type ``dtype``."""
     return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max + 1, shape).astype(dtype)
 
 
@@ -70,13 +70,13 @@ def random_volume(height: int, width: int, disparities: int, dtype: Any = np.uin
 
 
 def inside(shape: tuple[int, int, int]) -> NDArray[np.bool_]:
-    """Return (H, W, D) bool: the match lies inside the right image."""
+    """Return (H, W, D) bool: the match is inside the right image."""
     return np.broadcast_to(np.arange(shape[2]) <= np.arange(shape[1])[:, None], shape)
 
 
 @contextmanager
 def threads(count: int) -> Iterator[None]:
-    """Run the block with so many threads of numba."""
+    """Run the block with ``count`` kernel threads."""
     before = n_threads()
     set_threads(count)
     try:

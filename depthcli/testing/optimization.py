@@ -75,16 +75,15 @@ OPTIMIZER_CHECKS = (
 
 
 Smoothness: TypeAlias = Callable[[NDArray[np.uint8]], tuple[NDArray[Any], NDArray[Any]]]
-"""(H, W, 3) uint8 image -> what it costs that two neighbors differ, of the pairs of a row, (H, W - 1), of a column,
-(H - 1, W)."""
+"""(H, W, 3) uint8 image -> cost of a difference between neighbors in a row, (H, W - 1), and in a column, (H - 1, W)."""
 
 
 def check_smoothness(term: Smoothness | BoundaryCost) -> None:
     """Raise AssertionError unless a smoothness term keeps what energies rely on.
 
-    ``term`` takes an (H, W, 3) uint8 image. It returns what it costs that two neighbors differ, such as in disparity:
-    of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W). Or it is a cost of boundaries between
-    segments (a class with the base ``depthcli.methods.stereo.boundary.BoundaryCost``): then every pixel is a segment.
+    ``term`` takes an (H, W, 3) uint8 image and returns the costs of a difference, such as in disparity, between
+    neighbors along the rows, (H, W - 1), and along the columns, (H - 1, W). It can also be a boundary cost between
+    segments (derived from ``depthcli.methods.stereo.boundary.BoundaryCost``); then every pixel is a segment.
     """
     if isinstance(term, BoundaryCost):
         run_checks(term, BOUNDARY_CHECKS)

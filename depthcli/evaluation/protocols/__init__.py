@@ -173,9 +173,9 @@ class Protocol(ABC, Generic[Estimate, TruthT]):
     region_order: ClassVar[tuple[str, ...]] = ("nonocc", "all", "disc")  # in tables; the first present is the main one
     averages_regions: ClassVar[bool] = False  # the single figure of a run is the mean over all regions
     curve_regions: ClassVar[tuple[str, ...]] = ()  # of the confidence curves; empty: the main region
-    map_unit: ClassVar[float] = 1.0  # unit of maps of floats, and of their bounds, in that of the errors
+    map_unit: ClassVar[float] = 1.0  # unit of float maps and their bounds, in units of the errors
     within: ClassVar[float] = math.nan  # error of P(|error| <= within) if the run names none, in the maps' unit
-    # Name -> bits of a status map; a pixel belongs to the first group that it has a bit of, at last to that of 0.
+    # Name -> bits of a status map; a pixel belongs to the first group with one of its bits, otherwise to that with 0.
     status_groups: ClassVar[Mapping[str, int]] = {}
     weights: ClassVar[Mapping[str, float]] = {}  # short name of a scene -> its weight in means, if not 1
     # Makes one score of the scores of one metric and region in several scenes, with the scenes' weights.

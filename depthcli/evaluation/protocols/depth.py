@@ -76,9 +76,8 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     The metrics come from the depth completion literature: MAE and RMSE in millimeters, REL the mean of
     ``|z - z_true| / z_true``, and delta, the percentage of pixels with ``max(z / z_true, z_true / z)`` below 1.05, 1.10
     and 1.25 (ClearGrasp's ``eval_depth_completion.py``, TransCG's ``utils/metrics.py``) and below 1.25 squared and
-    cubed (the convention of NYU). Where the sensor's focal length x baseline is known, ``MAE px`` and ``bad 1 px``
-    are the same errors in pixels of its disparity. All are over the pixels that have an estimate; ``coverage`` says
-    how many have none.
+    cubed (the convention of NYU). If the sensor's focal length x baseline is known, ``MAE px`` and ``bad 1 px`` are
+    the same errors in pixels of its disparity. All are over the estimated pixels; ``coverage`` is their share.
     """
 
     kind = RgbdScene

@@ -43,10 +43,10 @@ class Kitti2012Protocol(DisparityProtocol):
     """Outliers and average errors, on the background-interpolated map and on the estimated pixels; frames averaged.
 
     The map is scored as the 16-bit PNG that would be submitted: multiples of 1/256 px, negative values missing.
-    ``noc`` is compared with the values of ``disp_noc``. A row that is still empty after the interpolation holds
-    -1 there, and so it does here: its pixels are wrong, and count in the average error by that value. A map without
-    any value in a region scores 0 on its estimated pixels, as in the kit, and counts as 0 in the mean; its density
-    says so. A map that is missing counts as wholly wrong, as everywhere here.
+    ``noc`` is compared with the values of ``disp_noc``. A row that is still empty after the interpolation has the
+    value -1, as in the kit: its pixels are wrong, and this value enters the average error. A map without any value in a
+    region scores 0 on its estimated pixels, as in the kit, and counts as 0 in the mean; its density shows it. A missing
+    map counts as entirely wrong, as in all protocols.
     """
 
     presentation = replace(
