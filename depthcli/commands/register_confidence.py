@@ -38,7 +38,8 @@ def register_confidence(
     run: ScoredRunOptions,
     set: SetOption = None,
     field: Annotated[
-        str | None, Option(metavar="NAME", help="Convention of the field: auto, itk, ants, niftyreg, voxels.")
+        str | None,
+        Option(metavar="NAME", help="Convention of the field: auto, itk, ants, niftyreg, positions (SPM), voxels."),
     ] = None,
     level: Annotated[
         float | None,

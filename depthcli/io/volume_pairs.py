@@ -15,7 +15,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair, Volume
 from depthcli.io.formats.fields import read_landmarks, read_moving_transform
 from depthcli.io.formats.files import naming, warn
-from depthcli.io.formats.volumes import itk_image, read_grid, read_volume, simple_itk
+from depthcli.io.formats.volumes import is_raw, itk_image, read_grid, read_volume, simple_itk
 from depthcli.io.scenes import VolumePairScene
 
 _LABEL_TOLERANCE = 1e-3  # of a whole number: what rounding leaves of a label
@@ -105,13 +105,17 @@ def true_errors(scene: VolumePairScene, convention: str = "auto") -> Registratio
     fixed = read_volume(scene.fixed)
     if scene.error_true is not None:
         error = _read_like(scene.error_true, fixed.grid)
+        if (error < 0).any():
+            share = 100 * np.mean(error < 0)
+            warn(f"{scene.error_true}: {share:.3g} % of the voxels are negative: taken as unknown errors")
+            error = np.where(error < 0, np.float32(np.nan), error)
         if scene.mask is not None:
             error = np.where(_read_like(scene.mask, fixed.grid) > 0, error, np.float32(np.nan))
         return RegistrationTruth(fixed.grid, np.zeros((0, 3)), error)
     points = landmarks(scene, fixed.grid)
     assert points is not None and scene.landmarks_moving is not None
     moving = None if scene.moving is None else read_volume(scene.moving)
-    raw = scene.moving is not None and scene.moving.suffix.lower() == ".img"
+    raw = scene.moving is not None and is_raw(scene.moving)
     matches = read_landmarks(scene.landmarks_moving, fixed.grid if moving is None else moving.grid, raw)
     if len(points) != len(matches):
         raise InputError(f"{scene.landmarks_moving}: {len(matches)} landmarks, but {len(points)} of the fixed one")
@@ -151,7 +155,7 @@ def landmarks(scene: VolumePairScene, grid: Grid) -> NDArray[np.float64] | None:
     """Return (N, 3) landmarks of the fixed volume, mm, or None."""
     if scene.landmarks_fixed is None:
         return None
-    points = read_landmarks(scene.landmarks_fixed, grid, scene.fixed.suffix.lower() == ".img")
+    points = read_landmarks(scene.landmarks_fixed, grid, is_raw(scene.fixed))
     if text := _outside(points, grid, "fixed"):
         raise InputError(f"{scene.landmarks_fixed}: {text}")
     whole = len(points) > 3 and np.array_equal(points, np.rint(points))

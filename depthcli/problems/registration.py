@@ -66,7 +66,7 @@ class RegisterConfidenceConfig(RootConfig):
     bound: VolumeBound = Field(VolumeBound(), description="bound of the errors and probability of small ones")
     field: str = Field(
         "auto",
-        pattern="^(auto|itk|ants|niftyreg|voxels)$",
+        pattern="^(auto|itk|ants|niftyreg|positions|voxels)$",
         description="convention of displacement files; auto: what the header says, checked against the others",
     )
     neurological: bool = Field(False, description="pictures have the patient's right on the right, else on the left")

@@ -11,7 +11,7 @@ import pytest
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
-from depthcli.io.formats.fields import in_millimeters, read_field, read_landmarks, read_moving_transform
+from depthcli.io.formats.fields import in_millimeters, read_field, read_landmarks, read_moving_transform, read_transform
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.volumes import itk_image, write_array
 from tests.command_line import refused
@@ -49,11 +49,11 @@ def volumes():
     return (Volume(SimpleITK.GetArrayFromImage(each), GRID) for each in (warped, image))
 
 
-def nifti(path, values, name=b"", p1=0.0, dims=5):
+def nifti(path, values, name=b"", p1=0.0, dims=5, grid=GRID):
     """A NIfTI file of the components as given, with the intent of a vector."""
-    write_array(path, GRID, np.zeros((*GRID.shape, 3), np.float32))
+    write_array(path, grid, np.zeros((*grid.shape, 3), np.float32))
     data = bytearray(path.read_bytes()[:352])
-    x, y, z = GRID.size
+    x, y, z = grid.size
     struct.pack_into("<8h", data, 40, *((5, x, y, z, 1, 3, 1, 1) if dims == 5 else (4, x, y, z, 3, 1, 1, 1)))
     struct.pack_into("<h", data, 68, 1007 if dims == 5 else 0)
     struct.pack_into("<f", data, 56, p1)
@@ -89,6 +89,8 @@ def written(kind, folder):
         nifti(file, displacement() * RAS, b"NREG_TRANS", 1.0)
     elif kind == "niftyreg positions":
         nifti(file, positions(), b"NREG_TRANS", 0.0)
+    elif kind == "spm":
+        nifti(file, positions(), b"Mapping")
     else:
         nifti(file, in_voxels(), dims=4)
     return file
@@ -96,7 +98,7 @@ def written(kind, folder):
 
 NAMED = {
     ".mha": "itk", ".nrrd": "itk", ".nii.gz": "itk", "ants": "itk", "niftyreg displacement": "niftyreg",
-    "niftyreg positions": "positions", "learn2reg": "voxels", "voxelmorph": "voxels",
+    "niftyreg positions": "positions", "spm": "positions", "learn2reg": "voxels", "voxelmorph": "voxels",
 }  # fmt: skip
 
 
@@ -164,6 +166,7 @@ def elastix(path, name, parameters, initial="NoInitialTransform", **fields):
              "(FixedImageDimension 3)"]  # fmt: skip
     lines += [f"({key} {value})" for key, value in fields.items()]
     path.write_text("// a comment\n" + "\n".join(lines) + "\n")
+    return path
 
 
 def numbers(values):
@@ -277,3 +280,54 @@ def test_landmarks_in_every_unit(tmp_path):
     for text, raw in (("z,y,x\n35,24.5,11\n", False), ("index\n1\n1 3 2\n", False), ("2 4 3\n", True)):
         file.write_text(text)
         assert read_landmarks(file, grid, raw).tolist() == [[11, 24.5, 35]]
+
+
+@pytest.mark.parametrize(("order", "kind"), [(3, 2.0), (1, 6.0)])
+def test_control_points_of_niftyreg(tmp_path, order, kind):
+    spacing = (4.0, 4.0, 5.0)
+    start = GRID.to_point(np.array([[0.0, 0, 0]]))[0] - GRID.axes @ np.array(spacing)
+    grid = Grid((9, 8, 11), spacing, tuple(start), GRID.direction)
+    shifts = np.random.default_rng(0).uniform(-3, 3, (*grid.shape, 3))
+    places = grid.to_point(np.indices(grid.shape, float).reshape(3, -1).T).reshape(shifts.shape)
+    nifti(tmp_path / "cpp.nii", (places + shifts) * RAS, b"NREG_TRANS", kind, grid=grid)
+    parts = [itk_image(np.ascontiguousarray(shifts[..., axis]), grid) for axis in range(3)]
+    fixed = Volume(np.zeros(GRID.shape, np.float32), GRID)
+    for convention in ("auto", "niftyreg"):
+        found = read_moving_transform(None, tmp_path / "cpp.nii", convention, fixed, None)
+        same(found, SimpleITK.BSplineTransform(parts, order), 1e-4)
+    refused(
+        InputError, "control points of NiftyReg", read_moving_transform, None, tmp_path / "cpp.nii", "itk", fixed, None
+    )
+
+
+@pytest.mark.parametrize("kind", [3.0, 4.0, 5.0, 7.0, 0.4])
+def test_velocities_and_unknown_kinds_of_niftyreg_are_refused(tmp_path, kind):
+    nifti(tmp_path / "f.nii", displacement(), b"NREG_TRANS", kind)
+    said = rf"f\.nii: NiftyReg's .*intent_p1 = {kind:g}"
+    refused(InputError, said, read_field, tmp_path / "f.nii", GRID)
+
+
+def test_positions_without_a_name_are_found_and_can_be_said(tmp_path):
+    moving, fixed = volumes()
+    nifti(tmp_path / "y_f.nii", positions())
+    refused(InputError, "--field positions", read_moving_transform, None, tmp_path / "y_f.nii", "auto", fixed, moving)
+    same(read_moving_transform(None, tmp_path / "y_f.nii", "positions", fixed, moving), known_warp(), 1e-3)
+
+
+def test_elastix_without_direction_cosines(tmp_path):
+    turned = Grid(GRID.size, GRID.spacing, (4.0, 2.0, 1.0), (0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0))
+    fixed, moving = (Volume(np.zeros(GRID.shape, np.float32), grid) for grid in (GRID, turned))
+    parameters = [1, 0.1, 0, 0, 1.05, 0, 0.02, 0, 1, 5, -4, 3]
+    fields = {"CenterOfRotationPoint": "1 2 3", "UseDirectionCosines": '"false"'}
+    file = elastix(tmp_path / "t.txt", "AffineTransform", parameters, **fields)
+    own = elastix(tmp_path / "u.txt", "AffineTransform", parameters, CenterOfRotationPoint="1 2 3")
+    transform, plain = (read_transform(file, (GRID, turned)), read_transform(own, (GRID, turned)))
+    for index in ([3.0, 4.0, 5.0], [8.0, 1.0, 9.0]):
+        at = np.array(index[::-1]) * GRID.spacing + GRID.origin  # without the directions
+        moved = (np.array(plain.TransformPoint(at.tolist())) - turned.origin) / turned.spacing
+        expected = turned.to_point(moved[None, ::-1])[0]
+        (point,) = GRID.to_point(np.array([index]))
+        np.testing.assert_allclose(transform.TransformPoint(point.tolist()), expected, atol=1e-9)
+    refused(InputError, "UseDirectionCosines", read_moving_transform, file, None, "auto", fixed, None)
+    cyclic = elastix(tmp_path / "c.txt", "AffineTransform", parameters, UseCyclicTransform='"true"')
+    refused(InputError, "UseCyclicTransform", read_moving_transform, cyclic, None, "auto", fixed, moving)

@@ -13,7 +13,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.io.formats.files import collected_warnings
 from depthcli.io.formats.files_behind import kinect_files, transform_files, volume_files
-from depthcli.io.formats.volumes import read_volume, write_array
+from depthcli.io.formats.volumes import read_grid, read_volume, write_array
 from depthcli.io.scenes import VolumePairScene
 from depthcli.io.volume_pairs import LoadedPair, label_masks, load_volumes, true_errors
 from tests.command_line import refused
@@ -334,3 +334,32 @@ def test_other_kinds_of_volume_are_not_tried(tmp_path: Path):
     for name in ("a.dcm", "a.vtk", "a"):
         (tmp_path / name).write_bytes((tmp_path / "a.mha").read_bytes())
         refused(InputError, r"expected \.nii", read_volume, tmp_path / name)
+
+
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_a_nifti_pair_is_read_by_either_file(tmp_path: Path, dtype):
+    values = np.arange(4 * 5 * 6).reshape(4, 5, 6).astype(dtype)
+    if dtype == np.float32:
+        values[1, 2, 3] = np.nan
+    image = SimpleITK.GetImageFromArray(values)
+    image.SetSpacing((1.0, 2.0, 3.0))
+    image.SetOrigin((5.0, 6.0, 7.0))
+    SimpleITK.WriteImage(image, str(tmp_path / "fixed.hdr"))
+    for name in ("fixed.img", "fixed.hdr"):
+        volume = read_volume(tmp_path / name)
+        np.testing.assert_array_equal(volume.values, values.astype(np.float32))
+        assert (volume.grid.spacing, volume.grid.origin) == ((1.0, 2.0, 3.0), (5.0, 6.0, 7.0))
+        assert read_grid(tmp_path / name).size == (6, 5, 4)
+    assert volume_files(tmp_path / "fixed.img") == (tmp_path / "fixed.hdr",)
+    header = bytearray((tmp_path / "fixed.hdr").read_bytes())
+    header[344:348] = bytes(4)
+    (tmp_path / "fixed.hdr").write_bytes(header)
+    unreadable(tmp_path / "fixed.img", r"fixed\.hdr: a header of Analyze 7\.5")
+    assert volume_files(tmp_path / "fixed.img") == ()
+
+
+def test_frames_and_times_of_dicom_are_refused(tmp_path: Path):
+    values = np.arange(3 * 5 * 6, dtype=np.uint16).reshape(3, 5, 6)
+    (tmp_path / "frames").mkdir()
+    SimpleITK.WriteImage(SimpleITK.GetImageFromArray(values), str(tmp_path / "frames" / "a.dcm"))
+    unreadable(tmp_path / "frames", r"a\.dcm is a DICOM file of 3 frames")

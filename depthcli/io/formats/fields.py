@@ -4,7 +4,9 @@
 ITK, elastix            vector MHA, NRRD, NIfTI: displacement, mm, LPS; ``.tfm .txt .h5 .mat`` transforms;
                         ``TransformParameters.N.txt`` (translation, Euler, affine, B-spline, and chains)
 ANTs                    ``1Warp.nii.gz`` (5-D, intent 1007): displacement, mm, LPS; ``0GenericAffine.mat``
-NiftyReg                5-D, intent name NREG_TRANS, mm, RAS; intent_p1: 0 positions, 1 displacements
+NiftyReg                5-D, intent name NREG_TRANS, mm, RAS; intent_p1: 0 positions, 1 displacements, 2 and 6
+                        control points of cubic and linear B-splines; 3, 4 and 5 are velocities, which are refused
+SPM                     5-D, ``y_*.nii``, intent name Mapping: positions, mm, RAS
 Learn2Reg, VoxelMorph   ``.npz`` or 4-D NIfTI (X, Y, Z, 3): displacement, voxels
 ======================  ==============================================================================
 """
@@ -39,10 +41,14 @@ from depthcli.io.formats.volumes import (
 READINGS = {
     "itk": "displacement in mm, LPS (ITK, elastix, ANTs)",
     "niftyreg": "displacement in mm, RAS (NiftyReg)",
-    "positions": "positions in mm, RAS (NiftyReg deformation field)",
+    "positions": "positions in mm, RAS (SPM, NiftyReg deformation field)",
     "voxels": "displacement in voxels (Learn2Reg, VoxelMorph)",
 }
 """Possible meanings of the numbers of a field."""
+
+_SPLINES = {"control points": 3, "linear control points": 1}  # further meanings -> order of the B-spline
+_VELOCITIES = ("positions of a velocity field", "velocities", "control points of velocities")
+_NIFTYREG = ("positions", "niftyreg", "control points", *_VELOCITIES, "linear control points")  # by intent_p1
 
 _MIN_RATIO = 1.1  # mutual information of the better reading over that of the named one, to refuse the named one
 _MIN_GAIN = 0.02  # and by how much it must be more, nats
@@ -60,7 +66,7 @@ class Field:
 
     values: NDArray[np.float32]  # (Z, Y, X, 3), components as in the file: x, y, z
     grid: Grid
-    named: str  # key of READINGS of the header, or of the file's kind
+    named: str  # key of READINGS or _SPLINES of the header, or of the file's kind
 
 
 def read_field(path: Path, fixed: Grid) -> Field:
@@ -77,10 +83,42 @@ def read_field(path: Path, fixed: Grid) -> Field:
                 if unknown is not None:
                     values[unknown.reshape(values.shape)] = np.nan
                 return _in_voxels(values.transpose(1, 2, 3, 0), fixed)
-            if header.GetMetaData("intent_name").strip() == "NREG_TRANS":
-                named = "positions" if abs(float(header.GetMetaData("intent_p1"))) < 0.5 else "niftyreg"
+            named = _named_by_intent(header.GetMetaData("intent_name").strip(), header.GetMetaData("intent_p1"))
+        elif suffix_of(path) in (".nrrd", ".nhdr"):
+            frame = _measurement_frame(itk_header(path))
+            if frame and frame != "(1,0,0) (0,1,0) (0,0,1)":
+                raise InputError(
+                    f"its vectors are in a measurement frame of their own ({frame[:100]}), which is not read"
+                )
         volume = read_volume(path, vector=True)
         return Field(volume.values, volume.grid, named)
+
+
+def _named_by_intent(name: str, parameter: str) -> str:
+    """Return the reading that the intent of a NIfTI file names; InputError where that is no displacement."""
+    if name != "NREG_TRANS":
+        return "positions" if name == "Mapping" else "itk"
+    kind = float(parameter)
+    if kind not in range(len(_NIFTYREG)):
+        raise InputError(f"NiftyReg's intent_p1 = {kind:g} is not known; expected 0 to {len(_NIFTYREG) - 1}")
+    if (named := _NIFTYREG[int(kind)]) in _VELOCITIES:
+        raise InputError(
+            f"NiftyReg's {named} (intent_p1 = {kind:g}), which must be integrated: reg_transform -disp writes the "
+            "displacement"
+        )
+    return named
+
+
+def _measurement_frame(header: Any) -> str:
+    key = "NRRD_measurement frame"
+    return " ".join(header.GetMetaData(key).split()) if header.HasMetaDataKey(key) else ""
+
+
+def _spline(field: Field) -> Any:
+    """Return the B-spline transform of positions (mm, RAS) at control points."""
+    shifts = in_millimeters(field, "positions")
+    parts = [itk_image(np.ascontiguousarray(shifts[..., axis]), field.grid) for axis in range(3)]
+    return simple_itk().BSplineTransform(parts, _SPLINES[field.named])
 
 
 def _in_voxels(values: NDArray[Any], fixed: Grid) -> Field:
@@ -124,15 +162,16 @@ def read_moving_transform(
     """Return the SimpleITK transform that maps a point of the fixed volume to the moving one.
 
     With both files, the displacement comes first and the transform after it (ANTs: ``1Warp``, ``0GenericAffine``).
-    The ``convention`` auto (of auto, itk, ants, niftyreg, voxels) takes the header's; if the moving volume
+    The ``convention`` auto (of auto, itk, ants, niftyreg, positions, voxels) takes the header's; if the moving volume
     is there, another reading that fits it clearly better is an error. With any convention, and for transforms, there is
     a warning where the moving volume fits clearly better through the inverse, with displacements negated or left out.
     """
     sitk = simple_itk()
-    after = None if transform is None else read_transform(transform)
+    grids = fixed.grid, None if moving is None else moving.grid
+    after = None if transform is None else read_transform(transform, grids)
     chain = [] if after is None else [after]
     if displacement is not None and suffix_of(displacement) in (".h5", ".tfm", ".txt"):
-        chain.append(read_transform(displacement))
+        chain.append(read_transform(displacement, grids))
     elif displacement is not None:
         field = read_field(displacement, fixed.grid)
         readings = {"auto": field.named, "ants": "itk"}
@@ -144,14 +183,17 @@ def read_moving_transform(
             raise InputError(
                 f"{displacement}: {bad} of {count} displacements are no numbers; make them 0 where unknown"
             )
-        if convention == "auto" and moving is not None:
+        is_spline = field.named in _SPLINES
+        if is_spline and convention not in ("auto", "niftyreg"):
+            raise InputError(f"{displacement}: {field.named} of NiftyReg, which --field {convention} is not")
+        if convention == "auto" and moving is not None and not is_spline:
             with naming(displacement):
                 _check_reading(field, reading, fixed, moving, after)
-        shifts = in_millimeters(field, reading)
+        shifts = in_millimeters(field, "positions" if is_spline else reading)
         with naming(displacement):
             if reason := _doubtful_extent(field.grid, shifts, fixed.grid):
                 warn(f"{shown(displacement)}: {reason}")
-        chain.append(sitk.DisplacementFieldTransform(itk_image(shifts, field.grid)))
+        chain.append(_spline(field) if is_spline else sitk.DisplacementFieldTransform(itk_image(shifts, field.grid)))
     if not chain:
         raise InputError("neither a transform nor a displacement field")
     combined = sitk.CompositeTransform(chain)
@@ -200,13 +242,12 @@ def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, afte
     still = _information(target, nearest(moving.values, moving.grid.to_index(points[inside])))
     best = max(scores, key=lambda reading: scores[reading])
     if best not in (named, "negated") and _clearly_better(scores[best], scores[named]):
-        option, own = ("niftyreg" if reading == "positions" else reading for reading in (best, named))
         weak = scores[best] < _MIN_FIT or not _clearly_better(scores[best], still)
         raise InputError(
             f"its header says {READINGS[named]}, but read as {READINGS[best]} it fits the volumes clearly better "
             f"(mutual information {scores[best]:.2f} against {scores[named]:.2f}, {still:.2f} without it)"
             + ("; no reading fits well: does it belong to these volumes, and is its unit mm?" if weak else "")
-            + f"; see --field {option}, or --field {own} to keep to the header"
+            + f"; see --field {best}, or --field {named} to keep to the header"
         )
 
 
@@ -257,28 +298,55 @@ def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
     return max(0.0, float(np.sum(p[known] * np.log(p[known] / independent[known]))))  # not -0.00
 
 
-def read_transform(path: Path) -> Any:
-    """Return the SimpleITK transform of a file of ITK, or of a chain of elastix parameter files."""
+def read_transform(path: Path, grids: tuple[Grid, Grid | None] | None = None) -> Any:
+    """Return the SimpleITK transform of a file of ITK, or of a chain of elastix parameter files.
+
+    ``grids`` are the fixed volume's and, if known, the moving one's, whose directions elastix may leave out.
+    """
     sitk = simple_itk()
     with naming(path):
         if suffix_of(path) == ".txt":
             text = text_of(read_bytes(path, MAX_TRANSFORM_BYTES))
             if "(Transform " in text:
                 with library_errors():
-                    return sitk.CompositeTransform(_elastix_chain(path, text, ()))
+                    chain = sitk.CompositeTransform(_elastix_chain(path, text, ()))
+                    return (
+                        chain if _elastix_fields(text)["UseDirectionCosines"] == ["true"] else _undirected(chain, grids)
+                    )
         with open_regular(path), library_errors():
             return sitk.ReadTransform(str(path))
 
 
-def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]:
-    """This file's transform, then those it starts from: SimpleITK applies the last one first."""
-    fields = {}
+def _elastix_fields(text: str) -> dict[str, list[str]]:
+    fields = {"UseDirectionCosines": ["true"]}
     for name, words in re.findall(r"^\s*\((\w+)\s+(.*?)\)\s*(?://.*)?$", text, re.MULTILINE):
         fields[name] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', words)] or [""]
+    return fields
+
+
+def _undirected(chain: Any, grids: tuple[Grid, Grid | None] | None) -> Any:
+    """Return a transform between volumes without their directions as one between those with them."""
+    fixed, moving = grids or (None, None)
+    if fixed is None or (moving is None and not np.array_equal(fixed.axes, np.eye(3))):
+        raise InputError(
+            'its "UseDirectionCosines" is "false"; with the directions of both volumes only it can be read'
+        )
+    sitk, placed = simple_itk(), fixed if moving is None else moving
+    before = sitk.AffineTransform(fixed.axes.T.ravel().tolist(), (0.0, 0.0, 0.0), fixed.origin)
+    after = sitk.AffineTransform(placed.axes.ravel().tolist(), (0.0, 0.0, 0.0), placed.origin)
+    return sitk.CompositeTransform([after, chain, before])
+
+
+def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]:
+    """This file's transform, then those it starts from: SimpleITK applies the last one first."""
+    fields = _elastix_fields(text)
     if path.resolve() in before or len(before) > MAX_CHAIN:
         raise InputError("its chain of initial transforms comes back to it")
     if fields.get("HowToCombineTransforms", ["Compose"])[0] != "Compose":
         raise InputError("transforms that are added, not composed, are not read")
+    for key in ("UseCyclicTransform", "UseBinaryFormatForTransformationParameters"):
+        if fields.get(key, ["false"])[0] != "false":
+            raise InputError(f"{key} {fields[key][0]!r} is not read; write the field with transformix -def all")
     own = _elastix_transform(fields)
     file = initial_transform(path, text)
     if file is None:

@@ -28,13 +28,33 @@ def kinect_files(path: Path) -> tuple[Path, ...]:
     return (beta,) if beta.is_file() else ()
 
 
+def nifti_header(path: Path) -> bytes:
+    """Return the NIfTI header beside the values of a volume (``.hdr`` beside ``.img``), or nothing.
+
+    InputError for a header of Analyze 7.5 without a ``meta.json``, since it does not tell the directions.
+    """
+    header = path.with_suffix(".hdr")
+    if not header.is_file():
+        return b""
+    data = read_bytes(header)
+    if data[344:347] == b"ni1":
+        return data
+    if path.with_name("meta.json").is_file():
+        return b""
+    raise InputError(f"{header}: a header of Analyze 7.5, which has no directions; convert it to NIfTI")
+
+
 def volume_files(path: Path) -> tuple[Path, ...]:
     """Return the files that are read with a volume: those with its values, of a folder all, or its ``meta.json``."""
     if os.path.isdir(path):  # a DICOM series
         return tuple(sorted(file for file in path.glob("*") if os.path.isfile(file)))
     kind = path.suffix.lower()
+    if kind == ".hdr":
+        return (path.with_suffix(".img"),)
     if kind == ".img":
-        return (path.with_name("meta.json"),)
+        with contextlib.suppress(InputError):  # reading the volume tells the problem
+            return (path.with_suffix(".hdr") if nifti_header(path) else path.with_name("meta.json"),)
+        return ()
     if kind not in (".mha", ".mhd", ".nrrd", ".nhdr"):
         return ()
     found = None

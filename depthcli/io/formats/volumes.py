@@ -23,14 +23,15 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.io.formats.files import atomic_path, naming, open_regular, read_bytes, shown
-from depthcli.io.formats.files_behind import volume_files
+from depthcli.io.formats.files_behind import nifti_header, volume_files
 from depthcli.io.formats.images import IMAGE_SUFFIXES, image_size, read_grey
 from depthcli.io.formats.plain_text import json_object, numbers
 
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img")
-"""Endings of volume files; ``.img`` is DIR-Lab's raw format, with its size in ``meta.json``."""
+"""Endings of volume files; ``.img`` is NIfTI with a header beside it, or DIR-Lab's raw format with ``meta.json``."""
 
-_ITK_READERS = dict.fromkeys((".nii", ".nii.gz"), "NiftiImageIO") | dict.fromkeys((".mha", ".mhd"), "MetaImageIO")
+_NIFTI = (".nii", ".nii.gz", ".hdr", ".img")
+_ITK_READERS = dict.fromkeys(_NIFTI, "NiftiImageIO") | dict.fromkeys((".mha", ".mhd"), "MetaImageIO")
 _ITK_READERS |= dict.fromkeys((".nrrd", ".nhdr"), "NrrdImageIO")
 _MAX_SIDE = 1 << 20  # voxels; no volume is as wide
 _MAX_SPACING = 1e12  # mm; 1e-12 is the smallest: squares of both are well within the range of 32 bit
@@ -62,13 +63,18 @@ def simple_itk() -> Any:
     return SimpleITK
 
 
+def is_raw(path: Path) -> bool:
+    """Return whether a file is in DIR-Lab's raw format: ``.img`` without a NIfTI header beside it."""
+    return suffix_of(path) == ".img" and not nifti_header(path)
+
+
 def read_volume(path: Path, vector: bool = False) -> Volume:
     """Return a volume, or a field of three components."""
     with naming(path):
         if suffix_of(path) in IMAGE_SUFFIXES:
             plane = read_grey(path)
             return Volume(plane.astype(np.float32)[None], Grid((plane.shape[1], plane.shape[0], 1), (1.0, 1.0, 1.0)))
-        if suffix_of(path) == ".img":
+        if is_raw(path):
             return _dirlab(path)
         image, unknown = read_itk(path)
         size, dimension, parts = image.GetSize(), image.GetDimension(), image.GetNumberOfComponentsPerPixel()
@@ -105,7 +111,7 @@ def read_grid(path: Path) -> Grid:
         if suffix_of(path) in IMAGE_SUFFIXES:
             height, width = image_size(path)
             return Grid((width, height, 1), (1.0, 1.0, 1.0))
-        if suffix_of(path) == ".img":
+        if is_raw(path):
             return _dirlab_grid(path)
         reader = itk_header(path)
         size, spacing = (*reader.GetSize()[:3], 1)[:3], (*reader.GetSpacing()[:3], 1.0)[:3]
@@ -122,7 +128,7 @@ def read_itk(path: Path) -> tuple[Any, NDArray[np.bool_] | None]:
     if os.path.isdir(path):
         return _dicom(path), None
     reader = itk_header(path)
-    unknown = _unknown_in_nifti(path, reader) if suffix_of(path) in (".nii", ".nii.gz") else None
+    unknown = _unknown_in_nifti(path, reader) if suffix_of(path) in _NIFTI else None
     with library_errors():
         return reader.Execute(), unknown
 
@@ -135,14 +141,33 @@ def _dicom(folder: Path) -> Any:
         if len(series) != 1:
             raise InputError(f"a folder with {len(series)} DICOM series, expected one")
         files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
+        for file in files:
+            _check_single_frame(Path(file))
         reader.SetFileNames(files)
         reader.MetaDataDictionaryArrayUpdateOn()
         image = reader.Execute()
-        places = [reader.GetMetaData(k, _SLICE_POSITION).split("\\") for k in range(len(files))]
-    steps = np.linalg.norm(np.diff(np.array(places, np.float64), axis=0), axis=1)
+        if len(files) > 1 and not reader.HasMetaDataKey(0, _SLICE_POSITION):
+            raise InputError("its DICOM slices have no position (0020,0032); convert them to NIfTI or MetaImage")
+        places = [
+            reader.GetMetaData(k, _SLICE_POSITION).split("\\") for k in range(len(files) if len(files) > 1 else 0)
+        ]
+    steps = np.linalg.norm(np.diff(np.array(places, np.float64).reshape(-1, 3), axis=0), axis=1)
+    if steps.size and not steps.max():
+        raise InputError(f"all its {len(files)} DICOM slices are at one place: a series over time? expected a volume")
     if steps.size and np.ptp(steps) > _MAX_UNEVENNESS * steps.max():
         raise InputError(f"its DICOM slices are {steps.min():.4g} to {steps.max():.4g} mm apart: is one missing?")
     return image
+
+
+def _check_single_frame(file: Path) -> None:
+    """Raise InputError if a DICOM file holds several frames."""
+    header = simple_itk().ImageFileReader()
+    header.SetImageIO("GDCMImageIO")
+    header.SetFileName(str(file))
+    header.ReadImageInformation()
+    if math.prod(header.GetSize()[2:]) > 1:
+        frames = math.prod(header.GetSize()[2:])
+        raise InputError(f"{file.name} is a DICOM file of {frames} frames, which is not read; convert it to NIfTI")
 
 
 def itk_header(path: Path) -> Any:
@@ -179,7 +204,8 @@ def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.bool_] | None:
     item = int(reader.GetMetaData("bitpix")) // 8 if kind is None else int(kind[1])
     offset = int(float(reader.GetMetaData("vox_offset")))
     try:
-        with gzip.open(path) if path.name.lower().endswith(".gz") else open(path, "rb") as file:
+        values = path.with_suffix(".img") if suffix_of(path) == ".hdr" else path
+        with gzip.open(values) if path.name.lower().endswith(".gz") else open(values, "rb") as file:
             data = file.read()
     except (OSError, EOFError, zlib.error):
         raise InputError("cut off, or not a gzip file") from None
@@ -187,7 +213,9 @@ def _unknown_in_nifti(path: Path, reader: Any) -> NDArray[np.bool_] | None:
         raise InputError(f"cut off: {len(data)} bytes, its header promises {offset + n_values * item}")
     if kind is None:
         return None
-    order = "<" if data[:2] == struct.pack("<h", 348) else ">"
+    start = (nifti_header(path) or data)[:2] if suffix_of(path) == ".img" else data[:2]
+    start = read_bytes(path)[:2] if suffix_of(path) == ".hdr" else start
+    order = "<" if start == struct.pack("<h", 348) else ">"
     known = np.isfinite(np.frombuffer(data, order + kind, n_values, offset))
     return None if known.all() else ~known
 
