@@ -1,6 +1,7 @@
 """register-confidence from the command line: files, messages, exit codes."""
 
 import json
+import locale
 import re
 import shutil
 import warnings
@@ -322,6 +323,7 @@ def test_reports_say_that_they_are_estimates_and_link_files_that_are_there(made_
 def dicom(folder, values, missing=()):
     """Write a series of (Z, Y, X) int16, whose files are sorted the other way by name."""
     folder.mkdir()
+    before = locale.setlocale(locale.LC_ALL)  # writing DICOM, which the program does not, leaves the C locale
     writer = SimpleITK.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
     for k, plane in enumerate(values):
@@ -334,6 +336,7 @@ def dicom(folder, values, missing=()):
         if k not in missing:
             writer.SetFileName(str(folder / f"{len(values) - k:03}.dcm"))
             writer.Execute(image)
+    locale.setlocale(locale.LC_ALL, before)
 
 
 def test_a_folder_with_a_dicom_series_is_a_volume(tmp_path, capsys):
