@@ -186,7 +186,12 @@ def find_maps(
     """
     run = local(run)
     if os.path.isfile(run):
-        return [DisparityScene(name=run.stem, folder=run.parent, disparity=run, left=left, calibration=calibration)]
+        single = DisparityScene(name=run.stem, folder=run.parent, disparity=run)
+        if run.name == _MAP and os.path.isfile(run.with_name("record.json")):  # with what the run wrote beside it
+            single = _map_of(run.parent, run.stem, None, None)
+        if calibration is not None or by_hand:
+            single = replace(single, calibration=calibration)
+        return [single if left is None else replace(single, left=left)]
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such run folder or map")
     rows = {name: row for name, row in read_report(run).items() if is_inside(name)}

@@ -267,3 +267,21 @@ def test_maps_of_other_programs(matched: tuple[Path, Path], tmp_path: Path, caps
     assert "most disparities are negative" in capsys.readouterr().err
     assert run("depth", matched[1], "--scale", "16", "-o", tmp_path / "none", "-q") == 2
     assert "--scale belongs to a single map" in capsys.readouterr().err
+
+
+def test_a_map_of_a_run_alone_keeps_its_status_and_bound(tmp_path: Path):
+    folder = tmp_path / "run" / "a"
+    folder.mkdir(parents=True)
+    for name, value in (("disp_left", 20.0), ("bound", 0.5)):
+        write_pfm(folder / f"{name}.pfm", np.full((6, 8), value, np.float32))
+    status = np.zeros((6, 8), np.uint8)
+    status[2:4] = Status.OCCLUDED | Status.FILLED
+    write_png(folder / "status.png", status)
+    line = ("depth", folder / "disp_left.pfm", "--focal", 400, "--baseline", 0.1, "--mask", "measured", "-q", "-o")
+    assert run(*line, tmp_path / "foreign") == 0  # without a record the files beside may be of another map
+    assert np.isfinite(read_pfm(tmp_path / "foreign" / "disp_left" / "depth.pfm")).all()
+    (folder / "record.json").write_text("{}")
+    assert run(*line, tmp_path / "own") == 0
+    found = tmp_path / "own" / "disp_left"
+    np.testing.assert_array_equal(np.isfinite(read_pfm(found / "depth.pfm")), status == 0)
+    assert (found / "bound.pfm").is_file()

@@ -182,6 +182,18 @@ def test_masked_arrays_keep_their_mask():
     assert np.isnan(as_volume(np.ma.masked_less(np.ones((2, 3, 4)), 2), "volume")).all()
 
 
+def test_the_rest_of_npy_and_npz_is_named(tmp_path: Path):
+    values = np.arange(20, dtype=np.float32).reshape(4, 5)
+    np.savez(tmp_path / "a.npz", disp=values, valid=values > 3)
+    with (tmp_path / "b.npy").open("wb") as file:
+        np.save(file, values)
+        np.save(file, values + 1)
+    for name, said in (("a.npz", "'disp' is read, not valid"), ("b.npy", "bytes follow")):
+        with collected_warnings() as lines:
+            np.testing.assert_array_equal(read_plane(tmp_path / name), values)
+        assert len(lines) == 1 and f"{name}: " in lines[0] and said in lines[0]
+
+
 def test_npy(tmp_path: Path):
     path = tmp_path / "a.npy"
     np.save(path, np.array([[1.5, np.inf, np.nan]]))

@@ -217,7 +217,7 @@ def read_plane(path: Path | str) -> NDArray[Any]:
     data = read_bytes(path)
     with naming(path):
         if data.startswith((NPY_MAGIC, _NPZ_MAGIC)):
-            return _decode_npy(data)
+            return _decode_npy(data, path)
         if image_kind(data) == "Pfm":
             return _decode_pfm(data, path)
         numbers = decode_numbers(data)
@@ -241,11 +241,14 @@ def squeezed(array: NDArray[Any], dimensions: int) -> NDArray[Any]:
     return array
 
 
-def _decode_npy(data: bytes) -> NDArray[Any]:
+def _decode_npy(data: bytes, path: Path | str) -> NDArray[Any]:
     """Return the (H, W) array of a ``.npy`` file, or the map of an ``.npz`` file: its only array, or the named one."""
     try:
-        stored = np.load(BytesIO(data), allow_pickle=False)
+        file = BytesIO(data)
+        stored = np.load(file, allow_pickle=False)
         if isinstance(stored, np.ndarray):
+            if rest := len(data) - file.tell():
+                warn(f"{shown(path)}: {rest} bytes follow its array; they are ignored")
             return _numbers(stored, 2)
         names = stored.files if len(stored.files) == 1 else [name for name in _MAP_NAMES if name in stored.files]
         if len(names) != 1:
@@ -255,6 +258,8 @@ def _decode_npy(data: bytes) -> NDArray[Any]:
             )
         if (size := max(info.file_size for info in stored.zip.infolist())) > _MAX_UNPACKED_BYTES:
             raise InputError(f"too large: {size} bytes")
+        if others := [name for name in stored.files if name != names[0]]:
+            warn(f"{shown(path)}: its array {names[0]!r} is read, not {', '.join(others)[:200]}")
         return _numbers(stored[names[0]], 2)
     except InputError:
         raise

@@ -134,12 +134,15 @@ def _npz(path: Path) -> NDArray[Any]:
     with open_regular(path) as file:
         try:
             with np.load(file, allow_pickle=False) as stored:
-                arrays = [stored[name] for name in stored.files]
+                arrays = {name: stored[name] for name in stored.files}
         except Exception:  # zipfile, zlib and numpy raise many kinds for damage, MemoryError among them
             raise InputError("not a readable .npz file") from None
-    fields = [array for array in arrays if array.ndim == 4 and 3 in (array.shape[0], array.shape[3])]
+    named = {name: each for name, each in arrays.items() if each.ndim == 4 and 3 in (each.shape[0], each.shape[3])}
+    fields = list(named.values())
     if len(fields) != 1:
         raise InputError("expected one array (X, Y, Z, 3) or (3, X, Y, Z) of displacements")
+    if others := [name for name in arrays if name not in named]:
+        warn(f"{shown(path)}: its array {next(iter(named))!r} is read, not {', '.join(others)[:200]}")
     return np.transpose(fields[0], (2, 1, 0, 3) if fields[0].shape[3] == 3 else (3, 2, 1, 0))
 
 
